@@ -1,0 +1,79 @@
+"""The command line: one module a command; parses, calls, prints, nothing else.
+
+Heavy modules are imported inside the command that needs them, so that `--help` answers at once.
+"""
+
+import os
+import sys
+from typing import Annotated
+
+import click
+import typer
+
+from tetractl import __version__
+from tetractl.errors import Exit, TetractlError
+
+app = typer.Typer(
+    name="tetractl",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"tetractl {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Steer several robots at once with one control signal.
+
+    Run an experiment from a YAML spec, look at its trials, and weigh them up.
+    """
+
+
+def main() -> None:
+    """Run the command line and exit with one of the codes of `Exit`."""
+    sys.exit(_run())
+
+
+def _run() -> int:
+    try:
+        code = app(standalone_mode=False)
+    except TetractlError as error:
+        complain(str(error), error.hint)
+        return error.exit
+    except click.ClickException as error:
+        complain(error.format_message(), _usage_hint(error))
+        return Exit.USAGE
+    except (click.Abort, KeyboardInterrupt):
+        complain("interrupted")
+        return Exit.INTERRUPTED
+    except BrokenPipeError:  # the reader of our output went away, as in `tetractl stats | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return Exit.DONE
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        complain(f"{where}{error.strerror or error}")
+        return Exit.FAILED
+    return code if isinstance(code, int) else Exit.DONE
+
+
+def _usage_hint(error: click.ClickException) -> str | None:
+    context = getattr(error, "ctx", None)
+    return f"try '{context.command_path} --help'" if context else None
+
+
+def complain(message: str, hint: str | None = None) -> None:
+    """Print an error to stderr: `error:` and its line or lines, then the hint."""
+    print(f"error: {message}", file=sys.stderr)
+    if hint:
+        print(f"hint: {hint}", file=sys.stderr)

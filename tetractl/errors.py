@@ -1,0 +1,48 @@
+"""Errors a user can cause, and the exit codes they end with.
+
+Every message is one line (plus an optional hint); the command line prints it without a
+traceback. Anything that is not a `TetractlError` is a bug in tetractl.
+"""
+
+from enum import IntEnum
+
+
+class Exit(IntEnum):
+    """Exit codes of the command line."""
+
+    DONE = 0
+    FAILED = 1  # a trial aborted, a check failed, a log is damaged
+    USAGE = 2  # bad usage or a bad spec
+    INTERRUPTED = 130  # Ctrl-C or SIGTERM, after stopping the robots and closing the log
+
+
+class TetractlError(Exception):
+    """Something the user can mend: one clear line, a hint, an exit code."""
+
+    exit = Exit.FAILED
+
+    def __init__(self, message: str, hint: str | None = None) -> None:
+        super().__init__(message)
+        self.hint = hint
+
+
+class UsageError(TetractlError):
+    """A bad argument, file name or option."""
+
+    exit = Exit.USAGE
+
+
+class SpecError(UsageError):
+    """A spec that cannot be run; the message carries one `file:line:column` line a problem."""
+
+
+class LogError(TetractlError):
+    """A log that cannot be read or written."""
+
+
+class ControlError(TetractlError):
+    """The controller cannot go on, for instance because a cost is not finite."""
+
+
+class AbortError(TetractlError):
+    """The plant refuses to go on (a fault in the lab); the robots are stopped."""

@@ -1,0 +1,113 @@
+"""The controller's part of a spec: MPC (Algorithm 2) and the swarm inside it (Algorithm 1)."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from tetractl.spec.base import Model, NonNegative, Positive
+
+
+class PaperStop(Model):
+    """Stop criterion (20) as printed: it compares logarithms of lengths, so it depends on the unit."""
+
+    type: Literal["paper"]
+
+
+class RelativeStop(Model):
+    """Stop when the best cost has fallen by less than `decrease` of itself over `window` iterations."""
+
+    type: Literal["relative"]
+    window: int = Field(default=10, ge=1, le=10_000)
+    """Iterations looked back over."""
+    decrease: float = Field(default=0.01, ge=0, lt=1, allow_inf_nan=False)
+    """Least relative decrease of J over the window that keeps the search going."""
+
+
+class TargetStop(Model):
+    """Stop as soon as the best cost J is at or below `cost` (in the spec's length unit)."""
+
+    type: Literal["target"]
+    cost: Positive
+
+
+class BudgetStop(Model):
+    """Never stop early: always spend every iteration."""
+
+    type: Literal["budget"]
+
+
+Stop = Annotated[PaperStop | RelativeStop | TargetStop | BudgetStop, Field(discriminator="type")]
+
+
+class SwarmSpec(Model):
+    """Particle swarm of Algorithm 1, (14)-(19)."""
+
+    particles: int = Field(default=100, ge=1, le=1_000_000)
+    """Number of particles np."""
+    iterations: int = Field(default=100, ge=1, le=1_000_000)
+    """Largest number of iterations z_max of one search (one horizon)."""
+    inertia: float = Field(default=0.7, gt=0, le=2, allow_inf_nan=False)
+    """Momentum omega_v of (14)."""
+    cognitive: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
+    """Weight c1 of (14), towards a particle's own best."""
+    social: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
+    """Weight c2 of (14), towards the swarm's best."""
+    stop: Stop = PaperStop(type="paper")
+    """When a search ends before `iterations`."""
+
+
+class Collision(Model):
+    """How the planner's potential (13) decides that a robot is inside an obstacle."""
+
+    check: Literal["samples", "swept"] = "samples"
+    """`samples` tests the predicted positions as (13) is printed; `swept` tests the whole segment
+    between two of them."""
+    margin: NonNegative = 0.0
+    """Obstacles are grown by this much for the planner [length unit]."""
+
+
+class NoWait(Model):
+    """The robots stand still while the first plan is computed."""
+
+    type: Literal["stand"]
+
+
+class Square(Model):
+    """The robots drive a square while the first plan is computed and return to their start (IV-B.1)."""
+
+    type: Literal["square"]
+    side: Positive = 2.0
+    """Time spent on each side [s]; several times 1/a, so that the square closes."""
+    laps: int = Field(default=1, ge=1, le=100)
+    """Whole squares to drive: exactly this many in simulation, at least this many in the lab."""
+
+
+FirstPlan = Annotated[NoWait | Square, Field(discriminator="type")]
+
+
+class PsoMpcSpec(Model):
+    """PSO inside model predictive control, Algorithm 2."""
+
+    type: Literal["pso-mpc"] = "pso-mpc"
+    period: Positive = 0.2
+    """Control period T [s] (the paper's experiment: 5 Hz)."""
+    model: Literal["euler", "arc", "exact"] = "euler"
+    """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
+    `exact` is the closed form of (1)-(3) under a held direction."""
+    horizon_max: int = Field(default=51, ge=1, le=2000)
+    """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
+    horizon h = length - 1."""
+    steps_max: int = Field(default=100, ge=1, le=1_000_000)
+    """Largest number of control steps k_max."""
+    arrival_tolerance: NonNegative = 0.0
+    """The robots are close enough when every one is within this distance of its target [length
+    unit]; 0 never ends a trial early."""
+    obstacle_weight: NonNegative = 1000.0
+    """Weight omega_p of the obstacle potential in (7) [length unit]."""
+    collision: Collision = Collision()
+    first_plan: FirstPlan = NoWait(type="stand")
+    """What the robots do while the first plan is computed."""
+    evaluations_max: int | None = Field(default=None, ge=1)
+    """Cost evaluations one control step may spend, over all its horizons; then the best sequence so
+    far is used. No limit by default."""
+    swarm: SwarmSpec = SwarmSpec()

@@ -1,0 +1,139 @@
+"""The experiment: everything a batch of trials depends on."""
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from tetractl.spec.base import Finite, Model, Name, NonNegative, Point, Positive
+from tetractl.spec.controller import PsoMpcSpec
+from tetractl.spec.plant import SimSpec, Wheels
+
+METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
+"""Metres in each length unit a spec may declare."""
+
+
+class Units(Model):
+    """Units of the numbers in the spec. Angles are radians and times seconds."""
+
+    length: Literal["um", "mm", "cm", "m"] = "mm"
+    """Of every position, distance, speed and cost."""
+
+
+class Rectangle(Model):
+    """An axis-aligned rectangle, given as the paper gives it: [left, bottom, width, height]."""
+
+    type: Literal["rectangle"]
+    left: Finite
+    bottom: Finite
+    width: Positive
+    height: Positive
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a point lies in the rectangle, its edge included."""
+        inside_x = self.left <= x <= self.left + self.width
+        return inside_x and self.bottom <= y <= self.bottom + self.height
+
+
+class Circle(Model):
+    """A round obstacle."""
+
+    type: Literal["circle"]
+    center: Point
+    radius: Positive
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a point lies in the disc, its edge included."""
+        return math.hypot(x - self.center[0], y - self.center[1]) <= self.radius
+
+
+Obstacle = Annotated[Rectangle | Circle, Field(discriminator="type")]
+
+
+class Arena(Model):
+    """The field of view: the rectangle in which robots and obstacles stand."""
+
+    left: Finite
+    bottom: Finite
+    width: Positive
+    height: Positive
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a point lies in the arena, its edge included."""
+        inside_x = self.left <= x <= self.left + self.width
+        return inside_x and self.bottom <= y <= self.bottom + self.height
+
+
+class Robot(Model):
+    """One robot: where it starts, where it is to go, and how it moves, (1)-(3)."""
+
+    name: Name
+    start: Point
+    """Start position [x, y]."""
+    heading: Finite = 0.0
+    """Start heading theta, anticlockwise from +x [rad]."""
+    target: Point
+    """Target position [x, y]."""
+    a: Positive
+    """Turning rate a towards the common direction [rad/s], (3)."""
+    speed: NonNegative
+    """Speed v [length unit/s]."""
+    color: str | None = Field(default=None, pattern=r"^(#[0-9a-fA-F]{6}|[a-z]{3,20})$")
+    """Colour in pictures: a matplotlib name or #rrggbb; by default from a colour-blind safe list."""
+
+
+class Trials(Model):
+    """How often the experiment is repeated, and the seed all randomness comes from."""
+
+    count: int = Field(default=20, ge=1, le=1_000_000)
+    seed: int = Field(default=1, ge=0, lt=2**64)
+
+
+class Reference(Model):
+    """A published result that the statistics are compared with, in the spec's length unit."""
+
+    source: str = Field(min_length=1, max_length=500)
+    n: int = Field(ge=2)
+    """Number of trials."""
+    mean: NonNegative
+    """Mean total error."""
+    std: NonNegative
+    """Standard deviation (n - 1) of the total error."""
+
+
+class Scale(Model):
+    """The paper's scaling of an error to another kind of robot by the ratio of speeds (page 6)."""
+
+    name: str = Field(min_length=1, max_length=100)
+    """What the error is scaled to, for instance `T. pyriformis`."""
+    unit: Literal["um", "mm", "cm", "m"] = "um"
+    speed: Positive
+    """Speed of the robots scaled to [unit/s]."""
+    body_length: Positive
+    """Their body length [unit]."""
+
+
+class Experiment(Model):
+    """One experiment, as read from a YAML spec."""
+
+    name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    """Name of the experiment; log folders are called after it."""
+    description: str = ""
+    """One or two sentences for people."""
+    units: Units = Units()
+    arena: Arena
+    robots: tuple[Robot, ...] = Field(min_length=1, max_length=1000)
+    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
+    wheels: Wheels | None = None
+    """Wheel geometry; given, the log holds the wheel speeds of (24)-(25) of every command."""
+    controller: PsoMpcSpec = PsoMpcSpec()
+    plant: SimSpec = SimSpec()
+    trials: Trials = Trials()
+    reference: Reference | None = None
+    scale: Scale | None = None
+
+    @model_validator(mode="after")
+    def _truth_is_finer_than_the_camera(self) -> Self:
+        if self.plant.truth_rate < self.plant.camera_rate:
+            raise ValueError("plant.truth_rate must be at least plant.camera_rate")
+        return self

@@ -7,11 +7,12 @@ import os
 import sys
 from typing import Annotated
 
-import click
 import typer
 
 from tetractl import __version__
 from tetractl.errors import Exit, TetractlError
+
+BadUsage = typer.BadParameter.__mro__[1]  # click's UsageError; typer carries its own copy of click
 
 app = typer.Typer(
     name="tetractl",
@@ -51,10 +52,10 @@ def _run() -> int:
     except TetractlError as error:
         complain(str(error), error.hint)
         return error.exit
-    except click.ClickException as error:
+    except BadUsage as error:
         complain(error.format_message(), _usage_hint(error))
         return Exit.USAGE
-    except (click.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         complain("interrupted")
         return Exit.INTERRUPTED
     except BrokenPipeError:  # the reader of our output went away, as in `tetractl stats | head`
@@ -67,8 +68,8 @@ def _run() -> int:
     return code if isinstance(code, int) else Exit.DONE
 
 
-def _usage_hint(error: click.ClickException) -> str | None:
-    context = getattr(error, "ctx", None)
+def _usage_hint(error: BadUsage) -> str | None:
+    context = error.ctx
     return f"try '{context.command_path} --help'" if context else None
 
 

@@ -8,11 +8,10 @@ import sys
 from typing import Annotated
 
 import typer
+from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.errors import Exit, TetractlError
-
-BadUsage = typer.BadParameter.__mro__[1]  # click's UsageError; typer carries its own copy of click
 
 app = typer.Typer(
     name="tetractl",
@@ -52,8 +51,8 @@ def _run() -> int:
     except TetractlError as error:
         complain(str(error), error.hint)
         return error.exit
-    except BadUsage as error:
-        complain(error.format_message(), _usage_hint(error))
+    except TyperException as error:
+        complain(getattr(error, "message", str(error)), _usage_hint(error))
         return Exit.USAGE
     except (typer.Abort, KeyboardInterrupt):
         complain("interrupted")
@@ -68,8 +67,8 @@ def _run() -> int:
     return code if isinstance(code, int) else Exit.DONE
 
 
-def _usage_hint(error: BadUsage) -> str | None:
-    context = error.ctx
+def _usage_hint(error: TyperException) -> str | None:
+    context = getattr(error, "ctx", None)
     return f"try '{context.command_path} --help'" if context else None
 
 

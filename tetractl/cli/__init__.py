@@ -52,7 +52,7 @@ def _run() -> int:
         complain(str(error), error.hint)
         return error.exit
     except TyperException as error:
-        complain(getattr(error, "message", str(error)), _usage_hint(error))
+        complain(error.format_message(), _usage_hint(error))
         return Exit.USAGE
     except (typer.Abort, KeyboardInterrupt):
         complain("interrupted")

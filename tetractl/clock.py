@@ -1,0 +1,49 @@
+"""Time, injected: nanoseconds since the trial's start, virtual or monotonic."""
+
+import time
+from typing import Protocol
+
+SECOND = 1_000_000_000  # ns
+
+
+class Clock(Protocol):
+    """A clock that starts at 0 when it is made."""
+
+    def now(self) -> int:
+        """Return the time [ns]."""
+        ...
+
+    def sleep_until(self, when: int) -> None:
+        """Wait until `when` [ns]; return at once where that has passed."""
+        ...
+
+
+class VirtualClock:
+    """Time that passes only by sleeping: simulation runs as fast as it can be computed."""
+
+    def __init__(self) -> None:
+        self._now = 0
+
+    def now(self) -> int:
+        """Return the time [ns]."""
+        return self._now
+
+    def sleep_until(self, when: int) -> None:
+        """Jump to `when` [ns]."""
+        self._now = max(self._now, when)
+
+
+class MonotonicClock:
+    """The host's monotonic clock, unmoved by changes of the wall clock."""
+
+    def __init__(self) -> None:
+        self._start = time.monotonic_ns()
+
+    def now(self) -> int:
+        """Return the time [ns]."""
+        return time.monotonic_ns() - self._start
+
+    def sleep_until(self, when: int) -> None:
+        """Sleep until `when` [ns]."""
+        while (left := when - self.now()) > 0:
+            time.sleep(left / SECOND)

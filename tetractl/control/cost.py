@@ -1,0 +1,112 @@
+"""The optimal control problem of one control step: the cost J(u), (7)-(13).
+
+    min over u in [-pi, pi]^L   J(u) = f(u) + omega_p P(s(k+1|k), ..., s(k+L|k))            (7)
+    f(u) = sum_i || s_i(k+L|k) - tar_i ||                                                   (8)
+    P    = sum_i sum_j p(s_i(k+j|k)),   p = 1 in an obstacle, else 0                   (9), (13)
+
+A sequence is counted here, as in Algorithm 2, by its length L in signals: u(k), ..., u(k+L-1). The
+paper's horizon in (7)-(12) is h = L - 1. The prediction s(k+j|k) comes from (4)-(6) or from one of
+the other models in `tetractl.model.cell`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.errors import ControlError
+from tetractl.model.cell import MOTIONS
+from tetractl.model.state import Floats, Poses
+from tetractl.model.world import Obstacles
+from tetractl.spec.experiment import Experiment
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What one control step has to solve; lengths in the spec's unit.
+
+    targets (N, 2); a (N,) rad/s; speed (N,) length unit/s. Signal j is held for `period` seconds,
+    except the first, held for `first_period`. `swept` tests the segments between predicted
+    positions instead of the positions alone.
+    """
+
+    poses: Poses
+    targets: Floats
+    a: Floats
+    speed: Floats
+    model: str
+    period: float
+    first_period: float
+    obstacles: Obstacles
+    obstacle_weight: float
+    swept: bool
+
+    @classmethod
+    def of(cls, experiment: Experiment, poses: Poses) -> "Problem":
+        """Take the problem of an experiment with the robots at `poses`."""
+        control = experiment.controller
+        return cls(
+            poses=poses,
+            targets=np.array([robot.target for robot in experiment.robots]),
+            a=np.array([robot.a for robot in experiment.robots]),
+            speed=np.array([robot.speed for robot in experiment.robots]),
+            model=control.model,
+            period=control.period,
+            first_period=control.period,
+            obstacles=Obstacles.of(experiment.obstacles, control.collision.margin),
+            obstacle_weight=control.obstacle_weight,
+            swept=control.collision.check == "swept",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """J, f and P of each of B sequences, each of shape (B,); J = f + omega_p P."""
+
+    total: Floats
+    target: Floats
+    obstacle: Floats
+
+
+def predict(problem: Problem, signals: Floats) -> Floats:
+    """Predict the poses under sequences (..., L); returns (L + 1, ..., N, 3), the start first."""
+    advance = MOTIONS[problem.model]
+    shape = (*signals.shape[:-1], problem.targets.shape[0])
+    poses = problem.poses
+    state = tuple(np.broadcast_to(s, shape) for s in (poses.x, poses.y, poses.heading))
+    path = np.empty((signals.shape[-1] + 1, *shape, 3))
+    path[0] = np.stack(state, axis=-1)
+    for j in range(signals.shape[-1]):
+        u = signals[..., j, None]  # (..., 1), the same direction for every robot
+        held = problem.first_period if j == 0 else problem.period
+        state = advance(*state, u, problem.a, problem.speed, held)
+        path[j + 1] = np.stack(state, axis=-1)
+    return path
+
+
+def evaluate(problem: Problem, signals: Floats) -> Costs:
+    """Evaluate (7)-(9) for B sequences, shape (B, L).
+
+    Raises ControlError where a cost is not finite: no comparison of the swarm could be trusted.
+    """
+    path = predict(problem, signals)  # (L + 1, B, N, 3)
+    x, y = path[..., 0], path[..., 1]
+    miss = np.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])
+    target = miss.sum(axis=-1)  # (8)
+    if problem.swept:
+        hits = problem.obstacles.cross(x[:-1], y[:-1], x[1:], y[1:])
+    else:
+        hits = problem.obstacles.contain(x[1:], y[1:])
+    obstacle = hits.sum(axis=(0, 2)).astype(np.float64)  # (9)
+    total = target + problem.obstacle_weight * obstacle  # (7)
+    require_finite(total)
+    return Costs(total, target, obstacle)
+
+
+def require_finite(costs: Floats) -> None:
+    """Raise ControlError unless every cost is a finite number."""
+    if not np.isfinite(costs).all():
+        raise ControlError(
+            f"the cost is not finite for {np.count_nonzero(~np.isfinite(costs))} of {costs.size} "
+            "sequences",
+            "look for a pose that is not a number, or for lengths near the largest float",
+        )

@@ -1,0 +1,65 @@
+"""Motion of a cell under a held direction: Euler (4)-(6), held wheels, and the exact step of (1)-(3).
+
+Every step maps (x, y, heading) to the same after a time t with the direction u held. Arguments
+broadcast against each other: typically x, y, heading of shape (..., N), u of shape (..., 1), and
+turning rates a [rad/s] and speeds v [length unit/s] of shape (N,). Angles are not wrapped.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tetractl.model.state import Floats
+
+Time = float | Floats
+State = tuple[Floats, Floats, Floats]
+Motion = Callable[[Floats, Floats, Floats, Floats, Floats, Floats, Time], State]
+
+
+def euler(x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> State:
+    """Advance by (4)-(6), the paper's discrete model: a straight chord along the old heading.
+
+    The last direction of a sequence therefore cannot move the last position.
+    """
+    return (
+        x + t * v * np.cos(heading),  # (4)
+        y + t * v * np.sin(heading),  # (5)
+        heading + t * a * np.sin(u - heading),  # (6)
+    )
+
+
+def arc(x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> State:
+    """Advance with the wheel speeds of (24)-(25) computed once and held: the arc of a circle.
+
+    The heading advances as in (6), by w = t a sin(u - heading); the chord of the arc has length
+    t v sin(w/2) / (w/2) and direction heading + w/2.
+    """
+    half = 0.5 * t * a * np.sin(u - heading)
+    chord = t * v * np.sinc(half / np.pi)
+    return (
+        x + chord * np.cos(heading + half),
+        y + chord * np.sin(heading + half),
+        heading + 2 * half,
+    )
+
+
+def exact(x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> State:
+    """Advance by the closed form of (1)-(3) under a held direction.
+
+    With phi = u - heading, (3) reads d phi/dt = -a sin phi, so tan(phi/2) decays by E = exp(-a t).
+    With c = cos phi and D = (1 + c) + (1 - c) E^2, the robot moves v (t + ln(D/2)/a) along u and
+    v (phi - phi')/a to the right of it, where tan((phi - phi')/2) = sin(phi) (1 - E) /
+    ((1 + c) + (1 - c) E).
+    """
+    phi = u - heading
+    c, s = np.cos(phi), np.sin(phi)
+    decay = np.exp(-a * t)
+    turn = 2 * np.arctan2(-np.expm1(-a * t) * s, (1 + c) + (1 - c) * decay)  # phi - phi'
+    log_half_d = np.log1p(0.5 * (1 - c) * np.expm1(-2 * a * t))
+    along, right = v * (t + log_half_d / a), v * turn / a
+    cos_u, sin_u = np.cos(u), np.sin(u)
+    return x + along * cos_u + right * sin_u, y + along * sin_u - right * cos_u, heading + turn
+
+
+MOTIONS: dict[str, Motion] = {"euler": euler, "arc": arc, "exact": exact}
+"""The planner's models by their name in the spec."""

@@ -1,0 +1,217 @@
+"""The simulated plant: true motion in continuous virtual time, a camera, and disturbances.
+
+Between two commands the motion is known in closed form, so the true path is sampled, not
+integrated: its error does not depend on the sampling rate.
+"""
+
+import json
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.clock import SECOND, Clock
+from tetractl.model.cell import exact
+from tetractl.model.judge import PathJudge
+from tetractl.model.state import Floats, Observation, Poses
+from tetractl.model.wheels import wheel_speeds
+from tetractl.model.world import Obstacles
+from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
+from tetractl.spec.experiment import Experiment
+
+
+@dataclass(slots=True)
+class _Held:
+    """What each robot holds between commands, (N,) each; a robot told nothing yet stands still."""
+
+    direction: Floats  # u [rad]
+    turning: Floats  # a sin(u - heading) when the command came [rad/s]
+    course: Floats  # heading when the command came [rad]
+    moving: Floats  # 1 where the robot moves, else 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """A command on its way: `direction` None is a stop; it acts from `due` [ns]."""
+
+    due: int
+    direction: float | None
+    delivered: Floats
+
+
+class SimPlant:
+    """A `Plant` of simulated robots; `seed` feeds every disturbance."""
+
+    def __init__(self, experiment: Experiment, clock: Clock, seed: np.random.SeedSequence) -> None:
+        self.spec = experiment.plant
+        self.wheels = experiment.wheels
+        self.clock = clock
+        streams = (np.random.default_rng(child) for child in seed.spawn(4))
+        self._measuring, self._swerving, self._losing, erring = streams
+        robots = experiment.robots
+        count = len(robots)
+        self.nominal_a = np.array([robot.a for robot in robots])
+        self.nominal_speed = np.array([robot.speed for robot in robots])
+        self.a = self.nominal_a * (1 + self.spec.a_error * erring.uniform(-1, 1, count))
+        self.speed = self.nominal_speed * (1 + self.spec.speed_error * erring.uniform(-1, 1, count))
+        self.poses = Poses.of(np.array([(*robot.start, robot.heading) for robot in robots]))
+        self._held = _Held(*(np.zeros(count) for _ in range(4)))
+        self._orders: deque[_Order] = deque()
+        self._judge = PathJudge(Obstacles.of(experiment.obstacles), count)
+        self._time = 0
+        self._frames = 0  # frames exposed so far
+        self._ticks = 0  # true samples judged so far
+        self._fresh: list[Sample] = []
+        self._newest: Observation | None = None
+        self._stop: Command | None = None
+
+    def open(self) -> PlantInfo:
+        """Expose the first frame."""
+        self._advance(self.clock.now())
+        facts = {
+            "true_a": json.dumps(self.a.tolist()),
+            "true_speed": json.dumps(self.speed.tolist()),
+        }
+        return PlantInfo("sim", True, self.spec.camera_rate, facts)
+
+    def observe(self) -> Observation:
+        """Return the newest camera frame."""
+        self._advance(self.clock.now())
+        assert self._newest is not None, "open() exposes the first frame"
+        return self._newest
+
+    def steer(self, direction: float) -> Command:
+        """Send u to every robot; each loses the command with probability `lost_commands`."""
+        now = self.clock.now()
+        self._advance(now)
+        count = self.a.size
+        delivered = self._losing.uniform(size=count) >= self.spec.lost_commands
+        self._send(_Order(now + self._delay(), direction, delivered.astype(np.float64)))
+        left = right = None
+        if self.wheels and self._newest:
+            heading = self._newest.poses.heading
+            left, right = wheel_speeds(
+                heading, direction, self.nominal_a, self.nominal_speed, self.wheels.radius
+            )
+        return Command(direction, now, tuple(delivered.tolist()), left, right)
+
+    def samples(self) -> list[Sample]:
+        """Return, once, every camera frame since the last call, oldest first."""
+        self._advance(self.clock.now())
+        fresh, self._fresh = self._fresh, []
+        return fresh
+
+    def stop(self) -> Command:
+        """Stop every robot after the dead time; a stop is repeated, so it is never lost."""
+        if self._stop is None:
+            now = self.clock.now()
+            self._advance(now)
+            count = self.a.size
+            still = np.zeros(count) if self.wheels else None
+            self._stop = Command(None, now, (True,) * count, still, still)
+            self._send(_Order(now + self._delay(), None, np.ones(count)))
+        return self._stop
+
+    def settle(self) -> Verdict:
+        """Wait for the stop to act and for one more camera frame, and judge the true path."""
+        wait = self._delay() + round(2 * SECOND / self.spec.camera_rate)
+        self.clock.sleep_until(self.clock.now() + wait)
+        self._advance(self.clock.now())
+        entered = tuple(bool(e) for e in self._judge.entered)
+        return Verdict(self.poses, entered, tuple(self._judge.clearance.tolist()))
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _delay(self) -> int:
+        return round(self.spec.dead_time * SECOND)
+
+    def _send(self, order: _Order) -> None:
+        self._orders.append(order)
+        self._advance(self.clock.now())
+
+    def _advance(self, until: int) -> None:
+        """Move the robots on, block by block; nothing changes what is held inside a block."""
+        noisy = self.spec.heading_noise > 0
+        while True:
+            frame = self._next_frame()
+            end = min(until, frame) if noisy else until
+            if self._orders and self._orders[0].due <= end:
+                order = self._orders.popleft()
+                self._glide(order.due)
+                self._take(order)
+                continue
+            self._glide(end)
+            if noisy and end == frame:
+                self._swerve()
+            if end == until:
+                return
+
+    def _next_frame(self) -> int:
+        return round(self._frames * SECOND / self.spec.camera_rate)
+
+    def _take(self, order: _Order) -> None:
+        """Let an order act on the robots that received it."""
+        got = order.delivered > 0
+        held, heading = self._held, self.poses.heading
+        if order.direction is None:
+            held.moving = np.where(got, 0.0, held.moving)
+            return
+        held.direction = np.where(got, order.direction, held.direction)
+        turning = self.a * np.sin(order.direction - heading)
+        held.turning = np.where(got, turning, held.turning)
+        held.course = np.where(got, heading, held.course)
+        held.moving = np.where(got, 1.0, held.moving)
+
+    def _swerve(self) -> None:
+        """Add the random walk that the heading took since the last frame."""
+        step = self.spec.heading_noise / np.sqrt(self.spec.camera_rate)
+        walk = step * self._swerving.standard_normal(self.a.size)
+        self.poses = Poses(
+            self.poses.x, self.poses.y, self.poses.heading + walk * self._held.moving
+        )
+
+    def _glide(self, end: int) -> None:
+        """Move to `end` with everything held, exposing and judging what is due on the way."""
+        frames, ticks = [], []
+        while (due := self._next_frame()) <= end:
+            frames.append((self._frames, due))
+            self._frames += 1
+        while (due := round(self._ticks * SECOND / self.spec.truth_rate)) <= end:
+            ticks.append(due)
+            self._ticks += 1
+        times = np.unique(np.array([*(due for _, due in frames), *ticks, end], dtype=np.int64))
+        x, y, heading = self._at((times - self._time)[:, None] / SECOND)
+        self._judge.add(x, y)
+        for number, due in frames:
+            i = np.searchsorted(times, due)
+            self._expose(number, due, Poses(x[i], y[i], heading[i]))
+        self._time, self.poses = end, Poses(x[-1], y[-1], heading[-1])
+
+    def _at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """Poses (M, N) after times t (M, 1) [s] from now, in closed form."""
+        p, held = self.poses, self._held
+        t = t * held.moving
+        if self.spec.motion == "continuous":
+            return exact(p.x, p.y, p.heading, held.direction, self.a, self.speed, t)
+        half = 0.5 * held.turning * t
+        if self.spec.motion == "arc":
+            chord, course = self.speed * t * np.sinc(half / np.pi), p.heading + half
+        else:
+            chord, course = self.speed * t, held.course
+        return p.x + chord * np.cos(course), p.y + chord * np.sin(course), p.heading + 2 * half
+
+    def _expose(self, number: int, when: int, truth: Poses) -> None:
+        """Take one camera frame."""
+        noise = self.spec.measurement_noise
+        measured = truth
+        if noise.position > 0 or noise.heading > 0:
+            x, y, heading = self._measuring.standard_normal((3, self.a.size))
+            measured = Poses(
+                truth.x + noise.position * x,
+                truth.y + noise.position * y,
+                truth.heading + noise.heading * heading,
+            )
+        valid = np.ones(self.a.size, dtype=np.bool_)
+        self._newest = Observation(number, when, when, measured, valid)
+        self._fresh.append(Sample(self._newest, truth))

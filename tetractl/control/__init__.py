@@ -1,0 +1,1 @@
+"""PSO inside model predictive control, Algorithms 1 and 2."""

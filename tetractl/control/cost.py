@@ -72,14 +72,14 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     advance = MOTIONS[problem.model]
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     poses = problem.poses
-    state = tuple(np.broadcast_to(s, shape) for s in (poses.x, poses.y, poses.heading))
+    x, y, heading = (np.broadcast_to(s, shape) for s in (poses.x, poses.y, poses.heading))
     path = np.empty((signals.shape[-1] + 1, *shape, 3))
-    path[0] = np.stack(state, axis=-1)
+    path[0] = np.stack((x, y, heading), axis=-1)
     for j in range(signals.shape[-1]):
         u = signals[..., j, None]  # (..., 1), the same direction for every robot
         held = problem.first_period if j == 0 else problem.period
-        state = advance(*state, u, problem.a, problem.speed, held)
-        path[j + 1] = np.stack(state, axis=-1)
+        x, y, heading = advance(x, y, heading, u, problem.a, problem.speed, held)
+        path[j + 1] = np.stack((x, y, heading), axis=-1)
     return path
 
 

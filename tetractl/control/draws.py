@@ -36,10 +36,11 @@ def bits(key: int, first: int, count: int) -> Bits:
 
 def uniform(key: int, first: int, count: int) -> Floats:
     """Return numbers uniform in [0, 1) with 53 random bits each, shape (count,)."""
-    return (bits(key, first, count) >> np.uint64(11)) * 2.0**-53
+    return (bits(key, first, count) >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
     """Return two independent numbers uniform in [0, 1) from each draw, 31 random bits each."""
     z = bits(key, first, count)
-    return (z >> np.uint64(33)) * 2.0**-31, (z & np.uint64(0x7FFF_FFFF)) * 2.0**-31
+    high, low = z >> np.uint64(33), z & np.uint64(0x7FFF_FFFF)
+    return high.astype(np.float64) * 2.0**-31, low.astype(np.float64) * 2.0**-31

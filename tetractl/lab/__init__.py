@@ -1,0 +1,1 @@
+"""The lab's wires: cameras in, radio out."""

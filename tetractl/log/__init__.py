@@ -1,0 +1,1 @@
+"""The MCAP log of a trial: records, writer, reader, salvage, provenance."""

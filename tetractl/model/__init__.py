@@ -1,0 +1,1 @@
+"""How robots move, and the obstacles between them."""

@@ -1,4 +1,4 @@
-"""Motion of a cell under a held direction: Euler (4)-(6), held wheels, and the exact step of (1)-(3).
+"""Motion of a cell under a held direction: Euler (4)-(6), held wheels, exact step of (1)-(3).
 
 Every step maps (x, y, heading) to the same after a time t with the direction u held. Arguments
 broadcast against each other: typically x, y, heading of shape (..., N), u of shape (..., 1), and

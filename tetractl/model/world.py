@@ -67,7 +67,7 @@ class Obstacles:
         return touched
 
     def distance(self, x: Floats, y: Floats) -> Floats:
-        """Distance of each point to the nearest obstacle [length unit]; negative inside, else inf."""
+        """Distance to the nearest obstacle [length unit], negative inside; inf if there is none."""
         nearest = np.full(np.broadcast(x, y).shape, np.inf)
         for left, bottom, right, top in self.rectangles:
             gap_x = np.maximum(left - x, x - right)

@@ -1,0 +1,1 @@
+"""What stands behind the controller: the seam and the simulation."""

@@ -1,0 +1,1 @@
+"""Replay: play a recorded trial back, and verify it by re-computation."""

@@ -1,0 +1,1 @@
+"""The trial loop, and batches of trials."""

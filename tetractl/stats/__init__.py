@@ -1,0 +1,1 @@
+"""How good a batch of trials is."""

@@ -72,7 +72,11 @@ class Observer(Protocol):
         ...
 
     def on_step(self, step: Step) -> None:
-        """After each control step."""
+        """After each control step; `step.command` is not told again by `on_command`."""
+        ...
+
+    def on_command(self, command: Command) -> None:
+        """A command sent outside the control steps, as in the square before the first plan."""
         ...
 
     def on_stop(self, stop: Command, result: Result) -> None:

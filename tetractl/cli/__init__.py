@@ -11,6 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from tetractl import __version__
+from tetractl.cli import schema, validate
 from tetractl.errors import Exit, TetractlError
 
 app = typer.Typer(
@@ -38,6 +39,10 @@ def _root(
 
     Run an experiment from a YAML spec, look at its trials, and weigh them up.
     """
+
+
+app.command("validate")(validate.validate)
+app.command("schema")(schema.schema)
 
 
 def main() -> None:

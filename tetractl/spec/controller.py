@@ -8,13 +8,15 @@ from tetractl.spec.base import Model, NonNegative, Positive
 
 
 class PaperStop(Model):
-    """Stop criterion (20) as printed: it compares logarithms of lengths, so it depends on the unit."""
+    """Stop criterion (20) as printed: it compares logarithms of lengths, so it depends on the
+    length unit."""
 
     type: Literal["paper"]
 
 
 class RelativeStop(Model):
-    """Stop when the best cost has fallen by less than `decrease` of itself over `window` iterations."""
+    """Stop when the best cost has fallen by less than `decrease` of itself over `window`
+    iterations."""
 
     type: Literal["relative"]
     window: int = Field(default=10, ge=1, le=10_000)
@@ -28,6 +30,7 @@ class TargetStop(Model):
 
     type: Literal["target"]
     cost: Positive
+    """The cost J that is good enough [length unit]."""
 
 
 class BudgetStop(Model):
@@ -73,7 +76,8 @@ class NoWait(Model):
 
 
 class Square(Model):
-    """The robots drive a square while the first plan is computed and return to their start (IV-B.1)."""
+    """The robots drive a square while the first plan is computed and return to their start
+    (IV-B.1)."""
 
     type: Literal["square"]
     side: Positive = 2.0
@@ -105,9 +109,11 @@ class PsoMpcSpec(Model):
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in (7) [length unit]."""
     collision: Collision = Collision()
+    """How the planner tells that a robot is inside an obstacle."""
     first_plan: FirstPlan = NoWait(type="stand")
     """What the robots do while the first plan is computed."""
     evaluations_max: int | None = Field(default=None, ge=1)
     """Cost evaluations one control step may spend, over all its horizons; then the best sequence so
     far is used. No limit by default."""
     swarm: SwarmSpec = SwarmSpec()
+    """The optimiser of each search."""

@@ -1,9 +1,9 @@
 """The experiment: everything a batch of trials depends on."""
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from tetractl.spec.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.spec.controller import PsoMpcSpec
@@ -25,9 +25,13 @@ class Rectangle(Model):
 
     type: Literal["rectangle"]
     left: Finite
+    """Least x [length unit]."""
     bottom: Finite
+    """Least y [length unit]."""
     width: Positive
+    """Extent in x [length unit]."""
     height: Positive
+    """Extent in y [length unit]."""
 
     def contains(self, x: float, y: float) -> bool:
         """Whether a point lies in the rectangle, its edge included."""
@@ -40,7 +44,9 @@ class Circle(Model):
 
     type: Literal["circle"]
     center: Point
+    """Centre [x, y]."""
     radius: Positive
+    """Radius [length unit]."""
 
     def contains(self, x: float, y: float) -> bool:
         """Whether a point lies in the disc, its edge included."""
@@ -54,9 +60,13 @@ class Arena(Model):
     """The field of view: the rectangle in which robots and obstacles stand."""
 
     left: Finite
+    """Least x [length unit]."""
     bottom: Finite
+    """Least y [length unit]."""
     width: Positive
+    """Extent in x [length unit]."""
     height: Positive
+    """Extent in y [length unit]."""
 
     def contains(self, x: float, y: float) -> bool:
         """Whether a point lies in the arena, its edge included."""
@@ -68,6 +78,8 @@ class Robot(Model):
     """One robot: where it starts, where it is to go, and how it moves, (1)-(3)."""
 
     name: Name
+    """Name, unique in the experiment: letters, digits, spaces, dots, underscores and hyphens,
+    starting with a letter or digit."""
     start: Point
     """Start position [x, y]."""
     heading: Finite = 0.0
@@ -79,20 +91,24 @@ class Robot(Model):
     speed: NonNegative
     """Speed v [length unit/s]."""
     color: str | None = Field(default=None, pattern=r"^(#[0-9a-fA-F]{6}|[a-z]{3,20})$")
-    """Colour in pictures: a matplotlib name or #rrggbb; by default from a colour-blind safe list."""
+    """Colour in pictures: a matplotlib name or #rrggbb; by default from a colour-blind safe
+    list."""
 
 
 class Trials(Model):
     """How often the experiment is repeated, and the seed all randomness comes from."""
 
     count: int = Field(default=20, ge=1, le=1_000_000)
+    """Number of trials."""
     seed: int = Field(default=1, ge=0, lt=2**64)
+    """Root of every trial's random numbers: the same seed gives the same trials."""
 
 
 class Reference(Model):
     """A published result that the statistics are compared with, in the spec's length unit."""
 
     source: str = Field(min_length=1, max_length=500)
+    """Where the result was published."""
     n: int = Field(ge=2)
     """Number of trials."""
     mean: NonNegative
@@ -107,6 +123,7 @@ class Scale(Model):
     name: str = Field(min_length=1, max_length=100)
     """What the error is scaled to, for instance `T. pyriformis`."""
     unit: Literal["um", "mm", "cm", "m"] = "um"
+    """Length unit of the numbers here."""
     speed: Positive
     """Speed of the robots scaled to [unit/s]."""
     body_length: Positive
@@ -117,23 +134,27 @@ class Experiment(Model):
     """One experiment, as read from a YAML spec."""
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    """Name of the experiment; log folders are called after it."""
+    """Name of the experiment, which log folders are called after: letters, digits, dots,
+    underscores and hyphens, starting with a letter or digit."""
     description: str = ""
     """One or two sentences for people."""
     units: Units = Units()
+    """Units of all numbers."""
     arena: Arena
+    """The field of view; starts and targets must lie in it."""
     robots: tuple[Robot, ...] = Field(min_length=1, max_length=1000)
+    """The robots, all steered by the one direction u."""
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
+    """Where no robot may go."""
     wheels: Wheels | None = None
     """Wheel geometry; given, the log holds the wheel speeds of (24)-(25) of every command."""
     controller: PsoMpcSpec = PsoMpcSpec()
+    """What chooses the direction."""
     plant: SimSpec = SimSpec()
+    """What the direction steers."""
     trials: Trials = Trials()
+    """How often the experiment is repeated."""
     reference: Reference | None = None
+    """A published result to compare with."""
     scale: Scale | None = None
-
-    @model_validator(mode="after")
-    def _truth_is_finer_than_the_camera(self) -> Self:
-        if self.plant.truth_rate < self.plant.camera_rate:
-            raise ValueError("plant.truth_rate must be at least plant.camera_rate")
-        return self
+    """Another kind of robot to scale the error to."""

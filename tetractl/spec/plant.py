@@ -1,10 +1,10 @@
 """The plant's part of a spec: what stands behind the controller."""
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from tetractl.spec.base import Fraction, Model, NonNegative, Positive
+from tetractl.spec.base import Fraction, Model, NonNegative, Positive, inconsistent
 
 
 class MeasurementNoise(Model):
@@ -30,6 +30,7 @@ class SimSpec(Model):
     """Samples a second of the true path that decides errors and obstacle violations [Hz]; at least
     the camera rate."""
     measurement_noise: MeasurementNoise = MeasurementNoise()
+    """What the camera adds to the true poses."""
     heading_noise: NonNegative = 0.0
     """Random walk of the true heading [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
@@ -41,6 +42,13 @@ class SimSpec(Model):
     trial and robot."""
     speed_error: Fraction = 0.0
     """As `a_error`, for the speed."""
+
+    @model_validator(mode="after")
+    def _truth_is_as_fine_as_the_camera(self) -> Self:
+        if self.truth_rate < self.camera_rate:
+            message = f"must be at least camera_rate, {self.camera_rate:g}"
+            raise inconsistent("truth_rate", message)
+        return self
 
 
 class Wheels(Model):

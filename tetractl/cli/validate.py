@@ -1,0 +1,54 @@
+"""`tetractl validate`: check specs without running them."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tetractl.errors import Exit
+
+
+def validate(
+    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="Specs to check.")],
+    sets: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="Replace a value of every spec first."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> int:
+    """Check specs and report every problem at its line.
+
+    Example: tetractl validate experiments/*.yaml
+    """
+    results = [_check(spec, sets or []) for spec in specs]
+    if as_json:
+        print(json.dumps({"specs": [fields for fields, _ in results]}, indent=2))
+    else:
+        print("\n".join(line for _, lines in results for line in lines))
+    good = all(fields["ok"] for fields, _ in results)
+    return Exit.DONE if good else Exit.USAGE
+
+
+def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
+    from tetractl.spec.load import load_spec, spec_hash
+    from tetractl.spec.problems import InvalidSpecError, printable
+
+    shown = printable(str(path))
+    try:
+        experiment = load_spec(path, sets).experiment
+    except InvalidSpecError as error:
+        problems = [asdict(problem) for problem in error.problems]
+        return {"path": shown, "ok": False, "problems": problems}, error.lines()
+    summary = {
+        "name": experiment.name,
+        "robots": len(experiment.robots),
+        "obstacles": len(experiment.obstacles),
+        "controller": experiment.controller.type,
+        "plant": experiment.plant.type,
+        "trials": experiment.trials.count,
+    }
+    line = ", ".join(f"{key} {value}" for key, value in summary.items())
+    fields = {"path": shown, "ok": True, **summary, "hash": spec_hash(experiment)}
+    return fields, [f"{shown}: ok: {line}"]

@@ -1,0 +1,51 @@
+"""What the parts of a spec must be to each other."""
+
+import math
+from collections.abc import Iterator, Mapping
+
+from tetractl.spec.experiment import Arena, Circle, Obstacle, Rectangle, Robot
+from tetractl.spec.problems import Loc
+
+
+def contradictions(
+    arena: Arena | None, robots: Mapping[int, Robot], obstacles: Mapping[int, Obstacle]
+) -> Iterator[tuple[Loc, str]]:
+    """Yield where the parts contradict each other, and how.
+
+    The parts are those that are valid by themselves, by their index in the spec.
+    """
+    first: dict[str, int] = {}
+    for i, robot in robots.items():
+        if first.setdefault(robot.name, i) != i:
+            message = f"robots.{first[robot.name]} has this name already; names must differ"
+            yield ("robots", i, "name"), message
+        for field, point in (("start", robot.start), ("target", robot.target)):
+            loc: Loc = ("robots", i, field)
+            if arena is not None and not arena.contains(*point):
+                yield loc, f"is outside the arena; must be within {_extent(arena)}"
+            for j, obstacle in obstacles.items():
+                if obstacle.contains(*point):
+                    yield loc, f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
+    for j, obstacle in obstacles.items():
+        if arena is not None and not _touches(arena, obstacle):
+            message = f"is entirely outside the arena, which is {_extent(arena)}"
+            yield ("obstacles", j), message
+
+
+def _extent(arena: Arena) -> str:
+    right, top = arena.left + arena.width, arena.bottom + arena.height
+    return f"x {arena.left:g} to {right:g}, y {arena.bottom:g} to {top:g}"
+
+
+def _touches(arena: Arena, obstacle: Rectangle | Circle) -> bool:
+    right, top = arena.left + arena.width, arena.bottom + arena.height
+    if isinstance(obstacle, Circle):
+        x, y = obstacle.center
+        nearest = min(max(x, arena.left), right), min(max(y, arena.bottom), top)
+        return math.dist(nearest, obstacle.center) <= obstacle.radius
+    return (
+        obstacle.left <= right
+        and arena.left <= obstacle.left + obstacle.width
+        and obstacle.bottom <= top
+        and arena.bottom <= obstacle.bottom + obstacle.height
+    )

@@ -1,0 +1,142 @@
+"""The core schema of YAML 1.2 on PyYAML, with limits.
+
+PyYAML resolves scalars as YAML 1.1 does (`on` is true, 12:30 is 750, 1e3 is text, 2020-01-01 a
+date). Here only the core schema holds, and only one document of bounded depth and size passes.
+"""
+
+import re
+from typing import Any
+
+import yaml
+from yaml.composer import Composer
+from yaml.error import Mark, MarkedYAMLError
+from yaml.events import StreamEndEvent
+from yaml.nodes import Node, ScalarNode
+from yaml.parser import Parser
+from yaml.reader import Reader, ReaderError
+from yaml.resolver import BaseResolver
+from yaml.scanner import Scanner
+
+MAX_DEPTH = 32
+MAX_NODES = 100_000
+MAX_DIGITS = 300
+
+CORE = "tag:yaml.org,2002:"
+STR = CORE + "str"
+SCALARS = {  # YAML 1.2.2, section 10.3.2; the first characters are PyYAML's index
+    CORE + "null": (r"(?:~|null|Null|NULL|)\Z", ["~", "n", "N", ""]),
+    CORE + "bool": (r"(?:true|True|TRUE|false|False|FALSE)\Z", list("tTfF")),
+    CORE + "int": (r"(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)\Z", list("-+0123456789")),
+    CORE + "float": (
+        r"(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z",
+        list("-+.0123456789"),
+    ),
+}
+
+
+class NotYamlError(Exception):
+    """Text that is no single YAML document within the limits; line and column count from 1."""
+
+    def __init__(self, message: str, mark: Mark | None = None) -> None:
+        super().__init__(message)
+        self.line = None if mark is None else mark.line + 1
+        self.column = None if mark is None else mark.column + 1
+
+
+def within_limits(depth: int, nodes: int, mark: Mark) -> None:
+    """Raise NotYamlError at `mark` for too deep a nesting or too many values."""
+    if depth > MAX_DEPTH:
+        raise NotYamlError(f"nested deeper than {MAX_DEPTH} levels", mark)
+    if nodes > MAX_NODES:
+        raise NotYamlError(f"more than {MAX_NODES} values, counting every use of an alias", mark)
+
+
+class _Composer(Reader, Scanner, Parser, Composer, BaseResolver):
+    def __init__(self, text: str) -> None:
+        Reader.__init__(self, text)
+        Scanner.__init__(self)
+        Parser.__init__(self)
+        Composer.__init__(self)
+        BaseResolver.__init__(self)
+        self.depth = self.nodes = 0
+
+    def compose_node(self, parent: Node | None, index: Any) -> Node | None:
+        self.depth += 1
+        self.nodes += 1
+        within_limits(self.depth, self.nodes, self.peek_event().start_mark)
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that YAML 1.1 or the core schema would take for something else."""
+
+
+for _tag, (_pattern, _first) in SCALARS.items():
+    for _resolver in (_Composer, _Dumper):
+        _resolver.add_implicit_resolver(_tag, re.compile(_pattern), _first)
+
+
+def compose(text: str) -> Node | None:
+    """Return the node graph of a text, None for one without content; raise NotYamlError."""
+    try:
+        composer = _Composer(text)
+        composer.get_event()  # the stream's start
+        if composer.check_event(StreamEndEvent):
+            return None
+        root = composer.compose_document()
+        if not composer.check_event(StreamEndEvent):
+            mark = composer.peek_event().start_mark
+            raise NotYamlError("a second document starts here; a spec is one document", mark)
+    except ReaderError as error:
+        before = text[: error.position]
+        mark = Mark("", 0, before.count("\n"), len(before) - before.rfind("\n") - 1, None, 0)
+        message = f"not valid YAML: the character U+{error.character:04X} is not allowed"
+        raise NotYamlError(message, mark) from None
+    except MarkedYAMLError as error:
+        context = f" ({error.context})" if error.context else ""
+        tabs = "; indent with spaces, not tabs" if "'\\t'" in (error.problem or "") else ""
+        message = f"not valid YAML: {error.problem}{context}{tabs}"
+        raise NotYamlError(message, error.problem_mark or error.context_mark) from None
+    unwritten = isinstance(root, ScalarNode) and root.start_mark.index == root.end_mark.index
+    return None if unwritten else root
+
+
+def scalar(tag: str, text: str) -> str | bool | int | float | None:
+    """Return the value of a scalar; ValueError says in words why the tag does not fit."""
+    if tag == STR:
+        return text
+    if tag not in SCALARS or not re.match(SCALARS[tag][0], text):
+        raise ValueError(f"the tag {short_tag(tag)} does not fit here; leave it out")
+    if len(text) > MAX_DIGITS:
+        raise ValueError(f"a number has at most {MAX_DIGITS} digits")
+    match tag.removeprefix(CORE):
+        case "null":
+            return None
+        case "bool":
+            return text.lower() == "true"
+        case "int":
+            base = {"0o": 8, "0x": 16}.get(text[:2])
+            return int(text[2:], base) if base else int(text)
+    number = float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    # 1e3 and 100.0 are whole numbers to JSON, to the schema and to people
+    return int(number) if number.is_integer() and abs(number) < 2**53 else number
+
+
+def short_tag(tag: str) -> str:
+    """`!!map` for the long form of a tag."""
+    return tag.replace(CORE, "!!")
+
+
+def dump(data: Any) -> str:
+    """Return plain data as YAML in the order it has, one key a line, points in brackets."""
+    return yaml.dump(
+        data,
+        Dumper=_Dumper,
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=None,
+        width=100,
+    )

@@ -1,0 +1,96 @@
+"""From a spec's text to an Experiment and back, all problems reported at once."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from tetractl.spec.consistency import contradictions
+from tetractl.spec.core_yaml import dump
+from tetractl.spec.document import parse_document, read_text
+from tetractl.spec.experiment import Arena, Experiment, Obstacle, Robot
+from tetractl.spec.explain import explain
+from tetractl.spec.overrides import override
+from tetractl.spec.problems import InvalidSpecError
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedSpec:
+    """A valid spec: the experiment with `--set` applied, and the text as it was written."""
+
+    experiment: Experiment
+    text: str
+    name: str  # file name, without its folder
+    path: Path | None = None
+
+
+def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
+    """Read and check a spec file, with `path=value` settings that replace values of it.
+
+    Raises InvalidSpecError, one line a problem: `file:line:column: field: value: what is wrong;
+    what would be right`.
+    """
+    text = read_text(path)
+    return LoadedSpec(_experiment(text, str(path), sets), text, path.name, path)
+
+
+def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:
+    """Check the text of a spec, as `load_spec` does; `name` is what problems call it."""
+    return LoadedSpec(_experiment(text, name, sets), text, name)
+
+
+def resolved_yaml(experiment: Experiment) -> str:
+    """Return a spec with every field, defaults too, that loads as the same experiment."""
+    return dump(experiment.model_dump(mode="json"))
+
+
+def spec_hash(experiment: Experiment) -> str:
+    """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count."""
+    fields = experiment.model_dump(mode="json")
+    canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:
+    document = parse_document(text, origin)
+    for setting in sets:
+        override(document, setting)
+    experiment = None
+    try:
+        experiment = Experiment.model_validate(_frozen(document.data), strict=True)
+    except ValidationError as error:
+        document.problems.extend(explain(error, document))
+    parts = _valid_parts(document.data)
+    for loc, message in contradictions(*parts):
+        place = document.place(loc)
+        document.problems.append(place.problem(loc, message, place.text))
+    if document.problems or experiment is None:
+        raise InvalidSpecError(document.problems)
+    return experiment
+
+
+def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:
+    """Return the arena, robots and obstacles that are valid by themselves."""
+
+    def valid(kind: Any, values: Any) -> Iterator[tuple[int, Any]]:
+        adapter = TypeAdapter(kind)
+        for i, value in enumerate(values if isinstance(values, list) else ()):
+            try:
+                yield i, adapter.validate_python(_frozen(value), strict=True)
+            except ValidationError:
+                continue
+
+    arena = dict(valid(Arena, [data.get("arena")])).get(0)
+    robots = dict(valid(Robot, data.get("robots")))
+    return arena, robots, dict(valid(Obstacle, data.get("obstacles")))
+
+
+def _frozen(value: Any) -> Any:
+    """Return the data with tuples for lists, which is what strict validation wants."""
+    if isinstance(value, dict):
+        return {key: _frozen(item) for key, item in value.items()}
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value

@@ -1,1 +1,1 @@
-"""What people look at: the terminal's arena, progress, figures."""
+"""Views of a trial: the terminal's live view and player, and the paper's figures."""

@@ -1,0 +1,103 @@
+"""What there is to see of a trial at one instant, recorded or running."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.log.records import Result, Step, TrialLog
+from tetractl.model.state import Floats
+from tetractl.spec.experiment import Experiment
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One instant of a trial of N robots; lengths in the experiment's unit.
+
+    `poses` (N, 3) as the cameras saw them last, `trail` (M, N, 2) the way there with NaN where a
+    robot was not tracked, `step` the decision in force, `totals` (K,) the total error at each
+    control step so far. `end_s` is the trial's length where it is known, `steps_end` the number of
+    its control steps or the most there can be.
+    """
+
+    experiment: Experiment
+    time_s: float
+    end_s: float | None
+    poses: Floats
+    trail: Floats
+    step: Step | None
+    totals: Floats
+    steps_end: int
+    result: Result | None
+
+    @property
+    def distances(self) -> Floats:
+        """Each robot's distance to its target, shape (N,)."""
+        return distances(self.experiment, self.poses[:, :2])
+
+
+def targets(experiment: Experiment) -> Floats:
+    """Target positions, shape (N, 2)."""
+    return np.array([robot.target for robot in experiment.robots], dtype=float)
+
+
+def starts(experiment: Experiment) -> Floats:
+    """Start poses, shape (N, 3)."""
+    return np.array([(*robot.start, robot.heading) for robot in experiment.robots], dtype=float)
+
+
+def distances(experiment: Experiment, xy: Floats) -> Floats:
+    """Distances (..., N) from positions (..., N, 2) to the targets."""
+    return np.linalg.norm(xy - targets(experiment), axis=-1)
+
+
+def tracked(mocap: Floats, valid: Floats | NDArray[np.bool_]) -> Floats:
+    """Positions (M, N, 2) from poses (M, N, 3), NaN where a robot was not tracked."""
+    return np.where(np.asarray(valid, dtype=bool)[..., None], mocap[..., :2], np.nan)
+
+
+class Recording:
+    """A trial's log made ready to be looked at, at any time of it.
+
+    A control step counts from when its command was sent: what is shown is what was in force.
+    """
+
+    def __init__(self, log: TrialLog) -> None:
+        self.log = log
+        self.step_ns = np.array([step.command.sent_ns for step in log.steps], dtype=np.int64)
+        ends = [*log.mocap_ns[-1:], *self.step_ns[-1:]]
+        if log.stop:
+            ends.append(log.stop.sent_ns)
+        if log.result:
+            ends.append(log.result.duration_s * 1e9)
+        self.end_ns = int(max(ends, default=0))
+        self.totals = np.array(
+            [distances(log.start.experiment, step.observation.poses.xy).sum() for step in log.steps]
+        )
+        self._trail = tracked(log.mocap, log.valid)
+        self._poses = _held(log.mocap, log.valid, starts(log.start.experiment))
+
+    def at(self, time_ns: int) -> Frame:
+        """Return what was to be seen at a time of the trial [ns]."""
+        log = self.log
+        seen = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
+        done = int(np.searchsorted(self.step_ns, time_ns, side="right"))
+        return Frame(
+            experiment=log.start.experiment,
+            time_s=time_ns / 1e9,
+            end_s=self.end_ns / 1e9,
+            poses=self._poses[seen],
+            trail=self._trail[:seen],
+            step=log.steps[done - 1] if done else None,
+            totals=self.totals[:done],
+            steps_end=len(log.steps),
+            result=log.result if time_ns >= self.end_ns else None,
+        )
+
+
+def _held(mocap: Floats, valid: Floats, first: Floats) -> Floats:
+    """Poses (M + 1, N, 3) with the last tracked one kept; row m is known after m frames."""
+    poses = np.concatenate([first[None], mocap])
+    index = np.arange(len(poses))[:, None] * np.vstack([np.ones(len(first)), valid]).astype(bool)
+    newest = np.maximum.accumulate(index, axis=0)
+    return poses[newest, np.arange(len(first))]

@@ -1,0 +1,126 @@
+"""The player: what the keys do to the time of a replay."""
+
+from enum import StrEnum
+
+import numpy as np
+
+from tetractl.clock import Clock
+from tetractl.errors import UsageError
+from tetractl.replay.clock import PlayerClock
+from tetractl.replay.frame import Recording
+
+SEEK_NS = 1_000_000_000
+RATE_MIN, RATE_MAX = 1 / 16, 64.0
+
+
+class State(StrEnum):
+    """What a player is doing."""
+
+    PLAYING = "playing"
+    PAUSED = "paused"
+    ENDED = "end"  # paused because there is no more to play
+    QUIT = "quit"
+
+
+class Player:
+    """Plays a recording between `start_s` and `until_s`: a state machine over a `PlayerClock`.
+
+    Call `update` before looking at `now`, and `press` with the name of each key: "space" pauses and
+    resumes (and plays again from the start at the end), "left" and "right" seek 1 s, "." goes on by
+    one control step and pauses, "+" and "-" double and halve the rate, "q" quits.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        wall: Clock,
+        *,
+        rate: float = 1.0,
+        start_s: float = 0.0,
+        until_s: float | None = None,
+        loop: bool = False,
+        paused: bool = False,
+    ) -> None:
+        self.start_ns, self.until_ns = span(recording, start_s, until_s)
+        if not 0 < rate < float("inf"):
+            raise UsageError(f"--rate must be above 0, not {rate:g}")
+        self._steps = recording.step_ns
+        self._loop = loop
+        self._quit = False
+        self._clock = PlayerClock(wall, at_ns=self.start_ns, rate=rate, paused=paused)
+
+    @property
+    def now(self) -> int:
+        """Time of the trial [ns], within the span played."""
+        return min(self._clock.now(), self.until_ns)
+
+    @property
+    def rate(self) -> float:
+        """Seconds of the trial per second."""
+        return self._clock.rate
+
+    @property
+    def state(self) -> State:
+        """What the player is doing."""
+        if self._quit:
+            return State.QUIT
+        if not self._clock.paused:
+            return State.PLAYING
+        return State.ENDED if self._clock.now() >= self.until_ns else State.PAUSED
+
+    def update(self) -> None:
+        """At the end of the span: begin again with `loop`, else stand still."""
+        if self._clock.now() >= self.until_ns and not self._clock.paused:
+            if self._loop:
+                self._clock.jump(self.start_ns)
+            else:
+                self._clock.jump(self.until_ns)
+                self._clock.pause()
+
+    def press(self, key: str) -> None:
+        """Obey a key; others are ignored."""
+        match key:
+            case "space":
+                self._toggle()
+            case "left":
+                self._seek(self.now - SEEK_NS)
+            case "right":
+                self._seek(self.now + SEEK_NS)
+            case ".":
+                self._clock.pause()
+                self._seek(self._next_step())
+            case "+":
+                self._clock.set_rate(min(2 * self.rate, max(RATE_MAX, self.rate)))
+            case "-":
+                self._clock.set_rate(max(self.rate / 2, min(RATE_MIN, self.rate)))
+            case "q":
+                self._quit = True
+
+    def _toggle(self) -> None:
+        if self.state is State.ENDED:
+            self._clock.jump(self.start_ns)
+        if self._clock.paused:
+            self._clock.resume()
+        else:
+            self._clock.pause()
+
+    def _seek(self, time_ns: int) -> None:
+        self._clock.jump(min(max(time_ns, self.start_ns), self.until_ns))
+
+    def _next_step(self) -> int:
+        index = int(np.searchsorted(self._steps, self.now, side="right"))
+        return int(self._steps[index]) if index < len(self._steps) else self.until_ns
+
+
+def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[int, int]:
+    """Return the times [ns] to play from and to; raise UsageError if none lies between."""
+    for option, value in (("--start", start_s), ("--until", until_s)):
+        if value is not None and not value >= 0:
+            raise UsageError(f"{option} must not be negative, and is {value:g}")
+    end_s = recording.end_ns / 1e9
+    if start_s > end_s:
+        raise UsageError(f"--start {start_s:g} lies behind the end: the trial lasts {end_s:g} s")
+    if until_s is not None and start_s >= until_s:
+        raise UsageError(f"--start {start_s:g} must lie before --until {until_s:g}")
+    until_ns = recording.end_ns if until_s is None or until_s > end_s else round(1e9 * until_s)
+    return round(1e9 * start_s), until_ns

@@ -1,0 +1,129 @@
+"""Keys straight from the terminal, which is always given back as it was."""
+
+import os
+import select
+import signal
+import sys
+import termios
+import tty
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Self
+
+_SEQUENCES = {
+    b"\x1b[C": "right",
+    b"\x1b[D": "left",
+    b"\x1bOC": "right",
+    b"\x1bOD": "left",
+}
+_NAMES = {" ": "space", "=": "+", "_": "-", "Q": "q"}
+
+
+def decode(data: bytes) -> tuple[list[str], bytes]:
+    """Split what a terminal sent into names of keys, and the start of an escape sequence to come.
+
+    Printable characters name themselves, except "space"; unknown sequences are dropped.
+    """
+    keys: list[str] = []
+    while data:
+        if data[0] != 0x1B:
+            char = chr(data[0])
+            if char.isascii() and char.isprintable():
+                keys.append(_NAMES.get(char, char))
+            data = data[1:]
+            continue
+        length = _sequence_length(data)
+        if length is None:
+            return keys, data
+        if name := _SEQUENCES.get(data[:length]):
+            keys.append(name)
+        data = data[length:]
+    return keys, b""
+
+
+def _sequence_length(data: bytes) -> int | None:
+    """Length of the escape sequence at the start; None where it is not complete."""
+    if len(data) < 2:
+        return None
+    if data[1] == ord("O"):
+        return 3 if len(data) >= 3 else None
+    if data[1] != ord("["):
+        return 1
+    for index in range(2, len(data)):
+        if 0x40 <= data[index] <= 0x7E:
+            return index + 1
+        if not 0x20 <= data[index] <= 0x3F:
+            return index  # broken off
+    return None
+
+
+class Keyboard:
+    """A terminal that gives each key at once and shows none of them, for a `with` block.
+
+    Ctrl-C still interrupts. On Ctrl-Z `leave` is called and the terminal restored before the
+    process stops; back in the foreground the keys are taken again and `back` is called. SIGTERM and
+    SIGHUP end the block as Ctrl-C does.
+    """
+
+    def __init__(self, leave: Callable[[], None], back: Callable[[], None]) -> None:
+        self._fd = sys.stdin.fileno()
+        self._leave, self._back = leave, back
+        self._rest = b""
+        self._stop_wanted = False
+
+    def __enter__(self) -> Self:
+        self._before = termios.tcgetattr(self._fd)
+        self._handlers = {
+            number: signal.signal(number, handler)
+            for number, handler in (
+                (signal.SIGTSTP, self._note_stop),
+                (signal.SIGTERM, _interrupt),
+                (signal.SIGHUP, _interrupt),
+            )
+        }
+        tty.setcbreak(self._fd, termios.TCSADRAIN)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def read(self, timeout_s: float) -> list[str]:
+        """Wait for keys, at most `timeout_s`; a terminal that has gone away gives "q"."""
+        if self._stop_wanted:
+            self._suspend()
+        try:
+            ready, _, _ = select.select([self._fd], [], [], timeout_s)
+            if not ready:
+                self._rest = b""  # a lone Escape
+                return []
+            data = os.read(self._fd, 1024)
+        except OSError:
+            return ["q"]
+        if not data:
+            return ["q"]
+        keys, self._rest = decode(self._rest + data)
+        return keys
+
+    def _note_stop(self, number: int, frame: FrameType | None) -> None:
+        self._stop_wanted = True
+
+    def _suspend(self) -> None:
+        self._stop_wanted = False
+        self._leave()
+        termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
+        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGTSTP)  # stops here until SIGCONT
+        signal.signal(signal.SIGTSTP, self._note_stop)
+        tty.setcbreak(self._fd, termios.TCSADRAIN)
+        self._back()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

@@ -1,0 +1,116 @@
+"""One look for every picture: colours, type sizes, sizes on paper, and how a file is saved."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.colors import is_color_like, to_hex
+from matplotlib.figure import Figure
+
+from tetractl.errors import UsageError
+from tetractl.spec.experiment import Robot
+
+GREEN, BLUE, RED = "#009E73", "#0072B2", "#D55E00"
+PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
+"""The colour-blind safe colours of Okabe and Ito (2008) without yellow and black, and two more."""
+NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
+"""What the paper's colours are drawn as, so that no two look alike to anyone."""
+
+INK, GREY, FAINT = "#222222", "#8A8A8A", "#D0D0D0"
+OBSTACLE, OBSTACLE_EDGE = "#F6DF8B", "#B8960C"
+ALARM = "#B00020"
+
+COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of one and two columns of an IEEE page
+FORMATS = ("png", "svg", "pdf")
+
+RC: dict[str, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same picture everywhere
+    "font.size": 7.5,
+    "axes.labelsize": 7.5,
+    "axes.titlesize": 8,
+    "axes.titleweight": "normal",
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "lines.linewidth": 1.2,
+    "lines.solid_capstyle": "round",
+    "savefig.dpi": 300,
+    "pdf.fonttype": 42,  # text stays text
+    "svg.fonttype": "path",
+    "svg.hashsalt": "tetractl",  # the same file from the same log
+}
+_METADATA: dict[str, dict[str, Any]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None},
+    "pdf": {"CreationDate": None, "Creator": "tetractl", "Producer": None},
+}
+
+
+def robot_colors(robots: Sequence[Robot]) -> list[str]:
+    """One colour (#rrggbb) a robot: its own, else by its name, else the next of the palette."""
+    chosen = [_own_color(robot) for robot in robots]
+    free = [color for color in PALETTE if color not in chosen] or list(PALETTE)
+    unnamed = iter(range(len(robots)))
+    return [color or free[next(unnamed) % len(free)] for color in chosen]
+
+
+def _own_color(robot: Robot) -> str | None:
+    if robot.color is None:
+        return NAMED.get(robot.name.lower())
+    if robot.color in NAMED:
+        return NAMED[robot.color]
+    return to_hex(robot.color) if is_color_like(robot.color) else None
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw in this style, and leave matplotlib's settings as they were."""
+    with style.context(RC, after_reset=True):
+        yield
+
+
+def figure(width_in: float, height_in: float) -> Figure:
+    """Return an empty figure without any window behind it."""
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def panel(axes: Axes, letter: str, title: str) -> None:
+    """Head a panel as papers do: (a) what it shows."""
+    axes.set_title(f"({letter}) {title}", loc="left")
+
+
+def file_format(path: Path) -> str:
+    """Return the format a file's name asks for; raise UsageError where there is none such."""
+    wanted = path.suffix.lower().removeprefix(".")
+    if wanted not in FORMATS:
+        raise UsageError(
+            f"{path}: cannot write '{path.suffix}' pictures"
+            if wanted
+            else f"{path}: the name of a picture needs an ending",
+            f"end the name in {', '.join('.' + name for name in FORMATS)}",
+        )
+    return wanted
+
+
+def save(drawing: Figure, path: Path) -> None:
+    """Write a figure; the same figure gives the same bytes."""
+    wanted = file_format(path)
+    with styled():
+        drawing.savefig(path, format=wanted, metadata=_METADATA[wanted])

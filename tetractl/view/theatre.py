@@ -1,0 +1,99 @@
+"""A replay on the screen, or as plain lines where there is no terminal."""
+
+import math
+from collections.abc import Callable
+
+from rich.console import Console
+from rich.live import Live
+
+from tetractl.clock import Clock
+from tetractl.replay.clock import PlayerClock
+from tetractl.replay.frame import Recording
+from tetractl.replay.player import Player, State
+from tetractl.view.dashboard import Dashboard, Footer
+from tetractl.view.glyphs import Glyphs, glyphs_for
+from tetractl.view.keys import Keyboard
+from tetractl.view.style import robot_colors
+
+FRAME_S = 1 / 15
+SPACE = {State.PLAYING: "pause", State.PAUSED: "play ", State.ENDED: "again"}
+
+
+def perform(console: Console, recording: Recording, player: Player) -> None:
+    """Play on the terminal's other screen until the viewer quits."""
+    colors = robot_colors(recording.log.start.experiment.robots)
+    drawn: object = None
+    with (
+        Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False) as live,
+        Keyboard(leave=live.stop, back=live.start) as keyboard,
+    ):
+        while player.state is not State.QUIT:
+            player.update()
+            scene = (player.now, player.rate, player.state, console.size)
+            if scene != drawn:
+                drawn = scene
+                live.update(dashboard(recording, player, colors, glyphs_for(console)), refresh=True)
+            for key in keyboard.read(FRAME_S):
+                player.press(key)
+
+
+def dashboard(recording: Recording, player: Player, colors: list[str], glyphs: Glyphs) -> Dashboard:
+    """Return the picture of this moment."""
+    log = recording.log
+    sign = glyphs.play if player.state is State.PLAYING else glyphs.pause
+    end_s = recording.end_ns / 1e9
+    wide = len(f"{end_s:.1f}")
+    footer = Footer(
+        left=f"{sign} {player.rate:g}{glyphs.times}",
+        fraction=player.now / recording.end_ns if recording.end_ns else 1.0,
+        right=f"{player.now / 1e9:{wide}.1f} / {end_s:.1f} s",
+        hints=(
+            f"space {SPACE.get(player.state, '')}",
+            f"{glyphs.left_right} {glyphs.plus_minus}1 s",
+            ". step",
+            "q quit",
+            "+/- rate",
+        ),
+    )
+    heading = f"{log.start.experiment.name}, trial {log.start.trial}"
+    notes = ("damaged log", *log.damage.lost) if log.damage else ()
+    return Dashboard(recording.at(player.now), colors, heading, footer, notes)
+
+
+def recite(
+    write: Callable[[str], None],
+    recording: Recording,
+    player_span: tuple[int, int],
+    *,
+    wall: Clock,
+    rate: float | None,
+    loop: bool,
+) -> None:
+    """Write one line a control step: at once, or at `rate` times the trial's pace."""
+    start_ns, until_ns = player_span
+    clock = PlayerClock(wall, at_ns=start_ns, rate=rate or 1.0)
+    while True:
+        for index, step_ns in enumerate(recording.step_ns):
+            if start_ns <= step_ns <= until_ns:
+                if rate is not None:
+                    clock.sleep_until(int(step_ns))
+                write(line(recording, index))
+        if rate is not None:
+            clock.sleep_until(until_ns)
+        if not loop:
+            return
+        clock.jump(start_ns)
+
+
+def line(recording: Recording, index: int) -> str:
+    """One control step in words."""
+    step = recording.log.steps[index]
+    unit = recording.log.start.experiment.units.length
+    plan, u = step.plan, step.command.direction
+    direction = "stop" if u is None else f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
+    total = recording.totals[index]
+    return (
+        f"{recording.step_ns[index] / 1e9:.2f} s  k {step.k}  horizon {len(plan.signals)}  "
+        f"J {plan.cost:.1f} {unit}  total error {total:.1f} {unit}  direction {direction}  "
+        f"evaluations {plan.evaluations}  stopped {plan.search.stopped}"
+    )

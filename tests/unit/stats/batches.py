@@ -1,0 +1,62 @@
+"""Batches made up for the tests."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tetractl.control.plan import Outcome
+from tetractl.log.records import Result
+from tetractl.model.state import Poses
+from tetractl.plant.protocol import Verdict
+from tetractl.spec.experiment import Experiment
+from tetractl.stats.trials import Trial
+
+REFERENCE = {"source": "Figure 5", "n": 20, "mean": 648.6, "std": 225.1}
+SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
+
+
+def experiment(robots: int = 3, **fields: Any) -> Experiment:
+    names, speeds = ("green", "blue", "red"), (180, 200, 150)
+    found = {
+        "name": "three-m3pi",
+        "arena": {"left": 0, "bottom": 0, "width": 2000, "height": 2000},
+        "robots": [
+            {
+                "name": names[i],
+                "start": (900, 800 + 400 * i),
+                "target": (1700, 500 + 1000 * i),
+                "a": 6,
+                "speed": speeds[i],
+            }
+            for i in range(robots)
+        ],
+    }
+    return Experiment.model_validate(found | fields)
+
+
+def result(errors: Sequence[float], **fields: Any) -> Result:
+    n = len(errors)
+    found: dict[str, Any] = {
+        "outcome": Outcome.SEQUENCE_USED_UP,
+        "reason": "no signal left",
+        "steps": 31,
+        "duration_s": 6.2,
+        "total_error": float(np.sum(errors)),
+        "robot_errors": tuple(float(error) for error in errors),
+        "verdict": Verdict(Poses.of(np.zeros((n, 3))), (False,) * n, (100.0,) * n),
+        "solve_ns": (1_000_000, 2_000_000, 3_000_000),
+        "deadline_misses": 0,
+    }
+    return Result(**(found | fields))
+
+
+def batch(
+    errors: Sequence[Sequence[float]], spec: Experiment | None = None, **fields: Any
+) -> list[Trial]:
+    """One trial a row of robot errors."""
+    spec = spec or experiment(len(errors[0]))
+    return [
+        Trial(f"trial-{i:03d}.mcap", spec, 1, i, result(row, **fields))
+        for i, row in enumerate(errors)
+    ]

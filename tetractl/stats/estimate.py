@@ -1,0 +1,244 @@
+"""Estimates with intervals: a mean, a difference of two means, an effect size.
+
+Every estimate that the data cannot carry is NaN with a reason, never a number that looks like one.
+"""
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy import optimize, stats
+
+from tetractl.model.state import Floats
+
+CONFIDENCE = 0.95
+RESAMPLES = 9999
+SEED = 20_100_503
+"""Of every bootstrap, so that the same trials always give the same interval."""
+ENOUGH = 8
+"""Fewest values for a bootstrap or a verdict: below it bootstrap intervals are too short."""
+
+_BATCH_ELEMENTS = 4_000_000  # resampled values held in memory at once
+_GRID = 2.0**40
+_NAN = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A 95 % interval; `low` and `high` are NaN where there is none, and `reason` says why."""
+
+    low: float
+    high: float
+    method: str | None = None
+    reason: str | None = None
+
+    @classmethod
+    def none(cls, reason: str) -> Self:
+        """No interval, and why."""
+        return cls(_NAN, _NAN, None, reason)
+
+    @property
+    def known(self) -> bool:
+        """Whether there is an interval."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """n values described: mean, standard deviation (n - 1), median, range, interval of the mean.
+
+    What n cannot carry is NaN: everything at n = 0, the deviation at n = 1.
+    """
+
+    n: int
+    mean: float
+    std: float
+    median: float
+    min: float
+    max: float
+    ci95: Interval
+
+
+def describe(rows: Floats) -> list[Distribution]:
+    """Describe each row of an array of shape (R, n)."""
+    count, n = rows.shape
+    if n == 0:
+        nothing = Distribution(0, _NAN, _NAN, _NAN, _NAN, _NAN, Interval.none("no values"))
+        return [nothing] * count
+    rows = np.sort(rows, axis=1)  # makes every figure independent of the order of the trials
+    low, high = rows[:, 0], rows[:, -1]
+    mean = np.clip(rows.mean(axis=1), low, high)
+    std = np.where(high > low, rows.std(axis=1, ddof=1), 0.0) if n > 1 else np.full(count, _NAN)
+    median = np.median(rows, axis=1)
+    intervals = _mean_intervals(rows, mean, std)
+    figures = np.column_stack([mean, std, median, low, high]).tolist()
+    return [
+        Distribution(n, *row, ci95=interval)
+        for row, interval in zip(figures, intervals, strict=True)
+    ]
+
+
+def describe_published(n: int, mean: float, std: float) -> Distribution:
+    """Describe a published result of which only n, mean and deviation are known; the interval is
+    Student's t."""
+    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1)) * std / math.sqrt(n)
+    interval = Interval(mean - half, mean + half, "t")
+    return Distribution(n, mean, std, _NAN, _NAN, _NAN, interval)
+
+
+def _mean_intervals(rows: Floats, mean: Floats, std: Floats) -> list[Interval]:
+    """Intervals of the means of sorted rows (R, n): BCa bootstrap, Student's t for a small n."""
+    n = rows.shape[1]
+    if n == 1:
+        return [Interval.none("one value has no spread")] * len(rows)
+    spread = rows[:, -1] - rows[:, 0]
+    varied = np.flatnonzero(spread > 0)
+    intervals = [Interval.none(f"all {n} values are equal")] * len(rows)
+    if n < ENOUGH:
+        half = stats.t.ppf((1 + CONFIDENCE) / 2, n - 1) * std / math.sqrt(n)
+        for i in varied:
+            low, high = float(mean[i] - half[i]), float(mean[i] + half[i])
+            intervals[i] = Interval(low, high, "t")
+    elif varied.size:
+        least, width = rows[varied, 0], spread[varied]
+        low, high = _bootstrap([_counts(rows[varied], least[:, None], width[:, None])])
+        low, high = least + low / _GRID * width, least + high / _GRID * width
+        for i, a, b in zip(varied, low, high, strict=True):
+            intervals[i] = _bca(a, b)
+    return intervals
+
+
+def _counts(values: Floats, least: Floats | np.float64, width: Floats | np.float64) -> Floats:
+    """Values as whole numbers from 0 at `least` to _GRID at `least + width`.
+
+    Their sums are exact, so neither the unit nor the order of summation changes which resampled
+    means tie with the mean, and with that the interval.
+    """
+    return np.rint((values - least) / width * _GRID)
+
+
+def _mean(values: Floats, axis: int = -1) -> Floats:
+    return np.mean(values, axis=axis)
+
+
+def _difference(ours: Floats, theirs: Floats, axis: int = -1) -> Floats:
+    return np.mean(ours, axis=axis) - np.mean(theirs, axis=axis)
+
+
+def _bootstrap(samples: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """BCa interval of the mean of one sample, or of the difference of the means of two."""
+    with warnings.catch_warnings():  # a degenerate bootstrap is NaN, and `_bca` says so
+        warnings.simplefilter("ignore", stats.DegenerateDataWarning)
+        result = stats.bootstrap(
+            samples,
+            _mean if len(samples) == 1 else _difference,
+            n_resamples=RESAMPLES,
+            batch=max(1, _BATCH_ELEMENTS // sum(sample.size for sample in samples)),
+            vectorized=True,
+            axis=-1,
+            confidence_level=CONFIDENCE,
+            method="BCa",
+            rng=np.random.default_rng(SEED),
+        )
+    return result.confidence_interval.low, result.confidence_interval.high
+
+
+def _bca(low: float, high: float) -> Interval:
+    if math.isfinite(low) and math.isfinite(high):
+        return Interval(float(low), float(high), "BCa")
+    return Interval.none("the values vary too little for a bootstrap")
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A difference of two means by Welch's t: `value` is the first minus the second."""
+
+    value: float
+    ci95: Interval
+    p_value: float
+    degrees: float
+
+
+def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float) -> Difference:
+    """Compare two means from n, mean and standard deviation (n - 1) alone.
+
+    With v_i = std_i^2 / n_i: t = (mean1 - mean2) / sqrt(v1 + v2), and the degrees of freedom of
+    Welch and Satterthwaite are (v1 + v2)^2 / (v1^2 / (n1 - 1) + v2^2 / (n2 - 1)).
+    """
+    difference = mean1 - mean2
+    if min(n1, n2) < 2:
+        why = "Welch's t needs two values on each side"
+        return Difference(difference, Interval.none(why), _NAN, _NAN)
+    v1, v2 = std1**2 / n1, std2**2 / n2
+    if v1 + v2 == 0:
+        why = "the values do not vary on either side"
+        return Difference(difference, Interval.none(why), _NAN, _NAN)
+    share = v1 / (v1 + v2)
+    degrees = 1 / (share**2 / (n1 - 1) + (1 - share) ** 2 / (n2 - 1))
+    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, degrees)) * math.sqrt(v1 + v2)
+    test = stats.ttest_ind_from_stats(mean1, std1, n1, mean2, std2, n2, equal_var=False)
+    interval = Interval(difference - half, difference + half, "Welch")
+    return Difference(difference, interval, float(test.pvalue), degrees)
+
+
+def bootstrap_difference(ours: Floats, theirs: Floats) -> Interval:
+    """Interval of mean(ours) - mean(theirs) by a BCa bootstrap of both batches."""
+    if min(len(ours), len(theirs)) < ENOUGH:
+        return Interval.none(f"the bootstrap needs {ENOUGH} values on each side")
+    both = np.concatenate([ours, theirs])
+    least, width = both.min(), np.ptp(both)
+    if np.ptp(ours) == 0 and np.ptp(theirs) == 0:
+        return Interval.none("the values do not vary on either side")
+    low, high = _bootstrap([_counts(np.sort(batch), least, width) for batch in (ours, theirs)])
+    return _bca(float(low / _GRID * width), float(high / _GRID * width))
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """Cliff's delta: P(first > second) - P(first < second), from -1 to 1."""
+
+    value: float
+    ci95: Interval
+
+
+def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
+    """Effect size of two batches without assuming normal values or equal deviations.
+
+    delta = 2 theta - 1, theta = U / (m n) with the Mann-Whitney U. The interval is Newcombe's score
+    interval of theta (Statistics in Medicine 25, 2006, method 5), which holds for small batches and
+    for batches that do not overlap: the roots of (theta - t)^2 = z^2 V(t) with V(t) = t (1 - t)
+    (1 + N (1 - t) / (2 - t) + N t / (1 + t)) / (m n), N = (m + n) / 2 - 1.
+    """
+    m, n = len(ours), len(theirs)
+    if min(m, n) == 0:
+        return Effect(_NAN, Interval.none("no values"))
+    ranks = stats.rankdata(np.concatenate([ours, theirs]))
+    theta = float(ranks[:m].sum() - m * (m + 1) / 2) / (m * n)
+    if min(m, n) < 2:
+        return Effect(2 * theta - 1, Interval.none("one value has no spread"))
+    z2 = float(stats.norm.ppf((1 + CONFIDENCE) / 2)) ** 2
+    extra = (m + n) / 2 - 1
+
+    def excess(t: float) -> float:
+        shape = 1 + extra * (1 - t) / (2 - t) + extra * t / (1 + t)
+        return (theta - t) ** 2 - z2 * t * (1 - t) * shape / (m * n)
+
+    edge = 1e-12  # 0 and 1 are roots of their own where theta is 0 or 1
+    low = _root(excess, 0.0, min(theta, 1 - edge)) if theta > 0 else 0.0
+    high = _root(excess, max(theta, edge), 1.0) if theta < 1 else 1.0
+    return Effect(2 * theta - 1, Interval(2 * low - 1, 2 * high - 1, "Newcombe"))
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    return float(optimize.root_scalar(function, bracket=(low, high), method="brentq").root)
+
+
+def proportion_interval(successes: int, n: int) -> Interval:
+    """Wilson's interval of a proportion."""
+    if n == 0:
+        return Interval.none("no trials")
+    found = stats.binomtest(successes, n).proportion_ci(CONFIDENCE, method="wilson")
+    return Interval(float(found.low), float(found.high), "Wilson")

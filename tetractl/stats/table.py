@@ -1,0 +1,84 @@
+"""Statistics for people: the same rows as a terminal table, Markdown or LaTeX."""
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from tetractl.stats.rows import grids
+from tetractl.stats.summary import Comparison, Summary
+
+_PLAIN_WIDTH = 1000  # without a terminal nothing is wrapped or cut
+
+
+def print_table(summary: Summary, console: Console, comparison: Comparison | None = None) -> None:
+    """Print the summary; plain lines of full length where there is no terminal."""
+    if not console.is_terminal:
+        console = Console(file=console.file, width=_PLAIN_WIDTH, color_system=None)
+    for grid in grids(summary, comparison):
+        table = Table(box=box.SIMPLE_HEAD, show_edge=False)
+        for i, name in enumerate(grid.header):
+            table.add_column(Text(name), justify="right" if i and not grid.words else "left")
+        for row in grid.rows:
+            table.add_row(*(Text(_clean(cell)) for cell in row))
+        console.print(Text(_clean(grid.title), style="bold"))
+        console.print(table)
+        console.print()
+
+
+def as_markdown(summary: Summary, comparison: Comparison | None = None) -> str:
+    """Return Markdown tables."""
+    parts = []
+    for grid in grids(summary, comparison):
+        rule = ["---"] + ["---" if grid.words else "---:"] * (len(grid.header) - 1)
+        lines = [grid.header, rule, *grid.rows]
+        parts.append(f"**{_markdown(grid.title)}**\n")
+        parts += ["| " + " | ".join(map(_markdown, line)) + " |" for line in lines]
+        parts.append("")
+    return "\n".join(parts)
+
+
+def as_latex(summary: Summary, comparison: Comparison | None = None) -> str:
+    r"""Return `tabular` environments ready to paste; the document needs `\usepackage{booktabs}`."""
+    parts = [r"% needs \usepackage{booktabs}"]
+    for grid in grids(summary, comparison):
+        lines = [" & ".join(map(_latex, row)) + r" \\" for row in (grid.header, *grid.rows)]
+        columns = "l" + ("l" if grid.words else "r") * (len(grid.header) - 1)
+        parts += [
+            f"% {_clean(grid.title)}",
+            rf"\begin{{tabular}}{{{columns}}}",
+            r"\toprule",
+            lines[0],
+            r"\midrule",
+            *lines[1:],
+            r"\bottomrule",
+            r"\end{tabular}",
+            "",
+        ]
+    return "\n".join(parts)
+
+
+def _clean(text: str) -> str:
+    """Keep terminal control codes that a log may carry from the screen."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def _markdown(text: str) -> str:
+    return _clean(text).replace("\\", "\\\\").replace("|", "\\|")
+
+
+_LATEX = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"$<$",
+        ">": r"$>$",
+        **{c: "\\" + c for c in "&%$#_{}"},
+    }
+)
+
+
+def _latex(text: str) -> str:
+    indent = r"\quad " if text.startswith("  ") else ""
+    return indent + _clean(text).strip().translate(_LATEX)

@@ -3,10 +3,15 @@
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tetractl.control.plan import Outcome, Plan
 from tetractl.model.state import Floats, Observation
 from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
 from tetractl.spec.experiment import Experiment
+
+Integers = NDArray[np.int64]
 
 FORMAT_VERSION = 1
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01 UTC: virtual trials start here, so logs repeat
@@ -28,8 +33,7 @@ class Start:
 class Step:
     """One control step k: what was seen, decided and sent.
 
-    `planned_ns` is when the decision was ready on the trial's clock. `solve_ns` and
-    `deadline_missed` are host facts: they differ from run to run on the same seed.
+    `solve_ns` and `deadline_missed` are host facts: they differ from run to run on the same seed.
     """
 
     k: int
@@ -92,19 +96,26 @@ class Damage:
     lost: tuple[str, ...]
 
 
+def _none() -> Integers:
+    return np.empty(0, dtype=np.int64)
+
+
 @dataclass(frozen=True, slots=True)
 class TrialLog:
     """A whole trial, read back. Times are ns on the trial's clock.
 
-    `mocap` and `truth` are (M, N, 3) poses at `mocap_ns` (M,); `valid` is (M, N). `truth` is None
-    for a lab trial. `result` is None where the run crashed or the end of the log is lost.
+    `mocap` and `truth` are (M, N, 3) poses at `mocap_ns` (M,), when the cameras were exposed, in
+    the frames numbered `frames` (M,), which the host had at `received_ns` (M,); `valid` is (M, N).
+    `commands` are all that were sent: those of the steps, those outside them, and the stop. `truth`
+    is None for a lab trial and NaN where a damaged log lost it. `result` is None where the run
+    crashed or the end of the log is lost. `digest` is the content digest that the log states.
     """
 
     path: str
     start: Start
-    mocap_ns: Floats
+    mocap_ns: Integers
     mocap: Floats
-    valid: Floats
+    valid: NDArray[np.bool_]
     truth: Floats | None
     steps: tuple[Step, ...]
     stop: Command | None
@@ -113,3 +124,30 @@ class TrialLog:
     host: dict[str, str]  # host facts: when and where it ran
     provenance: dict[str, str]
     seed: int  # the batch's root seed
+    frames: Integers = field(default_factory=_none)
+    received_ns: Integers = field(default_factory=_none)
+    commands: tuple[Command, ...] = ()
+    digest: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ResultSummary:
+    """The result of a trial without its course, read quickly.
+
+    `recovered` says that the log is damaged or ends early: where its result is lost, `result` was
+    computed again from the last poses there are, with the outcome `aborted`.
+    """
+
+    path: str
+    experiment: Experiment
+    seed: int  # the batch's root seed
+    trial: int
+    simulated: bool
+    result: Result
+    recovered: bool
+    digest: str | None  # content digest, None where the result was lost
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the trial ended."""
+        return self.result.outcome

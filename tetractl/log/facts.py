@@ -1,0 +1,141 @@
+"""The metadata of a log: the run at its start and the result at its end, as strings.
+
+MCAP guards messages and attachments with checksums but not metadata, so each record of ours carries
+one of its own. Lists are JSON; a number that is not finite is a string in them ("inf", "nan"),
+since JSON has no such number.
+"""
+
+import json
+import zlib
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from tetractl.control.plan import Outcome
+from tetractl.log.digest import CHECKSUM
+from tetractl.log.records import FORMAT_VERSION, Result, Start
+from tetractl.model.state import Poses
+from tetractl.plant.protocol import PlantInfo, Verdict
+from tetractl.spec.experiment import Experiment
+
+_FACT = "plant."
+
+
+def seal(facts: Mapping[str, str]) -> dict[str, str]:
+    """Return the facts with their checksum."""
+    return {**facts, CHECKSUM: _checksum(facts)}
+
+
+def intact(facts: Mapping[str, str]) -> bool:
+    """Whether the facts are those that were sealed."""
+    return facts.get(CHECKSUM) == _checksum(facts)
+
+
+def _checksum(facts: Mapping[str, str]) -> str:
+    items = sorted((key, value) for key, value in facts.items() if key != CHECKSUM)
+    return f"{zlib.crc32(json.dumps(items).encode()):08x}"
+
+
+def run_facts(start: Start, spec_hash: str) -> dict[str, str]:
+    """Return what identifies a trial: the metadata record at the start of the log."""
+    experiment, plant = start.experiment, start.plant
+    run_id = f"{spec_hash[:12]}-{experiment.trials.seed}-{start.trial}"
+    if not plant.simulated:  # the same trial in the lab twice is two runs
+        run_id += f"-{start.start_unix_ns}"
+    return {
+        "format_version": str(FORMAT_VERSION),
+        "run_id": run_id,
+        "mode": "sim" if plant.simulated else "lab",
+        "name": experiment.name,
+        "trial": str(start.trial),
+        "seed": str(experiment.trials.seed),
+        "spec_hash": spec_hash,
+        "spec_name": start.spec_name,
+        "robots": json.dumps([robot.name for robot in experiment.robots]),
+        "unit": experiment.units.length,
+        "start_unix_ns": str(start.start_unix_ns),
+        "plant": plant.kind,
+        "camera_rate_hz": repr(float(plant.camera_rate_hz)),
+        **{_FACT + key: value for key, value in plant.facts.items()},
+    }
+
+
+def read_start(facts: Mapping[str, str], experiment: Experiment, spec_text: str) -> Start:
+    """Return the start of a trial; the inverse of `run_facts`.
+
+    Raises KeyError or ValueError where the facts are not ours.
+    """
+    plant = PlantInfo(
+        kind=facts["plant"],
+        simulated=facts["mode"] == "sim",
+        camera_rate_hz=float(facts["camera_rate_hz"]),
+        facts={k.removeprefix(_FACT): v for k, v in facts.items() if k.startswith(_FACT)},
+    )
+    return Start(
+        experiment=experiment,
+        spec_text=spec_text,
+        spec_name=facts["spec_name"],
+        trial=int(facts["trial"]),
+        plant=plant,
+        start_unix_ns=int(facts["start_unix_ns"]),
+    )
+
+
+def result_facts(result: Result, unit: str) -> dict[str, str]:
+    """Return how a trial ended, host facts left out: the metadata record at the end of the log."""
+    final = result.verdict.final
+    return {
+        "outcome": result.outcome.value,
+        "reason": result.reason,
+        "unit": unit,
+        "steps": str(result.steps),
+        "duration_s": repr(float(result.duration_s)),
+        "total_error": repr(float(result.total_error)),
+        "robot_errors": _numbers(result.robot_errors),
+        "entered": json.dumps([bool(entered) for entered in result.verdict.entered]),
+        "clearance": _numbers(result.verdict.clearance),
+        "final_x": _numbers(final.x.tolist()),
+        "final_y": _numbers(final.y.tolist()),
+        "final_heading": _numbers(final.heading.tolist()),
+    }
+
+
+def timing_facts(result: Result) -> dict[str, str]:
+    """Return the host facts of a result: the metadata record before it."""
+    return {
+        "solve_ns": json.dumps([int(ns) for ns in result.solve_ns]),
+        "deadline_misses": str(result.deadline_misses),
+    }
+
+
+def read_result(facts: Mapping[str, str], timing: Mapping[str, str] | None) -> Result:
+    """Return how a trial ended; the inverse of `result_facts` and `timing_facts`.
+
+    Without the timing there are no solve times. Raises KeyError or ValueError where the facts are
+    not ours.
+    """
+    final = [_floats(facts[key]) for key in ("final_x", "final_y", "final_heading")]
+    return Result(
+        outcome=Outcome(facts["outcome"]),
+        reason=facts["reason"],
+        steps=int(facts["steps"]),
+        duration_s=float(facts["duration_s"]),
+        total_error=float(facts["total_error"]),
+        robot_errors=_floats(facts["robot_errors"]),
+        verdict=Verdict(
+            final=Poses(*(np.array(column, dtype=np.float64) for column in final)),
+            entered=tuple(bool(entered) for entered in json.loads(facts["entered"])),
+            clearance=_floats(facts["clearance"]),
+        ),
+        solve_ns=tuple(json.loads(timing["solve_ns"])) if timing else (),
+        deadline_misses=int(timing["deadline_misses"]) if timing else 0,
+    )
+
+
+def _numbers(values: Iterable[float]) -> str:
+    floats = [float(value) for value in values]
+    return json.dumps([value if np.isfinite(value) else str(value) for value in floats])
+
+
+def _floats(text: str) -> tuple[float, ...]:
+    return tuple(float(value) for value in json.loads(text))

@@ -1,0 +1,111 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class MocapSample(_message.Message):
+    __slots__ = ("frame", "sampled_ns", "received_ns", "x", "y", "heading", "valid")
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    SAMPLED_NS_FIELD_NUMBER: _ClassVar[int]
+    RECEIVED_NS_FIELD_NUMBER: _ClassVar[int]
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    HEADING_FIELD_NUMBER: _ClassVar[int]
+    VALID_FIELD_NUMBER: _ClassVar[int]
+    frame: int
+    sampled_ns: int
+    received_ns: int
+    x: _containers.RepeatedScalarFieldContainer[float]
+    y: _containers.RepeatedScalarFieldContainer[float]
+    heading: _containers.RepeatedScalarFieldContainer[float]
+    valid: _containers.RepeatedScalarFieldContainer[bool]
+    def __init__(self, frame: _Optional[int] = ..., sampled_ns: _Optional[int] = ..., received_ns: _Optional[int] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ..., valid: _Optional[_Iterable[bool]] = ...) -> None: ...
+
+class Truth(_message.Message):
+    __slots__ = ("frame", "sampled_ns", "x", "y", "heading")
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    SAMPLED_NS_FIELD_NUMBER: _ClassVar[int]
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    HEADING_FIELD_NUMBER: _ClassVar[int]
+    frame: int
+    sampled_ns: int
+    x: _containers.RepeatedScalarFieldContainer[float]
+    y: _containers.RepeatedScalarFieldContainer[float]
+    heading: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, frame: _Optional[int] = ..., sampled_ns: _Optional[int] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class WheelCommand(_message.Message):
+    __slots__ = ("direction", "stop", "sent_ns", "delivered", "left", "right")
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    STOP_FIELD_NUMBER: _ClassVar[int]
+    SENT_NS_FIELD_NUMBER: _ClassVar[int]
+    DELIVERED_FIELD_NUMBER: _ClassVar[int]
+    LEFT_FIELD_NUMBER: _ClassVar[int]
+    RIGHT_FIELD_NUMBER: _ClassVar[int]
+    direction: float
+    stop: bool
+    sent_ns: int
+    delivered: _containers.RepeatedScalarFieldContainer[bool]
+    left: _containers.RepeatedScalarFieldContainer[float]
+    right: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, direction: _Optional[float] = ..., stop: _Optional[bool] = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Search(_message.Message):
+    __slots__ = ("length", "signals", "cost", "history", "evaluations", "stopped")
+    LENGTH_FIELD_NUMBER: _ClassVar[int]
+    SIGNALS_FIELD_NUMBER: _ClassVar[int]
+    COST_FIELD_NUMBER: _ClassVar[int]
+    HISTORY_FIELD_NUMBER: _ClassVar[int]
+    EVALUATIONS_FIELD_NUMBER: _ClassVar[int]
+    STOPPED_FIELD_NUMBER: _ClassVar[int]
+    length: int
+    signals: _containers.RepeatedScalarFieldContainer[float]
+    cost: float
+    history: _containers.RepeatedScalarFieldContainer[float]
+    evaluations: int
+    stopped: str
+    def __init__(self, length: _Optional[int] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., history: _Optional[_Iterable[float]] = ..., evaluations: _Optional[int] = ..., stopped: _Optional[str] = ...) -> None: ...
+
+class ControllerStep(_message.Message):
+    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "path_heading")
+    K_FIELD_NUMBER: _ClassVar[int]
+    OBSERVATION_FIELD_NUMBER: _ClassVar[int]
+    COMMAND_FIELD_NUMBER: _ClassVar[int]
+    SIGNALS_FIELD_NUMBER: _ClassVar[int]
+    COST_FIELD_NUMBER: _ClassVar[int]
+    TARGET_COST_FIELD_NUMBER: _ClassVar[int]
+    OBSTACLE_COST_FIELD_NUMBER: _ClassVar[int]
+    SEARCHES_FIELD_NUMBER: _ClassVar[int]
+    CHOSEN_FIELD_NUMBER: _ClassVar[int]
+    GENERATOR_FIELD_NUMBER: _ClassVar[int]
+    PATH_X_FIELD_NUMBER: _ClassVar[int]
+    PATH_Y_FIELD_NUMBER: _ClassVar[int]
+    PATH_HEADING_FIELD_NUMBER: _ClassVar[int]
+    k: int
+    observation: MocapSample
+    command: WheelCommand
+    signals: _containers.RepeatedScalarFieldContainer[float]
+    cost: float
+    target_cost: float
+    obstacle_cost: float
+    searches: _containers.RepeatedCompositeFieldContainer[Search]
+    chosen: int
+    generator: int
+    path_x: _containers.RepeatedScalarFieldContainer[float]
+    path_y: _containers.RepeatedScalarFieldContainer[float]
+    path_heading: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., path_heading: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class StepTiming(_message.Message):
+    __slots__ = ("k", "solve_ns", "deadline_missed")
+    K_FIELD_NUMBER: _ClassVar[int]
+    SOLVE_NS_FIELD_NUMBER: _ClassVar[int]
+    DEADLINE_MISSED_FIELD_NUMBER: _ClassVar[int]
+    k: int
+    solve_ns: int
+    deadline_missed: bool
+    def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: _Optional[bool] = ...) -> None: ...

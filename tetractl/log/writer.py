@@ -1,0 +1,150 @@
+"""The log writer: an observer that stores a trial in an MCAP file."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import Message
+
+from tetractl.control.plan import Outcome
+from tetractl.log import channels, codec, provenance
+from tetractl.log.channels import Entry
+from tetractl.log.facts import result_facts, run_facts, timing_facts
+from tetractl.log.records import Result, Start, Step
+from tetractl.log.scene import Scene, note
+from tetractl.log.sink import Sink
+from tetractl.plant.protocol import Command, Sample
+from tetractl.spec.load import resolved_yaml, spec_hash
+
+FLUSH_NS = 1_000_000_000
+"""A chunk ends after this much trial time: what a crash may cost. Trial time and not the wall
+clock's, so that a simulated trial always gives the same chunks."""
+
+
+class LogWriter:
+    """Stores one trial as `path`, which is called `path`.part until the trial has ended.
+
+    Every message has two times, Unix ns: log_time is when the host received or sent it and
+    publish_time when what it tells of was sampled. Any call raises LogError where the log cannot be
+    written; what was written until then stays readable.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._sink: Sink | None = None
+        self._flushed_ns = 0
+        self._tracked: list[bool] = []
+
+    def on_start(self, start: Start) -> None:
+        """Create the file; store the run's facts, the specs, and the scene."""
+        self._start_ns = start.start_unix_ns
+        self._experiment = start.experiment
+        self._scene = Scene(start.experiment)
+        self._tracked = [True] * len(start.experiment.robots)
+        self._sink = sink = Sink(self._path)
+        sink.metadata(channels.RUN, run_facts(start, spec_hash(start.experiment)))
+        sink.metadata(channels.HOST, provenance.facts())
+        for name, media_type, text in (
+            (channels.SPEC, "application/yaml", start.spec_text),
+            (channels.RESOLVED_SPEC, "application/yaml", resolved_yaml(start.experiment)),
+            (channels.ENVIRONMENT, "application/json", provenance.environment()),
+        ):
+            sink.attachment(name, media_type, self._start_ns, text)
+        self._put(channels.SCENE, self._scene.static(self._start_ns), 0)
+        self._note(0, Log.INFO, f"trial {start.trial} of {start.experiment.name} starts")
+        sink.flush()
+
+    def on_samples(self, samples: list[Sample]) -> None:
+        """Store camera frames: measured, as transforms, and true where known."""
+        if self._sink is None:
+            return
+        for sample in samples:
+            seen = sample.observation
+            received_ns, sampled_ns = seen.received_ns, seen.sampled_ns
+            self._put(channels.MOCAP, codec.encode_observation(seen), received_ns, sampled_ns)
+            if sample.truth is not None:
+                truth = codec.encode_truth(seen, sample.truth)
+                self._put(channels.TRUTH, truth, received_ns, sampled_ns)
+            transforms = self._scene.transforms(seen, self._start_ns + sampled_ns)
+            self._put(channels.TRANSFORMS, transforms, received_ns, sampled_ns)
+            self._note_tracking(seen.valid.tolist(), received_ns)
+        if samples:
+            self._flush_at(samples[-1].observation.received_ns)
+
+    def on_command(self, command: Command) -> None:
+        """Store a command sent outside the control steps."""
+        self._put(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
+
+    def on_step(self, step: Step) -> None:
+        """Store a decision, its command, its picture and how long it took."""
+        if self._sink is None:
+            return
+        path, sent_ns = step.plan.path, step.command.sent_ns
+        sampled_ns, unix_ns = step.observation.sampled_ns, self._start_ns + sent_ns
+        self._put(channels.STEP, codec.encode_step(step), sent_ns, sampled_ns)
+        self._put(channels.COMMANDS, codec.encode_command(step.command), sent_ns)
+        self._put(channels.PLAN, self._scene.plan_poses(path, unix_ns), sent_ns, sampled_ns)
+        self._put(channels.SCENE_PLAN, self._scene.plan_lines(path, unix_ns), sent_ns, sampled_ns)
+        self._put(channels.HOST_TIMING, codec.encode_timing(step), sent_ns)
+        for robot, delivered in zip(self._experiment.robots, step.command.delivered, strict=True):
+            if not delivered:
+                text = f"{robot.name} did not get the command of step {step.k}"
+                self._note(sent_ns, Log.WARNING, text)
+        self._flush_at(sent_ns)
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Store the stop and the result, and give the log its name."""
+        if self._sink is None:
+            return
+        self._put(channels.COMMANDS, codec.encode_command(stop), stop.sent_ns)
+        level = Log.ERROR if result.outcome is Outcome.ABORTED else Log.INFO
+        reason = f" ({result.reason})" if result.reason else ""
+        text = f"{result.outcome.value}{reason} after {result.steps} control steps"
+        self._note(stop.sent_ns, level, text)
+        facts = result_facts(result, self._experiment.units.length)
+        self._sink.metadata(channels.TIMING, timing_facts(result) | {"ended": provenance.now()})
+        self._sink.last_metadata(channels.RESULT, facts)
+        self._sink.close(complete=True)
+
+    def close(self) -> None:
+        """Close a log whose trial did not end: it keeps its .part."""
+        if self._sink:
+            self._sink.close(complete=False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _put(
+        self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
+    ) -> None:
+        if self._sink:
+            log_unix = self._start_ns + log_ns
+            publish_unix = log_unix if publish_ns is None else self._start_ns + publish_ns
+            data = message.SerializeToString()
+            self._sink.message(Entry(topic, log_unix, publish_unix, data))
+
+    def _note(self, log_ns: int, level: Log.Level.ValueType, text: str) -> None:
+        self._put(channels.LOG, note(self._start_ns + log_ns, level, text), log_ns)
+
+    def _note_tracking(self, valid: list[bool], log_ns: int) -> None:
+        if valid == self._tracked:
+            return
+        for robot, was, now in zip(self._experiment.robots, self._tracked, valid, strict=True):
+            if was != now:
+                level, word = (Log.INFO, "tracked again") if now else (Log.WARNING, "lost")
+                self._note(log_ns, level, f"{robot.name} is {word}")
+        self._tracked = valid
+
+    def _flush_at(self, trial_ns: int) -> None:
+        if self._sink and trial_ns - self._flushed_ns >= FLUSH_NS:
+            self._sink.flush()
+            self._flushed_ns = trial_ns

@@ -11,7 +11,7 @@ from tetractl.errors import Exit
 
 
 def validate(
-    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="Specs to check.")],
+    specs: Annotated[list[Path], typer.Argument(metavar="SPEC", help="Specs to check.")],
     sets: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="PATH=VALUE", help="Replace a value of every spec first."),

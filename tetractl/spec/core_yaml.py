@@ -73,6 +73,12 @@ class _Composer(Reader, Scanner, Parser, Composer, BaseResolver):
 class _Dumper(yaml.SafeDumper):
     """Quotes text that YAML 1.1 or the core schema would take for something else."""
 
+    def represent_text(self, text: str) -> ScalarNode:
+        # only in double quotes does PyYAML keep every control character and line break
+        return self.represent_scalar(STR, text, style=None if text.isprintable() else '"')
+
+
+_Dumper.add_representer(str, _Dumper.represent_text)
 
 for _tag, (_pattern, _first) in SCALARS.items():
     for _resolver in (_Composer, _Dumper):

@@ -39,7 +39,7 @@ class Place:
 class Document:
     """A parsed spec: data, the place of every value and every key, and what was refused.
 
-    `refused` are the values that `problems` already speak of; None stands for them in `data`.
+    `refused` says what is wrong with a value; None stands for it in `data`.
     """
 
     origin: str
@@ -47,7 +47,12 @@ class Document:
     values: dict[Loc, Place] = field(default_factory=dict)
     keys: dict[Loc, Place] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
-    refused: set[Loc] = field(default_factory=set)
+    refused: dict[Loc, Problem] = field(default_factory=dict)
+
+    @property
+    def found(self) -> list[Problem]:
+        """All problems so far."""
+        return [*self.problems, *self.refused.values()]
 
     def place(self, loc: Loc) -> Place:
         """Return the place of a value, or of the nearest thing written around it."""
@@ -86,7 +91,7 @@ def read_text(path: Path) -> str:
 def parse_document(text: str, origin: str) -> Document:
     """Parse a spec's text; raise InvalidSpecError where nothing can be made of it.
 
-    Refused keys and values that leave the rest readable are in the document's `problems`.
+    What is wrong but leaves the rest readable is in the document's `problems` and `refused`.
     """
     text = text.removeprefix("\ufeff")
     document = Document(printable(origin))
@@ -103,18 +108,20 @@ def parse_document(text: str, origin: str) -> Document:
     return document
 
 
-def parse_value(text: str, origin: str) -> Any:
-    """Parse one value, as `--set` takes it; problems have `origin` as their place, and no line."""
+def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
+    """Parse one value, as `--set` takes it, that will stand at `loc`.
+
+    Problems have `origin` as their place, and no line.
+    """
     document = Document(printable(origin))
+    value, found = None, ()
     try:
         root = _compose(text, origin)
-        value = None if root is None else _Builder(text, document).build(root, (), 0)
+        value = None if root is None else _Builder(text, document).build(root, loc, 0)
     except InvalidSpecError as error:
-        document.problems.extend(error.problems)
-        value = None
-    if document.problems:
-        problems = (Problem(p.origin, p.message, field=p.field) for p in document.problems)
-        raise InvalidSpecError(problems)
+        found = error.problems
+    if found := [*found, *document.found]:
+        raise InvalidSpecError(Problem(p.origin, p.message, field=p.field) for p in found)
     return value
 
 
@@ -155,9 +162,8 @@ class _Builder:
                 return scalar(node.tag, node.value)
             raise ValueError(f"the tag {short_tag(node.tag)} does not fit here; leave it out")
         except ValueError as error:
-            place = self.document.values[loc]
-            self.document.problems.append(place.problem(loc, printable(str(error), 200)))
-            self.document.refused.add(loc)
+            problem = self.document.values[loc].problem(loc, printable(str(error), 200))
+            self.document.refused[loc] = problem
             return None
 
     def _items(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Node]]:

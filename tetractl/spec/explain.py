@@ -10,6 +10,7 @@ from tetractl.spec.document import Document
 from tetractl.spec.problems import Loc, Problem, did_you_mean
 from tetractl.spec.schema import alternatives, child, describe, homes, tag
 
+MAX_EXPLAINED = 1000
 KINDS = {
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
@@ -36,14 +37,15 @@ LIMITS = {
 
 
 def explain(error: ValidationError, document: Document) -> Iterator[Problem]:
-    """Yield each error as a problem, but for those the document speaks of already."""
-    for details in error.errors(include_url=False, include_input=False):
+    """Yield the errors as problems, without those the document speaks of already."""
+    every = error.errors(include_url=False, include_input=False)
+    for details in every[:MAX_EXPLAINED]:
         loc = data_loc(details, document.data)
         value = _at(document.data, loc)
         context = details.get("ctx", {})
         if details["type"] == "too_short" and len(value or ()) >= context["min_length"]:
             continue  # pydantic counts only the valid entries; those that are not are reported
-        if any(loc[:depth] in document.refused for depth in range(1, len(loc) + 1)):
+        if any(loc[:depth] in document.refused for depth in range(len(loc) + 1)):
             continue
         yield _problem(details, loc, value, document)
 

@@ -68,8 +68,8 @@ def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:
     for loc, message in contradictions(*parts):
         place = document.place(loc)
         document.problems.append(place.problem(loc, message, place.text))
-    if document.problems or experiment is None:
-        raise InvalidSpecError(document.problems)
+    if document.found or experiment is None:
+        raise InvalidSpecError(document.found)
     return experiment
 
 

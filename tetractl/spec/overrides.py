@@ -17,23 +17,28 @@ def override(document: Document, setting: str) -> None:
     try:
         if not equals or not path.strip():
             raise _wrong(origin, "must be PATH=VALUE, for instance controller.swarm.particles=200")
-        value = parse_value(text, origin)
-        loc, holder = _descend(document.data, path.strip().split("."), origin)
+        loc, holder = _descend(document, path.strip().split("."), origin)
+        value = parse_value(text, origin, loc)
     except InvalidSpecError as error:
         document.problems.extend(error.problems)
         return
     holder[loc[-1]] = value
-    _forget(document, loc)
+    for notes in (document.values, document.keys, document.refused):
+        for stale in [key for key in notes if key[: len(loc)] == loc]:
+            del notes[stale]
     document.values[loc] = document.keys[loc] = Place(origin, text=printable(text, 60) or None)
 
 
-def _descend(data: Any, steps: list[str], origin: str) -> tuple[Loc, Any]:
+def _descend(document: Document, steps: list[str], origin: str) -> tuple[Loc, Any]:
     """Return the full loc and the mapping or list that holds its last step."""
+    data: Any = document.data
     loc: Loc = ()
     for step in steps[:-1]:
         loc = (*loc, _step(data, loc, step, origin))
         if isinstance(data, dict) and data.get(step) is None:
             data[step] = {}
+            document.values[loc] = document.keys[loc] = Place(origin)
+            document.refused.pop(loc, None)
         data = data[loc[-1]]
     return (*loc, _step(data, loc, steps[-1], origin)), data
 
@@ -56,12 +61,3 @@ def _step(data: Any, loc: Loc, step: str, origin: str) -> str | int:
 
 def _wrong(origin: str, message: str, loc: Loc = ()) -> InvalidSpecError:
     return InvalidSpecError([Problem(origin, message, field=dotted(loc))])
-
-
-def _forget(document: Document, loc: Loc) -> None:
-    """Drop the places and refusals at and below a replaced value."""
-    depth = len(loc)
-    for places in (document.values, document.keys):
-        for stale in [key for key in places if key[:depth] == loc]:
-            del places[stale]
-    document.refused.difference_update([key for key in document.refused if key[:depth] == loc])

@@ -47,8 +47,8 @@ class InvalidSpecError(SpecError):
     def lines(self) -> list[str]:
         """One line a problem; very many are cut short."""
         lines = [str(problem) for problem in self.problems[:SHOWN_PROBLEMS]]
-        if more := len(self.problems) - SHOWN_PROBLEMS:
-            lines += [f"{self.problems[0].origin}: and {more} more problems"] * (more > 0)
+        if len(self.problems) > SHOWN_PROBLEMS:
+            lines.append(f"{self.problems[0].origin}: and more; mend these first")
         return lines
 
 

@@ -64,7 +64,7 @@ def homes(key: str) -> Iterator[str]:
     """Yield the dotted paths of all fields called `key`, as `--set` takes them."""
 
     def walk(node: dict[str, Any], path: str) -> Iterator[str]:
-        node = _dereferenced(node)
+        node = dereferenced(node)
         for option in node.get("anyOf") or node.get("oneOf") or []:
             yield from walk(option, path)
         if isinstance(node.get("items"), dict):
@@ -78,7 +78,7 @@ def homes(key: str) -> Iterator[str]:
 
 
 def _resolved(node: dict[str, Any], data: Any) -> dict[str, Any]:
-    node = _dereferenced(node)
+    node = dereferenced(node)
     options = alternatives(node)
     if len(options) == 1:
         return {**options[0], **node}
@@ -89,7 +89,8 @@ def _resolved(node: dict[str, Any], data: Any) -> dict[str, Any]:
     return node
 
 
-def _dereferenced(node: dict[str, Any]) -> dict[str, Any]:
+def dereferenced(node: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema a `$ref` stands for, with what is written beside it."""
     if "$ref" not in node:
         return node
     target = experiment_schema()["$defs"][node["$ref"].rpartition("/")[2]]

@@ -1,0 +1,71 @@
+"""The folder of a batch: where its logs go, and which trials an interrupted one still lacks."""
+
+import itertools
+from datetime import datetime
+from pathlib import Path
+
+from tetractl.errors import LogError, UsageError
+from tetractl.log.reader import read_result
+from tetractl.run.batch import log_path
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import spec_hash
+
+COMPLETE = {"arrived", "sequence used up", "steps max"}
+
+
+def default_folder(name: str, now: datetime) -> Path:
+    """Return logs/<spec name>-<UTC time>."""
+    return Path("logs") / f"{name}-{now:%Y%m%dT%H%M%SZ}"
+
+
+def trials_to_run(experiment: Experiment, folder: Path, resume: bool) -> list[int]:
+    """Return the trials a run has to do, all of them or, to resume, those without a complete log.
+
+    Raises UsageError for a folder that holds logs already and, to resume, for logs of another spec
+    or seed. `count` may differ: a batch can be resumed with more trials.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder}: not a folder", "name another with --out")
+    count = experiment.trials.count
+    found = [trial for trial in range(count) if _exists(log_path(folder, trial))]
+    if found and not resume:
+        raise UsageError(
+            f"{folder}: holds logs already", "name another folder with --out, or add --resume"
+        )
+    return [trial for trial in range(count) if not _is_complete(experiment, folder, trial)]
+
+
+def make_folder(folder: Path) -> None:
+    """Create the folder; raises LogError where that is refused."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(f"{folder}: cannot create the folder: {error.strerror}") from error
+
+
+def set_aside(folder: Path, trial: int) -> None:
+    """Rename what an unfinished trial left, so that it is kept but no longer counted."""
+    path = log_path(folder, trial)
+    for left in (path, path.with_name(path.name + ".part")):
+        if left.exists():
+            names = (left.with_name(f"{left.name}.unfinished-{i}") for i in itertools.count(1))
+            left.rename(next(name for name in names if not name.exists()))
+
+
+def _exists(path: Path) -> bool:
+    return path.exists() or path.with_name(path.name + ".part").exists()
+
+
+def _is_complete(experiment: Experiment, folder: Path, trial: int) -> bool:
+    path = log_path(folder, trial)
+    if not path.exists():
+        return False
+    found = read_result(path)
+    same = experiment.model_copy(update={"trials": found.experiment.trials})
+    if found.experiment.trials.seed != experiment.trials.seed or spec_hash(
+        found.experiment
+    ) != spec_hash(same):
+        raise UsageError(
+            f"{path}: was run with another spec or seed", "resume with the spec it was run with"
+        )
+    return found.outcome in COMPLETE

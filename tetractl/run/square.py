@@ -1,0 +1,59 @@
+"""Drive a square while the first plan is computed, and come back to the start (IV-B.1).
+
+All robots get the same four directions, a quarter turn apart, each for the same time. A robot
+that starts a quarter turn behind the first direction repeats the same curve on every side, turned
+by a quarter: the four displacements add up to zero, and it closes the square to within about
+exp(-a side) of a side.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from tetractl.errors import SpecError
+from tetractl.model.cell import exact
+from tetractl.model.state import Floats
+from tetractl.model.world import Obstacles
+from tetractl.spec.controller import Square
+from tetractl.spec.experiment import Experiment
+
+SAMPLES = 64  # of a side, when a square is checked against the arena
+
+
+def directions(headings: Floats) -> Iterator[float]:
+    """Yield the four directions of a lap [rad] for robots with start headings (N,) [rad]."""
+    start = math.atan2(np.sin(headings).mean(), np.cos(headings).mean())
+    for side in range(1, 5):
+        yield math.remainder(start + side * math.pi / 2, 2 * math.pi)
+
+
+def check_square(experiment: Experiment, square: Square) -> None:
+    """Raise SpecError unless every robot can drive the square inside the arena, past obstacles."""
+    robots = experiment.robots
+    headings = np.array([robot.heading for robot in robots])
+    if np.ptp(np.unwrap(np.sort(headings))) > 1e-6:
+        raise SpecError(
+            "controller.first_plan: a square needs all robots to start with one heading",
+            "turn the robots alike, or use {type: stand}",
+        )
+    obstacles = Obstacles.of(experiment.obstacles)
+    x, y = (np.array([robot.start[axis] for robot in robots]) for axis in (0, 1))
+    a, speed = np.array([robot.a for robot in robots]), np.array([robot.speed for robot in robots])
+    t = np.linspace(0, square.side, SAMPLES)[:, None]
+    for direction in directions(headings):
+        path_x, path_y, turned = exact(x, y, headings, np.array(direction), a, speed, t)
+        for i, robot in enumerate(robots):
+            where = zip(path_x[:, i], path_y[:, i], strict=True)
+            if not all(experiment.arena.contains(px, py) for px, py in where):
+                raise SpecError(
+                    f"controller.first_plan: robot {robot.name} would leave the arena in its square",
+                    "shorten controller.first_plan.side, or use {type: stand}",
+                )
+        if (hit := obstacles.contain(path_x, path_y).any(axis=0)).any():
+            raise SpecError(
+                f"controller.first_plan: robot {robots[int(hit.argmax())].name} would enter an "
+                "obstacle in its square",
+                "shorten controller.first_plan.side, or use {type: stand}",
+            )
+        x, y, headings = path_x[-1], path_y[-1], turned[-1]

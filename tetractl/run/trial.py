@@ -1,0 +1,169 @@
+"""One trial: observe, plan, steer, record, until the controller, a fault or a person ends it."""
+
+import itertools
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tetractl.clock import SECOND, Clock
+from tetractl.control.plan import Controller, Outcome, Plan
+from tetractl.errors import TetractlError
+from tetractl.log.records import Observer, Result, Start, Step
+from tetractl.model.state import Observation
+from tetractl.plant.protocol import Plant, PlantInfo
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.square import directions
+from tetractl.spec.controller import Square
+
+Decision = Plan | Outcome
+
+
+@dataclass(slots=True)
+class Trial:
+    """One trial in the making; `run` does it once.
+
+    `start` holds the facts of the log's head; the plant adds its own when it is opened.
+    """
+
+    start: Start
+    plant: Plant
+    controller: Controller
+    clock: Clock
+    observers: Sequence[Observer]
+    interrupt: Interrupt
+    _solve_ns: list[int] = field(default_factory=list)
+    _solving_ns: int = 0
+    _misses: int = 0
+
+    def run(self) -> Result:
+        """Run to the end. Whatever happens, the robots are stopped before anything else is done.
+
+        A TetractlError or an interruption becomes the outcome; any other exception is raised again
+        once the robots stand and the observers know the result.
+        """
+        bug: Exception | None = None
+        try:
+            info = self.plant.open()
+        except BaseException:
+            self.plant.stop()
+            self.plant.close()
+            raise
+        try:
+            start = replace(self.start, plant=info)
+            for observer in self.observers:
+                observer.on_start(start)
+            outcome, reason = self._steps(info)
+        except KeyboardInterrupt:
+            outcome, reason = Outcome.INTERRUPTED, "stopped at once by a second interruption"
+        except TetractlError as error:
+            outcome, reason = Outcome.ABORTED, str(error)
+        except Exception as error:
+            outcome, reason, bug = Outcome.ABORTED, f"{type(error).__name__}: {error}", error
+        result = self._end(outcome, reason)
+        if bug is not None:
+            raise bug
+        return result
+
+    def _steps(self, info: PlantInfo) -> tuple[Outcome, str]:
+        """Run the control loop of Algorithm 2 until something ends it."""
+        control = self.start.experiment.controller
+        period = round(control.period * SECOND)
+        observation = self.plant.observe()
+        if isinstance(control.first_plan, Square):
+            decision = self._plan_driving(observation, info, control.first_plan)
+        else:
+            decision = self._plan(observation)
+        began = self.clock.now()
+        for k in itertools.count():
+            if isinstance(decision, Outcome):
+                return decision, ""
+            command = self.plant.steer(float(decision.signals[0]))
+            self._solve_ns.append(self._solving_ns)
+            missed = k > 0 and self._solving_ns > period
+            self._misses += missed
+            self._tell_samples()
+            step = Step(k, observation, decision, command, self._solving_ns, missed)
+            for observer in self.observers:
+                observer.on_step(step)
+            if self.interrupt.requested:
+                return Outcome.INTERRUPTED, "interrupted; the step was finished"
+            self._sleep_until(began + (k + 1) * period)
+            observation = self.plant.observe()
+            decision = self._plan(observation)
+        raise AssertionError("unreachable: the loop ends by returning")
+
+    def _plan(self, observation: Observation) -> Decision:
+        with self.interrupt.breakable():
+            return self._timed_plan(observation)
+
+    def _timed_plan(self, observation: Observation) -> Decision:
+        before = time.perf_counter_ns()
+        decision = self.controller.plan(observation)
+        self._solving_ns = time.perf_counter_ns() - before
+        return decision
+
+    def _plan_driving(self, observation: Observation, info: PlantInfo, square: Square) -> Decision:
+        """Compute the first plan while the robots drive squares (IV-B.1)."""
+        side = round(square.side * SECOND)
+        pool = ThreadPoolExecutor(1)
+        try:
+            planning = pool.submit(self._timed_plan, observation)
+            if info.simulated:  # virtual time must not depend on how fast this host plans
+                wait([planning])
+            laps = 0
+            while laps < square.laps or not planning.done():
+                for direction in directions(observation.poses.heading):
+                    command = self.plant.steer(direction)
+                    for observer in self.observers:
+                        observer.on_command(command)
+                    self._sleep_until(self.clock.now() + side)
+                    self._tell_samples()
+                    if self.interrupt.requested:
+                        raise KeyboardInterrupt
+                laps += 1
+            return planning.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    def _sleep_until(self, when: int) -> None:
+        with self.interrupt.breakable():
+            self.clock.sleep_until(when)
+
+    def _tell_samples(self) -> None:
+        samples = self.plant.samples()
+        for observer in self.observers:
+            observer.on_samples(samples)
+
+    def _end(self, outcome: Outcome, reason: str) -> Result:
+        """Stop the robots, let them come to rest, and tell every observer, failed ones too."""
+        stop = self.plant.stop()
+        stopped = self.clock.now()
+        verdict = self.plant.settle()
+        samples = self.plant.samples()
+        self.plant.close()
+        targets = np.array([robot.target for robot in self.start.experiment.robots])
+        errors = np.hypot(*(verdict.final.xy - targets).T)
+        result = Result(
+            outcome=outcome,
+            reason=reason,
+            steps=len(self._solve_ns),
+            duration_s=stopped / SECOND,
+            total_error=float(errors.sum()),
+            robot_errors=tuple(errors.tolist()),
+            verdict=verdict,
+            solve_ns=tuple(self._solve_ns),
+            deadline_misses=self._misses,
+        )
+        failure: TetractlError | None = None
+        for observer in self.observers:
+            try:
+                observer.on_samples(samples)
+                observer.on_stop(stop, result)
+            except TetractlError as error:
+                failure = failure or error
+        if failure is not None and outcome is not Outcome.ABORTED:
+            result = replace(result, outcome=Outcome.ABORTED, reason=str(failure))
+        return result

@@ -1,0 +1,174 @@
+"""Whole trials made up from a seed: every number random, so that nothing survives by luck."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetractl.control.plan import Outcome, Plan, Search
+from tetractl.log.records import EPOCH_NS, Result, Start, Step
+from tetractl.log.writer import LogWriter
+from tetractl.model.state import Observation, Poses
+from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
+from tetractl.spec.experiment import Experiment
+
+SPEC_TEXT = "# as somebody wrote it\nname: made-up   # with a comment, and an ü\n"
+OBSTACLES = [
+    {"type": "rectangle", "left": 1200, "bottom": 1100, "width": 200, "height": 200},
+    {"type": "circle", "center": [700, 1900], "radius": 50.5},
+]
+
+
+@dataclass(frozen=True)
+class Made:
+    """A trial as its loop would emit it: per control step the frames before it, and the step."""
+
+    start: Start
+    rounds: list[tuple[list[Sample], Step]]
+    stop: Command
+    result: Result
+
+    @property
+    def samples(self) -> list[Sample]:
+        return [sample for samples, _ in self.rounds for sample in samples]
+
+    @property
+    def steps(self) -> list[Step]:
+        return [step for _, step in self.rounds]
+
+
+def experiment(robots: int = 3, **fields: Any) -> Experiment:
+    found = {
+        "name": "made-up",
+        "arena": {"left": 600, "bottom": 350, "width": 1600, "height": 1800},
+        "robots": [
+            {
+                "name": f"robot {i}",
+                "start": [900, 800 + 100.1 * i],
+                "heading": 0.1 * i,
+                "target": [1700, 500 + 99.7 * i],
+                "a": 6 / (1 + i),
+                "speed": 180.5 - i,
+                "color": ("green", "#0072b2", None)[i % 3],
+            }
+            for i in range(robots)
+        ],
+        "obstacles": OBSTACLES,
+        "trials": {"count": 3, "seed": 2**64 - 1},
+    }
+    return Experiment.model_validate(found | fields)
+
+
+def trial(
+    seed: int = 1,
+    *,
+    robots: int = 3,
+    steps: int = 8,
+    simulated: bool = True,
+    frames: int = 6,  # per control step
+    first: int = 5,  # searches at step 0
+    iterations: int = 10,
+    length: int = 12,
+    index: int = 0,
+    host_ns: int = 1_000_000,
+    **fields: Any,
+) -> Made:
+    """A trial of `steps` control steps at 5 Hz, the same for the same arguments."""
+    rng = np.random.default_rng(seed)
+    spec = experiment(robots, **fields)
+    period = 200_000_000
+    rounds = []
+    for k in range(steps):
+        samples = []
+        for i in range(frames):
+            sampled = k * period + i * period // frames
+            valid = np.ones(robots, bool) if simulated else rng.random(robots) < 0.9
+            seen = Observation(
+                k * frames + i, sampled, sampled + 5_400_000, _poses(rng, robots), valid
+            )
+            samples.append(Sample(seen, _poses(rng, robots) if simulated else None))
+        rounds.append((samples, _step(rng, k, samples[-1].observation, first, iterations, length)))
+    final = _poses(rng, robots)
+    errors = rng.uniform(0, 500, robots).tolist()
+    result = Result(
+        outcome=Outcome.SEQUENCE_USED_UP,
+        reason="no signal left",
+        steps=steps,
+        duration_s=steps * 0.2,
+        total_error=sum(errors),
+        robot_errors=tuple(errors),
+        verdict=Verdict(final, (True,) + (False,) * (robots - 1), _clearances(rng, robots)),
+        solve_ns=tuple(int(n) + host_ns for n in rng.integers(0, 10**9, steps)),
+        deadline_misses=host_ns % 7,
+    )
+    start = Start(
+        experiment=spec,
+        spec_text=SPEC_TEXT,
+        spec_name="made-up.yaml",
+        trial=index,
+        plant=PlantInfo(
+            "sim" if simulated else "lab", simulated, 120.0, {"a": repr(rng.random()), "fw": "ü=1"}
+        ),
+        start_unix_ns=EPOCH_NS if simulated else 1_790_000_000_123_456_789,
+    )
+    stop = Command(None, steps * period, tuple((rng.random(robots) < 0.5).tolist()))
+    for _, step in rounds:
+        object.__setattr__(step, "solve_ns", step.solve_ns + host_ns)
+    return Made(start, rounds, stop, result)
+
+
+def write(made: Made, path: Path) -> Path:
+    """Write a made-up trial as the loop would."""
+    with LogWriter(path) as writer:
+        writer.on_start(made.start)
+        for samples, step in made.rounds:
+            writer.on_samples(samples)
+            writer.on_step(step)
+        writer.on_stop(made.stop, made.result)
+    return path
+
+
+def _poses(rng: np.random.Generator, robots: int) -> Poses:
+    return Poses.of(rng.normal(1000, 300, (robots, 3)))
+
+
+def _clearances(rng: np.random.Generator, robots: int) -> tuple[float, ...]:
+    return (float("inf"), *rng.normal(10, 30, robots - 1).tolist())
+
+
+def _step(
+    rng: np.random.Generator, k: int, seen: Observation, first: int, iterations: int, length: int
+) -> Step:
+    robots = len(seen.valid)
+    lengths = range(length - first + 1, length + 1) if k == 0 else (length - 1, length, length + 1)
+    searches = tuple(
+        Search(
+            length=n,
+            signals=rng.uniform(-np.pi, np.pi, n),
+            cost=float(rng.uniform(0, 2000)),
+            history=np.sort(rng.uniform(0, 2000, iterations + 1))[::-1].copy(),
+            evaluations=int(rng.integers(1, 2**40)),
+            stopped=str(rng.choice(["criterion", "iterations"])),
+        )
+        for n in lengths
+    )
+    chosen = int(rng.integers(len(searches)))
+    plan = Plan(
+        signals=searches[chosen].signals,
+        path=rng.normal(1000, 300, (lengths[chosen] + 1, robots, 3)),
+        cost=searches[chosen].cost,
+        target_cost=float(rng.uniform(0, 2000)),
+        obstacle_cost=float(rng.integers(3)),
+        searches=searches,
+        chosen=chosen,
+        generator=int(rng.integers(2**63, 2**64, dtype=np.uint64)),
+    )
+    command = Command(
+        direction=float(plan.signals[0]),
+        sent_ns=seen.received_ns + int(rng.integers(10**6)),
+        delivered=tuple((rng.random(robots) < 0.9).tolist()),
+        left=rng.normal(0, 200, robots) if k % 2 else None,
+        right=rng.normal(0, 200, robots) if k % 2 else None,
+    )
+    return Step(k, seen, plan, command, int(rng.integers(10**9)), bool(rng.random() < 0.1))

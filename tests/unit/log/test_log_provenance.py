@@ -1,0 +1,77 @@
+"""Facts of the machine and the source tree."""
+
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tetractl import __version__
+from tetractl.log import provenance
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A git checkout in whose tetractl/log/provenance.py we pretend to be."""
+    package = tmp_path / "tetractl"
+    (package / "log").mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    monkeypatch.setattr(provenance, "__file__", str(package / "log" / "provenance.py"))
+    for cached in (provenance.versions, provenance.environment):
+        cached.cache_clear()
+    yield tmp_path
+    for cached in (provenance.versions, provenance.environment):
+        cached.cache_clear()
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    names = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+    done = subprocess.run(
+        ["git", *names, *arguments], cwd=folder, capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
+
+
+def test_versions_are_those_in_use() -> None:
+    facts = provenance.versions()
+    assert facts["numpy"] == np.__version__
+    assert facts["tetractl"] == __version__
+    assert facts.keys() <= provenance.VERSION_KEYS
+
+
+def test_a_clean_and_a_changed_checkout(checkout: Path) -> None:
+    _git(checkout, "init", "-q")
+    _git(checkout, "add", ".")
+    _git(checkout, "commit", "-q", "-m", "one")
+    facts = provenance.versions()
+    assert facts["git_commit"] == _git(checkout, "rev-parse", "HEAD")
+    assert facts["git_dirty"] == "false"
+    assert "git_diff" not in json.loads(provenance.environment())
+    (checkout / "tetractl" / "__init__.py").write_text("changed = True\n")
+    provenance.versions.cache_clear()
+    provenance.environment.cache_clear()
+    assert provenance.versions()["git_dirty"] == "true"
+    assert "+changed = True" in json.loads(provenance.environment())["git_diff"]
+
+
+def test_a_package_inside_a_foreign_checkout_has_no_commit(checkout: Path) -> None:
+    _git(checkout, "init", "-q")
+    (checkout / "theirs.txt").write_text("theirs")
+    _git(checkout, "add", "theirs.txt")
+    _git(checkout, "commit", "-q", "-m", "theirs")
+    assert "git_commit" not in provenance.versions()
+
+
+def test_without_git_there_is_no_commit(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(checkout))
+    facts = provenance.versions()
+    assert "git_commit" not in facts
+    assert facts["numpy"] == np.__version__
+
+
+def test_the_environment_lists_packages() -> None:
+    facts = json.loads(provenance.environment())
+    assert facts["packages"]["numpy"] == np.__version__
+    assert facts["host"] == provenance.host()

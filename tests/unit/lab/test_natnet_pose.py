@@ -1,0 +1,72 @@
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tetractl.lab.natnet.messages import RigidBody
+from tetractl.lab.natnet.pose import UpAxis, planar_pose
+
+angles = st.floats(-math.pi, math.pi)
+
+
+def body(position=(1.0, 2.0, 3.0), quaternion=(0.0, 0.0, 0.0, 1.0), valid=True):
+    return RigidBody(1, position, quaternion, 0.0, valid)
+
+
+def turned_about(axis, angle):
+    """Return the quaternion of a turn about x, y or z (0, 1, 2)."""
+    values = [0.0, 0.0, 0.0, math.cos(angle / 2)]
+    values[axis] = math.sin(angle / 2)
+    return tuple(values)
+
+
+def product(p, q):
+    (a, b, c, d), (e, f, g, h) = p, q
+    return (
+        d * e + a * h + b * g - c * f,
+        d * f - a * g + b * h + c * e,
+        d * g + a * f - b * e + c * h,
+        d * h - a * e - b * f - c * g,
+    )
+
+
+def same_angle(a, b):
+    return abs(math.remainder(a - b, math.tau)) < 1e-9
+
+
+@given(angle=angles, offset=angles)
+def test_heading_is_the_turn_about_the_vertical(angle, offset):
+    z_up = planar_pose(body(quaternion=turned_about(2, angle)), UpAxis.Z, offset)
+    y_up = planar_pose(body(quaternion=turned_about(1, angle)), UpAxis.Y, offset)
+    assert (z_up.x, z_up.y) == (1.0, 2.0)
+    assert (y_up.x, y_up.y) == (1.0, -3.0)
+    assert same_angle(z_up.heading, angle + offset)
+    assert same_angle(y_up.heading, angle + offset)
+    assert abs(y_up.heading) <= math.pi
+
+
+@given(heading=angles, tilt=st.floats(-1.0, 1.0))
+def test_heading_is_where_the_bodys_x_axis_points_also_when_tilted(heading, tilt):
+    z_up = product(turned_about(2, heading), turned_about(1, tilt))
+    y_up = product(turned_about(1, heading), turned_about(2, tilt))
+    assert same_angle(planar_pose(body(quaternion=z_up), UpAxis.Z).heading, heading)
+    assert same_angle(planar_pose(body(quaternion=y_up), UpAxis.Y).heading, heading)
+
+
+@pytest.mark.parametrize(
+    "untracked",
+    [
+        body(valid=False),
+        body(valid=None),  # protocol 2.5 does not say
+        body(position=(math.nan, 0.0, 0.0)),
+        body(position=(0.0, math.inf, 0.0)),
+        body(quaternion=(0.0, 0.0, 0.0, math.nan)),
+        body(quaternion=(0.0, 0.0, 0.0, math.inf)),
+        body(quaternion=(0.0, 0.0, 0.0, 0.0)),
+        body(quaternion=(0.0, 0.0, 0.0, 1.01)),
+    ],
+)
+def test_what_cannot_be_trusted_is_not_tracked(untracked):
+    assert planar_pose(untracked, UpAxis.Z) is None
+    assert planar_pose(untracked, UpAxis.Y) is None

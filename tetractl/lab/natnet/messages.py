@@ -1,0 +1,243 @@
+"""What NatNet datagrams say, as plain values. Positions are in metres, quaternions unit."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+COMMAND_PORT = 1510
+DATA_PORT = 1511
+MULTICAST_GROUP = "239.255.42.99"
+
+Quad = tuple[int, int, int, int]
+Vec3 = tuple[float, float, float]
+
+
+class Version(NamedTuple):
+    """A protocol version: 2.10 is newer than 2.9."""
+
+    major: int
+    minor: int
+
+    @property
+    def known(self) -> bool:
+        """Whether the layouts of this version are known; newer ones are read as 4.3."""
+        return OLDEST <= self <= NEWEST
+
+    def __str__(self) -> str:
+        return f"{self.major}.{self.minor}"
+
+
+OLDEST = Version(2, 5)
+NEWEST = Version(4, 3)
+
+
+class Kind(IntEnum):
+    """Message ids."""
+
+    CONNECT = 0
+    SERVER_INFO = 1
+    REQUEST = 2
+    RESPONSE = 3
+    REQUEST_MODELDEF = 4
+    MODELDEF = 5
+    REQUEST_FRAME = 6
+    FRAME = 7
+    TEXT = 8
+    DISCONNECT = 9
+    KEEPALIVE = 10
+    ECHO_REQUEST = 12
+    ECHO_RESPONSE = 13
+    UNRECOGNIZED = 100
+
+
+@dataclass(frozen=True, slots=True)
+class RigidBody:
+    """One rigid body of a frame.
+
+    `position` in m and `quaternion` (qx, qy, qz, qw) in the server's axes, `mean_error` of its
+    markers in m. An untracked body stays in the frame with its last pose: only `tracking_valid`
+    tells. It is None in 2.5, which does not say; such a body must not be taken for tracked.
+    """
+
+    id: int
+    position: Vec3
+    quaternion: tuple[float, float, float, float]
+    mean_error: float
+    tracking_valid: bool | None
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """Server clock ticks of a frame (3.0 on); `ServerInfo.clock_hz` tells their rate."""
+
+    exposure: int  # middle of the exposure
+    received: int  # the server had the camera data
+    transmit: int  # the datagram left
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One camera frame. None stands for what the protocol version does not have."""
+
+    number: int
+    bodies: tuple[RigidBody, ...]
+    timecode: int = 0
+    subframe: int = 0
+    params: int = 0
+    latency: float | None = None  # before 3.0, as the server says it
+    timestamp_s: float | None = None  # from 2.6
+    ticks: Ticks | None = None  # from 3.0
+    precision: tuple[int, int] | None = None  # from 4.1: seconds, fraction
+
+    @property
+    def recording(self) -> bool:
+        """The server is recording."""
+        return bool(self.params & 1)
+
+    @property
+    def models_changed(self) -> bool:
+        """Rigid bodies were added or removed: ask for MODELDEF again."""
+        return bool(self.params & 2)
+
+    @property
+    def edit_mode(self) -> bool:
+        """Motive is in edit mode: what it streams is a recording, not the robots."""
+        return bool(self.params & 4)
+
+    @property
+    def bitstream_changed(self) -> bool:
+        """The server changed the protocol version."""
+        return bool(self.params & 8)
+
+
+@dataclass(frozen=True, slots=True)
+class Channels:
+    """A force plate or another device: some samples of each channel."""
+
+    id: int
+    samples: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Clutter:
+    """The rest of a frame, which parsing skips; only a server packs it."""
+
+    marker_sets: tuple[tuple[str, tuple[Vec3, ...]], ...] = ()
+    other_markers: tuple[Vec3, ...] = ()
+    body_markers: tuple[Vec3, ...] = ()  # of every rigid body, before 3.0
+    skeletons: tuple[tuple[int, tuple[RigidBody, ...]], ...] = ()
+    assets: tuple[tuple[int, tuple[RigidBody, ...], tuple[Vec3, ...]], ...] = ()
+    labelled_markers: tuple[tuple[int, Vec3], ...] = ()
+    force_plates: tuple[Channels, ...] = ()
+    devices: tuple[Channels, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class BodyName:
+    """A rigid body's name and the id it has in frames."""
+
+    name: str
+    id: int
+    parent: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class ModelDef:
+    """The rigid bodies a server streams.
+
+    `complete` is False where a data set of unknown layout and unknown size (before 4.1) ended the
+    reading early: a missing name is then no proof that there is no such body.
+    """
+
+    bodies: tuple[BodyName, ...]
+    complete: bool = True
+
+    def ids(self) -> dict[str, int]:
+        """Return name -> id."""
+        return {body.name: body.id for body in self.bodies}
+
+
+@dataclass(frozen=True, slots=True)
+class Connect:
+    """The client's first message; `bitstream` (4.x clients) pins the version, unicast only."""
+
+    name: str = ""
+    app_version: Quad = (0, 0, 0, 0)
+    natnet_version: Quad = (0, 0, 0, 0)
+    subscribed_only: bool = False
+    bitstream: Quad | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ServerInfo:
+    """The answer to CONNECT; the last four fields come from 3.0 on, else None."""
+
+    name: str
+    app_version: Quad
+    natnet_version: Quad
+    clock_hz: int | None = None
+    data_port: int | None = None
+    multicast: bool | None = None
+    group: Quad | None = None
+
+    @property
+    def version(self) -> Version:
+        """The protocol version its frames are in, unless CONNECT pinned another."""
+        return Version(*self.natnet_version[:2])
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A remote command, such as `FrameRate`, `UpAxis` or `UnitsToMillimeters`."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """The answer to a request: four bytes of number, or text; the request tells which."""
+
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class EchoRequest:
+    """Asks for the server's clock; `client` comes back as it was sent."""
+
+    client: int
+
+
+@dataclass(frozen=True, slots=True)
+class EchoResponse:
+    """The server's clock [ticks] when it answered."""
+
+    client: int
+    server: int
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A message for people."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Bare:
+    """A message whose id says all: KEEPALIVE, REQUEST_MODELDEF, UNRECOGNIZED and the like."""
+
+    kind: Kind
+
+
+Message = (
+    Frame
+    | ModelDef
+    | Connect
+    | ServerInfo
+    | Request
+    | Response
+    | EchoRequest
+    | EchoResponse
+    | Text
+    | Bare
+)

@@ -1,0 +1,233 @@
+"""What XBee API frames say: one dataclass a frame type, big-endian fields in wire order.
+
+Both directions are packed and parsed: the PC sends what an emulated module receives. In
+transparent mode, which the robots' modules use, there are no frames: bytes go as they are.
+"""
+
+import struct
+from dataclasses import astuple, dataclass
+from typing import Any, ClassVar
+
+from tetractl.lab.errors import WireError
+
+BROADCAST_16 = 0xFFFF
+BROADCAST_64 = 0x000000000000FFFF
+UNKNOWN_16 = 0xFFFE  # "look the short address up", in frame 0x10
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A frame type: `API` is its id, `LAYOUT` its fields; a last field `data` takes the rest."""
+
+    API: ClassVar[int]
+    LAYOUT: ClassVar[struct.Struct]
+    HAS_DATA: ClassVar[bool] = True
+
+
+@dataclass(frozen=True, slots=True)
+class Transmit64(Frame):
+    """0x00: send to a 64-bit address; a `frame_id` of 0 asks for no status."""
+
+    API = 0x00
+    LAYOUT = struct.Struct(">BQB")
+    frame_id: int
+    destination: int
+    options: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Transmit16(Frame):
+    """0x01: send to a 16-bit address, 0xFFFF to all, which is never acknowledged."""
+
+    API = 0x01
+    LAYOUT = struct.Struct(">BHB")
+    frame_id: int
+    destination: int
+    options: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class AtCommand(Frame):
+    """0x08: set or, without data, ask for a parameter of the local module."""
+
+    API = 0x08
+    LAYOUT = struct.Struct(">B2s")
+    frame_id: int
+    command: bytes  # two letters
+    data: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Transmit(Frame):
+    """0x10: send to a 64- and a 16-bit address (newer firmware)."""
+
+    API = 0x10
+    LAYOUT = struct.Struct(">BQHBB")
+    frame_id: int
+    destination: int
+    short: int
+    radius: int
+    options: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteAt(Frame):
+    """0x17: an AT command for another module."""
+
+    API = 0x17
+    LAYOUT = struct.Struct(">BQHB2s")
+    frame_id: int
+    destination: int
+    short: int
+    options: int
+    command: bytes
+    data: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Receive64(Frame):
+    """0x80: data from a 64-bit address; `rssi` in -dBm."""
+
+    API = 0x80
+    LAYOUT = struct.Struct(">QBB")
+    source: int
+    rssi: int
+    options: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Receive16(Frame):
+    """0x81: data from a 16-bit address; `rssi` in -dBm."""
+
+    API = 0x81
+    LAYOUT = struct.Struct(">HBB")
+    source: int
+    rssi: int
+    options: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class AtResponse(Frame):
+    """0x88: what became of an AT command; status 0 is good."""
+
+    API = 0x88
+    LAYOUT = struct.Struct(">B2sB")
+    frame_id: int
+    command: bytes
+    status: int
+    data: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class TransmitStatus(Frame):
+    """0x89: what became of a 0x00 or 0x01; of a broadcast it proves nothing."""
+
+    API = 0x89
+    LAYOUT = struct.Struct(">BB")
+    HAS_DATA = False
+    frame_id: int
+    status: int
+
+
+@dataclass(frozen=True, slots=True)
+class TransmitStatusLong(Frame):
+    """0x8B: what became of a 0x10."""
+
+    API = 0x8B
+    LAYOUT = struct.Struct(">BHBBB")
+    HAS_DATA = False
+    frame_id: int
+    short: int
+    retries: int
+    delivery: int
+    discovery: int
+
+
+@dataclass(frozen=True, slots=True)
+class Receive(Frame):
+    """0x90: data, from newer firmware."""
+
+    API = 0x90
+    LAYOUT = struct.Struct(">QHB")
+    source: int
+    short: int
+    options: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteAtResponse(Frame):
+    """0x97: what became of a 0x17."""
+
+    API = 0x97
+    LAYOUT = struct.Struct(">BQH2sB")
+    frame_id: int
+    source: int
+    short: int
+    command: bytes
+    status: int
+    data: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Other:
+    """A frame of a type not named here, such as a modem status."""
+
+    api: int
+    data: bytes
+
+
+FRAME_TYPES: dict[int, type[Frame]] = {
+    kind.API: kind
+    for kind in (
+        Transmit64,
+        Transmit16,
+        AtCommand,
+        Transmit,
+        RemoteAt,
+        Receive64,
+        Receive16,
+        AtResponse,
+        TransmitStatus,
+        TransmitStatusLong,
+        Receive,
+        RemoteAtResponse,
+    )
+}
+
+
+def pack_content(frame: Frame | Other) -> bytes:
+    """Pack a frame's content: what stands between its length and its checksum."""
+    if isinstance(frame, Other):
+        if not 0 <= frame.api <= 0xFF:
+            raise WireError(f"not an API id: {frame.api}")
+        return bytes([frame.api]) + frame.data
+    values = astuple(frame)
+    fields, data = (values[:-1], values[-1]) if frame.HAS_DATA else (values, b"")
+    if isinstance(frame, AtCommand | RemoteAt | AtResponse | RemoteAtResponse) and (
+        len(frame.command) != 2
+    ):
+        raise WireError(f"an AT command has two letters: {frame.command!r}")
+    try:
+        return bytes([frame.API]) + frame.LAYOUT.pack(*fields) + data
+    except struct.error as error:
+        raise WireError(f"cannot pack a {type(frame).__name__}: {error}") from None
+
+
+def parse_content(content: bytes) -> Frame | Other:
+    """Read a frame's content; WireError where it is too short or too long for its type."""
+    if not content:
+        raise WireError("an empty frame")
+    kind: Any = FRAME_TYPES.get(content[0])
+    if kind is None:
+        return Other(content[0], content[1:])
+    size = 1 + kind.LAYOUT.size
+    if len(content) < size or (len(content) > size and not kind.HAS_DATA):
+        raise WireError(f"a {kind.__name__} of {len(content)} bytes")
+    fields = kind.LAYOUT.unpack_from(content, 1)
+    return kind(*fields, content[size:]) if kind.HAS_DATA else kind(*fields)

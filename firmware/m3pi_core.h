@@ -1,0 +1,88 @@
+/* What an m3pi does with the bytes its radio hands it: frames in, wheel counts and replies out.
+ *
+ * Portable C99 without I/O, clock, heap or floats, so that the very same code runs on the robot,
+ * in host tests and inside the emulated robots. The caller passes the time in.
+ *
+ * Frame, COBS-stuffed and closed by 00:
+ *   51 sequence flags n {i8 left, i8 right} * n, CRC-16/CCITT-FALSE little-endian
+ * Reply to a poll, sent `index` slots after it, framed alike:
+ *   52 index sequence status u16 battery_mv u16 received u16 rejected, CRC
+ *
+ * Sequence: a frame is new if it is 1 to 127 steps ahead of the last new one, modulo 256; or if
+ * the robot has been silent (nothing new for M3PI_WATCHDOG_MS, or nothing since power-up), which
+ * is how a restarted controller is taken up. Frames that are not new never set wheels and never
+ * feed the watchdog; but a frame that tells to stop is obeyed, new or not.
+ *
+ * Emergency stop: latched by any frame that checks and has the flag. Only m3pi_init clears it,
+ * that is, switching the robot off and on.
+ */
+#ifndef M3PI_CORE_H
+#define M3PI_CORE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define M3PI_ROBOTS_MAX 32u
+#define M3PI_FRAME_MAX (4u + 2u * M3PI_ROBOTS_MAX + 2u) /* unstuffed, with CRC */
+#define M3PI_REPLY_SIZE 14u                             /* stuffed, with the closing 00 */
+#define M3PI_WATCHDOG_MS 250u
+#define M3PI_REPLY_SLOT_MS 10u
+
+enum { M3PI_FLAG_RUN = 1, M3PI_FLAG_EMERGENCY_STOP = 2, M3PI_FLAG_POLL = 4 };
+enum { M3PI_STATUS_RUNNING = 1, M3PI_STATUS_EMERGENCY_STOPPED = 2, M3PI_STATUS_SILENT = 4 };
+
+typedef enum {
+    M3PI_NOTHING,  /* in the middle of a frame */
+    M3PI_ACCEPTED, /* a new frame */
+    M3PI_STALE,    /* a good frame, old or a duplicate; only a stop in it was obeyed */
+    M3PI_REJECTED, /* wrong stuffing, length, CRC, flags or counts */
+    M3PI_FOREIGN   /* a good frame that is no command, such as another robot's reply */
+} m3pi_event;
+
+/* Private: use the functions. */
+typedef struct {
+    uint32_t heard_ms; /* the last new frame */
+    uint32_t due_ms;   /* when the pending reply is to leave */
+    uint16_t battery_mv, received, rejected;
+    uint8_t index;
+    uint8_t sequence;
+    uint8_t echo;
+    int8_t left, right;
+    bool running, silent, emergency_stopped, reply_pending;
+    uint8_t length, code, code_left; /* of the frame coming in */
+    bool started, overlong;
+    uint8_t frame[M3PI_FRAME_MAX];
+} m3pi_core;
+
+/* Power-up: stopped, silent, not latched. `index` is the robot's place in the frame, from 0. */
+void m3pi_init(m3pi_core *core, uint8_t index);
+
+/* Take one byte from the radio. */
+m3pi_event m3pi_push(m3pi_core *core, uint8_t byte, uint32_t now_ms);
+
+/* Give the counts, -127..127, to drive with now. Call it at least every few milliseconds: the
+ * watchdog is judged here. */
+void m3pi_wheels(m3pi_core *core, uint32_t now_ms, int8_t *left, int8_t *right);
+
+/* Write the reply that is due now, if any, and return its size, else 0. */
+size_t m3pi_take_reply(m3pi_core *core, uint32_t now_ms, uint8_t reply[M3PI_REPLY_SIZE]);
+
+/* Tell the battery's voltage for the next replies; 0 for unknown. */
+void m3pi_set_battery(m3pi_core *core, uint16_t battery_mv);
+
+/* M3PI_STATUS_ bits as they stand now. */
+uint8_t m3pi_status(m3pi_core *core, uint32_t now_ms);
+
+/* Size of m3pi_core, for callers that cannot see the type. */
+size_t m3pi_size(void);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

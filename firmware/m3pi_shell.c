@@ -1,0 +1,88 @@
+#include "m3pi_shell.h"
+
+#include <string.h>
+
+#define BYTES_A_STEP 256 /* so that a babbling radio cannot hold up the motors */
+
+enum { M1_FORWARD = 0xC1, M2_FORWARD = 0xC5, BATTERY = 0xB1 }; /* backward is one more */
+
+static void drive(m3pi_shell *shell, int8_t left, int8_t right, uint32_t now_ms)
+{
+    const uint8_t command[4] = {
+        (uint8_t)(left < 0 ? M1_FORWARD + 1 : M1_FORWARD),
+        (uint8_t)(left < 0 ? -left : left),
+        (uint8_t)(right < 0 ? M2_FORWARD + 1 : M2_FORWARD),
+        (uint8_t)(right < 0 ? -right : right),
+    };
+    shell->hal.base_write(shell->hal.context, command, sizeof command);
+    shell->left = left;
+    shell->right = right;
+    shell->sent_ms = now_ms;
+}
+
+static void listen_to_base(m3pi_shell *shell)
+{
+    for (int i = 0; i < BYTES_A_STEP; i++) {
+        const int byte = shell->hal.base_read(shell->hal.context);
+        if (byte < 0) {
+            return;
+        }
+        if (shell->awaits_battery) {
+            shell->answer[shell->answered++] = (uint8_t)byte;
+            if (shell->answered == sizeof shell->answer) {
+                shell->awaits_battery = false;
+                m3pi_set_battery(&shell->core,
+                                 (uint16_t)(shell->answer[0] | (unsigned)shell->answer[1] << 8));
+            }
+        }
+    }
+}
+
+static void ask_battery(m3pi_shell *shell, uint32_t now_ms)
+{
+    const uint8_t query = BATTERY;
+    if (shell->awaits_battery) {
+        m3pi_set_battery(&shell->core, 0);
+    }
+    shell->hal.base_write(shell->hal.context, &query, 1);
+    shell->awaits_battery = true;
+    shell->answered = 0;
+    shell->asked_ms = now_ms;
+}
+
+void m3pi_shell_start(m3pi_shell *shell, const m3pi_hal *hal, uint8_t index, uint32_t now_ms)
+{
+    memset(shell, 0, sizeof *shell);
+    m3pi_init(&shell->core, index);
+    shell->hal = *hal;
+    drive(shell, 0, 0, now_ms);
+    ask_battery(shell, now_ms);
+}
+
+void m3pi_shell_step(m3pi_shell *shell, uint32_t now_ms)
+{
+    uint8_t reply[M3PI_REPLY_SIZE];
+    size_t size;
+    int8_t left, right;
+
+    for (int i = 0; i < BYTES_A_STEP; i++) {
+        const int byte = shell->hal.radio_read(shell->hal.context);
+        if (byte < 0) {
+            break;
+        }
+        (void)m3pi_push(&shell->core, (uint8_t)byte, now_ms);
+    }
+    m3pi_wheels(&shell->core, now_ms, &left, &right);
+    if (left != shell->left || right != shell->right ||
+        (uint32_t)(now_ms - shell->sent_ms) >= M3PI_REPEAT_MS) {
+        drive(shell, left, right, now_ms);
+    }
+    listen_to_base(shell);
+    if ((uint32_t)(now_ms - shell->asked_ms) >= M3PI_BATTERY_MS) {
+        ask_battery(shell, now_ms);
+    }
+    size = m3pi_take_reply(&shell->core, now_ms, reply);
+    if (size > 0) {
+        shell->hal.radio_write(shell->hal.context, reply, size);
+    }
+}

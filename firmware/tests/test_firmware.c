@@ -1,0 +1,314 @@
+/* Host tests of the core and the shell; the Python side drives the core again, against its codec. */
+#include "m3pi_shell.h"
+
+#include <stdio.h>
+#include <string.h>
+
+static int failures;
+
+#define CHECK(what)                                                      \
+    do {                                                                 \
+        if (!(what)) {                                                   \
+            printf("%s:%d: %s: %s\n", __FILE__, __LINE__, __func__, #what); \
+            failures++;                                                  \
+        }                                                                \
+    } while (0)
+
+static uint16_t crc16(const uint8_t *data, size_t length) /* by nibbles: not the core's way */
+{
+    unsigned crc = 0xFFFFu;
+    for (size_t i = 0; i < length; i++) {
+        unsigned x = ((crc >> 8) ^ data[i]) & 0xFFu;
+        x ^= x >> 4;
+        crc = ((crc << 8) ^ (x << 12) ^ (x << 5) ^ x) & 0xFFFFu;
+    }
+    return (uint16_t)crc;
+}
+
+static size_t stuff(const uint8_t *data, size_t length, uint8_t *out)
+{
+    size_t code = 0, at = 1;
+    for (size_t i = 0; i < length; i++) {
+        if (data[i] != 0) {
+            out[at++] = data[i];
+        } else {
+            out[code] = (uint8_t)(at - code);
+            code = at++;
+        }
+    }
+    out[code] = (uint8_t)(at - code);
+    out[at++] = 0;
+    return at;
+}
+
+/* One robot's frame for index 0, or `robots` times the same wheels. */
+static size_t make(uint8_t *out, uint8_t sequence, uint8_t flags, uint8_t robots, int8_t left,
+                   int8_t right)
+{
+    uint8_t body[M3PI_FRAME_MAX + 8] = {0x51, sequence, flags, robots};
+    size_t size = 4;
+    for (uint8_t i = 0; i < robots; i++) {
+        body[size++] = (uint8_t)left;
+        body[size++] = (uint8_t)right;
+    }
+    const uint16_t crc = crc16(body, size);
+    body[size++] = (uint8_t)(crc & 0xFFu);
+    body[size++] = (uint8_t)(crc >> 8);
+    return stuff(body, size, out);
+}
+
+static m3pi_event push(m3pi_core *core, const uint8_t *data, size_t length, uint32_t now)
+{
+    m3pi_event last = M3PI_NOTHING;
+    for (size_t i = 0; i < length; i++) {
+        last = m3pi_push(core, data[i], now);
+    }
+    return last;
+}
+
+static m3pi_event send(m3pi_core *core, uint8_t sequence, uint8_t flags, int8_t left, int8_t right,
+                       uint32_t now)
+{
+    uint8_t frame[128];
+    return push(core, frame, make(frame, sequence, flags, 1, left, right), now);
+}
+
+static bool drives(m3pi_core *core, uint32_t now, int left, int right)
+{
+    int8_t l, r;
+    m3pi_wheels(core, now, &l, &r);
+    return l == left && r == right;
+}
+
+static void test_documented_frame(void)
+{
+    const uint8_t frame[] = {0x09, 0x51, 0x07, 0x01, 0x03, 0x40, 0xC0,
+                             0x7F, 0x7F, 0x01, 0x01, 0x02, 0x7D, 0x00};
+    const int wheels[4][2] = {{64, -64}, {127, 127}, {0, 0}, {0, 0}};
+    for (uint8_t index = 0; index < 4; index++) {
+        m3pi_core core;
+        m3pi_init(&core, index);
+        CHECK(drives(&core, 0, 0, 0));
+        CHECK(push(&core, frame, sizeof frame, 1000) == M3PI_ACCEPTED);
+        CHECK(drives(&core, 1000, wheels[index][0], wheels[index][1]));
+        CHECK(m3pi_status(&core, 1000) == (index < 3 ? M3PI_STATUS_RUNNING : 0));
+    }
+}
+
+static void test_damaged_frames_change_nothing(void)
+{
+    uint8_t frame[128], bad[128];
+    const size_t size = make(frame, 8, M3PI_FLAG_RUN, 1, 20, 30);
+    for (size_t at = 0; at + 1 < size; at++) {
+        for (unsigned bit = 0; bit < 8; bit++) {
+            m3pi_core core;
+            m3pi_init(&core, 0);
+            CHECK(send(&core, 7, M3PI_FLAG_RUN, 5, 6, 0) == M3PI_ACCEPTED);
+            memcpy(bad, frame, size);
+            bad[at] = (uint8_t)(bad[at] ^ (1u << bit));
+            CHECK(push(&core, bad, size, 1) == M3PI_REJECTED);
+            CHECK(drives(&core, 1, 5, 6));
+            CHECK(send(&core, 8, M3PI_FLAG_RUN, 7, 8, 2) == M3PI_ACCEPTED); /* resynchronised */
+            CHECK(drives(&core, 2, 7, 8));
+        }
+    }
+}
+
+static void test_malformed_frames(void)
+{
+    uint8_t frame[256], flood[1000];
+    m3pi_core core;
+    m3pi_init(&core, 0);
+    CHECK(send(&core, 1, 8, 5, 5, 0) == M3PI_REJECTED);    /* unknown flag */
+    CHECK(send(&core, 1, 1, -128, 5, 0) == M3PI_REJECTED); /* no count */
+    CHECK(push(&core, frame, make(frame, 1, 1, 33, 1, 1), 0) == M3PI_REJECTED);
+    memset(flood, 0x55, sizeof flood);
+    CHECK(push(&core, flood, sizeof flood, 0) == M3PI_NOTHING);
+    CHECK(m3pi_push(&core, 0, 0) == M3PI_REJECTED);
+    CHECK(m3pi_push(&core, 0, 0) == M3PI_NOTHING);
+    CHECK(push(&core, frame, make(frame, 1, 1, 32, 9, 9), 0) == M3PI_ACCEPTED);
+    CHECK(drives(&core, 0, 9, 9));
+}
+
+static void test_watchdog(void)
+{
+    m3pi_core core;
+    m3pi_init(&core, 0);
+    CHECK(m3pi_status(&core, 0) == M3PI_STATUS_SILENT);
+    (void)send(&core, 1, M3PI_FLAG_RUN, 50, 60, 1000);
+    CHECK(drives(&core, 1249, 50, 60));
+    CHECK(drives(&core, 1250, 0, 0));
+    CHECK(m3pi_status(&core, 1250) == M3PI_STATUS_SILENT);
+    CHECK(drives(&core, 1001, 0, 0)); /* a clock that goes back does not wake it */
+    CHECK(drives(&core, 1000u + 0x80000000u, 0, 0));
+    (void)send(&core, 2, M3PI_FLAG_RUN, 50, 60, UINT32_MAX - 99); /* across the wrap */
+    CHECK(drives(&core, 149, 50, 60));
+    CHECK(drives(&core, 150, 0, 0));
+}
+
+static void test_sequence(void)
+{
+    m3pi_core core;
+    m3pi_init(&core, 0);
+    CHECK(send(&core, 250, M3PI_FLAG_RUN, 1, 1, 0) == M3PI_ACCEPTED);
+    CHECK(send(&core, 250, M3PI_FLAG_RUN, 2, 2, 100) == M3PI_STALE); /* duplicate */
+    CHECK(send(&core, 249, M3PI_FLAG_RUN, 2, 2, 100) == M3PI_STALE); /* old */
+    CHECK(send(&core, 122, M3PI_FLAG_RUN, 2, 2, 100) == M3PI_STALE); /* 128 ahead: old */
+    CHECK(drives(&core, 249, 1, 1));
+    CHECK(drives(&core, 250, 0, 0)); /* stale frames did not feed the watchdog */
+    m3pi_init(&core, 0);
+    CHECK(send(&core, 250, M3PI_FLAG_RUN, 1, 1, 0) == M3PI_ACCEPTED);
+    CHECK(send(&core, 121, M3PI_FLAG_RUN, 2, 2, 1) == M3PI_ACCEPTED); /* 127 ahead, wrapped */
+    CHECK(drives(&core, 1, 2, 2));
+    CHECK(send(&core, 3, M3PI_FLAG_RUN, 3, 3, 200) == M3PI_STALE); /* controller restarts ... */
+    CHECK(send(&core, 4, M3PI_FLAG_RUN, 3, 3, 251) == M3PI_ACCEPTED); /* ... taken up here */
+    CHECK(drives(&core, 251, 3, 3));
+    CHECK(send(&core, 1, 0, 9, 9, 252) == M3PI_STALE); /* a stop is obeyed, even an old one */
+    CHECK(drives(&core, 252, 0, 0));
+    CHECK(send(&core, 5, M3PI_FLAG_RUN, 4, 4, 253) == M3PI_ACCEPTED);
+    CHECK(drives(&core, 253, 4, 4));
+}
+
+static void test_emergency_stop_is_latched(void)
+{
+    m3pi_core core;
+    m3pi_init(&core, 0);
+    (void)send(&core, 10, M3PI_FLAG_RUN, 9, 9, 0);
+    CHECK(send(&core, 9, M3PI_FLAG_RUN | M3PI_FLAG_EMERGENCY_STOP, 9, 9, 1) == M3PI_STALE);
+    CHECK(drives(&core, 1, 0, 0)); /* old, and with RUN: still */
+    for (uint32_t now = 2; now < 1000; now += 20) {
+        (void)send(&core, (uint8_t)(11 + now / 20), M3PI_FLAG_RUN, 9, 9, now);
+        CHECK(drives(&core, now, 0, 0));
+        CHECK(m3pi_status(&core, now) == M3PI_STATUS_EMERGENCY_STOPPED);
+    }
+    m3pi_init(&core, 0); /* switched off and on */
+    (void)send(&core, 1, M3PI_FLAG_RUN, 9, 9, 0);
+    CHECK(drives(&core, 0, 9, 9));
+}
+
+static void test_reply(void)
+{
+    uint8_t reply[M3PI_REPLY_SIZE], expected[32];
+    const uint8_t body[] = {0x52, 2, 0, 0, 0x88, 0x13, 1, 0, 1, 0};
+    uint8_t sealed[12];
+    m3pi_core core;
+    m3pi_init(&core, 2);
+    m3pi_set_battery(&core, 5000);
+    CHECK(m3pi_take_reply(&core, 0, reply) == 0);
+    (void)m3pi_push(&core, 0x33, 0);
+    CHECK(m3pi_push(&core, 0, 0) == M3PI_REJECTED);
+    CHECK(send(&core, 0, M3PI_FLAG_POLL, 0, 0, UINT32_MAX) == M3PI_ACCEPTED);
+    CHECK(m3pi_take_reply(&core, 18, reply) == 0); /* its slot is the third */
+    CHECK(m3pi_take_reply(&core, 19, reply) == M3PI_REPLY_SIZE);
+    memcpy(sealed, body, sizeof body);
+    sealed[10] = (uint8_t)(crc16(body, sizeof body) & 0xFFu);
+    sealed[11] = (uint8_t)(crc16(body, sizeof body) >> 8);
+    CHECK(stuff(sealed, sizeof sealed, expected) == M3PI_REPLY_SIZE);
+    CHECK(memcmp(reply, expected, sizeof reply) == 0);
+    CHECK(m3pi_take_reply(&core, 30, reply) == 0); /* once */
+    CHECK(push(&core, expected, M3PI_REPLY_SIZE, 30) == M3PI_FOREIGN); /* another robot's */
+    CHECK(drives(&core, 30, 0, 0));
+}
+
+static void test_garbage_never_drives(void)
+{
+    m3pi_core core;
+    uint32_t random = 1;
+    m3pi_init(&core, 0);
+    for (uint32_t i = 0; i < 2000000; i++) {
+        random = random * 1664525u + 1013904223u;
+        /* many zeros make many short frames */
+        const uint8_t byte = (uint8_t)((random >> 24) & ((random >> 8) & 1u ? 0xFFu : 0x07u));
+        (void)m3pi_push(&core, byte, i / 100);
+        CHECK(drives(&core, i / 100, 0, 0));
+    }
+}
+
+/* A radio and a 3pi made of arrays. */
+typedef struct {
+    uint8_t radio_in[256], base_in[64], radio_out[64], base_out[4096];
+    size_t radio_size, radio_at, base_size, base_at, radio_sent, base_sent;
+} bench;
+
+static int bench_radio_read(void *context)
+{
+    bench *b = context;
+    return b->radio_at < b->radio_size ? b->radio_in[b->radio_at++] : -1;
+}
+
+static int bench_base_read(void *context)
+{
+    bench *b = context;
+    return b->base_at < b->base_size ? b->base_in[b->base_at++] : -1;
+}
+
+static void bench_radio_write(void *context, const uint8_t *data, size_t length)
+{
+    bench *b = context;
+    memcpy(b->radio_out + b->radio_sent, data, length);
+    b->radio_sent += length;
+}
+
+static void bench_base_write(void *context, const uint8_t *data, size_t length)
+{
+    bench *b = context;
+    memcpy(b->base_out + b->base_sent, data, length);
+    b->base_sent += length;
+}
+
+static bool base_got(bench *b, const uint8_t *data, size_t length)
+{
+    const bool same = b->base_sent == length && memcmp(b->base_out, data, length) == 0;
+    b->base_sent = 0;
+    return same;
+}
+
+static void test_shell(void)
+{
+    static bench b;
+    const m3pi_hal hal = {&b, bench_radio_read, bench_radio_write, bench_base_read,
+                          bench_base_write};
+    const uint8_t started[] = {0xC1, 0, 0xC5, 0, 0xB1};
+    const uint8_t turning[] = {0xC1, 40, 0xC6, 127};
+    const uint8_t stopped[] = {0xC1, 0, 0xC5, 0};
+    m3pi_shell shell;
+
+    memset(&b, 0, sizeof b);
+    m3pi_shell_start(&shell, &hal, 0, 0);
+    CHECK(base_got(&b, started, sizeof started));
+    m3pi_shell_step(&shell, 1);
+    CHECK(b.base_sent == 0); /* nothing new to say */
+    b.radio_size = make(b.radio_in, 1, M3PI_FLAG_RUN | M3PI_FLAG_POLL, 1, 40, -127);
+    b.base_in[0] = 0x39; /* 5.433 V, as the 3pi answers */
+    b.base_in[1] = 0x15;
+    b.base_size = 2;
+    m3pi_shell_step(&shell, 2);
+    CHECK(base_got(&b, turning, sizeof turning));
+    CHECK(b.radio_sent == M3PI_REPLY_SIZE);
+    CHECK(b.radio_out[1] == 0x52 && b.radio_out[5] == 0x39 && b.radio_out[6] == 0x15);
+    m3pi_shell_step(&shell, 21);
+    CHECK(b.base_sent == 0);
+    m3pi_shell_step(&shell, 22); /* repeated: a lost byte must not last */
+    CHECK(base_got(&b, turning, sizeof turning));
+    m3pi_shell_step(&shell, 252);
+    CHECK(base_got(&b, stopped, sizeof stopped));
+    m3pi_shell_step(&shell, 1000); /* asks again, gets no answer, and says unknown next time */
+    CHECK(b.base_sent == 5 && b.base_out[4] == 0xB1);
+    m3pi_shell_step(&shell, 2000);
+    CHECK(shell.core.battery_mv == 0);
+}
+
+int main(void)
+{
+    test_documented_frame();
+    test_damaged_frames_change_nothing();
+    test_malformed_frames();
+    test_watchdog();
+    test_sequence();
+    test_emergency_stop_is_latched();
+    test_reply();
+    test_garbage_never_drives();
+    test_shell();
+    printf("%s\n", failures ? "FAILED" : "passed");
+    return failures != 0;
+}

@@ -1,0 +1,71 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tetractl.lab.errors import WireError
+from tetractl.lab.m3pi.slave import (
+    BATTERY_REQUEST,
+    SIGNATURE_REQUEST,
+    STOP,
+    Drive,
+    Motor,
+    Query,
+    SlaveDecoder,
+    decode_battery,
+    encode_wheels,
+)
+
+counts = st.integers(-127, 127)
+
+
+def test_documented_bytes():
+    assert encode_wheels(64, -127) == bytes.fromhex("C1 40 C6 7F")
+    assert encode_wheels(-1, 5) == bytes.fromhex("C2 01 C5 05")
+    assert encode_wheels(0, 0) == STOP
+    assert SIGNATURE_REQUEST + BATTERY_REQUEST == b"\x81\xb1"
+    assert decode_battery(b"\x39\x15") == 5433
+
+
+@given(left=counts, right=counts)
+def test_wheels_round_trip(left, right):
+    decoder = SlaveDecoder()
+    assert decoder.feed(encode_wheels(left, right)) == [
+        Drive(Motor.M1, left),
+        Drive(Motor.M2, right),
+    ]
+    assert decoder.ignored == 0
+
+
+def test_pwm_is_twice_the_count_and_full_at_127():
+    assert [Drive(Motor.M1, count).pwm for count in (0, 1, 126, 127, -127)] == [
+        0,
+        2,
+        252,
+        255,
+        -255,
+    ]
+
+
+def test_a_lost_data_byte_costs_that_command_only():
+    decoder = SlaveDecoder()
+    found = decoder.feed(b"\xc1" + encode_wheels(3, 4)[2:] + SIGNATURE_REQUEST + b"\x05\xba")
+    assert found == [Drive(Motor.M2, 4), Query.SIGNATURE]
+    assert decoder.ignored == 3  # the command without data, data without command, a calibration
+
+
+@given(st.binary(max_size=50), counts, counts)
+def test_resynchronises_after_any_garbage(garbage, left, right):
+    decoder = SlaveDecoder()
+    decoder.feed(garbage)
+    assert decoder.feed(encode_wheels(left, right))[-2:] == [
+        Drive(Motor.M1, left),
+        Drive(Motor.M2, right),
+    ]
+
+
+@pytest.mark.parametrize("bad", [(-128, 0), (0, 128)])
+def test_counts_outside_are_refused(bad):
+    with pytest.raises(WireError):
+        encode_wheels(*bad)
+    with pytest.raises(WireError):
+        decode_battery(b"\0")

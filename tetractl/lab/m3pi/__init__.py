@@ -1,0 +1,1 @@
+"""m3pi robots: what goes to them and comes back, as bytes, without a serial port."""

@@ -1,0 +1,107 @@
+"""COBS framing and CRC-16/CCITT-FALSE: what puts a closing 00 behind a frame and guards it.
+
+Consistent overhead byte stuffing takes every 00 out of a frame, so a 00 can only be an end, and
+a reader that lost its place finds it again at the next 00.
+"""
+
+import binascii
+
+from tetractl.lab.errors import WireError
+
+FRAME_MAX = 80  # payload bytes, the closing CRC included
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, not reflected; 0x29B1 of 123456789."""
+    return binascii.crc_hqx(data, 0xFFFF)
+
+
+def encode(payload: bytes) -> bytes:
+    """Stuff a payload and close it with 00."""
+    out = bytearray()
+    block = bytearray()
+    open_end = True  # a full block of 254 needs no empty one behind it
+    for byte in payload:
+        open_end = True
+        if byte:
+            block.append(byte)
+            if len(block) == 254:
+                out += bytes([255]) + block
+                block.clear()
+                open_end = False
+        else:
+            out += bytes([len(block) + 1]) + block
+            block.clear()
+    if open_end:
+        out += bytes([len(block) + 1]) + block
+    return bytes(out) + b"\0"
+
+
+def decode(frame: bytes) -> bytes:
+    """Take the stuffing out of a frame, given without its closing 00."""
+    if not frame or 0 in frame:
+        raise WireError("not a stuffed frame")
+    out = bytearray()
+    at = 0
+    while at < len(frame):
+        code = frame[at]
+        block = frame[at + 1 : at + code]
+        if len(block) != code - 1:
+            raise WireError("a stuffed frame that ends too early")
+        out += block
+        at += code
+        if code < 255 and at < len(frame):
+            out.append(0)
+    return bytes(out)
+
+
+def seal(payload: bytes) -> bytes:
+    """Append the CRC, little-endian, stuff and close."""
+    if len(payload) + 2 > FRAME_MAX:
+        raise WireError(f"{len(payload)} bytes do not fit in a frame")
+    return encode(payload + crc16(payload).to_bytes(2, "little"))
+
+
+def unseal(frame: bytes) -> bytes:
+    """Undo `seal`, given a frame without its closing 00; WireError unless the CRC is right."""
+    payload = decode(frame)
+    if not 2 < len(payload) <= FRAME_MAX:
+        raise WireError(f"a frame of {len(payload)} bytes")
+    if crc16(payload[:-2]) != int.from_bytes(payload[-2:], "little"):
+        raise WireError("wrong CRC")
+    return payload[:-2]
+
+
+class Splitter:
+    """Cuts a stream of bytes at every 00; keeps no more than one frame.
+
+    `overlong` counts frames that were dropped because they were too long to be any.
+    """
+
+    def __init__(self) -> None:
+        self.overlong = 0
+        self._buffer = bytearray()
+        self._skipping = False
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes as they came; return the frames they close, without their 00."""
+        frames: list[bytes] = []
+        *closed, rest = bytes(data).split(b"\0")
+        for piece in closed:
+            self._add(piece)
+            if self._buffer and not self._skipping:
+                frames.append(bytes(self._buffer))
+            self._buffer.clear()
+            self._skipping = False
+        self._add(rest)
+        return frames
+
+    def _add(self, piece: bytes) -> None:
+        if self._skipping:
+            return
+        if len(self._buffer) + len(piece) > FRAME_MAX + 1:
+            self.overlong += 1
+            self._skipping = True
+            self._buffer.clear()
+        else:
+            self._buffer += piece

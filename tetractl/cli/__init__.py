@@ -11,7 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from tetractl import __version__
-from tetractl.cli import schema, validate
+from tetractl.cli import schema, stats, validate
 from tetractl.errors import Exit, TetractlError
 
 app = typer.Typer(
@@ -43,6 +43,7 @@ def _root(
 
 app.command("validate")(validate.validate)
 app.command("schema")(schema.schema)
+app.command("stats")(stats.stats)
 
 
 def main() -> None:

@@ -5,9 +5,10 @@ import io
 import math
 from typing import Any
 
+from tetractl.log.records import ResultSummary
 from tetractl.stats.estimate import SEED, Difference, Distribution, Interval
 from tetractl.stats.summary import Comparison, Scaled, Summary
-from tetractl.stats.trials import Trial
+from tetractl.stats.trials import counts
 
 
 def as_json(summary: Summary, comparison: Comparison | None = None) -> dict[str, Any]:
@@ -32,7 +33,6 @@ def as_json(summary: Summary, comparison: Comparison | None = None) -> dict[str,
         "arrived_ci95": _ends(summary.arrived_ci95),
         "aborted": summary.aborted,
         "interrupted": summary.interrupted,
-        "unfinished": summary.unfinished,
         "recovered": sum(trial.recovered for trial in summary.trials),
         "solve_ms": {
             "p50": _number(summary.solve_ms.p50),
@@ -129,22 +129,22 @@ def _comparison(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def _trial(trial: Trial) -> dict[str, Any]:
+def _trial(trial: ResultSummary) -> dict[str, Any]:
     result = trial.result
     return {
         "path": trial.path,
         "seed": trial.seed,
         "trial": trial.trial,
-        "total_error": _number(result.total_error) if result else None,
-        "robot_errors": [_number(error) for error in result.robot_errors] if result else None,
-        "steps": result.steps if result else None,
-        "duration_s": _number(result.duration_s) if result else None,
-        "outcome": str(result.outcome) if result else None,
-        "reason": result.reason if result else None,
-        "entered_obstacle": result.entered_obstacle if result else None,
-        "deadline_misses": result.deadline_misses if result else None,
+        "total_error": _number(result.total_error),
+        "robot_errors": [_number(error) for error in result.robot_errors],
+        "steps": result.steps,
+        "duration_s": _number(result.duration_s),
+        "outcome": result.outcome.value,
+        "reason": result.reason,
+        "entered_obstacle": result.entered_obstacle,
+        "deadline_misses": result.deadline_misses,
         "recovered": trial.recovered,
-        "counted": trial.counted,
+        "counted": counts(trial),
     }
 
 
@@ -166,11 +166,11 @@ def as_csv(summary: Summary, comparison: Comparison | None = None) -> str:
     return text.getvalue()
 
 
-def _row(trial: Trial, unit: str) -> dict[str, Any]:
+def _row(trial: ResultSummary, unit: str) -> dict[str, Any]:
     fields = _trial(trial)
     total, errors = fields.pop("total_error"), fields.pop("robot_errors")
     names = [robot.name for robot in trial.experiment.robots]
-    each = dict(zip(names, errors or [None] * len(names), strict=True))
+    each = dict(zip(names, errors, strict=True))
     return {
         **fields,
         f"total_error_{unit}": total,

@@ -4,9 +4,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from tetractl.log.records import ResultSummary
 from tetractl.stats.estimate import Distribution, Interval
 from tetractl.stats.summary import Comparison, Summary
-from tetractl.stats.trials import Trial, listing
+from tetractl.stats.trials import counts, listing
 
 NONE = "-"
 
@@ -27,7 +28,7 @@ def grids(summary: Summary, comparison: Comparison | None = None) -> list[Grid]:
     tables = [_errors(summary, comparison), _figures(summary)]
     if comparison:
         tables.append(_comparison(comparison))
-    odd = [trial for trial in summary.trials if trial.recovered or not trial.counted]
+    odd = [trial for trial in summary.trials if trial.recovered or not counts(trial)]
     return [*tables, _odd(odd)] if odd else tables
 
 
@@ -35,11 +36,11 @@ def _errors(summary: Summary, comparison: Comparison | None) -> Grid:
     show = _lengths(summary.total.mean)
     rows = [_row("total", summary.total, show)]
     if comparison:
-        rows.append(_row("total, against", comparison.theirs.total, show))
+        rows.append(_row("against", comparison.theirs.total, show))
     if summary.published:
         reference = summary.published.reference
         known = (str(reference.n), f"{reference.mean:g}", f"{reference.std:g}")
-        rows.append(("total, published", *known, NONE, NONE, NONE, NONE))
+        rows.append(("published", *known, NONE, NONE, NONE, NONE))
     names = (robot.name for robot in summary.experiment.robots)
     rows += [_row(name, robot, show) for name, robot in zip(names, summary.robots, strict=True)]
     title = (
@@ -62,7 +63,7 @@ def _row(name: str, values: Distribution, show: Callable[[float], str]) -> tuple
 
 
 def _figures(summary: Summary) -> Grid:
-    n = len(summary.trials) - summary.unfinished
+    n = len(summary.trials)
     show = _lengths(summary.total.mean)
     rows = []
     if summary.published:
@@ -95,7 +96,6 @@ def _figures(summary: Summary) -> Grid:
         ),
         ("aborted", str(summary.aborted)),
         ("interrupted", str(summary.interrupted)),
-        ("no end in the log", str(summary.unfinished)),
         ("read from damaged logs", str(sum(trial.recovered for trial in summary.trials))),
         ("logs that could not be read", str(len(summary.damaged))),
         ("solve time p50 [ms]", _digits(summary.solve_ms.p50)),
@@ -125,15 +125,15 @@ def _comparison(comparison: Comparison) -> Grid:
     return Grid("Ours against the other batch", ("figure", "value"), tuple(rows), words=True)
 
 
-def _odd(trials: Sequence[Trial]) -> Grid:
+def _odd(trials: Sequence[ResultSummary]) -> Grid:
     rows = []
     for trial in trials:
-        notes = ["in the means" if trial.counted else "not in the means"]
+        notes = ["in the means" if counts(trial) else "not in the means"]
         if trial.recovered:
             notes.append("read from a damaged log")
-        if trial.result and trial.result.reason:
+        if trial.result.reason:
             notes.append(trial.result.reason)
-        rows.append((trial.path, str(trial.outcome or "no end in the log"), ", ".join(notes)))
+        rows.append((trial.path, trial.outcome.value, ", ".join(notes)))
     return Grid("Trials to look at", ("log", "outcome", "note"), tuple(rows), words=True)
 
 

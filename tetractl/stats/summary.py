@@ -8,6 +8,7 @@ import numpy as np
 
 from tetractl.control.plan import Outcome
 from tetractl.errors import UsageError
+from tetractl.log.records import ResultSummary
 from tetractl.model.state import Floats
 from tetractl.spec.experiment import Experiment, Reference, Scale
 from tetractl.stats.estimate import (
@@ -22,15 +23,7 @@ from tetractl.stats.estimate import (
     proportion_interval,
     welch,
 )
-from tetractl.stats.trials import Trial, differences, one_batch
-
-
-@dataclass(frozen=True, slots=True)
-class Damaged:
-    """A log from which no trial could be read, and why."""
-
-    path: str
-    problem: str
+from tetractl.stats.trials import Damaged, counts, differences, one_batch
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +70,7 @@ class Summary:
     """
 
     experiment: Experiment
-    trials: tuple[Trial, ...]
+    trials: tuple[ResultSummary, ...]
     damaged: tuple[Damaged, ...]
     totals: Floats  # (n,) total errors of the counted trials
     errors: Floats  # (n, N) errors of each robot in them
@@ -89,7 +82,6 @@ class Summary:
     arrived_ci95: Interval
     aborted: int
     interrupted: int
-    unfinished: int
     solve_ms: SolveTimes
     deadline_misses: int
     published: Published | None
@@ -105,15 +97,20 @@ class Summary:
         """Number of trials behind the means."""
         return self.total.n
 
+    @property
+    def whole(self) -> bool:
+        """Whether no log was damaged."""
+        return not self.damaged and not any(trial.recovered for trial in self.trials)
 
-def summarise(trials: Sequence[Trial], damaged: Sequence[Damaged] = ()) -> Summary:
+
+def summarise(trials: Sequence[ResultSummary], damaged: Sequence[Damaged] = ()) -> Summary:
     """Summarise the trials of one experiment.
 
     Raises UsageError where they belong to several, or where a simulated trial occurs twice.
     """
     experiment = one_batch(trials)
-    results = [trial.result for trial in trials if trial.result is not None]
-    counted = [trial.result for trial in trials if trial.result and trial.counted]
+    results = [trial.result for trial in trials]
+    counted = [trial.result for trial in trials if counts(trial)]
     robots = len(experiment.robots)
     totals = np.array([result.total_error for result in counted], dtype=float)
     errors = np.array([result.robot_errors for result in counted], dtype=float)
@@ -136,7 +133,6 @@ def summarise(trials: Sequence[Trial], damaged: Sequence[Damaged] = ()) -> Summa
         arrived_ci95=proportion_interval(arrived, len(results)),
         aborted=outcomes.count(Outcome.ABORTED),
         interrupted=outcomes.count(Outcome.INTERRUPTED),
-        unfinished=outcomes.count(None),
         solve_ms=_solve_times([ns for result in results for ns in result.solve_ns]),
         deadline_misses=sum(result.deadline_misses for result in results),
         published=_published(experiment, total),

@@ -5,6 +5,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from tetractl.spec.problems import printable
 from tetractl.stats.rows import grids
 from tetractl.stats.summary import Comparison, Summary
 
@@ -20,8 +21,8 @@ def print_table(summary: Summary, console: Console, comparison: Comparison | Non
         for i, name in enumerate(grid.header):
             table.add_column(Text(name), justify="right" if i and not grid.words else "left")
         for row in grid.rows:
-            table.add_row(*(Text(_clean(cell)) for cell in row))
-        console.print(Text(_clean(grid.title), style="bold"))
+            table.add_row(*(Text(printable(cell)) for cell in row))
+        console.print(Text(printable(grid.title), style="bold"))
         console.print(table)
         console.print()
 
@@ -45,7 +46,7 @@ def as_latex(summary: Summary, comparison: Comparison | None = None) -> str:
         lines = [" & ".join(map(_latex, row)) + r" \\" for row in (grid.header, *grid.rows)]
         columns = "l" + ("l" if grid.words else "r") * (len(grid.header) - 1)
         parts += [
-            f"% {_clean(grid.title)}",
+            f"% {printable(grid.title)}",
             rf"\begin{{tabular}}{{{columns}}}",
             r"\toprule",
             lines[0],
@@ -58,13 +59,8 @@ def as_latex(summary: Summary, comparison: Comparison | None = None) -> str:
     return "\n".join(parts)
 
 
-def _clean(text: str) -> str:
-    """Keep terminal control codes that a log may carry from the screen."""
-    return "".join(c if c.isprintable() else "?" for c in text)
-
-
 def _markdown(text: str) -> str:
-    return _clean(text).replace("\\", "\\\\").replace("|", "\\|")
+    return printable(text).replace("\\", "\\\\").replace("|", "\\|")
 
 
 _LATEX = str.maketrans(
@@ -81,4 +77,4 @@ _LATEX = str.maketrans(
 
 def _latex(text: str) -> str:
     indent = r"\quad " if text.startswith("  ") else ""
-    return indent + _clean(text).strip().translate(_LATEX)
+    return indent + printable(text).strip().translate(_LATEX)

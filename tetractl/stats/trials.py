@@ -1,13 +1,16 @@
 """The trials of a batch: one result each, all of the same experiment."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from pathlib import Path
+from typing import Any
 
 from tetractl.control.plan import Outcome
-from tetractl.errors import UsageError
-from tetractl.log.records import EPOCH_NS, Result, Start
+from tetractl.errors import LogError, UsageError
+from tetractl.log.find import find_logs
+from tetractl.log.reader import read_result
+from tetractl.log.records import ResultSummary
 from tetractl.spec.experiment import Experiment
 
 COMPLETE = (Outcome.ARRIVED, Outcome.SEQUENCE_USED_UP, Outcome.STEPS_MAX)
@@ -17,47 +20,39 @@ _BOOKKEEPING = {"trials", "description"}  # do not change what a trial does
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
-    """One trial as statistics see it.
-
-    `seed` is the batch's root seed and `trial` the index in the batch; `start_unix_ns` is when the
-    trial started, the same for all in simulation. `result` is None where the log ends before the
-    trial did. `recovered` marks a damaged log whose readable part was used.
-    """
+class Damaged:
+    """A log from which no trial could be read, and why."""
 
     path: str
-    experiment: Experiment
-    seed: int
-    trial: int
-    result: Result | None
-    recovered: bool = False
-    start_unix_ns: int = EPOCH_NS
-
-    @classmethod
-    def of(cls, path: str, start: Start, result: Result | None, recovered: bool = False) -> Self:
-        """Take a trial from what its log holds, or would hold."""
-        seed = start.experiment.trials.seed
-        return cls(
-            path, start.experiment, seed, start.trial, result, recovered, start.start_unix_ns
-        )
-
-    @property
-    def outcome(self) -> Outcome | None:
-        """How the trial ended, None where its log does not say."""
-        return self.result.outcome if self.result else None
-
-    @property
-    def counted(self) -> bool:
-        """Whether the trial's errors enter the means: it is complete and its errors are known."""
-        return (
-            self.result is not None
-            and self.result.outcome in COMPLETE
-            and math.isfinite(self.result.total_error)
-            and all(math.isfinite(error) for error in self.result.robot_errors)
-        )
+    problem: str
 
 
-def one_batch(trials: Sequence[Trial]) -> Experiment:
+def load_trials(
+    paths: Iterable[Path | str],
+    watch: Callable[[list[Path]], Iterable[Path]] = iter,
+) -> tuple[list[ResultSummary], list[Damaged]]:
+    """Read the results of the logs that files, folders and patterns stand for.
+
+    `watch` passes the logs on one by one, and may show progress. Raises UsageError where a path
+    stands for no log.
+    """
+    trials: list[ResultSummary] = []
+    damaged: list[Damaged] = []
+    for log in watch(find_logs(paths)):
+        try:
+            trials.append(read_result(log))
+        except LogError as error:
+            damaged.append(Damaged(str(log), str(error).removeprefix(f"{log}: ")))
+    return trials, damaged
+
+
+def counts(trial: ResultSummary) -> bool:
+    """Whether a trial's errors enter the means: it is complete and its errors are known."""
+    errors = (trial.result.total_error, *trial.result.robot_errors)
+    return trial.outcome in COMPLETE and all(map(math.isfinite, errors))
+
+
+def one_batch(trials: Sequence[ResultSummary]) -> Experiment:
     """Return the experiment that all trials share.
 
     Raises UsageError where they do not share one, or where a trial occurs twice, be it a copy of
@@ -78,10 +73,12 @@ def one_batch(trials: Sequence[Trial]) -> Experiment:
     return first.experiment
 
 
-def _refuse_copies(trials: Iterable[Trial]) -> None:
-    seen: dict[tuple[int, int, int], Trial] = {}
+def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
+    seen: dict[object, ResultSummary] = {}
     for trial in trials:
-        twin = seen.setdefault((trial.seed, trial.trial, trial.start_unix_ns), trial)
+        # A trial in the lab is done again under the same number and seed, and is then another one.
+        key = (trial.seed, trial.trial) if trial.simulated else trial.digest or id(trial)
+        twin = seen.setdefault(key, trial)
         if twin is not trial:
             raise UsageError(
                 f"{twin.path} and {trial.path} are the same trial"

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from tetractl.control.plan import Outcome
-from tetractl.log.records import Result
+from tetractl.log.records import Result, ResultSummary
 from tetractl.model.state import Poses
 from tetractl.plant.protocol import Verdict
 from tetractl.spec.experiment import Experiment
-from tetractl.stats.trials import Trial
 
 REFERENCE = {"source": "Figure 5", "n": 20, "mean": 648.6, "std": 225.1}
 SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
@@ -51,12 +50,18 @@ def result(errors: Sequence[float], **fields: Any) -> Result:
     return Result(**(found | fields))
 
 
+def trial(
+    path: str, spec: Experiment, found: Result, index: int = 0, **fields: Any
+) -> ResultSummary:
+    known: dict[str, Any] = {"seed": 1, "simulated": True, "recovered": False, "digest": None}
+    return ResultSummary(path, spec, trial=index, result=found, **(known | fields))
+
+
 def batch(
     errors: Sequence[Sequence[float]], spec: Experiment | None = None, **fields: Any
-) -> list[Trial]:
+) -> list[ResultSummary]:
     """One trial a row of robot errors."""
     spec = spec or experiment(len(errors[0]))
     return [
-        Trial(f"trial-{i:03d}.mcap", spec, 1, i, result(row, **fields))
-        for i, row in enumerate(errors)
+        trial(f"trial-{i:03d}.mcap", spec, result(row, **fields), i) for i, row in enumerate(errors)
     ]

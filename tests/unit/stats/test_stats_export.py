@@ -9,7 +9,8 @@ from batches import REFERENCE, SCALE, batch, experiment
 
 from tetractl.control.plan import Outcome
 from tetractl.stats.export import as_csv, as_json
-from tetractl.stats.summary import Damaged, compare, summarise
+from tetractl.stats.summary import compare, summarise
+from tetractl.stats.trials import Damaged
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 SPEC = experiment(reference=REFERENCE, scale=SCALE)

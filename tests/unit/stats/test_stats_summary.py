@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from batches import REFERENCE, SCALE, batch, experiment, result
+from batches import REFERENCE, SCALE, batch, experiment, result, trial
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -13,7 +13,6 @@ from tetractl.errors import UsageError
 from tetractl.model.state import Poses
 from tetractl.plant.protocol import Verdict
 from tetractl.stats.summary import compare, summarise
-from tetractl.stats.trials import Trial
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
 
@@ -46,12 +45,11 @@ def test_only_trials_that_ran_to_their_end_enter_the_means():
     trials = batch(ERRORS[:3].tolist())
     spec = trials[0].experiment
     for i, outcome in enumerate([Outcome.ABORTED, Outcome.INTERRUPTED], start=3):
-        trials.append(Trial(f"{outcome}.mcap", spec, 1, i, result([9e5] * 3, outcome=outcome)))
-    trials.append(Trial("crashed.mcap", spec, 1, 5, None, recovered=True))
-    trials.append(Trial("lost.mcap", spec, 1, 6, result([math.nan, 1, 1])))
+        trials.append(trial(f"{outcome}.mcap", spec, result([9e5] * 3, outcome=outcome), i))
+    trials.append(trial("lost.mcap", spec, result([math.nan, 1, 1]), 5))
     found = summarise(trials)
-    assert (len(found.trials), found.counted) == (7, 3)
-    assert (found.aborted, found.interrupted, found.unfinished) == (1, 1, 1)
+    assert (len(found.trials), found.counted) == (6, 3)
+    assert (found.aborted, found.interrupted) == (1, 1)
     assert found.total.mean == pytest.approx(ERRORS[:3].sum(axis=1).mean())
 
 
@@ -148,8 +146,15 @@ def test_a_trial_given_twice_is_refused():
     trials = batch(ERRORS[:2].tolist())
     with pytest.raises(UsageError, match="are the same trial"):
         summarise([*trials, replace(trials[0], path="copy.mcap")])
-    again = replace(trials[0], path="lab.mcap", start_unix_ns=trials[0].start_unix_ns + 1)
-    assert summarise([*trials, again]).counted == 3
+
+
+def test_a_trial_in_the_lab_can_be_done_again_but_not_given_twice():
+    lab = [replace(one, simulated=False, digest=one.path) for one in batch(ERRORS[:2].tolist())]
+    again = replace(lab[0], path="again.mcap", digest="other")
+    torn = replace(lab[0], path="torn.mcap", digest=None, recovered=True)
+    assert summarise([*lab, again, torn, replace(torn, path="too.mcap")]).counted == 5
+    with pytest.raises(UsageError, match="are the same trial"):
+        summarise([*lab, replace(lab[1], path="copy.mcap")])
 
 
 def test_no_trial_is_an_error():

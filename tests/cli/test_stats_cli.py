@@ -1,0 +1,166 @@
+import csv
+import io
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from unit.log import made
+
+from tetractl.control.plan import Outcome
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+REFERENCE = {"source": "section V", "n": 20, "mean": 648.6, "std": 225.1}
+SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
+
+
+def stats(*args, cwd):
+    done = subprocess.run(
+        [TETRACTL, "stats", *map(str, args)], cwd=cwd, capture_output=True, text=True, timeout=120
+    )
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def write(folder, count, first=0, **fields):
+    """Logs of trials whose total errors are 300, 310, ... mm."""
+    folder.mkdir(exist_ok=True)
+    fields = {"reference": REFERENCE, "scale": SCALE} | fields
+    for i in range(first, first + count):
+        trial = made.trial(i + 1, index=i, steps=3, frames=2, **fields)
+        errors = (100.0, 100.0, 100.0 + 10 * i)
+        result = replace(trial.result, robot_errors=errors, total_error=sum(errors))
+        made.write(replace(trial, result=result), folder / f"trial-{i:03d}.mcap")
+    return folder
+
+
+def stop(path, outcome, **fields):
+    """A log whose trial did not run to its end."""
+    trial = made.trial(99, steps=3, frames=2, reference=REFERENCE, scale=SCALE, **fields)
+    result = replace(trial.result, outcome=outcome, reason="the cable came off")
+    return made.write(replace(trial, result=result), path)
+
+
+@pytest.fixture(scope="module")
+def ten(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("batch") / "ten", 10)
+
+
+@pytest.fixture
+def work(tmp_path, ten):
+    shutil.copytree(ten, tmp_path / "ten")
+    return tmp_path
+
+
+def test_the_table_shows_the_batch_beside_the_published_result(work):
+    done = stats("ten", cwd=work)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "10 of 10 trials complete" in done.stdout
+    assert "\x1b" not in done.stdout
+    rows = {line.split("  ")[0].strip(): line.split() for line in done.stdout.splitlines()}
+    assert rows["total"][1:7] == ["10", "345.0", "30.3", "345.0", "300.0", "390.0"]
+    assert rows["published"][1:4] == ["20", "648.6", "225.1"]
+    assert rows["robot 2"][2:4] == ["10", "145.0"]
+
+
+def test_json_is_the_contract(work):
+    done = stats("ten", "--format", "json", cwd=work)
+    found = json.loads(done.stdout)
+    assert (done.returncode, found["n_trials"], found["unit"]) == (0, 10, "mm")
+    assert found["total_error"]["mean"] == 345.0
+    assert found["total_error"]["std"] == pytest.approx(30.2765, rel=1e-5)
+    low, high = found["total_error"]["ci95"]
+    assert 320 < low < 345 < high < 370
+    assert found["robots"][1] == found["robots"][1] | {"name": "robot 1", "mean": 100.0}
+    assert found["reference"]["difference"] == pytest.approx(-303.6)
+    assert found["obstacle_violations"] == 10
+    assert [trial["total_error"] for trial in found["trials"]] == [300 + 10 * i for i in range(10)]
+    assert not any(trial["recovered"] for trial in found["trials"])
+
+
+def test_csv_markdown_and_latex(work):
+    rows = list(csv.DictReader(io.StringIO(stats("ten", "--format", "csv", cwd=work).stdout)))
+    assert [float(row["total_error_mm"]) for row in rows] == [300 + 10 * i for i in range(10)]
+    assert "| total | 10 | 345.0 |" in stats("ten", "--format", "markdown", cwd=work).stdout
+    assert r"total & 10 & 345.0 &" in stats("ten", "--format", "latex", cwd=work).stdout
+
+
+def test_stopped_trials_are_listed_but_not_averaged(work):
+    stop(work / "ten/trial-010.mcap", Outcome.ABORTED, index=10)
+    stop(work / "ten/trial-011.mcap", Outcome.INTERRUPTED, index=11)
+    done = stats("ten/*.mcap", cwd=work)
+    assert done.returncode == 0
+    assert "10 of 12 trials complete" in done.stdout
+    assert "not in the means, the cable came off" in done.stdout
+    found = json.loads(stats("ten", "--format", "json", cwd=work).stdout)
+    assert (found["n_trials"], found["n_counted"]) == (12, 10)
+    assert (found["aborted"], found["interrupted"]) == (1, 1)
+    assert found["total_error"]["mean"] == 345.0
+
+
+def test_a_torn_log_is_flagged_and_the_rest_printed(work):
+    torn = work / "ten/trial-004.mcap"
+    torn.write_bytes(torn.read_bytes()[:-2000])
+    (work / "ten/trial-011.mcap").write_bytes(b"not a log at all")
+    done = stats("ten", "--format", "json", cwd=work)
+    found = json.loads(done.stdout)
+    assert done.returncode == 1
+    assert "damaged: ten/trial-004.mcap" in done.stderr
+    assert "damaged: ten/trial-011.mcap: not an MCAP file" in done.stderr
+    assert found["n_trials"] == 10
+    assert found["recovered"] == 1
+    assert [trial["path"] for trial in found["trials"] if trial["recovered"]] == [
+        "ten/trial-004.mcap"
+    ]
+    assert found["damaged"] == [{"path": "ten/trial-011.mcap", "problem": "not an MCAP file"}]
+
+
+def test_two_batches_are_compared(work):
+    write(work / "exact", 12, controller={"model": "exact"})
+    done = stats("exact", "--against", "ten", "--plot", "both.png", cwd=work)
+    assert done.returncode == 0
+    assert "differs in" in done.stdout
+    assert "controller.model: exact != euler" in done.stdout
+    assert (work / "both.png").read_bytes().startswith(b"\x89PNG")
+    shown = stats("exact", "--against", "ten", "--format", "json", cwd=work).stdout
+    found = json.loads(shown)["comparison"]
+    assert (found["n"], found["difference"]) == ([12, 10], 10.0)
+    assert found["verdict"] == "undecided"
+
+
+def test_two_experiments_in_one_batch_are_refused(work):
+    write(work / "exact", 2, first=20, controller={"model": "exact"})
+    done = stats("ten", "exact", cwd=work)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "not the same experiment: controller.model: euler != exact" in done.stderr
+    assert "--against" in done.stderr
+
+
+def test_a_batch_given_twice_is_refused(work):
+    shutil.copytree(work / "ten", work / "copy")
+    done = stats("ten", "copy", cwd=work)
+    assert done.returncode == 2
+    assert "ten/trial-000.mcap and copy/trial-000.mcap are the same trial" in done.stderr
+    assert stats("ten", "ten/*.mcap", cwd=work).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "message"),
+    [
+        (["nowhere"], 2, "nowhere: no such file or folder"),
+        (["empty"], 2, "empty: no logs"),
+        (["*.nothing"], 2, "matches no log"),
+        (["notes.txt"], 1, "none of 1 logs can be read"),
+        (["ten", "--plot", "batch.gif"], 2, "batch.gif: cannot plot to this kind of file"),
+        (["ten", "--format", "yaml"], 2, "yaml"),
+    ],
+)
+def test_mistakes_are_one_line_and_a_code(work, args, code, message):
+    (work / "empty").mkdir()
+    (work / "notes.txt").write_text("no log")
+    done = stats(*args, cwd=work)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert message in done.stderr

@@ -1,0 +1,105 @@
+"""`tetractl stats`: statistics of a batch, and how two batches compare."""
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from tetractl.errors import Exit
+
+if TYPE_CHECKING:
+    from tetractl.stats.summary import Comparison, Summary
+
+Format = Literal["table", "json", "csv", "markdown", "latex"]
+
+
+def stats(
+    paths: Annotated[
+        list[str], typer.Argument(metavar="PATH", help="Logs, folders or globs: one batch.")
+    ],
+    form: Annotated[Format, typer.Option("--format", help="How to print.")] = "table",
+    against: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH",
+            help="Log, folder or quoted glob of another batch to compare with; may be repeated.",
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the batch too, as .png, .svg or .pdf."),
+    ] = None,
+) -> int:
+    """Print statistics of a batch: errors with intervals, the published result beside them.
+
+    Trials that were aborted or interrupted are listed and counted, but stay out of the means.
+    Exits with 1 where a log is damaged.
+
+    Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
+    """
+    from tetractl.stats.summary import compare
+
+    if plot:
+        from tetractl.stats.figure import check_plot_path
+
+        check_plot_path(plot)  # before the logs are read
+    ours = _summary(paths)
+    theirs = _summary(against) if against else None
+    comparison = compare(ours, theirs) if theirs else None
+    _show(form, ours, comparison)
+    if plot:
+        from tetractl.stats.figure import batch_figure, save_figure
+
+        save_figure(batch_figure(ours, comparison), plot)
+        print(f"wrote {plot}", file=sys.stderr)
+    whole = all(batch.whole for batch in (ours, theirs) if batch)
+    return Exit.DONE if whole else Exit.FAILED
+
+
+def _summary(paths: list[str]) -> "Summary":
+    from tetractl.errors import LogError
+    from tetractl.spec.problems import printable
+    from tetractl.stats.summary import summarise
+    from tetractl.stats.trials import load_trials
+
+    trials, damaged = load_trials(paths, _progress)
+    for trial in trials:
+        if trial.recovered:
+            print(f"damaged: {printable(trial.path)}: read as far as possible", file=sys.stderr)
+    for log in damaged:
+        print(f"damaged: {printable(log.path)}: {printable(log.problem)}", file=sys.stderr)
+    if not trials:
+        raise LogError(f"none of {len(damaged)} logs can be read")
+    return summarise(trials, damaged)
+
+
+def _progress(logs: list[Path]) -> Iterable[Path]:
+    from rich.console import Console
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    return track(
+        logs, "Reading logs", console=console, transient=True, disable=not console.is_terminal
+    )
+
+
+def _show(form: Format, summary: "Summary", comparison: "Comparison | None") -> None:
+    import json
+
+    from rich.console import Console
+
+    from tetractl.stats import export, table
+
+    match form:
+        case "table":
+            table.print_table(summary, Console(), comparison)
+        case "json":
+            print(json.dumps(export.as_json(summary, comparison), indent=2, allow_nan=False))
+        case "csv":
+            print(export.as_csv(summary, comparison), end="")
+        case "markdown":
+            print(table.as_markdown(summary, comparison))
+        case "latex":
+            print(table.as_latex(summary, comparison))

@@ -11,7 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from tetractl import __version__
-from tetractl.cli import schema, stats, validate
+from tetractl.cli import info, plot, replay, run, schema, stats, validate
 from tetractl.errors import Exit, TetractlError
 
 app = typer.Typer(
@@ -41,8 +41,12 @@ def _root(
     """
 
 
+app.command("run")(run.run)
 app.command("validate")(validate.validate)
 app.command("schema")(schema.schema)
+app.command("info")(info.info)
+app.command("replay")(replay.replay)
+app.command("plot")(plot.plot)
 app.command("stats")(stats.stats)
 
 

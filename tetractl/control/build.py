@@ -1,10 +1,37 @@
 """Makes the controller a spec asks for."""
 
+from collections.abc import Callable
+from threading import Timer
+
+import numpy as np
+
+from tetractl.control.compiled import pso
+from tetractl.control.cost import Problem
 from tetractl.control.mpc import PsoMpc
 from tetractl.control.plan import Controller
+from tetractl.model.state import Poses
 from tetractl.spec.experiment import Experiment
+
+ANNOUNCE_AFTER_S = 1.0
 
 
 def build_controller(experiment: Experiment, key: int) -> Controller:
     """Return the controller of one trial; `key` is the root of its random draws."""
-    return PsoMpc(experiment, key)
+    return PsoMpc(experiment, key, pso)
+
+
+def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
+    """Compile, or load from the cache, what the controller runs; `announce` says if it takes long.
+
+    Compilation happens once a machine and version; the result is kept on disk.
+    """
+    notice = Timer(ANNOUNCE_AFTER_S, announce, ["compiling the solver, once on this machine ..."])
+    notice.daemon = True
+    notice.start()
+    try:
+        starts = np.array([(*robot.start, robot.heading) for robot in experiment.robots])
+        problem = Problem.of(experiment, Poses.of(starts))
+        swarm = experiment.controller.swarm.model_copy(update={"particles": 2, "iterations": 1})
+        pso(problem, 1, np.zeros(1), swarm, key=0)
+    finally:
+        notice.cancel()

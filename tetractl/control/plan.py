@@ -16,6 +16,11 @@ class Outcome(StrEnum):
     INTERRUPTED = "interrupted"  # Ctrl-C or SIGTERM
     ABORTED = "aborted"  # a fault or an error; the reason says which
 
+    @property
+    def complete(self) -> bool:
+        """Whether the trial ran to its own end, so that its error counts."""
+        return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
+
 
 @dataclass(frozen=True, slots=True)
 class Search:

@@ -10,8 +10,6 @@ from tetractl.run.batch import log_path
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.load import spec_hash
 
-COMPLETE = {"arrived", "sequence used up", "steps max"}
-
 
 def default_folder(name: str, now: datetime) -> Path:
     """Return logs/<spec name>-<UTC time>."""
@@ -62,10 +60,8 @@ def _is_complete(experiment: Experiment, folder: Path, trial: int) -> bool:
         return False
     found = read_result(path)
     same = experiment.model_copy(update={"trials": found.experiment.trials})
-    if found.experiment.trials.seed != experiment.trials.seed or spec_hash(
-        found.experiment
-    ) != spec_hash(same):
+    if found.seed != experiment.trials.seed or spec_hash(found.experiment) != spec_hash(same):
         raise UsageError(
             f"{path}: was run with another spec or seed", "resume with the spec it was run with"
         )
-    return found.outcome in COMPLETE
+    return found.outcome.complete and not found.recovered

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: the first finishes the step and stops the robots, the second stops at once."""
+"""Ctrl-C and SIGTERM: the first lets the step finish and stops the robots, the second now."""
 
 import signal
 from collections.abc import Iterator

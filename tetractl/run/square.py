@@ -46,14 +46,14 @@ def check_square(experiment: Experiment, square: Square) -> None:
         for i, robot in enumerate(robots):
             where = zip(path_x[:, i], path_y[:, i], strict=True)
             if not all(experiment.arena.contains(px, py) for px, py in where):
-                raise SpecError(
-                    f"controller.first_plan: robot {robot.name} would leave the arena in its square",
-                    "shorten controller.first_plan.side, or use {type: stand}",
-                )
+                raise _refusal(robot.name, "leave the arena")
         if (hit := obstacles.contain(path_x, path_y).any(axis=0)).any():
-            raise SpecError(
-                f"controller.first_plan: robot {robots[int(hit.argmax())].name} would enter an "
-                "obstacle in its square",
-                "shorten controller.first_plan.side, or use {type: stand}",
-            )
+            raise _refusal(robots[int(hit.argmax())].name, "enter an obstacle")
         x, y, headings = path_x[-1], path_y[-1], turned[-1]
+
+
+def _refusal(name: str, what: str) -> SpecError:
+    return SpecError(
+        f"controller.first_plan: robot {name} would {what} in its square",
+        "shorten controller.first_plan.side, or use {type: stand}",
+    )

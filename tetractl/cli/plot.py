@@ -1,0 +1,56 @@
+"""`tetractl plot`: the paper's figures from a log."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from tetractl.errors import Exit
+
+Kind = Literal["trajectory", "convergence", "error", "timing"]
+
+
+def plot(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Log of a trial; several overlay trails.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Picture to write: .png, .svg or .pdf; by default LOG-KIND.png here.",
+        ),
+    ] = None,
+    kind: Annotated[Kind, typer.Option(help="What to draw.")] = "trajectory",
+) -> int:
+    """Draw a figure of a trial and print the name of its file.
+
+    trajectory: where the robots drove, the paper's Figure 5.
+    convergence: how the swarm searched, its Figure 3.
+    error: distances to the targets over time.
+    timing: solve time of each control step.
+
+    The same log gives the same bytes.
+
+    Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
+    """
+    from tetractl.log.reader import read_trial
+    from tetractl.view.damage import warn_of_damage
+    from tetractl.view.figures import draw
+    from tetractl.view.style import file_format, save
+
+    path = output or _default_name(logs, kind)
+    file_format(path)
+    trials = [read_trial(log) for log in logs]
+    for trial in trials:
+        warn_of_damage(trial)
+    save(draw(kind, trials), path)
+    print(path)
+    return Exit.FAILED if any(trial.damage for trial in trials) else Exit.DONE
+
+
+def _default_name(logs: list[Path], kind: str) -> Path:
+    name = logs[0].name if len(logs) == 1 else logs[0].absolute().parent.name or "trials"
+    return Path(f"{name.partition('.mcap')[0]}-{kind}.png")

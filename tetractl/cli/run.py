@@ -1,0 +1,148 @@
+"""`tetractl run`: run the trials of an experiment."""
+
+import sys
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tetractl.errors import Exit
+
+if TYPE_CHECKING:
+    from tetractl.run.batch import Report
+    from tetractl.spec.load import LoadedSpec
+
+
+def run(
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    trials: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of trials.  [spec: trials.count]")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="S", help="Root seed.  [spec: trials.seed]")
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the logs.  [logs/<spec name>-<UTC time>]"),
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Trials at a time, each in its process.")
+    ] = 1,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Run only the trials that DIR still lacks.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the spec, its limits and what would be run.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no progress.")] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the statistics as `stats --format json` does.")
+    ] = False,
+) -> int:
+    """Run the trials of an experiment, log each to DIR/trial-000.mcap ..., print the statistics.
+
+    Ctrl-C finishes the step, stops the robots and closes the log; a second one does so at once.
+
+    Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
+    """
+    from tetractl.run.folder import default_folder, trials_to_run
+    from tetractl.spec.load import load_spec
+
+    settings = list(sets or [])
+    settings += [] if trials is None else [f"trials.count={trials}"]
+    settings += [] if seed is None else [f"trials.seed={seed}"]
+    loaded = load_spec(spec, settings)
+    folder = out or default_folder(loaded.experiment.name, datetime.now(UTC))
+    todo = trials_to_run(loaded.experiment, folder, resume)
+    if dry_run:
+        _describe(loaded, folder, todo)
+        return Exit.DONE
+    report = _run(loaded, folder, todo, jobs, quiet)
+    return _conclude(report, folder, json)
+
+
+def _describe(loaded: "LoadedSpec", folder: Path, todo: list[int]) -> None:
+    """Print what a run would do; as YAML throughout, so that it can be kept as a spec."""
+    from tetractl.run.batch import log_path
+    from tetractl.run.limits import limits
+    from tetractl.spec.load import resolved_yaml
+
+    print(f"# {loaded.name} as it would be run; nothing is run or written")
+    print(resolved_yaml(loaded.experiment), end="")
+    print("# Limits")
+    for name, value in limits(loaded.experiment).items():
+        print(f"#   {name}: {value}")
+    print(f"# Trials to run: {len(todo)} of {loaded.experiment.trials.count}")
+    if todo:
+        ends = [str(log_path(folder, trial)) for trial in dict.fromkeys((todo[0], todo[-1]))]
+        print(f"# Logs to write: {' ... '.join(ends)}")
+
+
+def _run(loaded: "LoadedSpec", folder: Path, todo: list[int], jobs: int, quiet: bool) -> "Report":
+    from rich.console import Console
+
+    from tetractl.control.build import warm_up
+    from tetractl.run.batch import run_batch
+    from tetractl.run.folder import make_folder, set_aside
+    from tetractl.run.interrupt import Interrupt
+    from tetractl.run.limits import check
+
+    check(loaded.experiment)
+    make_folder(folder)
+    for trial in todo:
+        set_aside(folder, trial)
+    console = Console(stderr=True, quiet=quiet)
+    warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
+    interrupt = Interrupt()
+    with ExitStack() as stack:
+        stack.enter_context(interrupt.watch())
+        if console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not quiet:
+            from tetractl.view.live import LiveView
+
+            live = stack.enter_context(LiveView(console))
+            return run_batch(loaded, folder, todo, jobs, interrupt, live, [live])
+        from tetractl.view.progress import BatchProgress
+
+        unit = loaded.experiment.units.length
+        progress = stack.enter_context(BatchProgress(console, len(todo), unit))
+        return run_batch(loaded, folder, todo, jobs, interrupt, progress)
+
+
+def _conclude(report: "Report", folder: Path, json: bool) -> int:
+    """Print the statistics of the whole folder, then say how the run ended."""
+    from json import dumps
+
+    from rich.console import Console
+
+    from tetractl.run.batch import log_path
+    from tetractl.stats import export, table
+    from tetractl.stats.summary import summarise
+    from tetractl.stats.trials import load_trials
+
+    if report.results or not report.not_run:
+        results, damaged = load_trials([folder])
+        summary = summarise(results, damaged)
+        if json:
+            print(dumps(export.as_json(summary), indent=2, allow_nan=False))
+        else:
+            table.print_table(summary, Console())
+    for trial, result in report.aborted.items():
+        print(f"error: trial {trial + 1}: {result.reason}", file=sys.stderr)
+    left = f"; {len(report.not_run)} trials were not run" if report.not_run else ""
+    print(f"logs in {folder}{left}", file=sys.stderr)
+    if report.aborted:
+        return Exit.FAILED
+    if report.interrupted:
+        again = f"tetractl run SPEC --out {folder} --resume"
+        print(f"interrupted; go on with: {again}", file=sys.stderr)
+        return Exit.INTERRUPTED
+    print(f"look at one with: tetractl replay {log_path(folder, 0)}", file=sys.stderr)
+    return Exit.DONE

@@ -1,0 +1,34 @@
+"""What an experiment can do at most, and the checks before it is run."""
+
+from tetractl.run.square import check_square
+from tetractl.spec.controller import Square
+from tetractl.spec.experiment import Experiment
+
+
+def limits(experiment: Experiment) -> dict[str, str]:
+    """Return what bounds a trial, in words for people."""
+    control, unit = experiment.controller, experiment.units.length
+    steps = control.steps_max + 1
+    longest = steps * control.period
+    fastest = max(robot.speed for robot in experiment.robots)
+    found = {
+        "control period": f"{control.period:g} s",
+        "control steps of a trial": f"at most {steps}",
+        "duration of a trial": f"at most {longest:g} s after the first command",
+        "path of a robot": f"at most {fastest * longest:g} {unit}",
+        "horizons at step 0": f"1 ... {control.horizon_max} signals",
+        "cost evaluations of a horizon": (
+            f"at most {(control.swarm.iterations + 1) * control.swarm.particles + 1}"
+        ),
+    }
+    if isinstance(control.first_plan, Square):
+        square = control.first_plan
+        found["before step 0"] = f"{square.laps} squares of {4 * square.side:g} s"
+    return found
+
+
+def check(experiment: Experiment) -> None:
+    """Raise SpecError for what only shows when the motion is computed."""
+    first = experiment.controller.first_plan
+    if isinstance(first, Square):
+        check_square(experiment, first)

@@ -33,7 +33,7 @@ def info(
         print(found.as_json())
     else:
         for line in _lines(found):
-            print(printable(line))
+            print(printable(line).rstrip())
     return Exit.FAILED if found.damage else Exit.DONE
 
 

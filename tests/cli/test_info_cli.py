@@ -1,0 +1,100 @@
+"""`tetractl info`, run as a user runs it."""
+
+import json
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.trials import cut_short, three_robots, write_trial
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("logs")
+    write_trial(three_robots(1), folder / "whole.mcap")
+    write_trial(cut_short(three_robots(1), 10), folder / "cut.mcap")
+    data = bytearray((folder / "whole.mcap").read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (folder / "flipped.mcap").write_bytes(data)
+    (folder / "text.mcap").write_text("no log\n")
+    return folder
+
+
+def tetractl(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [TETRACTL, *shlex.split(command)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def test_it_says_what_is_in_a_log(folder: Path) -> None:
+    done = tetractl(folder, "info whole.mcap")
+    assert (done.returncode, done.stderr) == (0, "")
+    trial = three_robots(1)
+    assert trial.result is not None
+    for text in (
+        'robots          ["green", "blue", "red"]',
+        f"steps             {trial.result.steps}",
+        f"total error       {trial.result.total_error:.1f} mm",
+        f"/mocap            tetractl.MocapSample      {len(trial.mocap):>6} messages  120.0 Hz",
+        "spec.resolved.yaml",
+        "stated and computed  ",
+    ):
+        assert text in done.stdout
+    assert "damage" not in done.stdout
+    assert "\x1b" not in done.stdout
+
+
+def test_json_holds_the_same(folder: Path) -> None:
+    done = tetractl(folder, "info whole.mcap --json")
+    found = json.loads(done.stdout, parse_constant=pytest.fail)
+    trial = three_robots(1)
+    assert trial.result is not None
+    assert done.returncode == 0
+    assert found["run"]["seed"] == "1"
+    assert found["result"]["robot_errors"] == list(trial.result.robot_errors)
+    assert found["result"]["outcome"] == "sequence used up"
+    channels = {item["topic"]: item for item in found["channels"]}
+    assert channels["/truth"]["messages"] == len(trial.mocap)
+    assert channels["/controller/step"]["hz"] == pytest.approx(5, rel=0.01)
+    assert found["digest"] == found["stated_digest"]
+    assert found["attachments"].keys() == {"spec.yaml", "spec.resolved.yaml", "environment.json"}
+    assert found["damage"] is None
+    assert found["size"] == (folder / "whole.mcap").stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("log", "said"),
+    [
+        ("cut.mcap.part", "outcome  none: the log ends before its trial"),
+        ("flipped.mcap", "the checksum of the data section does not match"),
+    ],
+)
+def test_damage_is_told_and_fails(folder: Path, log: str, said: str) -> None:
+    done = tetractl(folder, f"info {log}")
+    assert done.returncode == 1
+    assert said in done.stdout
+    assert "\ndamage\n" in done.stdout
+    found = json.loads(tetractl(folder, f"info {log} --json").stdout)
+    assert found["damage"]["problems"]
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "error"),
+    [
+        ("info none.mcap", 2, "error: none.mcap: no such file\n"),
+        ("info text.mcap", 1, "error: text.mcap: not an MCAP file\n"),
+        ("info .", 1, "error: .: is a folder, not a log\n"),
+    ],
+)
+def test_errors_are_one_line(folder: Path, command: str, code: int, error: str) -> None:
+    done = tetractl(folder, command)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", error)

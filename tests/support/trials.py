@@ -1,14 +1,17 @@
 """Trials built in memory: the paper's three robots (section V), searched once, driven open loop."""
 
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
 from tetractl.control.plan import Outcome, Plan, Search
 from tetractl.log.records import EPOCH_NS, Damage, Result, Start, Step, TrialLog
+from tetractl.log.writer import LogWriter
 from tetractl.model.state import Floats, Observation, Poses
-from tetractl.plant.protocol import Command, PlantInfo, Verdict
+from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
 from tetractl.spec.experiment import Experiment
 
 PERIOD_S = 0.2
@@ -98,7 +101,7 @@ def three_robots(seed: int = 1) -> TrialLog:
     v = np.array([r.speed for r in spec.robots]) * rng.uniform(0.92, 1.04, 3)
     truth = _drive(starts, signals, a, v)
     mocap = truth + rng.normal(0, [1.5, 1.5, 0.01], truth.shape)
-    mocap_ns = (np.arange(len(truth)) * 1e9 / CAMERA_HZ).round()
+    mocap_ns = (np.arange(len(truth)) * 1e9 / CAMERA_HZ).round().astype(np.int64)
     valid = rng.random(truth.shape[:2]) > 0.01
 
     steps = []
@@ -196,3 +199,34 @@ def cut_short(log: TrialLog, steps: int) -> TrialLog:
         result=None,
         damage=Damage(("the file ends in the middle of a chunk",), (f"all after {steps / 5} s",)),
     )
+
+
+def write_trial(log: TrialLog, path: Path) -> Path:
+    """Store a trial as the trial loop would; without a result it stays a .part, as in a crash."""
+    spec_text = json.dumps(log.start.experiment.model_dump(mode="json"))
+    with LogWriter(path) as writer:
+        writer.on_start(replace(log.start, spec_text=spec_text))
+        frame = 0
+        for step in log.steps:
+            until = int(np.searchsorted(log.mocap_ns, step.command.sent_ns, side="right"))
+            writer.on_samples(samples(log, frame, until))
+            writer.on_step(step)
+            frame = until
+        writer.on_samples(samples(log, frame, len(log.mocap_ns)))
+        if log.stop and log.result:
+            writer.on_stop(log.stop, log.result)
+            return path
+    return path.with_name(path.name + ".part")
+
+
+def samples(log: TrialLog, begin: int, end: int) -> list[Sample]:
+    """Camera frames `begin` to `end`, as a plant gives them."""
+    return [
+        Sample(
+            Observation(
+                m, int(log.mocap_ns[m]), int(log.mocap_ns[m]), Poses.of(log.mocap[m]), log.valid[m]
+            ),
+            None if log.truth is None else Poses.of(log.truth[m]),
+        )
+        for m in range(begin, end)
+    ]

@@ -51,9 +51,9 @@ def distances(experiment: Experiment, xy: Floats) -> Floats:
     return np.linalg.norm(xy - targets(experiment), axis=-1)
 
 
-def tracked(mocap: Floats, valid: Floats | NDArray[np.bool_]) -> Floats:
+def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
     """Positions (M, N, 2) from poses (M, N, 3), NaN where a robot was not tracked."""
-    return np.where(np.asarray(valid, dtype=bool)[..., None], mocap[..., :2], np.nan)
+    return np.where(valid[..., None], mocap[..., :2], np.nan)
 
 
 class Recording:
@@ -95,9 +95,10 @@ class Recording:
         )
 
 
-def _held(mocap: Floats, valid: Floats, first: Floats) -> Floats:
+def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
     """Poses (M + 1, N, 3) with the last tracked one kept; row m is known after m frames."""
     poses = np.concatenate([first[None], mocap])
-    index = np.arange(len(poses))[:, None] * np.vstack([np.ones(len(first)), valid]).astype(bool)
+    seen = np.vstack([np.ones(len(first), dtype=bool), valid])
+    index = np.arange(len(poses))[:, None] * seen
     newest = np.maximum.accumulate(index, axis=0)
     return poses[newest, np.arange(len(first))]

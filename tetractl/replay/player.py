@@ -23,7 +23,7 @@ class State(StrEnum):
 
 
 class Player:
-    """Plays a recording between `start_s` and `until_s`: a state machine over a `PlayerClock`.
+    """Plays a span [ns] of a recording: a state machine over a `PlayerClock`.
 
     Call `update` before looking at `now`, and `press` with the name of each key: "space" pauses and
     resumes (and plays again from the start at the end), "left" and "right" seek 1 s, "." goes on by
@@ -34,16 +34,13 @@ class Player:
         self,
         recording: Recording,
         wall: Clock,
+        span_ns: tuple[int, int],
         *,
         rate: float = 1.0,
-        start_s: float = 0.0,
-        until_s: float | None = None,
         loop: bool = False,
         paused: bool = False,
     ) -> None:
-        self.start_ns, self.until_ns = span(recording, start_s, until_s)
-        if not 0 < rate < float("inf"):
-            raise UsageError(f"--rate must be above 0, not {rate:g}")
+        self.start_ns, self.until_ns = span_ns
         self._steps = recording.step_ns
         self._loop = loop
         self._quit = False

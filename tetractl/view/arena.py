@@ -13,7 +13,7 @@ from rich.style import Style
 from tetractl.model.state import Floats
 from tetractl.replay.frame import Frame, starts
 from tetractl.spec.experiment import Arena, Obstacle
-from tetractl.view.glyphs import Glyphs, arrow
+from tetractl.view.glyphs import Glyphs, arrow, eighth
 
 ACROSS, DOWN = 2, 4  # dots of a braille cell; a cell is twice as high as wide, so dots are square
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint8)
@@ -197,14 +197,13 @@ def _robot(
     x, y, heading = (float(value) for value in pose)
     column, row = view.cell(x, y)
     style = Style(color=color, bold=True)
-    heading = heading if math.isfinite(heading) else 0.0
     if not glyphs.ascii:
         canvas.put(column, row, arrow(glyphs, heading), style)
         return
-    eighth = round(heading / (math.pi / 4)) % 8
-    across = (1, 1, 0, -1, -1, -1, 0, 1)[eighth]
-    up = (0, 1, 1, 1, 0, -1, -1, -1)[eighth]
-    canvas.put(column + across, row - up, "-/|\\"[eighth % 4], style)
+    turn = eighth(heading)
+    across = (1, 1, 0, -1, -1, -1, 0, 1)[turn]
+    up = (0, 1, 1, 1, 0, -1, -1, -1)[turn]
+    canvas.put(column + across, row - up, "-/|\\"[turn % 4], style)
     canvas.put(column, row, _digit(robot), style)
 
 

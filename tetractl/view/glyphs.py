@@ -79,7 +79,14 @@ def glyphs_for(console: Console) -> Glyphs:
 
 def arrow(glyphs: Glyphs, angle: float) -> str:
     """Return the arrow nearest to an angle [rad]."""
-    return glyphs.arrows[round(angle / (math.pi / 4)) % 8]
+    return glyphs.arrows[eighth(angle)]
+
+
+def eighth(angle: float) -> int:
+    """Return the nearest eighth of a turn, 0 to 7 anticlockwise from +x; 0 for what is no angle."""
+    if not math.isfinite(angle):
+        return 0
+    return round(math.remainder(angle, math.tau) / (math.pi / 4)) % 8
 
 
 def bar(glyphs: Glyphs, width: int, fraction: float, style: str) -> Text:
@@ -107,7 +114,7 @@ def sparkline(
     if log:
         y = np.log(np.maximum(y, 1e-12))
     low, high = (np.nanmin(y) if log else 0.0), np.nanmax(y)
-    shape = (y - low) / (high - low) if high > low else np.zeros_like(y)
+    shape = np.clip((y - low) / (high - low), 0, 1) if high > low else np.zeros_like(y)
     level = np.nan_to_num(shape * (len(glyphs.spark) - 1), nan=len(glyphs.spark) - 1).round()
     total = max(total, len(y))
     cells = min(width, total)

@@ -1,13 +1,8 @@
-"""A replay on the screen, or as plain lines where there is no terminal."""
-
-import math
-from collections.abc import Callable
+"""A replay on the terminal's other screen, obeying keys."""
 
 from rich.console import Console
 from rich.live import Live
 
-from tetractl.clock import Clock
-from tetractl.replay.clock import PlayerClock
 from tetractl.replay.frame import Recording
 from tetractl.replay.player import Player, State
 from tetractl.view.dashboard import Dashboard, Footer
@@ -25,7 +20,7 @@ def perform(console: Console, recording: Recording, player: Player) -> None:
     drawn: object = None
     with (
         Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False) as live,
-        Keyboard(leave=live.stop, back=live.start) as keyboard,
+        Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard,
     ):
         while player.state is not State.QUIT:
             player.update()
@@ -58,42 +53,3 @@ def dashboard(recording: Recording, player: Player, colors: list[str], glyphs: G
     heading = f"{log.start.experiment.name}, trial {log.start.trial}"
     notes = ("damaged log", *log.damage.lost) if log.damage else ()
     return Dashboard(recording.at(player.now), colors, heading, footer, notes)
-
-
-def recite(
-    write: Callable[[str], None],
-    recording: Recording,
-    player_span: tuple[int, int],
-    *,
-    wall: Clock,
-    rate: float | None,
-    loop: bool,
-) -> None:
-    """Write one line a control step: at once, or at `rate` times the trial's pace."""
-    start_ns, until_ns = player_span
-    clock = PlayerClock(wall, at_ns=start_ns, rate=rate or 1.0)
-    while True:
-        for index, step_ns in enumerate(recording.step_ns):
-            if start_ns <= step_ns <= until_ns:
-                if rate is not None:
-                    clock.sleep_until(int(step_ns))
-                write(line(recording, index))
-        if rate is not None:
-            clock.sleep_until(until_ns)
-        if not loop:
-            return
-        clock.jump(start_ns)
-
-
-def line(recording: Recording, index: int) -> str:
-    """One control step in words."""
-    step = recording.log.steps[index]
-    unit = recording.log.start.experiment.units.length
-    plan, u = step.plan, step.command.direction
-    direction = "stop" if u is None else f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
-    total = recording.totals[index]
-    return (
-        f"{recording.step_ns[index] / 1e9:.2f} s  k {step.k}  horizon {len(plan.signals)}  "
-        f"J {plan.cost:.1f} {unit}  total error {total:.1f} {unit}  direction {direction}  "
-        f"evaluations {plan.evaluations}  stopped {plan.search.stopped}"
-    )

@@ -1,0 +1,228 @@
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import pytest
+from support.terminal import Terminal
+from support.trials import cut_short, three_robots, write_trial
+
+TETRACTL = str(Path(sys.executable).with_name("tetractl"))
+LFLAG = 3
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("logs")
+    write_trial(three_robots(1), folder / "whole.mcap")
+    write_trial(three_robots(2), folder / "other.mcap")
+    write_trial(cut_short(three_robots(1), 10), folder / "cut.mcap")
+    return folder
+
+
+def run(*args: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [TETRACTL, *map(str, args)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def play(folder: Path, *options: str, **env: str) -> Terminal:
+    return Terminal([TETRACTL, "replay", "whole.mcap", *options], folder, **env)
+
+
+def at(seconds: float) -> str:
+    return rf"{seconds:.1f} / 8\.4 s"
+
+
+def test_every_key_does_what_it_says(folder):
+    with play(folder, "--paused") as terminal:
+        terminal.expect(r"‖ 1×.*0\.0 / 8\.4 s")
+        terminal.press(".")
+        terminal.expect(r"step k      1 ")
+        terminal.press(".")
+        terminal.expect(at(0.4))
+        terminal.press("\x1b[C")
+        terminal.expect(at(1.4))
+        terminal.press("\x1bOC")
+        terminal.expect(at(2.4))
+        terminal.press("\x1b[D")
+        terminal.expect(at(1.4))
+        terminal.press("+")
+        terminal.expect("‖ 2×")
+        terminal.press("--")
+        terminal.expect("‖ 0.5×")
+        terminal.press(" ")
+        terminal.expect("▶ 0.5×")
+        terminal.expect(at(1.5))
+        terminal.press(" ")
+        terminal.expect("‖ 0.5×")
+        terminal.press("q")
+        assert terminal.finish() == 0
+        assert terminal.settings() == terminal.before
+        assert terminal.raw.rstrip().endswith(("\x1b[?25h", "\x1b[?1049l"))
+
+
+def test_it_plays_to_the_end_and_waits_there(folder):
+    with play(folder, "--rate", "50", "--start", "7.5") as terminal:
+        terminal.expect("ended: sequence used up")
+        terminal.expect("space again")
+        terminal.press("q")
+        assert terminal.finish() == 0
+
+
+def test_loop_until_comes_round_again(folder):
+    with play(folder, "--loop", "--start", "1", "--until", "1.5", "--rate", "2") as terminal:
+        for _ in range(2):
+            terminal.expect(at(1.4))
+            terminal.expect(at(1.0))
+        terminal.press("q")
+        assert terminal.finish() == 0
+
+
+def test_it_follows_the_size_of_the_terminal(folder):
+    with play(folder, "--paused") as terminal:
+        terminal.expect("solve time|step k")
+        terminal.resize(40, 12)
+        terminal.expect(r"t     0\.0 / 8\.4 s")
+        terminal.resize(120, 40)
+        terminal.expect("evaluations")
+        terminal.press("q")
+        assert terminal.finish() == 0
+
+
+@pytest.mark.parametrize("how", ["ctrl-c", "SIGTERM", "SIGHUP"])
+def test_an_interrupt_gives_the_terminal_back(folder, how):
+    with play(folder) as terminal:
+        terminal.expect("▶ 1×")
+        assert not terminal.settings()[LFLAG] & termios.ICANON
+        if how == "ctrl-c":
+            terminal.press("\x03")
+        else:
+            os.kill(terminal.process.pid, getattr(signal, how))
+        assert terminal.process.wait(60) == 130
+        assert terminal.settings() == terminal.before
+        terminal.finish()
+        assert terminal.raw.rindex("\x1b[?1049l") > terminal.raw.rindex("\x1b[?1049h")
+        assert terminal.raw.rindex("\x1b[?25h") > terminal.raw.rindex("\x1b[?25l")
+
+
+def test_ctrl_z_leaves_the_terminal_usable_and_fg_goes_on(folder):
+    script = f"""set -m
+{shlex.quote(TETRACTL)} replay whole.mcap --paused
+echo "stopped=$?"; stty -a; fg; echo "ended=$?"
+"""
+    with Terminal(["bash", "-c", script], folder) as terminal:
+        terminal.expect(at(0.0))
+        terminal.press("\x1a")
+        terminal.expect("stopped=148")
+        terminal.expect(r"[^-]icanon[\s\S]*[^-]echo ")
+        terminal.expect(at(0.0))
+        terminal.press(".")
+        terminal.expect("step k      1 ")
+        terminal.press("q")
+        terminal.expect("ended=0")
+        assert terminal.finish() == 0
+
+
+def test_a_terminal_without_utf8_gets_ascii(folder):
+    with play(folder, "--paused", PYTHONUTF8="0", PYTHONIOENCODING="ascii") as terminal:
+        terminal.expect(r"\[3\]")
+        terminal.expect("space play")
+        terminal.press("q")
+        assert terminal.finish() == 0
+        assert terminal.raw.isascii()
+
+
+def test_a_dumb_terminal_gets_plain_lines(folder):
+    with play(folder, TERM="dumb") as terminal:
+        assert terminal.finish() == 0
+        assert "\x1b" not in terminal.raw
+        assert terminal.raw.count("total error") == len(three_robots(1).steps)
+
+
+def test_without_a_terminal_one_line_a_step(folder):
+    done = run("replay", "whole.mcap", cwd=folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    steps = three_robots(1).steps
+    assert len(lines) == len(steps)
+    for line, step in zip(lines, steps, strict=True):
+        assert f"k {step.k} " in line
+        assert f"evaluations {step.plan.evaluations} " in line
+        assert line.endswith(f"stopped {step.plan.search.stopped}")
+    assert "\x1b" not in done.stdout
+
+
+def test_start_until_and_rate_without_a_terminal(folder):
+    done = run("replay", "whole.mcap", "--start", "1", "--until", "2", "--rate", "20", cwd=folder)
+    assert [line.split()[0] for line in done.stdout.splitlines()] == [
+        *("1.00", "1.20", "1.40", "1.60", "1.80", "2.00")
+    ]
+
+
+def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
+    done = run("replay", "cut.mcap.part", cwd=folder)
+    assert done.returncode == 1
+    assert len(done.stdout.splitlines()) == 10
+    assert done.stderr.startswith("damaged: cut.mcap.part: ")
+    assert "lost: cut.mcap.part: " in done.stderr
+    done = run("plot", "cut.mcap.part", "--kind", "error", cwd=folder)
+    assert (done.returncode, done.stdout) == (1, "cut-error.png\n")
+    assert (folder / "cut-error.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "words"),
+    [
+        (["replay", "whole.mcap", "--rate", "0"], 2, "--rate must be above 0"),
+        (["replay", "whole.mcap", "--rate", "nan"], 2, "--rate must be above 0"),
+        (["replay", "whole.mcap", "--rate", "fast"], 2, "'--rate'"),
+        (["replay", "whole.mcap", "--start", "99"], 2, "the trial lasts 8.4 s"),
+        (["replay", "whole.mcap", "--paused"], 2, "--paused needs a terminal"),
+        (["replay", "nothing.mcap"], 1, "nothing.mcap"),
+        (["replay", "."], 1, ""),
+        (["replay"], 2, "LOG"),
+        (["plot", "whole.mcap", "-o", "a.bmp"], 2, ".png, .svg, .pdf"),
+        (["plot", "whole.mcap", "-o", "a"], 2, "needs an ending"),
+        (["plot", "whole.mcap", "-o", "no/such/a.png"], 1, "no/such/a.png"),
+        (["plot", "whole.mcap", "--kind", "pie"], 2, "pie"),
+        (["plot", "whole.mcap", "other.mcap", "--kind", "timing"], 2, "shows one trial, not 2"),
+    ],
+)
+def test_bad_input_is_one_line(folder, args, code, words):
+    done = run(*args, cwd=folder)
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert words in done.stderr
+    assert done.stderr.startswith("error: ")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["trajectory", "convergence", "error", "timing"])
+def test_plot_names_its_file_after_the_log_here(folder, tmp_path, kind):
+    done = run("plot", folder / "whole.mcap", "--kind", kind, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"whole-{kind}.png\n", "")
+    assert [path.name for path in tmp_path.iterdir()] == [f"whole-{kind}.png"]
+
+
+def test_plot_overlays_trials_reproducibly(folder, tmp_path):
+    logs = [folder / "whole.mcap", folder / "other.mcap"]
+    for name in ("a.svg", "b.svg"):
+        assert run("plot", *logs, "-o", name, cwd=tmp_path).returncode == 0
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+@pytest.mark.parametrize("command", ["replay", "plot"])
+def test_help_has_an_example(folder, command):
+    done = run(command, "--help", cwd=folder)
+    assert done.returncode == 0
+    assert f"Example: tetractl {command} trial-000.mcap" in done.stdout

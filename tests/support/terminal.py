@@ -1,0 +1,95 @@
+"""A pseudo-terminal with a command in it: keys go in, what the screen was sent comes out."""
+
+import fcntl
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import termios
+from pathlib import Path
+from typing import Self
+
+PATIENCE_S = 30.0  # before a test gives up; nothing waits for it to pass
+_CODES = re.compile(r"\x1b(?:\[[0-9;?]*(?:[A-Za-z]|$)|[=>]|$)")
+
+
+class Terminal:
+    """Runs a command as the leader of a session on a new terminal of `columns` x `rows`."""
+
+    def __init__(
+        self, command: list[str], folder: Path, columns: int = 80, rows: int = 24, **env: str
+    ) -> None:
+        self._master, self._slave = pty.openpty()
+        self.resize(columns, rows)
+        self.before = termios.tcgetattr(self._slave)
+        self.process = subprocess.Popen(
+            command,
+            stdin=self._slave,
+            stdout=self._slave,
+            stderr=self._slave,
+            cwd=folder,
+            env=_environment() | env,
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+        self.raw = ""
+        self._seen = 0
+
+    def resize(self, columns: int, rows: int) -> None:
+        """Set the size of the screen."""
+        fcntl.ioctl(self._master, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+
+    def press(self, keys: str) -> None:
+        """Type."""
+        os.write(self._master, keys.encode())
+
+    def expect(self, pattern: str) -> str:
+        """Read on until what came since the last match matches, without control codes."""
+        while True:
+            text = _CODES.sub("", self.raw)
+            if found := re.compile(pattern).search(text, self._seen):
+                self._seen = found.end()
+                return found[0]
+            assert self._read(), f"{pattern!r} never came:\n{text[self._seen :][-3000:]}"
+
+    def finish(self) -> int:
+        """Read until the command ends and return its exit code."""
+        os.close(self._slave)
+        self._slave = -1
+        while self._read():
+            pass
+        return self.process.wait(PATIENCE_S)
+
+    def settings(self) -> list:
+        """How the terminal is set now, as termios tells it."""
+        return termios.tcgetattr(self._slave if self._slave >= 0 else self._master)
+
+    def _read(self) -> bool:
+        ready, _, _ = select.select([self._master], [], [], PATIENCE_S)
+        if not ready:
+            return False
+        try:
+            data = os.read(self._master, 65536)
+        except OSError:  # the last one has left the terminal
+            return False
+        self.raw += data.decode(errors="replace")
+        return bool(data)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+        for end in {self._master, self._slave} - {-1}:
+            os.close(end)
+
+
+def _environment() -> dict[str, str]:
+    hidden = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE")
+    kept = {name: value for name, value in os.environ.items() if name not in hidden}
+    return kept | {"TERM": "xterm-256color", "PYTHONUTF8": "1"}

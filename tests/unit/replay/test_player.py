@@ -1,0 +1,228 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.trials import PERIOD_NS, cut_short, three_robots
+
+from tetractl.errors import UsageError
+from tetractl.replay.clock import PlayerClock
+from tetractl.replay.frame import Recording
+from tetractl.replay.player import Player, State, span
+
+SECOND = 1_000_000_000
+KEYS = ["space", "left", "right", ".", "+", "-", "x"]
+
+
+class FakeWall:
+    def __init__(self) -> None:
+        self.time = 7 * SECOND
+
+    def now(self) -> int:
+        return self.time
+
+    def sleep_until(self, when: int) -> None:
+        self.time = max(self.time, when)
+
+    def pass_by(self, seconds: float) -> None:
+        self.time += round(seconds * SECOND)
+
+
+@pytest.fixture
+def wall() -> FakeWall:
+    return FakeWall()
+
+
+@pytest.fixture
+def recording() -> Recording:
+    return Recording(three_robots())
+
+
+def player(recording: Recording, wall: FakeWall, **options) -> Player:
+    limits = span(recording, options.pop("start", 0.0), options.pop("until", None))
+    return Player(recording, wall, limits, **options)
+
+
+def after(p: Player, wall: FakeWall, seconds: float) -> float:
+    wall.pass_by(seconds)
+    p.update()
+    return p.now / SECOND
+
+
+def test_clock_runs_at_its_rate_and_a_change_of_rate_never_leaps(wall):
+    clock = PlayerClock(wall, at_ns=SECOND, rate=2)
+    wall.pass_by(3)
+    assert clock.now() == 7 * SECOND
+    clock.set_rate(0.5)
+    assert clock.now() == 7 * SECOND
+    wall.pass_by(1)
+    assert clock.now() == 7.5 * SECOND
+
+
+def test_clock_stands_still_when_paused_and_jumps_either_way(wall):
+    clock = PlayerClock(wall)
+    clock.pause()
+    wall.pass_by(5)
+    assert clock.now() == 0
+    clock.jump(4 * SECOND)
+    assert (clock.now(), clock.paused) == (4 * SECOND, True)
+    clock.resume()
+    wall.pass_by(1)
+    assert clock.now() == 5 * SECOND
+
+
+@given(st.floats(0.01, 100), st.integers(0, 10**12))
+def test_sleep_until_comes_exactly_when_due(rate, due):
+    wall = FakeWall()
+    clock = PlayerClock(wall, rate=rate)
+    assert clock.sleep_until(due)
+    assert due <= clock.now() <= due + rate + 1
+
+
+def test_a_paused_clock_does_not_wait_for_what_never_comes(wall):
+    clock = PlayerClock(wall, paused=True)
+    before = wall.now()
+    assert not clock.sleep_until(SECOND)
+    assert wall.now() == before
+
+
+@pytest.mark.parametrize("rate", [0, -1, float("nan"), float("inf")])
+def test_clock_refuses_rates_that_are_no_pace(wall, rate):
+    with pytest.raises(ValueError, match="rate"):
+        PlayerClock(wall, rate=rate)
+
+
+def test_space_pauses_and_goes_on(recording, wall):
+    p = player(recording, wall)
+    assert after(p, wall, 1.5) == 1.5
+    p.press("space")
+    assert p.state is State.PAUSED
+    assert after(p, wall, 10) == 1.5
+    p.press("space")
+    assert after(p, wall, 1) == 2.5
+
+
+def test_arrows_seek_a_second_within_the_span(recording, wall):
+    p = player(recording, wall, start=1, until=4, paused=True)
+    for key, time in [("right", 2), ("right", 3), ("right", 4), ("right", 4), ("left", 3)]:
+        p.press(key)
+        assert p.now == time * SECOND
+    for _ in range(9):
+        p.press("left")
+    assert p.now == SECOND
+
+
+def test_dot_goes_through_the_control_steps_one_by_one_and_pauses(recording, wall):
+    p = player(recording, wall)
+    seen = []
+    for _ in range(len(recording.step_ns) - 1):
+        p.press(".")
+        assert p.state in (State.PAUSED, State.ENDED)
+        step = recording.at(p.now).step
+        assert step is not None
+        seen.append(step.k)
+    assert seen == list(range(1, len(recording.step_ns)))
+    p.press(".")
+    assert p.now == recording.end_ns
+
+
+def test_plus_and_minus_double_and_halve_the_rate(recording, wall):
+    p = player(recording, wall)
+    p.press("+")
+    assert (p.rate, after(p, wall, 1)) == (2, 2)
+    p.press("-")
+    p.press("-")
+    assert (p.rate, after(p, wall, 1)) == (0.5, 2.5)
+
+
+@pytest.mark.parametrize("rate", [0.001, 1.0, 1000.0])
+def test_the_rate_has_limits_but_keeps_what_was_asked_for(recording, wall, rate):
+    p = player(recording, wall, rate=rate)
+    for _ in range(30):
+        p.press("+")
+    assert p.rate == max(64.0, rate)
+    for _ in range(30):
+        p.press("-")
+    assert p.rate == 1 / 16
+
+
+def test_it_pauses_at_the_end_and_space_plays_again(recording, wall):
+    p = player(recording, wall, start=2)
+    assert after(p, wall, 100) == recording.end_ns / SECOND
+    assert p.state is State.ENDED
+    p.press("space")
+    assert (p.state, p.now) == (State.PLAYING, 2 * SECOND)
+    p.press("q")
+    assert p.state is State.QUIT
+
+
+def test_seeking_back_from_the_end_is_paused(recording, wall):
+    p = player(recording, wall)
+    after(p, wall, 100)
+    p.press("left")
+    assert p.state is State.PAUSED
+    assert p.now == recording.end_ns - SECOND
+
+
+def test_until_and_loop(recording, wall):
+    p = player(recording, wall, start=1, until=3, loop=True)
+    assert after(p, wall, 1.5) == 2.5
+    assert after(p, wall, 0.5) == 1
+    assert p.state is State.PLAYING
+    assert after(p, wall, 1) == 2
+
+
+@given(st.lists(st.tuples(st.sampled_from(KEYS), st.floats(0, 3)), max_size=40), st.booleans())
+def test_no_keys_ever_leave_the_span(presses, loop):
+    wall, recording = FakeWall(), Recording(three_robots())
+    p = player(recording, wall, start=1, until=6, loop=loop)
+    for key, seconds in presses:
+        p.press(key)
+        after(p, wall, seconds)
+        assert SECOND <= p.now <= 6 * SECOND
+
+
+@pytest.mark.parametrize(
+    ("start", "until", "words"),
+    [
+        (-1, None, "--start must not be negative"),
+        (float("nan"), None, "--start must not be negative"),
+        (0, -1, "--until must not be negative"),
+        (99, None, "the trial lasts 8.4 s"),
+        (3, 2, "--start 3 must lie before --until 2"),
+        (3, 3, "--start 3 must lie before --until 3"),
+    ],
+)
+def test_a_span_with_nothing_in_it_is_refused(recording, start, until, words):
+    with pytest.raises(UsageError, match=words):
+        span(recording, start, until)
+
+
+@pytest.mark.parametrize("until", [1e9, float("inf")])
+def test_until_behind_the_end_means_the_end(recording, until):
+    assert span(recording, 0, until) == (0, recording.end_ns)
+
+
+def test_a_frame_shows_what_was_in_force_and_seen(recording):
+    log = recording.log
+    frame = recording.at(5 * PERIOD_NS - 1)
+    assert frame.step is log.steps[4]
+    assert len(frame.totals) == 5
+    assert len(frame.trail) == np.searchsorted(log.mocap_ns, 5 * PERIOD_NS - 1, side="right")
+    assert recording.at(5 * PERIOD_NS).step is log.steps[5]
+    assert frame.result is None
+    assert recording.at(recording.end_ns).result is log.result
+
+
+def test_an_untracked_robot_keeps_its_last_pose(recording):
+    log = recording.log
+    m, robot = next((m, n) for m, n in np.argwhere(~log.valid) if m and log.valid[m - 1, n])
+    frame = recording.at(int(log.mocap_ns[m]))
+    assert np.isnan(frame.trail[-1, robot]).all()
+    assert (frame.poses[robot] == log.mocap[m - 1, robot]).all()
+
+
+def test_a_log_without_anything_still_shows_the_start():
+    recording = Recording(cut_short(three_robots(), 0))
+    frame = recording.at(0)
+    assert (recording.end_ns, frame.step) == (0, None)
+    assert frame.poses[:, :2].tolist() == [[900, 800], [900, 1200], [900, 1600]]

@@ -1,0 +1,141 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.style import Style
+from support.trials import experiment, three_robots
+
+from tetractl.replay.frame import Frame, Recording
+from tetractl.spec.experiment import Arena
+from tetractl.view.arena import ACROSS, DOWN, Canvas, Projection, draw
+from tetractl.view.glyphs import ASCII, UNICODE, arrow, bar, sparkline
+
+COLORS = ["#009E73", "#0072B2", "#D55E00"]
+lengths = st.floats(1e-3, 1e5)
+arenas = st.builds(
+    Arena, left=st.floats(-1e4, 1e4), bottom=st.floats(-1e4, 1e4), width=lengths, height=lengths
+)
+sizes = st.integers(1, 300)
+shares = st.floats(0, 1)
+
+
+@given(arenas, sizes, sizes, shares, shares)
+def test_any_position_in_the_arena_lands_on_the_canvas(arena, width, height, fx, fy):
+    view = Projection.fit(arena, width, height)
+    assert 1 <= view.width <= width
+    assert 1 <= view.height <= height
+    x, y = arena.left + fx * arena.width, arena.bottom + fy * arena.height
+    (column,), (row,) = view.dots(np.array([[x, y]]))
+    assert 0 <= column < ACROSS * view.width
+    assert 0 <= row < DOWN * view.height
+
+
+@given(arenas, sizes, sizes, shares, shares, shares, shares)
+def test_right_is_right_and_up_is_up(arena, width, height, ax, ay, bx, by):
+    view = Projection.fit(arena, width, height)
+    share = np.array([[ax, ay], [bx, by]])
+    (ca, cb), (ra, rb) = view.dots([arena.left, arena.bottom] + share * [arena.width, arena.height])
+    assert ca <= cb if ax <= bx else ca >= cb
+    assert ra >= rb if ay <= by else ra <= rb
+
+
+def test_a_square_stays_square_in_dots():
+    view = Projection.fit(Arena(left=0, bottom=0, width=1000, height=1000), 80, 20)
+    columns, rows = view.dots(np.array([[0.0, 0.0], [1000.0, 1000.0]]))
+    assert columns[1] - columns[0] == rows[0] - rows[1] == DOWN * 20 - 1
+
+
+@given(
+    st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3),
+    sizes.filter(lambda n: n < 60),
+    sizes.filter(lambda n: n < 40),
+    st.sampled_from([UNICODE, ASCII]),
+)
+def test_any_pose_whatever_can_be_drawn(pose, width, height, glyphs):
+    spec = experiment()
+    frame = Frame(
+        spec,
+        0.0,
+        None,
+        np.array([pose] * 3),
+        np.array([[pose[:2]] * 3]),
+        None,
+        np.array([]),
+        0,
+        None,
+    )
+    canvas = draw(frame, COLORS, glyphs, width, height)
+    text = canvas.text()
+    assert len(text) <= height
+    assert {len(line) for line in text} == {canvas.width}
+    assert all(line.isascii() for line in text) or glyphs is UNICODE
+
+
+def test_the_robots_stand_where_they_are_and_look_where_they_head():
+    recording = Recording(three_robots())
+    frame = recording.at(3_000_000_000)
+    canvas = draw(frame, COLORS, UNICODE, 60, 30)
+    view = Projection.fit(frame.experiment.arena, 60, 30)
+    text = canvas.text()
+    for robot in range(3):
+        x, y, heading = frame.poses[robot]
+        column, row = view.cell(x, y)
+        assert text[row][column] == arrow(UNICODE, heading)
+        column, row = view.cell(*frame.experiment.robots[robot].target)
+        assert text[row][column] == "□"
+    assert [row for row in range(len(text)) if "⣿" in text[row]]
+
+
+def test_ascii_tells_robots_and_targets_by_number():
+    frame = Recording(three_robots()).at(2_000_000_000)
+    text = "\n".join(draw(frame, COLORS, ASCII, 60, 30).text())
+    assert text.isascii()
+    for robot in "123":
+        assert f"[{robot}]" in text
+        assert text.count(robot) == 2
+    assert "#" in text
+
+
+def test_a_canvas_keeps_the_last_style_of_a_cell_and_cuts_where_it_changes():
+    canvas = Canvas(3, 1, UNICODE)
+    red, blue = Style(color="red"), Style(color="blue")
+    canvas.dots(np.array([0, 2, 4]), np.array([0, 0, 0]), red, ".")
+    canvas.put(1, 0, "x", blue)
+    canvas.put(9, 9, "y", blue)
+    (row,) = canvas.segments()
+    assert [(segment.text, segment.style) for segment in row] == [
+        ("⠁", red),
+        ("x", blue),
+        ("⠁", red),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("degrees", "sign"), [(0, "→"), (44, "↗"), (90, "↑"), (179, "←"), (-91, "↓"), (700, "→")]
+)
+def test_arrows_point_along_angles(degrees, sign):
+    assert arrow(UNICODE, math.radians(degrees)) == sign
+
+
+def test_a_sparkline_scales_from_zero_and_leaves_the_rest_open():
+    line = sparkline(UNICODE, [8, 4, 0], 6, total=6)
+    assert line.plain == "█▅▁···"
+    assert sparkline(UNICODE, [100, 10, 1], 3, log=True).plain == "█▅▁"
+    assert sparkline(ASCII, [], 4).plain == "...."
+
+
+@given(
+    st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=200),
+    st.integers(0, 60),
+    st.integers(0, 300),
+    st.booleans(),
+)
+def test_a_sparkline_of_anything_fits(values, width, total, log):
+    assert len(sparkline(UNICODE, values, width, total=total, log=log).plain) <= width
+
+
+@given(st.integers(0, 80), st.floats(allow_nan=True, allow_infinity=True))
+def test_a_bar_of_anything_is_as_wide_as_asked(width, fraction):
+    assert len(bar(UNICODE, width, fraction, "red").plain) == width

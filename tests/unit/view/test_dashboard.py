@@ -1,0 +1,139 @@
+import io
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+from support.trials import cut_short, experiment, three_robots
+
+from tetractl.replay.frame import Recording
+from tetractl.replay.player import Player, span
+from tetractl.view.dashboard import Footer
+from tetractl.view.glyphs import ASCII, UNICODE, glyphs_for
+from tetractl.view.recital import line
+from tetractl.view.style import robot_colors
+from tetractl.view.theatre import dashboard
+
+
+class StillWall:
+    def now(self) -> int:
+        return 0
+
+    def sleep_until(self, when: int) -> None:
+        raise AssertionError("nothing waits here")
+
+
+def screen(recording: Recording, width: int, height: int, seconds: float, **options) -> list[str]:
+    console = Console(
+        file=io.TextIOWrapper(io.BytesIO(), encoding=options.pop("encoding", "utf-8")),
+        width=width,
+        height=height,
+        force_terminal=True,
+        color_system="truecolor",
+        legacy_windows=False,
+        _environ={"TERM": "xterm-256color"},
+        **options,
+    )
+    player = Player(recording, StillWall(), span(recording, seconds, None), paused=True)
+    colors = robot_colors(recording.log.start.experiment.robots)
+    shown = dashboard(recording, player, colors, glyphs_for(console))
+    with console.capture() as captured:
+        console.print(shown, height=height, end="")
+    return re.sub(r"\x1b\[[0-9;]*m", "", captured.get()).split("\n")
+
+
+@pytest.fixture
+def recording() -> Recording:
+    return Recording(three_robots())
+
+
+@pytest.mark.parametrize(
+    ("width", "height"), [(80, 24), (100, 30), (200, 60), (40, 12), (60, 50), (8, 3), (1, 1)]
+)
+@pytest.mark.parametrize("seconds", [0, 3, 8.4])
+def test_it_fills_exactly_the_terminal_it_is_given(recording, width, height, seconds):
+    lines = screen(recording, width, height, seconds)
+    assert len(lines) == max(height, 2)
+    assert {len(text) for text in lines} == {width}
+
+
+def test_an_80_by_24_terminal_shows_everything(recording):
+    step = recording.log.steps[15]
+    text = "\n".join(screen(recording, 80, 24, 3.05))
+    for words in (
+        "three-m3pi, trial 0",
+        "3.0 / 8.4 s",
+        f"step k      {step.k}",
+        f"horizon     {len(step.plan.signals)} signals",
+        "distance to target [mm]",
+        "green",
+        "total error",
+        "plan cost J",
+        f"of 60, {step.plan.search.stopped}",
+        "solve time",
+        "evaluations",
+        "space play",
+        "q quit",
+        "1600 × 1800 mm",
+    ):
+        assert words in text
+
+
+def test_a_40_by_12_terminal_shows_what_matters_uncut(recording):
+    text = "\n".join(screen(recording, 40, 12, 8.0))
+    for words in ("t     8.0 / 8.4 s", "k     40", "h     2 signals", "to target [mm]", "error"):
+        assert words in text
+
+
+def test_without_colour_or_utf8_it_is_ascii(recording):
+    for options in ({"no_color": True}, {"encoding": "ascii"}):
+        lines = screen(recording, 80, 24, 3, **options)
+        assert all(text.isascii() for text in lines)
+        assert any("[3]" in text for text in lines)
+
+
+def test_the_end_says_how_it_ended_and_damage_is_told(recording):
+    assert "ended: sequence used up" in "\n".join(screen(recording, 80, 24, 8.4))
+    cut = Recording(cut_short(three_robots(), 20))
+    text = "\n".join(screen(cut, 80, 24, 1))
+    assert "damaged log" in text
+    assert "all after 4.0 s" in text
+
+
+def test_hints_give_way_to_width():
+    footer = Footer("▶ 1×", 0.5, "3.0 / 8.4 s", ("space pause", "q quit"))
+    assert "q quit" in footer.text(UNICODE, 80).plain
+    assert "q quit" not in footer.text(UNICODE, 49).plain
+    assert "space pause" in footer.text(UNICODE, 49).plain
+    assert footer.text(ASCII, 30).plain.startswith("▶ 1× ===")
+
+
+def test_many_robots_are_summed_up():
+    robots = [
+        {"name": f"r{i}", "start": [700 + i, 800], "target": [1700, 500], "a": 6, "speed": 180}
+        for i in range(40)
+    ]
+    log = cut_short(three_robots(), 0)
+    many = replace(
+        log,
+        start=replace(log.start, experiment=experiment(robots=robots)),
+        mocap=np.empty((0, 40, 3)),
+        valid=np.empty((0, 40), dtype=bool),
+        truth=None,
+    )
+    text = "\n".join(screen(Recording(many), 80, 24, 0))
+    assert re.search(r"and \d+ more, at most \d+", text)
+
+
+def test_a_step_in_words(recording):
+    step = recording.log.steps[3]
+    words = line(recording, 3)
+    assert words.startswith("  0.60 s  k 3 ")
+    for part in (
+        f"horizon {len(step.plan.signals)}",
+        f"J {step.plan.cost:7.1f} mm",
+        f"evaluations {step.plan.evaluations}",
+        "stopped criterion",
+    ):
+        assert part in words

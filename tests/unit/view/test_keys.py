@@ -1,0 +1,39 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tetractl.view.keys import decode
+
+
+@pytest.mark.parametrize(
+    ("data", "keys"),
+    [
+        (b" q", ["space", "q"]),
+        (b"\x1b[C\x1b[D", ["right", "left"]),
+        (b"\x1bOC\x1bOD", ["right", "left"]),
+        (b"\x1b[A.\x1b[5~+", [".", "+"]),
+        (b"\x1b\x1b[C", ["right"]),
+        (b"\x1b[1;5C-", ["-"]),
+        (b"=_Q", ["+", "-", "q"]),
+        (b"\xc3\xa9\x00\t", []),
+    ],
+)
+def test_keys_have_names(data, keys):
+    assert decode(data) == (keys, b"")
+
+
+@given(st.binary(max_size=30))
+def test_anything_decodes_and_only_a_beginning_is_kept(data):
+    keys, rest = decode(data)
+    assert not rest or rest[0] == 0x1B
+    assert decode(data.replace(b"\x1b", b""))[1] == b""
+    assert all(key.isprintable() for key in keys)
+
+
+@given(st.lists(st.sampled_from([b"\x1b[C", b"\x1bOD", b" ", b".", b"\x1b[5~"])), st.data())
+def test_a_sequence_torn_between_two_reads_is_put_together(parts, data):
+    whole = b"".join(parts)
+    cut = data.draw(st.integers(0, len(whole)))
+    first, rest = decode(whole[:cut])
+    second, left = decode(rest + whole[cut:])
+    assert (first + second, left) == decode(whole)

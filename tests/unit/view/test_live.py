@@ -1,0 +1,139 @@
+import io
+import re
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+from support.trials import samples, three_robots
+
+from tetractl.control.plan import Outcome
+from tetractl.log.records import Observer
+from tetractl.view.live import LiveView
+from tetractl.view.progress import BatchProgress, BatchWatcher, duration
+
+
+class Wall:
+    """A wall clock that moves on by `tick` seconds at every look."""
+
+    def __init__(self, tick: float) -> None:
+        self.time, self.tick = 0.0, tick
+
+    def __call__(self) -> float:
+        self.time += self.tick
+        return self.time
+
+
+def terminal(width: int = 80, height: int = 24) -> Console:
+    return Console(
+        file=io.StringIO(),
+        width=width,
+        height=height,
+        force_terminal=True,
+        color_system="truecolor",
+        legacy_windows=False,
+        _environ={"TERM": "xterm-256color"},
+    )
+
+
+def written(console: Console) -> str:
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def pictures(console: Console) -> list[str]:
+    """What each picture showed: they begin at the home position."""
+    shown = written(console).split("\x1b[H")[1:]
+    return [re.sub(r"\x1b\[[0-9;?]*[a-z]", "", picture, flags=re.I) for picture in shown]
+
+
+def drive(view: Observer) -> None:
+    """Tell an observer of the synthetic trial as the trial loop would."""
+    log = three_robots()
+    assert log.stop
+    assert log.result
+    view.on_start(log.start)
+    for step in log.steps:
+        view.on_samples(samples(log, step.k * 24, step.k * 24 + 24))
+        view.on_step(step)
+    view.on_command(log.steps[0].command)
+    view.on_stop(log.stop, log.result)
+
+
+def run(tick: float) -> Console:
+    console = terminal()
+    with LiveView(console, wall=Wall(tick)) as view:
+        watcher: BatchWatcher = view
+        watcher.trial_started(2, 20)
+        drive(view)
+        result = three_robots().result
+        assert result
+        watcher.trial_finished(2, result)
+        watcher.trial_started(3, 20)
+        view.on_start(three_robots().start)
+    return console
+
+
+def test_the_live_view_shows_trial_numbers_and_how_it_ended():
+    shown = pictures(run(tick=0.02))
+    assert "trial 3 of 20" in shown[1]
+    assert any("ended: sequence used up" in picture for picture in shown)
+    assert "trial 4 of 20" in shown[-1]
+    assert "left" in shown[-1]
+    assert "mean error 577.9 mm" in shown[-1]
+    assert "step k      none yet" in shown[-1]
+
+
+def test_the_live_view_draws_at_most_12_pictures_a_second():
+    many, few = pictures(run(tick=0.02)), pictures(run(tick=0.001))
+    looks = 0.02 * 1000  # about a look a millisecond in the second run
+    assert len(few) < len(many)
+    assert len(few) <= 12 * looks / 20 + 5
+
+
+def test_the_live_view_gives_the_terminal_back_whatever_happens():
+    console = terminal()
+    with pytest.raises(RuntimeError), LiveView(console) as view:
+        view.on_start(three_robots().start)
+        raise RuntimeError
+    text = written(console)
+    assert text.rindex("\x1b[?1049l") > text.rindex("\x1b[?1049h")
+    assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")
+
+
+def test_without_a_terminal_progress_is_one_plain_line_a_trial():
+    console = Console(file=io.StringIO(), force_terminal=False, width=40)
+    result = three_robots().result
+    assert result
+    aborted = replace(result, outcome=Outcome.ABORTED, reason="no [new] frame for 500 ms")
+    with BatchProgress(console, total=2) as progress:
+        progress.trial_started(0, 2)
+        progress.trial_finished(0, result)
+        progress.trial_started(1, 2)
+        progress.trial_finished(1, aborted)
+    assert written(console).splitlines() == [
+        "trial 1 of 2: sequence used up, total error 577.9 mm, 42 steps, 8.4 s",
+        "trial 2 of 2: aborted (no [new] frame for 500 ms), total error 577.9 mm, 42 steps, 8.4 s",
+    ]
+
+
+def test_on_a_terminal_progress_is_a_bar_with_the_errors_so_far():
+    console = terminal(100)
+    result = three_robots().result
+    assert result
+    entered = replace(result.verdict, entered=(True, False, False))
+    with BatchProgress(console, total=3) as progress:
+        progress.trial_started(0, 3)
+        progress.trial_finished(0, result)
+        progress.trial_finished(1, replace(result, total_error=600.0, verdict=entered))
+    text = re.sub(r"\x1b\[[0-9;?]*[a-z]", "", written(console), flags=re.I)
+    assert "2/3" in text
+    assert "mean error 589.0 mm, 1 entered an obstacle" in text
+    assert "total error" not in text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(-1, "0 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")],
+)
+def test_durations_read_as_people_say_them(seconds, words):
+    assert duration(seconds) == words

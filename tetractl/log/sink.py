@@ -50,10 +50,11 @@ class Sink:
         self._part = path.with_name(path.name + ".part")
         self._digest = ContentDigest()
         self._file: BinaryIO | None = None
-        if os.path.lexists(path):  # never lose a trial for another of the same name
-            raise LogError(f"{path}: this log exists already", "write to another folder")
+        for name in (path, self._part):  # never lose a trial for another of the same name
+            if os.path.lexists(name):
+                raise LogError(f"{name}: this log exists already", "write to another folder")
         try:
-            self._file = self._part.open("wb")
+            self._file = self._part.open("xb")
             self._mcap = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
             self._mcap.start(library=f"tetractl {__version__}")
         except OSError as error:

@@ -1,6 +1,6 @@
 """Whole trials made up from a seed: every number random, so that nothing survives by luck."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +88,8 @@ def trial(
                 k * frames + i, sampled, sampled + 5_400_000, _poses(rng, robots), valid
             )
             samples.append(Sample(seen, _poses(rng, robots) if simulated else None))
-        rounds.append((samples, _step(rng, k, samples[-1].observation, first, iterations, length)))
+        step = _step(rng, k, samples[-1].observation, first, iterations, length)
+        rounds.append((samples, replace(step, solve_ns=step.solve_ns + host_ns)))
     final = _poses(rng, robots)
     errors = rng.uniform(0, 500, robots).tolist()
     result = Result(
@@ -113,8 +114,6 @@ def trial(
         start_unix_ns=EPOCH_NS if simulated else 1_790_000_000_123_456_789,
     )
     stop = Command(None, steps * period, tuple((rng.random(robots) < 0.5).tolist()))
-    for _, step in rounds:
-        object.__setattr__(step, "solve_ns", step.solve_ns + host_ns)
     return Made(start, rounds, stop, result)
 
 

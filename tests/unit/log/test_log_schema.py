@@ -1,12 +1,17 @@
-"""The generated protobuf modules belong to tetractl.proto."""
+"""The generated protobuf modules and the reference belong to tetractl.proto."""
 
 import re
 import sys
 from pathlib import Path
 
 import pytest
+from made import trial, write
+from mcap.records import Attachment, Metadata
 
 import tetractl.log
+from tetractl.log import tetractl_pb2
+from tetractl.log.channels import CHANNELS
+from tetractl.log.salvage import scan
 
 FOLDER = Path(tetractl.log.__file__).parent
 
@@ -36,3 +41,19 @@ def test_the_generated_code_is_up_to_date(tmp_path: Path, name: str) -> None:
         f"run: {Path(sys.executable).name} -m grpc_tools.protoc -I. --python_out=. --pyi_out=. "
         "tetractl/log/tetractl.proto"
     )
+
+
+def test_the_reference_names_every_channel_field_and_fact(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "log-format.md").read_text()
+    words = set(re.findall(r"`([^`\s]+)`", page))
+    assert words >= CHANNELS.keys()
+    for message in CHANNELS.values():
+        assert message.DESCRIPTOR.full_name in words
+    for name, message in tetractl_pb2.DESCRIPTOR.message_types_by_name.items():
+        assert {field.name for field in message.fields} <= words, name
+    for record in scan(write(trial(steps=1), tmp_path / "trial.mcap")).records:
+        if isinstance(record, Metadata):
+            facts = {fact for fact in record.metadata if not fact.startswith("plant.")}
+            assert words >= {record.name, *facts}
+        elif isinstance(record, Attachment):
+            assert record.name in words

@@ -66,12 +66,13 @@ def test_a_second_of_trial_time_is_all_a_crash_can_cost(tmp_path: Path) -> None:
     writer.close()
 
 
-def test_a_finished_log_is_never_overwritten(tmp_path: Path) -> None:
-    path = write(trial(), tmp_path / "trial.mcap")
-    before = path.read_bytes()
-    with pytest.raises(LogError, match="exists already"):
-        LogWriter(path).on_start(trial(2).start)
-    assert path.read_bytes() == before
+@pytest.mark.parametrize("left", ["trial.mcap", "trial.mcap.part"])
+def test_a_log_is_never_overwritten(tmp_path: Path, left: str) -> None:
+    old = write(trial(), tmp_path / "old.mcap").rename(tmp_path / left)
+    before = old.read_bytes()
+    with pytest.raises(LogError, match=f"{left}: this log exists already"):
+        LogWriter(tmp_path / "trial.mcap").on_start(trial(2).start)
+    assert old.read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ LABELLED = 8  # most robots that get a line of the legend each
 def convergence_figure(log: TrialLog) -> Figure:
     """Draw J(u_gb) against the iteration for step 0 (Figure 3), and what later searches gained."""
     _need_steps(log)
-    unit = log.start.experiment.units.length
+    unit = style.unit_of(log.start.experiment)
     with style.styled():
         figure = style.figure(style.PAGE_IN, 2.75)
         grid = figure.add_gridspec(2, 2, width_ratios=[1.15, 1], height_ratios=[1.6, 1])
@@ -44,9 +44,11 @@ def _first_plan(axes: Axes, step: Step, unit: str) -> None:
     axes.plot(history, "*-", color=style.BLUE, ms=4, mew=0, lw=1.0, zorder=3)
     last = len(history) - 1
     axes.plot(last, history[-1], "o", ms=8, mfc="none", mec=style.RED, mew=1.2, zorder=4)
+    longest = max(len(search.history) for search in step.plan.searches) - 1
+    side = "right" if last > longest / 2 else "left"
     note = f"{best.length} signals: stopped\nat iteration {last} ({best.stopped})"
     axes.annotate(
-        note, (last, history[-1]), (0, -9), textcoords="offset points", ha="right", va="top",
+        note, (last, history[-1]), (0, -9), textcoords="offset points", ha=side, va="top",
         fontsize=6.5, color=style.RED,
     )  # fmt: skip
     axes.set_yscale("log")
@@ -58,13 +60,20 @@ def _first_plan(axes: Axes, step: Step, unit: str) -> None:
     axes.set_ylabel(f"$J(u_{{gb}})$ [{unit}]")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     others = len(step.plan.searches) - 1
-    style.panel(axes, "a", f"step {step.k}: {others + 1} horizons tried")
+    style.panel(axes, "a", f"control step {step.k}")
     axes.legend(
         handles=[
-            Line2D([], [], color=style.BLUE, marker="*", ms=5, mew=0, label="horizon chosen"),
-            *([Line2D([], [], color=style.FAINT, label=f"{others} others")] if others else []),
+            Line2D([], [], color=style.BLUE, marker="*", ms=5, mew=0, label="chosen"),
+            *(
+                [Line2D([], [], color=style.FAINT, label=f"{others} other horizons")]
+                if others
+                else []
+            ),
         ],
-        loc="upper right",
+        loc="lower right",
+        bbox_to_anchor=(1.02, 0.985),
+        ncols=2,
+        borderaxespad=0.3,
     )
 
 
@@ -99,7 +108,7 @@ def error_figure(log: TrialLog) -> Figure:
     if not len(log.mocap_ns):
         raise LogError(f"{log.path}: holds no camera frames to plot")
     spec = log.start.experiment
-    unit = spec.units.length
+    unit = style.unit_of(spec)
     time_s = log.mocap_ns / 1e9
     gaps = distances(spec, tracked(log.mocap, log.valid))
     with style.styled():

@@ -49,7 +49,7 @@ class Tally:
         """Say it in a few words."""
         if not self.errors:
             return ""
-        words = [f"mean error {sum(self.errors) / len(self.errors):.1f} {unit}"]
+        words = [f"mean total error {sum(self.errors) / len(self.errors):.1f} {unit}"]
         words += [f"{self.entered} entered an obstacle"] * bool(self.entered)
         words += [f"{self.aborted} aborted"] * bool(self.aborted)
         return ", ".join(words)

@@ -11,7 +11,7 @@ from matplotlib.colors import is_color_like, to_hex
 from matplotlib.figure import Figure
 
 from tetractl.errors import UsageError
-from tetractl.spec.experiment import Robot
+from tetractl.spec.experiment import Experiment, Robot
 
 GREEN, BLUE, RED = "#009E73", "#0072B2", "#D55E00"
 PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
@@ -61,6 +61,11 @@ _METADATA: dict[str, dict[str, Any]] = {
     "svg": {"Date": None},
     "pdf": {"CreationDate": None, "Creator": "tetractl", "Producer": None},
 }
+
+
+def unit_of(experiment: Experiment) -> str:
+    """Return the length unit as papers write it."""
+    return experiment.units.length.replace("um", "µm")
 
 
 def robot_colors(robots: Sequence[Robot]) -> list[str]:

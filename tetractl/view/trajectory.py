@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
 
 from tetractl.errors import UsageError
@@ -17,10 +16,10 @@ from tetractl.model.state import Floats
 from tetractl.replay.frame import distances, starts, targets, tracked
 from tetractl.spec.experiment import Experiment
 from tetractl.view import style
+from tetractl.view.labels import Labels, edge
 
 LABELLED = 8  # most robots that get a line of the legend each
 MARKS = 5  # about as many times are marked along a trail
-HALO = [withStroke(linewidth=1.6, foreground="white")]
 
 
 def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
@@ -39,15 +38,17 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         axes = figure.subplots()
         colors = style.robot_colors(spec.robots)
         _scene(axes, spec, colors)
-        ends = np.array([_final(log) for log in logs])
+        ends = np.array([_final(log)[:, :2] for log in logs])
         if len(logs) == 1:
             _one(axes, logs[0], colors)
         else:
             _many(axes, logs, colors)
         for robot, color in enumerate(colors):
             _end_marks(axes, ends[:, robot], color, alone=len(logs) == 1)
-        _limits(axes, spec, ends)
-        _legends(figure, logs, colors, distances(spec, ends[..., :2]))
+        trails = [tracked(log.mocap, log.valid) for log in logs]
+        beyond = _limits(axes, spec, [ends, *trails])
+        _errors(figure, logs, colors, distances(spec, ends))
+        _signs(figure, logs, beyond)
     return figure
 
 
@@ -61,7 +62,7 @@ def _check_alike(first: TrialLog, other: TrialLog) -> None:
 
 
 def _scene(axes: Axes, spec: Experiment, colors: list[str]) -> None:
-    unit = spec.units.length
+    unit = style.unit_of(spec)
     axes.set_aspect("equal")
     axes.set_xlabel(f"x [{unit}]")
     axes.set_ylabel(f"y [{unit}]")
@@ -96,8 +97,11 @@ def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
     final, spec = _final(log)[:, :2], log.start.experiment
     ahead = 0.028 * max(spec.arena.width, spec.arena.height)
     point = spec.arena.width / (72 * (style.COLUMN_IN - 0.65))
-    crowd = [trail[::6].reshape(-1, 2), final, targets(spec), starts(spec)[:, :2], _edge(spec)]
-    labels = _Labels(axes, np.concatenate(crowd), point)
+    ring = 4 * point * np.exp(1j * np.arange(0, 2 * np.pi, np.pi / 4))
+    marks = np.concatenate([final, targets(spec), starts(spec)[:, :2]])[:, None]
+    marks = marks + np.column_stack([ring.real, ring.imag])
+    crowd = [trail[::6].reshape(-1, 2), marks.reshape(-1, 2), edge(spec.arena)]
+    labels = Labels(axes, np.concatenate(crowd), point)
     for robot, color in enumerate(colors):
         xy = trail[:, robot]
         axes.plot(xy[:, 0], xy[:, 1], color=color, zorder=3, gid=f"trail-{robot}")
@@ -112,49 +116,6 @@ def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
             labels.write(np.array([x, y]), np.array(tip), f"{time_s:g} s")
         gap = np.array([final[robot], spec.robots[robot].target])
         axes.plot(*gap.T, color=color, lw=0.6, ls=":", zorder=2)
-
-
-def _edge(spec: Experiment) -> Floats:
-    """Points all along the edge of the arena, shape (M, 2)."""
-    arena = spec.arena
-    x = np.linspace(arena.left, arena.left + arena.width, 60)
-    y = np.linspace(arena.bottom, arena.bottom + arena.height, 60)
-    rows = [np.column_stack([x, np.full(60, end)]) for end in (y[0], y[-1])]
-    columns = [np.column_stack([np.full(60, end), y]) for end in (x[0], x[-1])]
-    return np.concatenate([*rows, *columns])
-
-
-class _Labels:
-    """Writes times beside the trails, each on the side where there is most room."""
-
-    def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
-        """Keep clear of `trails` (M, 2); `point` is a typographic point in length units."""
-        self._axes, self._point = axes, point
-        self._taken = trails[np.isfinite(trails).all(axis=1)]
-
-    def write(self, xy: Floats, tip: Floats, text: str) -> None:
-        self._taken = np.concatenate([self._taken, [tip, (xy + tip) / 2]])
-        angles = np.arange(0, 2 * np.pi, np.pi / 6)
-        aside = np.column_stack([9 * np.cos(angles), 6.5 * np.sin(angles)])
-        spots = xy + aside * self._point
-        gaps = spots[:, None] - self._taken
-        gaps[..., 1] *= 1.5  # a label is wider than high
-        best = int(np.linalg.norm(gaps, axis=-1).min(axis=1, initial=np.inf).argmax())
-        width = np.linspace(-4, 4, 5) * self._point
-        label = np.column_stack([spots[best, 0] + width, np.full(5, spots[best, 1])])
-        self._taken = np.concatenate([self._taken, label])
-        self._axes.annotate(
-            text,
-            (float(xy[0]), float(xy[1])),
-            xytext=tuple(aside[best]),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=5.5,
-            color=style.INK,
-            path_effects=HALO,
-            zorder=5,
-        )
 
 
 def _many(axes: Axes, logs: Sequence[TrialLog], colors: list[str]) -> None:
@@ -177,29 +138,32 @@ def _end_marks(axes: Axes, ends: Floats, color: str, alone: bool) -> None:
     axes.plot(ends[:, 0], ends[:, 1], marker="D", markersize=size - 1, color=color, **look)
 
 
-def _limits(axes: Axes, spec: Experiment, ends: Floats) -> None:
+def _limits(axes: Axes, spec: Experiment, paths: Sequence[Floats]) -> bool:
+    """Show the whole arena, and what lies beyond it with the arena's edge dashed."""
     arena = spec.arena
     corners = np.array(
         [[arena.left, arena.bottom], [arena.left + arena.width, arena.bottom + arena.height]]
     )
-    ends = ends[..., :2].reshape(-1, 2)
-    ends = ends[np.isfinite(ends).all(axis=1)]
+    points = np.concatenate([path.reshape(-1, 2) for path in paths])
+    points = points[np.isfinite(points).all(axis=1)]
     margin = 0.02 * max(arena.width, arena.height)
-    least, most = ends.min(axis=0, initial=np.inf), ends.max(axis=0, initial=-np.inf)
+    least, most = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
     low = np.where(least < corners[0], least - margin, corners[0])
     high = np.where(most > corners[1], most + margin, corners[1])
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
-    if (low < corners[0]).any() or (high > corners[1]).any():
+    beyond = bool((low < corners[0]).any() or (high > corners[1]).any())
+    if beyond:
         frame = Rectangle(tuple(corners[0]), arena.width, arena.height)
         frame.set(fill=False, edgecolor=style.GREY, linewidth=0.6, linestyle="--")
         axes.add_patch(frame)
+    return beyond
 
 
-def _legends(figure: Figure, logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> None:
-    """Errors above the axes, the signs below: neither can cover a trail."""
+def _errors(figure: Figure, logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> None:
+    """Name the robots and their errors (trials, N) above the axes, where no trail is."""
     spec = logs[0].start.experiment
-    unit = spec.units.length
+    unit = style.unit_of(spec)
     total = errors.sum(axis=1)
     if len(logs) == 1:
         words = [f"{error:.1f}" for error in errors[0]]
@@ -208,21 +172,19 @@ def _legends(figure: Figure, logs: Sequence[TrialLog], colors: list[str], errors
         words = [_spread(robot) for robot in errors.T]
         title = f"{len(logs)} trials, error at the end [{unit}], total {_spread(total)}"
     handles = [
-        Line2D([], [], color=color, label=f"{robot.name} {word}")
+        Line2D([], [], color=color, label=f"{robot.name}: {word}")
         for robot, color, word in zip(spec.robots, colors, words, strict=True)
     ][: LABELLED if len(colors) <= LABELLED else 0]
+    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
     figure.legend(
         handles=handles,
         title=title,
         title_fontsize=7,
         loc="outside upper center",
-        ncols=3,
-        columnspacing=1.4,
+        ncols=3 if longest <= 19 else 2 if longest <= 30 else 1,
+        columnspacing=1.2,
         handlelength=1.2,
         handletextpad=0.5,
-    )
-    figure.legend(
-        handles=_signs(logs), loc="outside lower center", ncols=4, fontsize=6, columnspacing=1.2
     )
 
 
@@ -233,8 +195,10 @@ def _spread(errors: Floats) -> str:
     return f"{mean:.{digits}f} ± {std:.{digits}f}"
 
 
-def _signs(logs: Sequence[TrialLog]) -> list[Line2D | Patch]:
+def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
+    """Explain the signs below the axes."""
     grey: dict[str, Any] = {"color": style.GREY, "linestyle": "none"}
+    dashed: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
     signs: list[Line2D | Patch] = [
         Line2D([], [], marker="o", markerfacecolor="white", markersize=5, label="start", **grey),
         Line2D([], [], marker="s", markerfacecolor="none", markersize=5, label="target", **grey),
@@ -244,9 +208,17 @@ def _signs(logs: Sequence[TrialLog]) -> list[Line2D | Patch]:
         signs.append(
             Patch(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, lw=0.6, label="obstacle")
         )
+    if beyond:
+        signs.append(Line2D([], [], color=style.GREY, label="arena", **dashed))
     if len(logs) == 1 and _visible_truth(logs[0]) is not None:
-        signs.append(Line2D([], [], color=style.INK, lw=0.6, ls=(0, (3, 2)), label="true path"))
-    return signs
+        signs.append(Line2D([], [], color=style.INK, label="true path", **dashed))
+    figure.legend(
+        handles=signs,
+        loc="outside lower center",
+        ncols=len(signs) if len(signs) < 6 else 3,
+        fontsize=6,
+        columnspacing=1.2,
+    )
 
 
 def _final(log: TrialLog) -> Floats:

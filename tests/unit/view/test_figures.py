@@ -44,7 +44,7 @@ def test_the_trajectory_shows_arena_trails_and_errors(log):
     for part in ("x [mm]", "y [mm]", f"total {log.result.total_error:.1f}", "start", "target"):
         assert part in text
     for robot, error in zip(log.start.experiment.robots, log.result.robot_errors, strict=True):
-        assert f"{robot.name} {error:.1f}" in text
+        assert f"{robot.name}: {error:.1f}" in text
     assert "true path" not in text
 
 
@@ -70,6 +70,20 @@ def test_trials_of_different_experiments_do_not_mix(log):
     other = replace(log, start=replace(log.start, experiment=experiment(obstacles=[])))
     with pytest.raises(UsageError, match="different experiments"):
         trajectory_figure([log, other])
+
+
+def test_robots_that_leave_the_arena_stay_in_the_picture(log):
+    mocap = log.mocap.copy()
+    mocap[200:300, 1, 0] = 100
+    low, high = trajectory_figure([replace(log, mocap=mocap)]).axes[0].get_xlim()
+    assert low < 100
+    assert high == 2200
+
+
+def test_micrometres_are_written_as_papers_do(log):
+    spec = experiment(units={"length": "um"})
+    text = words(trajectory_figure([replace(log, start=replace(log.start, experiment=spec))]))
+    assert "x [µm]" in text
 
 
 def test_robots_that_end_outside_are_still_in_the_picture(log):

@@ -79,7 +79,7 @@ def test_the_live_view_shows_trial_numbers_and_how_it_ended():
     assert any("ended: sequence used up" in picture for picture in shown)
     assert "trial 4 of 20" in shown[-1]
     assert "left" in shown[-1]
-    assert "mean error 577.9 mm" in shown[-1]
+    assert "mean total error 577.9 mm" in shown[-1]
     assert "step k      none yet" in shown[-1]
 
 
@@ -127,8 +127,8 @@ def test_on_a_terminal_progress_is_a_bar_with_the_errors_so_far():
         progress.trial_finished(1, replace(result, total_error=600.0, verdict=entered))
     text = re.sub(r"\x1b\[[0-9;?]*[a-z]", "", written(console), flags=re.I)
     assert "2/3" in text
-    assert "mean error 589.0 mm, 1 entered an obstacle" in text
-    assert "total error" not in text
+    assert "mean total error 589.0 mm, 1 entered an obstacle" in text
+    assert "steps" not in text
 
 
 @pytest.mark.parametrize(

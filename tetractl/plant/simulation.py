@@ -18,6 +18,7 @@ from tetractl.model.wheels import wheel_speeds
 from tetractl.model.world import Obstacles
 from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
 from tetractl.spec.experiment import Experiment
+from tetractl.spec.plant import SimSpec
 
 
 @dataclass(slots=True)
@@ -43,6 +44,7 @@ class SimPlant:
     """A `Plant` of simulated robots; `seed` feeds every disturbance."""
 
     def __init__(self, experiment: Experiment, clock: Clock, seed: np.random.SeedSequence) -> None:
+        assert isinstance(experiment.plant, SimSpec), "build_plant chooses by the spec's plant"
         self.spec = experiment.plant
         self.wheels = experiment.wheels
         self.clock = clock

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Iterator, Mapping
 
-from tetractl.spec.experiment import Arena, Circle, Obstacle, Rectangle, Robot
+from tetractl.spec.experiment import Arena, Circle, Experiment, Obstacle, Rectangle, Robot
+from tetractl.spec.lab import LabSpec, Slave
 from tetractl.spec.problems import Loc
 
 
@@ -30,6 +31,43 @@ def contradictions(
         if arena is not None and not _touches(arena, obstacle):
             message = f"is entirely outside the arena, which is {_extent(arena)}"
             yield ("obstacles", j), message
+
+
+def lab_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
+    """Yield where a lab contradicts the experiment or itself, and how."""
+    for section, lab in (("plant", experiment.plant), ("lab", experiment.lab)):
+        if not isinstance(lab, LabSpec):
+            continue
+        if experiment.wheels is None:
+            yield (section,), "needs the robots' wheels; add 'wheels: {radius: ..}'"
+        yield from _robots_of_lab((section, "robots"), lab, experiment)
+        if lab.mocap.version is not None and lab.mocap.transport == "multicast":
+            message = "can only be asked for in unicast; leave it out"
+            yield (section, "mocap", "version"), message
+        if isinstance(lab.protocol, Slave) and lab.radio.mode == "transparent":
+            message = "cannot address one robot, which the slave protocol needs; use api2"
+            yield (section, "radio", "mode"), message
+
+
+def _robots_of_lab(loc: Loc, lab: LabSpec, experiment: Experiment) -> Iterator[tuple[Loc, str]]:
+    names = [robot.name for robot in experiment.robots]
+    for missing in sorted(set(names) - {robot.name for robot in lab.robots}):
+        yield loc, f"has no {missing}; every robot of the spec must be here"
+    taken: dict[tuple[str, object], int] = {}
+    for i, robot in enumerate(lab.robots):
+        if robot.name not in names:
+            yield (*loc, i, "name"), f"is no robot of the spec; those are {', '.join(names)}"
+        mine = {"name": robot.name, "body": robot.body, "index": lab.index(robot)}
+        if robot.address is not None:
+            mine["address"] = robot.address
+        elif isinstance(lab.protocol, Slave):
+            yield (*loc, i, "address"), "is missing; the slave protocol addresses each robot"
+        for field, value in mine.items():
+            if (first := taken.setdefault((field, value), i)) != i:
+                yield (*loc, i, field), f"is that of {lab.robots[first].name}; must differ"
+        for side in ("left", "right"):
+            if getattr(robot, side).dead_zone >= robot.limit:
+                yield (*loc, i, side, "dead_zone"), f"must be below its limit, {robot.limit}"
 
 
 def _extent(arena: Arena) -> str:

@@ -1,12 +1,13 @@
 """The experiment: everything a batch of trials depends on."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from tetractl.spec.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.spec.controller import PsoMpcSpec
+from tetractl.spec.lab import LabSpec
 from tetractl.spec.plant import SimSpec, Wheels
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -130,6 +131,18 @@ class Scale(Model):
     """Their body length [unit]."""
 
 
+def _kind_of_plant(value: Any) -> Any:
+    """Return the tag of a plant; without one it is a simulation."""
+    if isinstance(value, dict):
+        return value.get("type", "sim")
+    return getattr(value, "type", "sim")
+
+
+Plant = Annotated[
+    Annotated[SimSpec, Tag("sim")] | Annotated[LabSpec, Tag("lab")], Discriminator(_kind_of_plant)
+]
+
+
 class Experiment(Model):
     """One experiment, as read from a YAML spec."""
 
@@ -150,8 +163,10 @@ class Experiment(Model):
     """Wheel geometry; given, the log holds the wheel speeds of (24)-(25) of every command."""
     controller: PsoMpcSpec = PsoMpcSpec()
     """What chooses the direction."""
-    plant: SimSpec = SimSpec()
-    """What the direction steers."""
+    plant: Plant = SimSpec()
+    """What the direction steers; a simulation where no `type` is given."""
+    lab: LabSpec | None = None
+    """The lab that `--plant lab` takes in place of `plant`."""
     trials: Trials = Trials()
     """How often the experiment is repeated."""
     reference: Reference | None = None

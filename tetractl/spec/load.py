@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from tetractl.spec.consistency import contradictions
+from tetractl.spec.consistency import contradictions, lab_contradictions
 from tetractl.spec.core_yaml import dump
 from tetractl.spec.document import parse_document, read_text
 from tetractl.spec.experiment import Arena, Experiment, Obstacle, Robot
@@ -26,6 +26,7 @@ class LoadedSpec:
     text: str
     name: str  # file name, without its folder
     path: Path | None = None
+    attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
 
 
 def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
@@ -62,11 +63,13 @@ def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:
         override(document, setting)
     experiment = None
     try:
-        experiment = Experiment.model_validate(_frozen(document.data), strict=True)
+        experiment = Experiment.model_validate(frozen(document.data), strict=True)
     except ValidationError as error:
         document.problems.extend(explain(error, document))
-    parts = _valid_parts(document.data)
-    for loc, message in contradictions(*parts):
+    found = list(contradictions(*_valid_parts(document.data)))
+    if experiment is not None:
+        found += lab_contradictions(experiment)
+    for loc, message in found:
         place = document.place(loc)
         document.problems.append(place.problem(loc, message, place.text))
     if document.found or experiment is None:
@@ -81,7 +84,7 @@ def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], 
         adapter = TypeAdapter(kind)
         for i, value in enumerate(values if isinstance(values, list) else ()):
             try:
-                yield i, adapter.validate_python(_frozen(value), strict=True)
+                yield i, adapter.validate_python(frozen(value), strict=True)
             except ValidationError:
                 continue
 
@@ -90,8 +93,8 @@ def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], 
     return arena, robots, dict(valid(Obstacle, data.get("obstacles")))
 
 
-def _frozen(value: Any) -> Any:
-    """Return the data with tuples for lists, which is what strict validation wants."""
+def frozen(value: Any) -> Any:
+    """Return a document's data with tuples for lists, which is what strict validation wants."""
     if isinstance(value, dict):
-        return {key: _frozen(item) for key, item in value.items()}
-    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+        return {key: frozen(item) for key, item in value.items()}
+    return tuple(map(frozen, value)) if isinstance(value, list) else value

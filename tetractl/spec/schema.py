@@ -83,6 +83,9 @@ def _resolved(node: dict[str, Any], data: Any) -> dict[str, Any]:
     if len(options) == 1:
         return {**options[0], **node}
     wanted = data.get("type") if isinstance(data, dict) else None
+    if wanted is None and isinstance(node.get("default"), dict):
+        wanted = node["default"].get("type")
+        options = [option for option in options if "type" not in option.get("required", ())]
     for option in options:
         if tag(option) is not None and tag(option) == wanted:
             return option

@@ -47,16 +47,19 @@ def exact(x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats
     """Advance by the closed form of (1)-(3) under a held direction.
 
     With phi = u - heading, (3) reads d phi/dt = -a sin phi, so tan(phi/2) decays by E = exp(-a t).
-    With c = cos phi and D = (1 + c) + (1 - c) E^2, the robot moves v (t + ln(D/2)/a) along u and
-    v (phi - phi')/a to the right of it, where tan((phi - phi')/2) = sin(phi) (1 - E) /
-    ((1 + c) + (1 - c) E).
+    With c = cos(phi/2), s = sin(phi/2) and h = c^2 + s^2 E^2, the robot moves v (t + ln(h)/a) along
+    u and v (phi - phi')/a to the right of it, where tan((phi - phi')/2) = s c (1 - E) /
+    (c^2 + s^2 E). Half angles keep phi near pi exact, where 1 + cos(phi) would cancel.
     """
-    phi = u - heading
-    c, s = np.cos(phi), np.sin(phi)
+    half = (u - heading) / 2
+    c, s = np.cos(half), np.sin(half)
     decay = np.exp(-a * t)
-    turn = 2 * np.arctan2(-np.expm1(-a * t) * s, (1 + c) + (1 - c) * decay)  # phi - phi'
-    log_half_d = np.log1p(0.5 * (1 - c) * np.expm1(-2 * a * t))
-    along, right = v * (t + log_half_d / a), v * turn / a
+    turn = 2 * np.arctan2(-np.expm1(-a * t) * s * c, c * c + s * s * decay)  # phi - phi'
+    fall = s * s * np.expm1(-2 * a * t)  # h - 1: small is where log1p is exact, near -1 log is
+    log_h = np.where(
+        fall > -0.5, np.log1p(np.maximum(fall, -0.5)), np.log(c * c + (s * decay) ** 2)
+    )
+    along, right = v * (t + log_h / a), v * turn / a
     cos_u, sin_u = np.cos(u), np.sin(u)
     return x + along * cos_u + right * sin_u, y + along * sin_u - right * cos_u, heading + turn
 

@@ -1,0 +1,164 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad, solve_ivp
+
+from tetractl.model.cell import MOTIONS, arc, euler, exact
+from tetractl.model.state import Poses
+
+ANGLES = st.floats(-10, 10)
+TURNS = st.floats(0.01, 12)  # a [rad/s]
+SPEEDS = st.floats(0, 500)
+TIMES = st.floats(0, 3)
+
+
+def one(motion, x, y, heading, u, a, v, t):
+    state = motion(*(np.array([float(n)]) for n in (x, y, heading, u, a, v)), t)
+    return tuple(float(s[0]) for s in state)
+
+
+def integrated(x, y, heading, u, a, v, t, turning=None):
+    """(1)-(3) by a Runge-Kutta method of order 8; `turning` [rad/s] holds the wheels instead."""
+
+    def rates(_, state):
+        theta = state[2]
+        turn = a * math.sin(u - theta) if turning is None else turning
+        return [v * math.cos(theta), v * math.sin(theta), turn]
+
+    found = solve_ivp(rates, (0, t), [x, y, heading], method="DOP853", rtol=3e-14, atol=1e-12)
+    return tuple(found.y[:, -1])
+
+
+def displaced(phi, a, v, t):
+    """Displacement along and to the right of u, and phi': tan(phi/2) decays, the rest is quad."""
+
+    def angle(s):
+        return 2 * math.atan(math.tan(phi / 2) * math.exp(-a * s))
+
+    half = math.log(abs(math.tan(phi / 2))) / a if abs(math.tan(phi / 2)) > 1 else 0.0
+    ends = [0.0, *sorted({n for k in (-8, -1, 0, 1, 8) if 0 < (n := half + k / a) < t}), t]
+    along = right = 0.0
+    for begin, end in itertools.pairwise(ends):
+        along += quad(lambda s: math.cos(angle(s)), begin, end, epsabs=1e-13, epsrel=1e-13)[0]
+        right += quad(lambda s: math.sin(angle(s)), begin, end, epsabs=1e-13, epsrel=1e-13)[0]
+    return v * along, v * right, angle(t)
+
+
+@given(x=SPEEDS, y=SPEEDS, heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, t=TIMES)
+def test_euler_is_4_to_6(x, y, heading, u, a, v, t):
+    assert one(euler, x, y, heading, u, a, v, t) == pytest.approx(
+        (
+            x + t * v * math.cos(heading),
+            y + t * v * math.sin(heading),
+            heading + t * a * math.sin(u - heading),
+        ),
+        abs=1e-9,
+    )
+
+
+@given(heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, t=TIMES)
+def test_held_wheels_drive_an_arc(heading, u, a, v, t):
+    turning = a * math.sin(u - heading)
+    if abs(turning) > 1e-4:  # a circle about the point v/w to the left
+        radius = v / turning
+        expected = (
+            50 + radius * (math.sin(heading + turning * t) - math.sin(heading)),
+            60 - radius * (math.cos(heading + turning * t) - math.cos(heading)),
+        )
+    else:
+        middle = heading + turning * t / 2
+        expected = (50 + v * t * math.cos(middle), 60 + v * t * math.sin(middle))
+    x, y, turned = one(arc, 50, 60, heading, u, a, v, t)
+    assert (x, y) == pytest.approx(expected, abs=1e-6)
+    assert turned == pytest.approx(heading + turning * t, abs=1e-12)
+
+
+@given(x=SPEEDS, y=SPEEDS, heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, t=TIMES)
+def test_an_arc_turns_as_far_as_6(x, y, heading, u, a, v, t):
+    held, stepped = one(arc, x, y, heading, u, a, v, t), one(euler, x, y, heading, u, a, v, t)
+    assert held[2] == pytest.approx(stepped[2], abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_arc_and_the_exact_step_solve_their_differential_equations(seed):
+    rng = np.random.default_rng(seed)
+    heading, u = rng.uniform(-7, 7, 2)
+    a, v, t = rng.uniform(0.1, 7), rng.uniform(1, 300), rng.uniform(0.01, 1.2)
+    assert one(exact, 0, 0, heading, u, a, v, t) == pytest.approx(
+        integrated(0, 0, heading, u, a, v, t), abs=1e-9
+    )
+    assert one(arc, 0, 0, heading, u, a, v, t) == pytest.approx(
+        integrated(0, 0, heading, u, a, v, t, turning=a * math.sin(u - heading)), abs=1e-9
+    )
+
+
+NEAR = (0.0, 1e-14, 1e-9, 1e-5, 0.02)
+PHIS = [s * p for s in (1, -1) for e in NEAR for p in (e, math.pi - e, math.pi / 2 - e)]
+
+
+@pytest.mark.parametrize("turn", [1e-9, 1e-4, 0.3, 1.2, 5.0, 20.0, 40.0, 300.0])
+@pytest.mark.parametrize("phi", PHIS)
+def test_the_exact_step_holds_at_every_angle_and_time(phi, turn):
+    """Regression: within 1e-8 of phi = pi and with a t > 18 the robot was sent to infinity."""
+    a, v = 4.0, 200.0
+    along, right, left = displaced(phi, a, v, turn / a)
+    x, y, heading = one(exact, 0, 0, 0, phi, a, v, turn / a)
+    c, s = math.cos(phi), math.sin(phi)
+    scale = max(1.0, v * turn / a)
+    assert (x, y) == pytest.approx((along * c + right * s, along * s - right * c), abs=1e-9 * scale)
+    assert phi - heading == pytest.approx(left, abs=1e-9)
+
+
+@pytest.mark.parametrize("a", [1e-9, 1e-6, 1e-3])
+def test_a_robot_that_hardly_turns_goes_straight(a):
+    x, y, heading = one(exact, 0, 0, 0.3, 1.5, a, 100, 2)
+    turn = 2 * a * math.sin(1.2)
+    assert heading == pytest.approx(0.3 + turn, abs=2 * a * a)
+    middle = 0.3 + turn / 2
+    assert (x, y) == pytest.approx((200 * math.cos(middle), 200 * math.sin(middle)), abs=200 * a**2)
+
+
+@given(heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, first=st.floats(0, 1), second=st.floats(0, 1))
+def test_two_exact_steps_are_one(heading, u, a, v, first, second):
+    phi = math.remainder(u - heading, 2 * math.pi)
+    if math.pi - abs(phi) < 1e-3:  # unstable there: rounding grows by exp(a t)
+        return
+    half = one(exact, 0, 0, heading, u, a, v, first)
+    twice = one(exact, *half, u, a, v, second)
+    assert twice == pytest.approx(one(exact, 0, 0, heading, u, a, v, first + second), abs=1e-7)
+
+
+@given(heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, t=TIMES)
+def test_every_motion_keeps_to_its_speed_and_turns_towards_u(heading, u, a, v, t):
+    for name, motion in MOTIONS.items():
+        x, y, turned = one(motion, 0, 0, heading, u, a, v, t)
+        assert math.hypot(x, y) <= v * t * (1 + 1e-12) + 1e-12, name
+        phi = math.remainder(u - heading, 2 * math.pi)
+        assert (turned - heading) * phi >= 0, name
+        if name == "exact":  # it never turns past u
+            assert abs(turned - heading) <= abs(phi) + 1e-12
+
+
+def test_steps_broadcast_over_particles_and_robots():
+    poses = np.random.default_rng(1).uniform(-1, 1, (3, 7, 2))
+    u = np.random.default_rng(2).uniform(-3, 3, (7, 1))
+    a, v = np.array([6.0, 3.0]), np.array([180.0, 150.0])
+    for motion in MOTIONS.values():
+        moved = motion(*poses, u, a, v, 0.2)
+        assert {s.shape for s in moved} == {(7, 2)}
+        for n in range(7):
+            for i in range(2):
+                alone = one(motion, *poses[:, n, i], u[n, 0], a[i], v[i], 0.2)
+                assert [s[n, i] for s in moved] == pytest.approx(alone, rel=1e-14)
+
+
+def test_poses_are_columns_of_an_array():
+    array = np.arange(6.0).reshape(2, 3)
+    poses = Poses.of(array)
+    assert poses.array().tolist() == array.tolist()
+    assert poses.xy.tolist() == [[0, 1], [3, 4]]
+    assert poses.heading.tolist() == [2, 5]

@@ -1,0 +1,121 @@
+"""`tetractl lab emulate`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tetractl.errors import Exit
+
+
+def emulate(
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
+        ),
+    ] = None,
+    script: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Faults and true properties, a YAML file."),
+    ] = None,
+    address: Annotated[
+        str, typer.Option(metavar="IP", help="Address of this computer to serve from.")
+    ] = "127.0.0.1",
+    command_port: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=65535, metavar="N", help="UDP port for commands; 0 for any.  [spec]"
+        ),
+    ] = None,
+    data_port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, metavar="N", help="UDP port of frames; 0 for any.  [spec]"),
+    ] = None,
+    port_link: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH", help="Name of the radio's serial port.  [spec: lab.radio.port]"
+        ),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write what truly happened, as JSON lines."),
+    ] = None,
+    replace_after: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            metavar="S",
+            help="Put robots back on their starts after they stood still for S seconds.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of jitter and loss.")] = 1,
+    json: Annotated[bool, typer.Option("--json", help="Print events as JSON lines.")] = False,
+) -> int:
+    """Emulate the lab of an experiment: cameras over UDP, a radio on a pseudo-terminal, robots.
+
+    NO HARDWARE is involved. It runs in real time until Ctrl-C, and says `ready` when others can
+    connect.
+
+    Example: tetractl lab emulate experiments/three_m3pi_lab.yaml --port-link /tmp/radio
+    """
+    import gc
+    import signal
+    import time
+
+    from tetractl.lab.emulate.lab import EmulatedLab, Options
+    from tetractl.lab.emulate.record import Record
+    from tetractl.lab.emulate.script import NOTHING, load_script
+    from tetractl.spec.load import load_spec
+    from tetractl.spec.plants import lab_of
+
+    loaded = load_spec(spec, sets or [])
+    lab = lab_of(loaded.experiment, loaded.name)
+    play = load_script(script) if script else NOTHING
+    options = Options(address, command_port, data_port, port_link, replace_after, seed)
+    emulation = EmulatedLab(
+        loaded.experiment,
+        lab,
+        play,
+        options,
+        Record(record),
+        time.monotonic_ns(),
+        _tell_json if json else _tell,
+    )
+
+    def end(number: int, frame: object) -> None:
+        emulation.loop.end()
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, end)
+    with emulation:
+        gc.freeze()  # what was loaded stays; so that no long collection delays a frame
+        emulation.run()
+    print("the emulation has ended", file=sys.stderr)
+    return Exit.DONE
+
+
+def _tell_json(event: str, facts: dict[str, Any]) -> None:
+    from json import dumps
+
+    print(dumps({"event": event, **facts}), flush=True)
+
+
+def _tell(event: str, facts: dict[str, Any]) -> None:
+    match event:
+        case "ready":
+            where = f"{facts['address']}:{facts['command_port']} ({facts['transport']})"
+            line = f"ready: cameras at {where}, radio at {facts['port']}; EMULATION, no hardware"
+        case "client":
+            line = f"emulated cameras: {facts['address']} connected"
+        case "run":
+            line = "emulated robots: a run starts"
+        case "placed":
+            line = "emulated robots: put back on their starts"
+        case _:
+            what = " ".join(filter(None, (facts["name"], facts["robot"], facts["mark"])))
+            line = f"emulated fault: {what}, {facts['phase']}"
+    print(line, flush=True)

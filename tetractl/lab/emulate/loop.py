@@ -1,0 +1,95 @@
+"""One thread for everything: events in the order of their times, and files that can be read."""
+
+import heapq
+import select
+import time
+from collections.abc import Callable
+from itertools import count
+
+Act = Callable[[], None]
+IDLE_S = 0.05  # wakes this often with nothing to do, so that a request to end is seen
+
+
+class Timeline:
+    """Events by time [ns]. `advance(t)` is called before whatever happens at t.
+
+    Without files to watch it is a discrete-event simulation: tests run it in virtual time.
+    """
+
+    def __init__(self, advance: Callable[[int], None], start_ns: int = 0) -> None:
+        self.now_ns = start_ns
+        self._advance = advance
+        self._events: list[tuple[int, int, Act]] = []
+        self._order = count()
+
+    def at(self, when_ns: int, act: Act) -> None:
+        """Plan an event; one in the past happens now."""
+        heapq.heappush(self._events, (max(when_ns, self.now_ns), next(self._order), act))
+
+    @property
+    def next_ns(self) -> int | None:
+        """When the next event is due."""
+        return self._events[0][0] if self._events else None
+
+    def run_to(self, until_ns: int) -> None:
+        """Let everything up to `until_ns` happen, each at its own time."""
+        while self._events and self._events[0][0] <= until_ns:
+            when, _, act = heapq.heappop(self._events)
+            self._move(when)
+            act()
+        self._move(until_ns)
+
+    def _move(self, when_ns: int) -> None:
+        if when_ns > self.now_ns:
+            self.now_ns = when_ns
+            self._advance(when_ns)
+
+
+class Loop:
+    """Runs a timeline in real time on the host's monotonic clock.
+
+    `worst_lag_ns` is how late an event ever was: what a loaded host cost.
+    """
+
+    def __init__(self, timeline: Timeline) -> None:
+        self.timeline = timeline
+        self.worst_lag_ns = 0
+        self._readers: dict[int, Act] = {}
+        self._ended = False
+
+    def watch(self, fd: int, act: Act) -> None:
+        """Call `act` whenever `fd` can be read."""
+        self._readers[fd] = act
+
+    def forget(self, fd: int) -> None:
+        """Watch `fd` no more."""
+        self._readers.pop(fd, None)
+
+    def end(self) -> None:
+        """Ask `run` to return; safe in a signal handler."""
+        self._ended = True
+
+    def catch_up(self) -> None:
+        """Bring the timeline to the present."""
+        self.timeline.run_to(time.monotonic_ns())
+
+    def run(self) -> None:
+        """Run until `end`."""
+        while not self._ended:
+            self.turn()
+
+    def turn(self) -> None:
+        """Let what is due happen, then wait for the next event or for something to read."""
+        now = time.monotonic_ns()
+        due = self.timeline.next_ns
+        if due is not None and now > due:
+            self.worst_lag_ns = max(self.worst_lag_ns, now - due)
+        self.timeline.run_to(now)
+        due = self.timeline.next_ns
+        wait = IDLE_S if due is None else (due - time.monotonic_ns()) / 1e9
+        ready, _, _ = select.select(list(self._readers), [], [], min(max(wait, 0.0), IDLE_S))
+        if ready:
+            self.timeline.run_to(time.monotonic_ns())
+            for fd in ready:
+                if act := self._readers.get(fd):
+                    act()

@@ -1,0 +1,327 @@
+"""The emulated Motive: NatNet over UDP, unicast or multicast, frames at camera rate."""
+
+import random
+import socket
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+from tetractl.errors import TetractlError
+from tetractl.lab.emulate.loop import Timeline
+from tetractl.lab.emulate.mangle import mangle
+from tetractl.lab.errors import WireError
+from tetractl.lab.natnet.messages import (
+    MULTICAST_GROUP,
+    Bare,
+    BodyName,
+    Connect,
+    EchoRequest,
+    EchoResponse,
+    Frame,
+    Kind,
+    Message,
+    ModelDef,
+    Request,
+    Response,
+    RigidBody,
+    ServerInfo,
+    Ticks,
+    Version,
+)
+from tetractl.lab.natnet.pose import UpAxis
+from tetractl.lab.natnet.wire import pack, parse
+
+SECOND = 1_000_000_000
+CLOCK_HZ = 10_000_000
+CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock has nothing to do with the host's
+EDIT_MODE = 4
+EMULATED_VERSION = Version(4, 1)
+DATAGRAMS_A_TURN = 100
+Address = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Streaming:
+    """Motive's streaming settings. Port 0 takes any that is free; times in seconds.
+
+    Exposure to transmit is `latency` on the mean with a deviation of `jitter`; one frame in 250
+    is late by up to half a frame.
+    """
+
+    address: str = "127.0.0.1"
+    command_port: int = 1510
+    data_port: int = 1511
+    transport: Literal["unicast", "multicast"] = "unicast"
+    group: str = MULTICAST_GROUP
+    version: Version = EMULATED_VERSION
+    rate_hz: float = 120.0
+    latency: float = 0.0054
+    jitter: float = 0.00025
+    client_timeout: float = 5.0
+    up: UpAxis = UpAxis.Y
+    knows_up_axis: bool = True
+
+
+@dataclass(slots=True)
+class Trouble:
+    """What faults set: silent (answers nothing, sends nothing), no frames, the same frame again
+    and again, the counter back by so many, edit mode, or a share of damaged datagrams."""
+
+    silent: bool = False
+    no_frames: bool = False
+    frozen: bool = False
+    counter: int = 0
+    edit_mode: bool = False
+    damaged: float = 0.0
+    version: Version | None = None
+
+
+@dataclass(slots=True)
+class Client:
+    """A unicast client: the version it asked for and when it was last heard."""
+
+    version: Version
+    heard_ns: int
+
+
+@dataclass(slots=True)
+class Counts:
+    """What the server has seen and done."""
+
+    frames: int = 0
+    datagrams: int = 0
+    refused: int = 0
+    timed_out: int = 0
+
+
+class Motive:
+    """The server. `expose` returns the bodies at the timeline's present moment.
+
+    Exposures count from 1 and never back. `on_exposed(exposure, frame number)` is called at each,
+    `on_sent(exposure)` after its datagrams have left or, where none are sent, would have.
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        streaming: Streaming,
+        names: list[BodyName],
+        expose: Callable[[], tuple[RigidBody, ...]],
+        on_exposed: Callable[[int, int], None],
+        on_sent: Callable[[int], None],
+        on_client: Callable[[str], None],
+        seed: int,
+    ) -> None:
+        self.streaming = streaming
+        self.trouble = Trouble()
+        self.counts = Counts()
+        self.clients: dict[Address, Client] = {}
+        self._timeline = timeline
+        self._names = names
+        self._expose = expose
+        self._on_exposed = on_exposed
+        self._on_sent = on_sent
+        self._on_client = on_client
+        self._random = random.Random(seed)
+        self._last: Frame | None = None
+        self._start_ns = 0
+        self._exposures = 0
+        self.command = _bound(streaming.address, streaming.command_port)
+        try:
+            multicast = streaming.transport == "multicast"
+            self.data = _bound(streaming.address, 0 if multicast else streaming.data_port)
+        except BaseException:
+            self.command.close()
+            raise
+        if multicast:
+            self.data.setsockopt(
+                socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(streaming.address)
+            )
+
+    @property
+    def command_port(self) -> int:
+        """The port that was really taken."""
+        return self.command.getsockname()[1]
+
+    @property
+    def data_port(self) -> int:
+        """The port frames come from or, in multicast, go to."""
+        if self.streaming.transport == "multicast":
+            return self.streaming.data_port
+        return self.data.getsockname()[1]
+
+    def start(self) -> None:
+        """Expose the first frame now."""
+        self._start_ns = self._timeline.now_ns
+        self._plan()
+
+    def close(self) -> None:
+        """Release the sockets."""
+        self.command.close()
+        self.data.close()
+
+    def ticks(self, when_ns: int) -> int:
+        """Return the server's clock at a time of the host's."""
+        return CLOCK_OFFSET + when_ns * CLOCK_HZ // SECOND
+
+    def readable(self) -> None:
+        """Answer what came to the command port."""
+        for _ in range(DATAGRAMS_A_TURN):
+            try:
+                datagram, sender = self.command.recvfrom(65_535)
+            except BlockingIOError:
+                return
+            except OSError:  # a client that has gone answers ours by a port-unreachable
+                continue
+            if self.trouble.silent:
+                continue
+            try:
+                message = parse(datagram, self.streaming.version)
+            except WireError:
+                self.counts.refused += 1
+                continue
+            answer = self._answer(message, sender)
+            if answer is not None:
+                self._send(self.command, pack(answer, self._version(sender)), sender)
+
+    def _version(self, client: Address) -> Version:
+        known = self.clients.get(client)
+        return known.version if known else self.streaming.version
+
+    def _answer(self, message: Message, sender: Address) -> Message | None:
+        if sender in self.clients:
+            self.clients[sender].heard_ns = self._timeline.now_ns
+        match message:
+            case Connect():
+                self._admit(message, sender)
+                return self._info()
+            case EchoRequest(client):
+                return EchoResponse(client, self.ticks(self._timeline.now_ns))
+            case Request(text):
+                return self._reply(text)
+            case Bare(Kind.REQUEST_MODELDEF):
+                return ModelDef(tuple(self._names))
+            case Bare(Kind.DISCONNECT):
+                self.clients.pop(sender, None)
+        return None
+
+    def _admit(self, message: Connect, sender: Address) -> None:
+        if self.streaming.transport == "multicast":
+            return
+        version = self.streaming.version
+        if message.bitstream is not None and version >= (4, 0):
+            asked = Version(*message.bitstream[:2])
+            if asked.known and asked <= version:
+                version = asked
+        if sender not in self.clients:
+            self._on_client(f"{sender[0]}:{sender[1]}")
+        self.clients[sender] = Client(version, self._timeline.now_ns)
+
+    def _info(self) -> ServerInfo:
+        a, b, c, d = (int(part) for part in self.streaming.group.split("."))
+        major, minor = self.streaming.version
+        multicast = self.streaming.transport == "multicast"
+        return ServerInfo(
+            "Motive (EMULATED by tetractl)",
+            (3, 0, 0, 0),
+            (major, minor, 0, 0),
+            CLOCK_HZ,
+            self.data_port,
+            multicast,
+            (a, b, c, d),
+        )
+
+    def _reply(self, text: str) -> Message:
+        match text:
+            case "FrameRate":
+                return Response(struct.pack("<f", self.streaming.rate_hz))
+            case "UnitsToMillimeters":
+                return Response(struct.pack("<f", 1000.0))
+            case "UpAxis" if self.streaming.knows_up_axis:
+                return Response(struct.pack("<i", self.streaming.up))
+            case _:
+                return Bare(Kind.UNRECOGNIZED)
+
+    def _plan(self) -> None:
+        due = self._start_ns + round(self._exposures * SECOND / self.streaming.rate_hz)
+        self._exposures += 1
+        self._timeline.at(due, self._take)
+
+    def _take(self) -> None:
+        """Expose one frame; it leaves after the server's latency."""
+        now = self._timeline.now_ns
+        number = self._exposures - self.trouble.counter
+        self._on_exposed(self._exposures, number)
+        s, jitter = self.streaming, self._random
+        delay = s.latency + min(max(jitter.gauss(0, s.jitter), -4 * s.jitter), 4 * s.jitter)
+        if jitter.random() < 1 / 250:
+            delay += jitter.uniform(0, 0.5 / s.rate_hz)
+        leaves = now + round(delay * SECOND)
+        seconds = (now - self._start_ns) / SECOND
+        frame = Frame(
+            number,
+            self._expose(),
+            params=EDIT_MODE if self.trouble.edit_mode else 0,
+            latency=delay,
+            timestamp_s=seconds,
+            ticks=Ticks(self.ticks(now), self.ticks(now + round(0.6 * delay * SECOND)), 0),
+            precision=(int(seconds), int(seconds % 1 * 2**32)),
+        )
+        self._timeline.at(leaves, partial(self._transmit, self._exposures, frame))
+        self._plan()
+
+    def _transmit(self, exposure: int, frame: Frame) -> None:
+        now = self._timeline.now_ns
+        if self.trouble.frozen and self._last is not None:
+            frame = self._last
+        self._last = frame
+        if not (self.trouble.silent or self.trouble.no_frames):
+            self._stream(frame, now)
+        self._on_sent(exposure)
+
+    def _stream(self, frame: Frame, now: int) -> None:
+        if frame.ticks is not None:
+            frame = replace(frame, ticks=replace(frame.ticks, transmit=self.ticks(now)))
+        packed: dict[Version, bytes] = {}
+        for address, version in self._receivers(now):
+            if version not in packed:
+                packed[version] = pack(frame, self.trouble.version or version)
+            datagram = packed[version]
+            if self.trouble.damaged and self._random.random() < self.trouble.damaged:
+                datagram = mangle(datagram, self._random)
+            self._send(self.data, datagram, address)
+        self.counts.frames += 1
+
+    def _receivers(self, now: int) -> list[tuple[Address, Version]]:
+        s = self.streaming
+        if s.transport == "multicast":
+            return [((s.group, s.data_port), s.version)]
+        silent = round(s.client_timeout * SECOND)
+        for address, client in list(self.clients.items()):
+            if now - client.heard_ns > silent:
+                del self.clients[address]
+                self.counts.timed_out += 1
+        return [(address, client.version) for address, client in self.clients.items()]
+
+    def _send(self, sender: socket.socket, datagram: bytes, to: Address) -> None:
+        with suppress(OSError):  # a full buffer or a client that has gone loses a datagram
+            sender.sendto(datagram, to)
+            self.counts.datagrams += 1
+
+
+def _bound(address: str, port: int) -> socket.socket:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.setblocking(False)
+        bound.bind((address, port))
+    except OSError as error:
+        bound.close()
+        raise TetractlError(
+            f"cannot take UDP {address}:{port}: {error.strerror}",
+            hint="is another emulation or Motive running? Choose other ports with --command-port "
+            "and --data-port; 0 takes any",
+        ) from None
+    return bound

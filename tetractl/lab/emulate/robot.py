@@ -1,0 +1,201 @@
+"""An emulated robot: wheels, battery, and the program that hears the radio.
+
+Lengths are millimetres. The motion is (21)-(23) with wheels that follow their commanded speeds
+with a first-order lag.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from tetractl.lab.m3pi.broadcast import Counts
+from tetractl.lab.m3pi.command import Drivetrain, wheel_speeds
+from tetractl.lab.m3pi.core import Core
+from tetractl.lab.m3pi.slave import Drive, Motor, Query, SlaveDecoder
+
+STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
+STANDING_MM_S = 1.0
+SIGNATURE = b"3pi1.1"
+
+
+class Program(Protocol):
+    """What runs on the robot."""
+
+    def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
+        """Take bytes from the radio."""
+        ...
+
+    def counts(self, now_ms: int) -> Counts:
+        """Return what the motors are told now, in the order of the motors M1, M2."""
+        ...
+
+    def answer(self, now_ms: int) -> bytes:
+        """Return the bytes to send now, if any."""
+        ...
+
+
+class Firmware:
+    """Way (b): the mbed firmware's own core, compiled from `firmware/m3pi_core.c`."""
+
+    def __init__(self, index: int) -> None:
+        self.core = Core(index)
+
+    def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
+        """Let the core take the bytes."""
+        self.core.set_battery(battery_mv)
+        self.core.push(data, now_ms & 0xFFFFFFFF)
+
+    def counts(self, now_ms: int) -> Counts:
+        """Return the core's wheels; its watchdog is judged here."""
+        return self.core.wheels(now_ms & 0xFFFFFFFF)
+
+    def answer(self, now_ms: int) -> bytes:
+        """Return the reply to a poll in its slot."""
+        return self.core.take_reply(now_ms & 0xFFFFFFFF)
+
+
+class Slave:
+    """Way (a): the 3pi's serial-slave program. No watchdog: it drives on when nothing is heard."""
+
+    def __init__(self) -> None:
+        self._decoder = SlaveDecoder()
+        self._counts = [0, 0]
+        self._answer = b""
+
+    def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
+        """Obey each command as it is completed."""
+        for command in self._decoder.feed(data):
+            match command:
+                case Drive(motor, count):
+                    self._counts[motor is Motor.M2] = count
+                case Query.SIGNATURE:
+                    self._counts = [0, 0]
+                    self._answer += SIGNATURE
+                case Query.BATTERY:
+                    self._answer += battery_mv.to_bytes(2, "little")
+
+    def counts(self, now_ms: int) -> Counts:
+        """Return what was last heard, however long ago."""
+        return self._counts[0], self._counts[1]
+
+    def answer(self, now_ms: int) -> bytes:
+        """Return the answers, at once."""
+        answer, self._answer = self._answer, b""
+        return answer
+
+
+@dataclass(slots=True)
+class Battery:
+    """Four NiMH cells: the voltage sags with the load and sinks as charge is drawn."""
+
+    open_mv: float = 5100.0
+    sag_mv: float = 150.0  # with both wheels at 1 m/s
+    drain_mv_s: float = 0.2  # likewise; a tenth of it at rest
+
+    def draw(self, load: float, seconds: float) -> None:
+        """Draw charge at a load of 0 to 1."""
+        self.open_mv = max(0.0, self.open_mv - self.drain_mv_s * (0.1 + 0.9 * load) * seconds)
+
+    def voltage_mv(self, load: float) -> int:
+        """Return the voltage at a load."""
+        return max(0, round(self.open_mv - self.sag_mv * load))
+
+
+@dataclass(slots=True)
+class Robot:
+    """One robot as it truly is.
+
+    `boot` starts its program, as switching it on does. `x`, `y` [mm] and `heading` [rad] are in the
+    spec's axes; `drivetrain` turns counts into speeds as its wheels really do; `radius` [mm] is r
+    of (23), `lag_s` the wheels' time constant. Faults set `powered`, `stuck` and `veer`.
+    """
+
+    name: str
+    boot: Callable[[], Program]
+    drivetrain: Drivetrain
+    radius: float
+    x: float
+    y: float
+    heading: float
+    lag_s: float = 0.04
+    battery: Battery = field(default_factory=Battery)
+    left: float = 0.0  # wheel speeds [mm/s]
+    right: float = 0.0
+    powered: bool = True
+    stuck: tuple[bool, bool] = (False, False)
+    veer: Counts | None = None  # what the motors get in place of any count but 0
+    now_ns: int = 0
+    program: Program = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.program = self.boot()
+
+    @property
+    def load(self) -> float:
+        """How hard the motors work, 0 to 1."""
+        return min(1.0, (abs(self.left) + abs(self.right)) / 2000.0)
+
+    @property
+    def standing(self) -> bool:
+        """Whether both wheels are at rest, as near as one could tell."""
+        return max(abs(self.left), abs(self.right)) < STANDING_MM_S
+
+    @property
+    def battery_mv(self) -> int:
+        """The battery's voltage now."""
+        return self.battery.voltage_mv(self.load)
+
+    def hear(self, data: bytes) -> None:
+        """Take bytes that the robot's radio module put out."""
+        if self.powered:
+            self.program.hear(data, self.now_ns // 1_000_000, self.battery_mv)
+
+    def answer(self) -> bytes:
+        """Return what the robot hands to its radio module now."""
+        return self.program.answer(self.now_ns // 1_000_000) if self.powered else b""
+
+    def counts(self) -> Counts:
+        """Return what the motors are driven with."""
+        if not self.powered:
+            return 0, 0
+        counts = self.program.counts(self.now_ns // 1_000_000)
+        return self.veer if self.veer is not None and any(counts) else counts
+
+    def advance(self, until_ns: int) -> None:
+        """Move on to `until_ns`, in steps of at most a millisecond."""
+        while self.now_ns < until_ns:
+            step_ns = min(STEP_NS, until_ns - self.now_ns)
+            self._step(step_ns / 1e9)
+            self.now_ns += step_ns
+
+    def switch(self, on: bool) -> None:
+        """Switch the robot on, which starts its program anew, or off."""
+        self.powered = on
+        if on:
+            self.program = self.boot()
+
+    def place(self, x: float, y: float, heading: float) -> None:
+        """Put the robot somewhere, at rest."""
+        self.x, self.y, self.heading = x, y, heading
+        self.left = self.right = 0.0
+
+    def _step(self, seconds: float) -> None:
+        left, right = wheel_speeds(self.counts(), self.drivetrain)
+        if left == right == self.left == self.right == 0.0:
+            self.battery.draw(0.0, seconds)
+            return
+        keep = math.exp(-seconds / self.lag_s)
+        before = self.left, self.right
+        self.left = 0.0 if self.stuck[0] else left + keep * (self.left - left)
+        self.right = 0.0 if self.stuck[1] else right + keep * (self.right - right)
+        if left == right == 0.0 and abs(self.left) + abs(self.right) < 1e-3:
+            self.left = self.right = 0.0
+        mean_left, mean_right = (before[0] + self.left) / 2, (before[1] + self.right) / 2
+        speed = (mean_left + mean_right) / 2  # (21)-(22)
+        turn = (mean_right - mean_left) / (2 * self.radius) * seconds  # (23)
+        middle = self.heading + turn / 2
+        self.x += speed * math.cos(middle) * seconds
+        self.y += speed * math.sin(middle) * seconds
+        self.heading += turn
+        self.battery.draw(self.load, seconds)

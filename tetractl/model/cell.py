@@ -55,7 +55,7 @@ def exact(x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats
     c, s = np.cos(half), np.sin(half)
     decay = np.exp(-a * t)
     turn = 2 * np.arctan2(-np.expm1(-a * t) * s * c, c * c + s * s * decay)  # phi - phi'
-    fall = s * s * np.expm1(-2 * a * t)  # h - 1: small is where log1p is exact, near -1 log is
+    fall = s * s * np.expm1(-2 * a * t)  # h - 1; ln h by log1p near h = 1, by log near h = 0
     log_h = np.where(
         fall > -0.5, np.log1p(np.maximum(fall, -0.5)), np.log(c * c + (s * decay) ** 2)
     )

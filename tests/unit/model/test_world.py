@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from unit.model.geometry import gap, meets
 
 from tetractl.model.judge import PathJudge
 from tetractl.model.world import Obstacles
@@ -28,38 +29,6 @@ def obstacles(draw):
     return found
 
 
-def gap(thing, x, y):
-    """Signed distance from one point to one obstacle, from geometry."""
-    if isinstance(thing, Circle):
-        return math.dist((x, y), thing.center) - thing.radius
-    right, top = thing.left + thing.width, thing.bottom + thing.height
-    if thing.left <= x <= right and thing.bottom <= y <= top:
-        return -min(x - thing.left, right - x, y - thing.bottom, top - y)
-    return math.dist((x, y), (min(max(x, thing.left), right), min(max(y, thing.bottom), top)))
-
-
-def clip(thing, x0, y0, x1, y1):
-    """Least gap between a segment and an obstacle, by Liang-Barsky or the foot of the normal."""
-    if isinstance(thing, Circle):
-        cx, cy = thing.center
-        length2 = (x1 - x0) ** 2 + (y1 - y0) ** 2
-        t = ((cx - x0) * (x1 - x0) + (cy - y0) * (y1 - y0)) / length2 if length2 else 0
-        t = min(max(t, 0), 1)
-        return math.dist((x0 + t * (x1 - x0), y0 + t * (y1 - y0)), (cx, cy)) <= thing.radius
-    enter, leave = 0.0, 1.0
-    for start, step, low, high in (
-        (x0, x1 - x0, thing.left, thing.left + thing.width),
-        (y0, y1 - y0, thing.bottom, thing.bottom + thing.height),
-    ):
-        if step == 0:
-            if not low <= start <= high:
-                return False
-            continue
-        first, last = sorted(((low - start) / step, (high - start) / step))
-        enter, leave = max(enter, first), min(leave, last)
-    return enter <= leave
-
-
 def at(*numbers):
     return [np.array([float(n)]) for n in numbers]
 
@@ -78,7 +47,7 @@ def test_distance_and_containment_follow_from_geometry(things, x, y):
 def test_segments_cross_as_clipping_says(things, x0, y0, x1, y1):
     crossed = Obstacles.of(things).cross(*at(x0, y0, x1, y1))[0]
     if not any(isinstance(thing, Circle) for thing in things):
-        assert crossed == any(clip(thing, x0, y0, x1, y1) for thing in things)
+        assert crossed == any(meets(thing, x0, y0, x1, y1) for thing in things)
     t = np.linspace(0, 1, 2001)
     dense = Obstacles.of(things).distance(x0 + t * (x1 - x0), y0 + t * (y1 - y0)).min()
     step = math.dist((x0, y0), (x1, y1)) / 2000
@@ -93,7 +62,7 @@ def test_any_segment_crosses_as_clipping_says_but_for_rounding(things, x0, y0, x
     def crosses(margin):
         return Obstacles.of(things, margin).cross(*at(x0, y0, x1, y1))[0]
 
-    clipped = any(clip(thing, x0, y0, x1, y1) for thing in things)
+    clipped = any(meets(thing, x0, y0, x1, y1) for thing in things)
     assert clipped <= crosses(1e-9)
     assert crosses(-1e-9) <= clipped
 

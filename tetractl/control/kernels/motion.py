@@ -1,7 +1,7 @@
 """Lanes advanced by one signal: the twins of `tetractl.model.cell`.
 
-Arguments are rows (M,): position x, y; cos and sin of the heading, advanced by rotation; cos and sin
-of the direction u; and what the model needs of each lane's robot, see `constants`.
+Arguments are rows (M,): position x, y; cos and sin of the heading, advanced by rotation; cos and
+sin of the direction u; and what the model needs of each lane's robot, see `constants`.
 """
 
 import math
@@ -16,6 +16,7 @@ from tetractl.control.kernels.numeric import (
     log_from_ratio,
     mantissa,
     sincos,
+    wrap,
 )
 from tetractl.model.state import Floats
 
@@ -40,7 +41,7 @@ def euler(x, y, cos, sin, cos_u, sin_u, step, turn):
     """(4)-(6); step = T v and turn = T a, per lane."""
     for n in range(x.size):
         c, s = cos[n], sin[n]
-        sw, cw = sincos(turn[n] * (sin_u[n] * c - cos_u[n] * s))
+        sw, cw = sincos(wrap(turn[n] * (sin_u[n] * c - cos_u[n] * s)))
         x[n] += step[n] * c
         y[n] += step[n] * s
         cos[n] = c * cw - s * sw
@@ -53,7 +54,7 @@ def arc(x, y, cos, sin, cos_u, sin_u, step, turn):
     for n in range(x.size):
         c, s = cos[n], sin[n]
         half = 0.5 * turn[n] * (sin_u[n] * c - cos_u[n] * s)
-        sw, cw = sincos(half)
+        sw, cw = sincos(wrap(half))
         flat = abs(half) < 1e-9
         chord = step[n] * ((1.0 if flat else sw) / (1.0 if flat else half))
         c, s = c * cw - s * sw, s * cw + c * sw  # along the chord
@@ -87,6 +88,8 @@ def exact(x, y, cos, sin, cos_u, sin_u, step, radius, decay):
         y[n] += along * su - right * cu
         over_d = inverse * m1 * across
         c, s = (near - far * e) * over_d, 2 * e * s * over_d  # of phi'
+        unit = 1.5 - 0.5 * (c * c + s * s)  # near phi = pi, rounding off the circle would grow
+        c, s = c * unit, s * unit
         cos[n] = cu * c + su * s
         sin[n] = su * c - cu * s
 

@@ -64,6 +64,12 @@ def sincos(x):
 
 
 @njit(**INLINE)
+def wrap(x):
+    """The angle x within [-pi, pi]."""
+    return x - 2 * math.pi * np.rint(x / (2 * math.pi))
+
+
+@njit(**INLINE)
 def mantissa(y):
     """(m, k) with y = m 2^k and sqrt(1/2) <= m < sqrt(2), for finite y > 0."""
     bits = np.float64(y).view(np.int64)

@@ -1,0 +1,108 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.trials import experiment
+from unit.control import oracle, problems
+
+from tetractl.control.cost import Problem, evaluate, predict
+from tetractl.errors import ControlError
+from tetractl.model.state import Poses
+from tetractl.spec.experiment import Rectangle
+
+
+def robot_at(x, y, heading=0.0, a=6.0, speed=100.0, target=(0.0, 0.0)):
+    return (x, y, heading, *target, a, speed)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 5),
+    obstacles=st.integers(0, 4),
+    length=st.integers(1, 12),
+    model=st.sampled_from(["euler", "arc", "exact"]),
+    swept=st.booleans(),
+)
+def test_the_cost_is_7_to_13(seed, robots, obstacles, length, model, swept):
+    world = problems.world(seed, robots, obstacles, model, swept)
+    signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (3, length))
+    costs = evaluate(problems.problem(world), signals)
+    assert costs.total == pytest.approx([oracle.cost(world, row) for row in signals], rel=1e-9)
+    assert costs.total == pytest.approx(costs.target + world.weight * costs.obstacle, rel=1e-15)
+
+
+def test_a_length_counts_signals_and_the_last_cannot_move_an_euler_robot():
+    world = oracle.World([robot_at(0, 0, target=(40, 0))], [], period=0.2)
+    problem = problems.problem(world)
+    for length in (1, 2, 3):
+        path = predict(problem, np.zeros(length))
+        assert path.shape == (length + 1, 1, 3)
+        assert path[:, 0, 0].tolist() == pytest.approx([20.0 * j for j in range(length + 1)])
+    turned = evaluate(problem, np.array([[0.0, 0.0], [0.0, 2.5]])).total
+    assert turned.tolist() == [0, 0]
+
+
+def test_the_observed_position_is_not_a_predicted_one():
+    """(9) sums over s(k+1) ... s(k+h+1): standing in an obstacle now costs nothing."""
+    box = Rectangle(type="rectangle", left=-5, bottom=-5, width=10, height=10)
+    world = oracle.World([robot_at(0, 0)], [box], weight=1000)
+    costs = evaluate(problems.problem(world), np.zeros((1, 4)))
+    assert costs.obstacle.tolist() == [0]
+    assert costs.target.tolist() == [80]
+
+
+def test_13_sees_samples_only_and_swept_sees_the_corner_cut():
+    wall = Rectangle(type="rectangle", left=25, bottom=-50, width=10, height=100)
+    world = oracle.World([robot_at(0, 0)], [wall], weight=1000)
+    sampled = problems.problem(world)
+    assert evaluate(sampled, np.zeros((1, 3))).obstacle.tolist() == [0]
+    assert evaluate(replace(sampled, swept=True), np.zeros((1, 3))).obstacle.tolist() == [1]
+
+
+def test_overlapping_obstacles_are_one_region():
+    box = Rectangle(type="rectangle", left=10, bottom=-5, width=100, height=10)
+    world = oracle.World([robot_at(0, 0), robot_at(0, 100)], [box, box], weight=7)
+    costs = evaluate(problems.problem(world), np.zeros((1, 3)))
+    assert costs.obstacle.tolist() == [3]  # one robot, three samples
+    assert costs.total[0] == costs.target[0] + 21
+
+
+def test_the_first_signal_may_be_held_for_another_time():
+    problem = replace(problems.problem(oracle.World([robot_at(0, 0)], [])), first_period=0.05)
+    path = predict(problem, np.zeros(3))
+    assert path[:, 0, 0].tolist() == pytest.approx([0, 5, 25, 45])
+
+
+def test_the_prediction_of_a_swarm_is_that_of_its_particles():
+    problem = problems.problem(problems.world(3))
+    signals = np.random.default_rng(3).uniform(-3, 3, (5, 4))
+    whole = predict(problem, signals)
+    assert whole.shape == (5, 5, 3, 3)
+    for n in range(5):
+        assert whole[:, n] == pytest.approx(predict(problem, signals[n]), rel=1e-14)
+
+
+def test_a_problem_is_taken_from_the_experiment():
+    control = {"collision": {"check": "swept", "margin": 10}, "obstacle_weight": 5}
+    spec = experiment(controller=control)
+    poses = Poses.of(np.zeros((3, 3)))
+    problem = Problem.of(spec, poses)
+    assert problem.targets.tolist() == [[1700, 500], [1700, 1500], [1700, 2000]]
+    assert problem.a.tolist() == [6, 4, 3]
+    assert problem.speed.tolist() == [180, 200, 150]
+    assert problem.obstacles.rectangles.tolist() == [[1190, 1090, 1410, 1310]]
+    assert (problem.swept, problem.obstacle_weight, problem.period) == (True, 5, 0.2)
+
+
+@pytest.mark.parametrize("bad", [math.nan, 1e308])
+def test_costs_that_are_not_finite_are_refused(bad):
+    world = oracle.World([robot_at(0, 0), robot_at(bad, 0, target=(-bad, 0))], [])
+    with (
+        np.errstate(over="ignore"),
+        pytest.raises(ControlError, match="not finite for 2 of 2 sequences"),
+    ):
+        evaluate(problems.problem(world), np.zeros((2, 3)))

@@ -1,0 +1,89 @@
+import math
+
+import numpy as np
+import pytest
+
+from tetractl.control.stop import paper_criterion, stopped
+from tetractl.spec.controller import BudgetStop, PaperStop, RelativeStop, TargetStop
+
+PAPER = PaperStop(type="paper")
+
+
+def falling(first: float, *decreases: float) -> np.ndarray:
+    return first - np.cumsum([0.0, *decreases])
+
+
+def test_20_by_hand():
+    """J falls by 2 an iteration from 30, so Delta = 10 log 2 and C = sum(log J over 11) / 2."""
+    history = falling(30, *[2.0] * 11)  # z = 11
+    c = sum(math.log(n) for n in range(28, 7, -2)) / 2
+    assert 10 * math.log(2) < c
+    assert paper_criterion(history)
+
+
+def test_20_goes_on_while_the_decrease_is_large():
+    """J halves from 2**12: decreases 2**11 ... 2 after the first, J from 2**11 to 2."""
+    history = 2.0 ** np.arange(12, 0, -1)  # z = 11; Delta = sum of 1 ... 10, C = (1 + ... + 11) / 2
+    assert len(history) == 12
+    assert not paper_criterion(history)
+    assert stopped(history, PAPER) is None
+
+
+def test_20_compares_strictly():
+    """J(m) = 16 ... 16 + decreases of 4 = sqrt(16) would be equal but for the extra term of C."""
+    history = np.array([101.0, *[1.0 + 9 * 10**-k for k in range(11)]])
+    last = history[1:]
+    c, delta = np.log(last).sum() / 2, np.log(last[:-1] - last[1:]).sum()
+    assert delta < c
+    assert paper_criterion(history)
+
+
+@pytest.mark.parametrize("still", range(2, 12))
+def test_an_iteration_without_improvement_stops_20(still):
+    decreases = [100.0] * 11
+    decreases[still - 1] = 0.0  # log 0 = -inf
+    history = falling(2000, *decreases)
+    assert paper_criterion(history)
+    assert stopped(history, PAPER) == "criterion"
+
+
+def test_20_looks_back_ten_iterations_only():
+    history = np.concatenate([[5000.0, 5000.0], 5000.0 - np.cumsum([400.0] * 10)])
+    assert len(history) == 12  # z = 11: the standstill at z = 1 is outside Delta
+    assert not paper_criterion(history)
+
+
+def test_a_cost_of_zero_is_minus_infinity_on_both_sides_and_no_stop():
+    history = np.concatenate([falling(100, *[5.0] * 9), [0.0, 0.0]])
+    assert history[-2:].tolist() == [0, 0]
+    assert not paper_criterion(history)
+
+
+@pytest.mark.parametrize("z", range(11))
+def test_20_asks_only_after_iteration_10(z):
+    assert not paper_criterion(np.full(z + 1, 5.0))
+    assert paper_criterion(np.full(12, 5.0))
+
+
+def test_20_depends_on_the_unit_of_length():
+    history = 5 + 100 * 0.75 ** np.arange(13)
+    assert paper_criterion(1000 * history) != paper_criterion(history / 1000)
+
+
+def test_the_relative_stop_looks_over_its_window():
+    stop = RelativeStop(type="relative", window=20, decrease=0.1)
+    flat = np.full(40, 100.0)
+    assert stopped(flat[:21], stop) is None  # z = 20: the window is only just full
+    assert stopped(flat[:22], stop) == "criterion"
+    falling_enough = np.linspace(100, 50, 40)
+    assert stopped(falling_enough, stop) is None
+    assert stopped(falling_enough / 1e6, stop) is None  # unit-free
+    just = np.array([100.0] * 5 + [90.0] * 20)
+    assert stopped(just, stop) == "criterion"  # fell by the tenth, not by more
+
+
+def test_the_other_stops():
+    target = TargetStop(type="target", cost=3.0)
+    assert stopped(np.array([9.0, 3.1]), target) is None
+    assert stopped(np.array([9.0, 3.0]), target) == "target"
+    assert stopped(np.full(500, 1.0), BudgetStop(type="budget")) is None

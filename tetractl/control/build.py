@@ -8,16 +8,25 @@ import numpy as np
 from tetractl.control.compiled import pso
 from tetractl.control.cost import Problem
 from tetractl.control.mpc import PsoMpc
+from tetractl.control.multistart import multistart
 from tetractl.control.plan import Controller
-from tetractl.model.state import Poses
+from tetractl.control.pso import Searcher
+from tetractl.spec.controller import MultistartSpec
 from tetractl.spec.experiment import Experiment
 
 ANNOUNCE_AFTER_S = 1.0
 
 
+def searcher(experiment: Experiment) -> Searcher:
+    """Return the optimiser that the spec asks for."""
+    if isinstance(experiment.controller.swarm, MultistartSpec):
+        return multistart
+    return pso
+
+
 def build_controller(experiment: Experiment, key: int) -> Controller:
     """Return the controller of one trial; `key` is the root of its random draws."""
-    return PsoMpc(experiment, key, pso)
+    return PsoMpc(experiment, key, searcher(experiment))
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
@@ -29,9 +38,7 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     notice.daemon = True
     notice.start()
     try:
-        starts = np.array([(*robot.start, robot.heading) for robot in experiment.robots])
-        problem = Problem.of(experiment, Poses.of(starts))
-        swarm = experiment.controller.swarm.model_copy(update={"particles": 2, "iterations": 1})
-        pso(problem, 1, np.zeros(1), swarm, key=0)
+        problem, swarm = Problem.of(experiment), experiment.controller.swarm
+        searcher(experiment)(problem, 1, np.zeros(1), swarm, key=0, budget=1)
     finally:
         notice.cancel()

@@ -1,4 +1,6 @@
-"""Algorithm 1 by the compiled kernels: `pso` of `tetractl.control.pso`, some fifty times faster."""
+"""Algorithm 1 by the compiled kernels: the twin of `tetractl.control.pso.pso`."""
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -7,7 +9,7 @@ from tetractl.control.draws import mix
 from tetractl.control.kernels import swarm as kernel
 from tetractl.control.kernels.rollout import Course, costs, lay_out
 from tetractl.control.plan import Search
-from tetractl.control.pso import Swarm
+from tetractl.control.pso import Swarm, never
 from tetractl.model.state import Floats
 from tetractl.spec.controller import (
     BudgetStop,
@@ -19,6 +21,7 @@ from tetractl.spec.controller import (
 )
 
 NO_LIMIT = 2**62
+BETWEEN_LOOKS = 8  # iterations between two looks at the deadline
 
 
 def pso(
@@ -28,19 +31,22 @@ def pso(
     spec: SwarmSpec,
     key: int,
     budget: int | None = None,
+    expired: Callable[[], bool] = never,
 ) -> Search:
     """Algorithm 1 with the same draws as the reference, to which it agrees but for rounding."""
     course = lay_out(problem, spec.particles)
     swarm, evaluations = scatter(problem, course, length, warm, spec, key)
     rules = make_rules(spec, key, evaluations, budget)
-    reason, z = kernel.iterate(course, swarm, rules, 0, NO_LIMIT)
+    stride = NO_LIMIT if expired is never else BETWEEN_LOOKS
+    reason, z = kernel.PAUSED, 0
+    while reason == kernel.PAUSED and not expired():
+        reason, z = kernel.iterate(course, swarm, rules, z, z + stride)
     if reason == kernel.NOT_FINITE:
         require_finite(swarm.cost)
     history = swarm.history[: z + 1].copy()
     evaluations += z * spec.particles
-    return Search(
-        length, swarm.u_gb, float(history[-1]), history, evaluations, kernel.REASONS[reason]
-    )
+    why = kernel.REASONS[reason]
+    return Search(length, swarm.u_gb, float(history[-1]), history, evaluations, why)
 
 
 def scatter(

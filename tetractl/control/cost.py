@@ -9,7 +9,7 @@ paper's horizon in (7)-(12) is h = L - 1. The prediction s(k+j|k) comes from (4)
 the other models in `tetractl.model.cell`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,21 +41,32 @@ class Problem:
     swept: bool
 
     @classmethod
-    def of(cls, experiment: Experiment, poses: Poses) -> "Problem":
-        """Take the problem of an experiment with the robots at `poses`."""
+    def of(cls, experiment: Experiment, poses: Poses | None = None) -> "Problem":
+        """Take the problem of an experiment with the robots at `poses`, or at their starts."""
         control = experiment.controller
+        if poses is None:
+            starts = [(*robot.start, robot.heading) for robot in experiment.robots]
+            poses = Poses.of(np.array(starts, dtype=np.float64))
         return cls(
             poses=poses,
             targets=np.array([robot.target for robot in experiment.robots]),
             a=np.array([robot.a for robot in experiment.robots]),
             speed=np.array([robot.speed for robot in experiment.robots]),
             model=control.model,
-            period=control.period,
-            first_period=control.period,
-            obstacles=Obstacles.of(experiment.obstacles, control.collision.margin),
+            period=control.hold * control.period,
+            first_period=control.hold * control.period,
+            obstacles=Obstacles.of(
+                experiment.obstacles,
+                control.collision.margin,
+                experiment.arena if control.collision.walls else None,
+            ),
             obstacle_weight=control.obstacle_weight,
             swept=control.collision.check == "swept",
         )
+
+    def with_robots(self, a: Floats, speed: Floats) -> "Problem":
+        """Return the same problem for robots of other a [rad/s] and speed, (N,)."""
+        return replace(self, a=a, speed=speed)
 
 
 @dataclass(frozen=True, slots=True)

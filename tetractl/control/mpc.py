@@ -1,66 +1,108 @@
-"""Model predictive control, Algorithm 2: choose the horizon, exert the first signal, warm start."""
+"""Model predictive control, Algorithm 2: choose the horizon, exert the first signal, warm start.
 
-from collections.abc import Iterable
+Beside the letter: the plan's grid may be coarser than the control's (`hold`), the state may be
+predicted over the dead time, and an optimiser with a tolerance may take costs within it as equal.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
+from tetractl.clock import SECOND
 from tetractl.control.cost import Problem, evaluate, predict
 from tetractl.control.draws import mix
+from tetractl.control.estimator import Estimator
 from tetractl.control.plan import Outcome, Plan, Search
-from tetractl.control.pso import Searcher, pso
+from tetractl.control.predictor import Predictor
+from tetractl.control.pso import Searcher, never, pso
 from tetractl.model.state import Floats, Observation
+from tetractl.spec.controller import MultistartSpec
 from tetractl.spec.experiment import Experiment
 
 
 class PsoMpc:
-    """The controller of one trial; `key` is the root of all its random draws."""
+    """The controller of one trial; `key` is the root of all its random draws.
 
-    def __init__(self, experiment: Experiment, key: int, search: Searcher = pso) -> None:
-        self.experiment = experiment
+    `timer` [ns] is only looked at where the spec sets a deadline.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        key: int,
+        search: Searcher = pso,
+        timer: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        self.control = experiment.controller
+        self.problem = Problem.of(experiment)
+        self.predictor = Predictor(self.control.dead_time)
+        self.estimator = Estimator(self.problem) if self.control.estimate else None
+        self.last_ns = 0  # when the frame before was exposed
         self.key = key
         self.search = search
+        self.timer = timer
         self.k = 0
         self.warm: Floats | None = None  # u_(warm), None before step 0
 
     def plan(self, observation: Observation) -> Plan | Outcome:
         """Do one control step: decide u_(opt), or that the trial is over."""
-        control = self.experiment.controller
-        problem = Problem.of(self.experiment, observation.poses)
+        phase = self.k % self.control.hold  # control periods since the last knot of the plan
+        if self.warm is not None and phase == 0:
+            self.warm = self.warm[1:]  # lines 6 and 24
+        problem = self._problem(observation, (self.control.hold - phase) * self.control.period)
         if self._arrived(problem):  # Algorithm 2, line 13
             return Outcome.ARRIVED
-        if self.k > control.steps_max:  # line 9
+        if self.k > self.control.steps_max:  # line 9
             return Outcome.STEPS_MAX
         if self.warm is not None and len(self.warm) == 0:
             return Outcome.SEQUENCE_USED_UP
-        step_key = mix(self.key, self.k)
-        plan = self._decide(problem, step_key)
-        self.warm = plan.signals[1:]  # lines 6 and 24
+        plan = self._decide(problem, mix(self.key, self.k))
+        self.predictor.sent(observation.sampled_ns, float(plan.signals[0]))
+        self.warm = plan.signals
         self.k += 1
         return plan
 
+    def _problem(self, observation: Observation, first_period: float) -> Problem:
+        """Pose the problem where a direction decided now will act, for the robots as known."""
+        now, problem = observation.sampled_ns, self.problem
+        if self.estimator:
+            held = self.predictor.held(self.last_ns, now)
+            problem = self.estimator.update(observation, held)
+        self.predictor.forget(now)
+        self.last_ns = now
+        problem = replace(problem, poses=observation.poses, first_period=first_period)
+        return replace(problem, poses=self.predictor.ahead(problem, now))
+
     def _arrived(self, problem: Problem) -> bool:
         gaps = np.hypot(*(problem.poses.xy - problem.targets).T)
-        return bool(np.all(gaps <= self.experiment.controller.arrival_tolerance))
+        return bool(np.all(gaps <= self.control.arrival_tolerance))
 
     def _decide(self, problem: Problem, step_key: int) -> Plan:
-        """Search every horizon that is a candidate now, and take the one of least cost."""
-        control = self.experiment.controller
-        left = control.evaluations_max
+        """Search every horizon that is a candidate now, and choose."""
+        left, expired = self.control.evaluations_max, self._deadline()
         searches: list[Search] = []
         for length, start in self._candidates():
-            if searches and left is not None and left <= control.swarm.particles:
+            if searches and ((left is not None and left <= 0) or expired()):
                 break
-            found = self.search(problem, length, start, control.swarm, mix(step_key, length), left)
+            key = mix(step_key, length)
+            found = self.search(problem, length, start, self.control.swarm, key, left, expired)
             searches.append(found)
             if left is not None:
                 left -= found.evaluations
-        chosen = min(range(len(searches)), key=lambda i: searches[i].cost)  # lines 5 and 23
-        return make_plan(problem, searches, chosen, step_key)
+        return make_plan(problem, searches, self._choose(searches), step_key)
+
+    def _deadline(self) -> Callable[[], bool]:
+        if self.control.deadline is None:
+            return never
+        end = self.timer() + round(self.control.deadline * SECOND)
+        return lambda: self.timer() >= end
 
     def _candidates(self) -> Iterable[tuple[int, Floats | None]]:
         """Yield (length, u_gb^0) of Algorithm 2: lines 2-4 at step 0, then lines 10-20."""
         if self.warm is None:  # Part I
-            for length in range(1, self.experiment.controller.horizon_max + 1):
+            for length in range(1, self.control.horizon_max + 1):
                 yield length, None
             return
         count = len(self.warm)  # H; Part II. The paper indexes from 1
@@ -68,6 +110,19 @@ class PsoMpc:
             yield count - 1, self.warm[1:]
         yield count, self.warm
         yield count + 1, np.append(self.warm, 0.0)
+
+    def _choose(self, searches: list[Search]) -> int:
+        """Return the index of the least cost, lines 5 and 23.
+
+        Costs within the tolerance of a `multistart` are equal, and among equals the plan goes on as
+        it is (H); at step 0 the shortest is taken.
+        """
+        if isinstance(self.control.swarm, MultistartSpec):
+            good = [i for i, s in enumerate(searches) if s.cost <= self.control.swarm.tolerance]
+            if good:
+                going_on = 0 if self.warm is None else len(self.warm)
+                return min(good, key=lambda i: abs(searches[i].length - going_on))
+        return min(range(len(searches)), key=lambda i: searches[i].cost)
 
 
 def make_plan(problem: Problem, searches: list[Search], chosen: int, step_key: int) -> Plan:

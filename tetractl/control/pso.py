@@ -3,8 +3,9 @@
 This is the reference: the compiled twin in `kernels` must agree with it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,10 +20,16 @@ LOWER, UPPER = -np.pi, np.pi  # lb and ub, (12)
 SPAN = abs(UPPER - LOWER)  # |ub - lb|, (15)
 
 
+def never() -> bool:
+    """Return False: no deadline."""
+    return False
+
+
 class Searcher(Protocol):
     """Finds a sequence of `length` signals of small cost, from a warm start or from nothing.
 
-    `key` fixes every random draw; `budget` bounds the cost evaluations, None for no bound.
+    `spec` is the optimiser's part of the spec. `key` fixes every random draw; `budget` bounds the
+    cost evaluations, None for no bound; once `expired()`, the best so far is returned.
     """
 
     def __call__(
@@ -30,9 +37,10 @@ class Searcher(Protocol):
         problem: Problem,
         length: int,
         warm: Floats | None,
-        spec: SwarmSpec,
+        spec: Any,
         key: int,
         budget: int | None = None,
+        expired: Callable[[], bool] = ...,
     ) -> Search:
         """Return the best sequence found and how the search went."""
         ...
@@ -102,6 +110,7 @@ def pso(
     spec: SwarmSpec,
     key: int,
     budget: int | None = None,
+    expired: Callable[[], bool] = never,
 ) -> Search:
     """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or from NULL."""
     swarm = Swarm.scatter(spec, length, key)  # line 1
@@ -118,6 +127,9 @@ def pso(
     for z in range(1, spec.iterations + 1):  # line 7
         if budget is not None and evaluations + spec.particles > budget:
             reason = "evaluations"
+            break
+        if expired():
+            reason = "deadline"
             break
         swarm.tell(evaluate(problem, swarm.ask()).total)  # line 8
         evaluations += spec.particles

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.model.state import Floats
-from tetractl.spec.experiment import Circle, Rectangle
+from tetractl.spec.experiment import Arena, Circle, Rectangle
 
 Bools = NDArray[np.bool_]
 
@@ -25,8 +25,16 @@ class Obstacles:
     circles: Floats
 
     @classmethod
-    def of(cls, obstacles: Sequence[Rectangle | Circle], margin: float = 0.0) -> Self:
-        """Take obstacles from a spec, each side and radius grown by `margin` [length unit]."""
+    def of(
+        cls,
+        obstacles: Sequence[Rectangle | Circle],
+        margin: float = 0.0,
+        walls: Arena | None = None,
+    ) -> Self:
+        """Take obstacles from a spec, each side and radius grown by `margin` [length unit].
+
+        With `walls`, everything outside that arena belongs to O too, as four broad rectangles.
+        """
         rectangles = [
             (
                 o.left - margin,
@@ -38,6 +46,8 @@ class Obstacles:
             if isinstance(o, Rectangle)
         ]
         circles = [(*o.center, o.radius + margin) for o in obstacles if isinstance(o, Circle)]
+        if walls is not None:
+            rectangles += _walls(walls, margin)
         return cls(
             np.array(rectangles, dtype=np.float64).reshape(-1, 4),
             np.array(circles, dtype=np.float64).reshape(-1, 3),
@@ -96,3 +106,16 @@ def _crosses_rectangle(
     across = np.abs(dx * mid_y - dy * mid_x) <= half_x * np.abs(dy) + half_y * np.abs(dx)
     overlap_x = np.abs(mid_x) <= half_x + np.abs(dx) / 2
     return overlap_x & (np.abs(mid_y) <= half_y + np.abs(dy) / 2) & across
+
+
+def _walls(arena: Arena, margin: float) -> list[tuple[float, float, float, float]]:
+    """Four rectangles round an arena, as broad as three arenas: no robot crosses them in a step."""
+    broad = 3 * max(arena.width, arena.height)
+    left, bottom = arena.left + margin, arena.bottom + margin
+    right, top = arena.left + arena.width - margin, arena.bottom + arena.height - margin
+    return [
+        (left - broad, bottom - broad, left, top + broad),
+        (right, bottom - broad, right + broad, top + broad),
+        (left - broad, bottom - broad, right + broad, bottom),
+        (left - broad, top, right + broad, top + broad),
+    ]

@@ -1,7 +1,7 @@
 """What an experiment can do at most, and the checks before it is run."""
 
 from tetractl.run.square import check_square
-from tetractl.spec.controller import Square
+from tetractl.spec.controller import Square, SwarmSpec
 from tetractl.spec.experiment import Experiment
 
 
@@ -17,10 +17,10 @@ def limits(experiment: Experiment) -> dict[str, str]:
         "duration of a trial": f"at most {longest:g} s after the first command",
         "path of a robot": f"at most {fastest * longest:g} {unit}",
         "horizons at step 0": f"1 ... {control.horizon_max} signals",
-        "cost evaluations of a horizon": (
-            f"at most {(control.swarm.iterations + 1) * control.swarm.particles + 1}"
-        ),
     }
+    if isinstance(control.swarm, SwarmSpec):
+        most = (control.swarm.iterations + 1) * control.swarm.particles + 1
+        found["cost evaluations of a horizon"] = f"at most {most}"
     if isinstance(control.first_plan, Square):
         square = control.first_plan
         found["before step 0"] = f"{square.laps} squares of {4 * square.side:g} s"

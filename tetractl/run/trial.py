@@ -90,7 +90,7 @@ class Trial:
                 observer.on_step(step)
             if self.interrupt.requested:
                 return Outcome.INTERRUPTED, "interrupted; the step was finished"
-            self._sleep_until(began + (k + 1) * period)
+            self._sleep_until(began + round((k + 1) * control.period * SECOND))
             observation = self.plant.observe()
             decision = self._plan(observation)
         raise AssertionError("unreachable: the loop ends by returning")

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, PositiveInt, Tag
 
 from tetractl.spec.base import Model, NonNegative, Positive
 
@@ -45,6 +45,7 @@ Stop = Annotated[PaperStop | RelativeStop | TargetStop | BudgetStop, Field(discr
 class SwarmSpec(Model):
     """Particle swarm of Algorithm 1, (14)-(19)."""
 
+    type: Literal["pso"] = "pso"
     particles: int = Field(default=100, ge=1, le=1_000_000)
     """Number of particles np."""
     iterations: int = Field(default=100, ge=1, le=1_000_000)
@@ -59,6 +60,46 @@ class SwarmSpec(Model):
     """When a search ends before `iterations`."""
 
 
+class MultistartSpec(Model):
+    """Many starts, the best of them polished by Levenberg-Marquardt; see docs/explanation/solver.md.
+
+    Each round scatters `particles` smooth random sequences, evaluates them as a swarm is, and
+    polishes the best `polished` of them until one has a cost of at most `tolerance`.
+    """
+
+    type: Literal["multistart"]
+    particles: int = Field(default=128, ge=1, le=1_000_000)
+    """Sequences scattered in each round."""
+    knots: int = Field(default=12, ge=2, le=1000)
+    """Random directions that each of them passes through, evenly spread over its length."""
+    polished: int = Field(default=4, ge=1, le=10_000)
+    """The best of a round that are polished."""
+    polish_steps: int = Field(default=40, ge=1, le=10_000)
+    """Levenberg-Marquardt iterations spent on each at most."""
+    rounds: int = Field(default=8, ge=1, le=10_000)
+    """Rounds of one search without a warm start; with one that cannot be polished, a single one."""
+    tolerance: Positive = 0.001
+    """Cost J at which a sequence is good enough and the search ends [length unit]."""
+
+    @property
+    def iterations(self) -> int:
+        """Iterations spent on one start at most."""
+        return self.polish_steps
+
+
+def _swarm_type(value: object) -> str:
+    """An optimiser without a type is a particle swarm."""
+    if isinstance(value, dict):
+        return str(value.get("type", "pso"))
+    return str(getattr(value, "type", "pso"))
+
+
+Optimiser = Annotated[
+    Annotated[SwarmSpec, Tag("pso")] | Annotated[MultistartSpec, Tag("multistart")],
+    Discriminator(_swarm_type),
+]
+
+
 class Collision(Model):
     """How the planner's potential (13) decides that a robot is inside an obstacle."""
 
@@ -67,6 +108,8 @@ class Collision(Model):
     between two of them."""
     margin: NonNegative = 0.0
     """Obstacles are grown by this much for the planner [length unit]."""
+    walls: bool = False
+    """Whether leaving the arena counts as entering an obstacle."""
 
 
 class NoWait(Model):
@@ -95,9 +138,17 @@ class PsoMpcSpec(Model):
     type: Literal["pso-mpc"] = "pso-mpc"
     period: Positive = 0.2
     """Control period T [s] (the paper's experiment: 5 Hz)."""
+    hold: PositiveInt = 1
+    """Control periods for which each signal of a sequence is meant to be held: the plan's grid is
+    `hold` times coarser than the control's, and a signal under way can still be changed."""
+    dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
+    """From measurement to actuation, as the controller believes it [s]: it plans from where the
+    robots will be by then under the directions already sent."""
     model: Literal["euler", "arc", "exact"] = "euler"
     """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
     `exact` is the closed form of (1)-(3) under a held direction."""
+    estimate: bool = False
+    """Whether a and speed of each robot are estimated while it moves, starting from the spec's."""
     horizon_max: int = Field(default=51, ge=1, le=2000)
     """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
     horizon h = length - 1."""
@@ -115,5 +166,8 @@ class PsoMpcSpec(Model):
     evaluations_max: int | None = Field(default=None, ge=1)
     """Cost evaluations one control step may spend, over all its horizons; then the best sequence so
     far is used. No limit by default."""
-    swarm: SwarmSpec = SwarmSpec()
+    deadline: Positive | None = None
+    """Time after which a control step uses the best sequence so far [s]; it only cuts searches
+    short. None by default: a simulation then depends on its seed alone."""
+    swarm: Optimiser = SwarmSpec()
     """The optimiser of each search."""

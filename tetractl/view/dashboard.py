@@ -179,8 +179,9 @@ class Dashboard:
         if self._frame.step is None:
             return []
         plan: Plan = self._frame.step.plan
-        search, most = plan.search, self._frame.experiment.controller.swarm.iterations
+        search = plan.search
         done = len(search.history) - 1
+        most = max(self._frame.experiment.controller.swarm.iterations, done)
         unit = self._frame.experiment.units.length
         first = _number(float(search.history[0])) if done >= 0 else "?"
         row = _Rows(width)

@@ -114,7 +114,8 @@ def sparkline(
     if log:
         y = np.log(np.maximum(y, 1e-12))
     low, high = (np.nanmin(y) if log else 0.0), np.nanmax(y)
-    shape = np.clip((y - low) / (high - low), 0, 1) if high > low else np.zeros_like(y)
+    y = np.clip(y, low, high)
+    shape = (y - low) / (high - low) if high > low else np.zeros_like(y)
     level = np.nan_to_num(shape * (len(glyphs.spark) - 1), nan=len(glyphs.spark) - 1).round()
     total = max(total, len(y))
     cells = min(width, total)

@@ -303,8 +303,9 @@ def test_shipped_experiments_load_and_round_trip(path):
     assert experiment.name == path.stem.replace("_", "-")
 
 
-def test_the_reference_experiment_is_that_of_section_v():
-    experiment = load_spec(EXPERIMENTS / "three_m3pi.yaml").experiment
+@pytest.mark.parametrize("name", ["three_m3pi.yaml", "three_m3pi_paper.yaml"])
+def test_the_reference_experiment_is_that_of_section_v(name):
+    experiment = load_spec(EXPERIMENTS / name).experiment
     assert [robot.start for robot in experiment.robots] == [(900, 800), (900, 1200), (900, 1600)]
     assert [robot.target for robot in experiment.robots] == [
         (1700, 500),
@@ -321,13 +322,22 @@ def test_the_reference_experiment_is_that_of_section_v():
     }
     assert (experiment.arena.width, experiment.arena.height) == (1600, 1800)
     assert experiment.controller.period == 0.2
-    assert experiment.controller.swarm.stop.type == "paper"
     assert experiment.reference is not None
     assert (experiment.reference.n, experiment.reference.mean, experiment.reference.std) == (
         20,
         648.6,
         225.1,
     )
+
+
+def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_the_controller_alone():
+    paper = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment
+    ours = load_spec(EXPERIMENTS / "three_m3pi.yaml").experiment
+    assert paper.controller.swarm.stop.type == "paper"
+    assert paper.controller.model == "euler"
+    assert paper.controller.collision.check == "samples"
+    same = {"name": paper.name, "controller": paper.controller}
+    assert ours.model_copy(update=same) == paper
 
 
 def test_the_hash_follows_the_experiment_and_not_its_text():

@@ -30,7 +30,7 @@ class Course(NamedTuple):
     discs: Floats  # (C, 3)
     weight: float
     swept: bool
-    lanes: Floats  # (8, M): x, y, cos, sin; x and y before the step; steps in obstacles; see `world`
+    lanes: Floats  # (8, M): x, y, cos, sin; x, y before the step; count and gap of `world`
     facing: Floats  # (2, N, P): cos and sin of the direction
 
 

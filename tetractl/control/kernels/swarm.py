@@ -17,8 +17,8 @@ LOW_31 = np.uint64(0x7FFF_FFFF)
 UNIT_31 = 2.0**-31
 SPAN = 2 * math.pi  # |ub - lb|, (15)
 
-CRITERION, ITERATIONS, TARGET, EVALUATIONS, NOT_FINITE, PAUSED = range(6)
-REASONS = ("criterion", "iterations", "target", "evaluations")
+CRITERION, ITERATIONS, TARGET, EVALUATIONS, PAUSED, NOT_FINITE = range(6)
+REASONS = ("criterion", "iterations", "target", "evaluations", "deadline")
 BUDGET_STOP, PAPER_STOP, RELATIVE_STOP, TARGET_STOP = range(4)
 
 

@@ -55,7 +55,8 @@ def through_circle(x0, y0, x1, y1, cx, cy, radius, gap):
 def count_hits(x0, y0, x, y, boxes, discs, swept, gap, count):
     """Add 1 to count[n] where a lane is in (or, if swept, came through) any obstacle.
 
-    boxes (R, 4) hold left, bottom, right, top; discs (C, 3) x, y, radius. gap is 1 before and after.
+    boxes (R, 4) hold left, bottom, right, top; discs (C, 3) x, y, radius; gap is 1 before and
+    after.
     """
     for o in range(boxes.shape[0]):
         left, bottom, right, top = boxes[o, 0], boxes[o, 1], boxes[o, 2], boxes[o, 3]

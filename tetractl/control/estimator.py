@@ -1,0 +1,86 @@
+"""Turning rate a and speed v of each robot, estimated while it moves.
+
+One scalar Kalman filter a robot and parameter, started at the spec's value with a standard
+deviation of PRIOR of it. Between two observations t apart,
+
+    speed:  |displacement| = v t sinc(dheading/2) for a steady turn, whatever the direction was;
+    a:      the heading predicted by the model from the directions sent, against the one measured.
+
+A heading that differs by more than OUTLIER rad says that a command was lost, not that a is wrong,
+and is passed over.
+"""
+
+import numpy as np
+
+from tetractl.clock import SECOND
+from tetractl.control.cost import Problem
+from tetractl.control.predictor import Held, glide
+from tetractl.model.state import Floats, Observation
+from tetractl.model.world import Bools
+
+PRIOR = 0.15  # relative standard deviation of a and v before anything is seen
+HEADING_STD = 0.02  # of a measured heading [rad] ...
+HEADING_WALK = 0.1  # ... and of its random walk [rad/sqrt(s)]
+POSITION_STD = 0.01  # of a measured displacement, in seconds of travel [s]
+OUTLIER = 0.35  # rad
+STEP = 1e-4  # relative, of the numerical derivative by a
+
+
+class Estimator:
+    """Refines the a and speed of a problem, observation by observation."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self._var_a = (PRIOR * problem.a) ** 2
+        self._var_v = (PRIOR * problem.speed) ** 2
+        self._last: Observation | None = None
+
+    def update(self, observation: Observation, held: list[Held]) -> Problem:
+        """Take an observation and what the robots held since the last one; return the problem."""
+        last, self._last = self._last, observation
+        if last is None or observation.sampled_ns <= last.sampled_ns:
+            return self.problem
+        t = (observation.sampled_ns - last.sampled_ns) / SECOND
+        moving = sum(until - since for since, until, _ in held) / SECOND >= 0.999 * t
+        if moving:
+            usable = last.valid & observation.valid
+            turned = observation.poses.heading - last.poses.heading
+            turned = turned - 2 * np.pi * np.round(turned / (2 * np.pi))
+            self._update_speed(last, observation, turned, t, usable)
+            self._update_a(last, turned, t, held, usable)
+        return self.problem
+
+    def _update_speed(
+        self, last: Observation, new: Observation, turned: Floats, t: float, usable: Bools
+    ) -> None:
+        gone = np.hypot(new.poses.x - last.poses.x, new.poses.y - last.poses.y)
+        slope = t * np.sinc(turned / (2 * np.pi))
+        speed = self.problem.speed
+        noise = (POSITION_STD * speed) ** 2 + 1e-300
+        gain = self._var_v * slope / (slope**2 * self._var_v + noise)
+        gain = np.where(usable & (np.abs(turned) < np.pi / 2), gain, 0.0)
+        self._var_v = self._var_v * (1 - gain * slope)
+        self._set(speed=np.maximum(speed + gain * (gone - slope * speed), 0.0))
+
+    def _update_a(
+        self, last: Observation, turned: Floats, t: float, held: list[Held], usable: Bools
+    ) -> None:
+        a = self.problem.a
+        predicted = glide(self.problem, last.poses, held).heading - last.poses.heading
+        nudged = self.problem.with_robots(a * (1 + STEP), self.problem.speed)
+        slope = (glide(nudged, last.poses, held).heading - last.poses.heading - predicted) / (
+            STEP * a
+        )
+        miss = turned - predicted
+        miss = miss - 2 * np.pi * np.round(miss / (2 * np.pi))
+        noise = 2 * HEADING_STD**2 + HEADING_WALK**2 * t
+        gain = self._var_a * slope / (slope**2 * self._var_a + noise)
+        gain = np.where(usable & (np.abs(miss) < OUTLIER), gain, 0.0)
+        self._var_a = self._var_a * (1 - gain * slope)
+        self._set(a=np.clip(a + gain * miss, 0.2 * a, 5 * a))
+
+    def _set(self, a: Floats | None = None, speed: Floats | None = None) -> None:
+        old = self.problem
+        self.problem = old.with_robots(
+            old.a if a is None else a, old.speed if speed is None else speed
+        )

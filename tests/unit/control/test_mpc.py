@@ -1,0 +1,182 @@
+import math
+
+import numpy as np
+import pytest
+from support.trials import experiment
+
+from tetractl.control import compiled
+from tetractl.control.cost import Problem, evaluate, predict
+from tetractl.control.draws import mix
+from tetractl.control.mpc import PsoMpc
+from tetractl.control.plan import Outcome, Plan, Search
+from tetractl.errors import ControlError
+from tetractl.model.state import Observation, Poses
+
+STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
+TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
+
+
+def spec(**controller):
+    fields = {"horizon_max": 6, "swarm": {"particles": 5, "iterations": 3}}
+    return experiment(controller=fields | controller)
+
+
+def seen(poses=STARTS, now=0):
+    count = len(poses)
+    return Observation(0, now, now, Poses.of(np.array(poses)), np.ones(count, np.bool_))
+
+
+class Scripted:
+    """A searcher that writes down what it was asked and answers with costs by length."""
+
+    def __init__(self, costs=None, evaluations=10):
+        self.costs = costs or {}
+        self.evaluations = evaluations
+        self.asked = []
+
+    def __call__(self, problem, length, warm, swarm, key, budget=None, *_):
+        self.asked.append((length, None if warm is None else warm.tolist(), key, budget))
+        cost = self.costs.get(length, 100.0 + length)
+        signals = np.arange(1, length + 1) / 10 + len(self.asked) / 1000
+        return Search(length, signals, cost, np.array([cost]), self.evaluations, "iterations")
+
+    def forget(self):
+        asked, self.asked = self.asked, []
+        return asked
+
+
+def test_step_0_tries_every_horizon_from_nothing_and_takes_the_best():
+    search = Scripted({4: 7.0})
+    plan = PsoMpc(spec(), 99, search).plan(seen())
+    assert isinstance(plan, Plan)
+    assert [(length, warm) for length, warm, *_ in search.asked] == [(n, None) for n in range(1, 7)]
+    assert (plan.chosen, plan.search.length, plan.cost) == (3, 4, 7.0)
+    assert plan.signals is plan.searches[3].signals
+    assert len(plan.searches) == 6
+    assert plan.evaluations == 60
+
+
+def test_of_equal_costs_the_first_is_taken():
+    search = Scripted({3: 7.0, 5: 7.0})
+    plan = PsoMpc(spec(), 99, search).plan(seen())
+    assert isinstance(plan, Plan)
+    assert plan.search.length == 3
+
+
+def test_later_steps_try_one_less_as_many_and_one_more_from_the_warm_start():
+    """Algorithm 2, lines 10-21; u_(warm) is u_(opt) without its first signal."""
+    search = Scripted({4: 7.0})
+    controller = PsoMpc(spec(), 99, search)
+    first = controller.plan(seen())
+    assert isinstance(first, Plan)
+    warm = first.signals[1:].tolist()
+    search.forget()
+    search.costs = {2: 3.0}
+    second = controller.plan(seen(now=200_000_000))
+    assert isinstance(second, Plan)
+    assert [(length, start) for length, start, *_ in search.forget()] == [
+        (2, warm[1:]),  # H - 1 = 2: without its first signal
+        (3, warm),
+        (4, [*warm, 0.0]),
+    ]
+    controller.plan(seen(now=400_000_000))  # H = 1: a sequence of no signals cannot be searched
+    warm = second.signals[1:].tolist()
+    assert [(length, start) for length, start, *_ in search.forget()] == [
+        (1, warm),
+        (2, [*warm, 0.0]),
+    ]
+
+
+def test_horizons_may_outgrow_horizon_max():
+    search = Scripted({n: 100.0 - n for n in range(20)})
+    controller = PsoMpc(spec(), 99, search)
+    lengths = [controller.plan(seen(now=k)).search.length for k in range(5)]
+    assert lengths == [6, 6, 6, 6, 6]  # H + 1 = 5 + 1
+    assert [length for length, *_ in search.asked[-3:]] == [4, 5, 6]
+
+
+def test_draws_come_from_the_key_the_step_and_the_length():
+    search = Scripted({n: 100.0 - n for n in range(20)})
+    controller = PsoMpc(spec(), 99, search)
+    keys = set()
+    for k in range(3):
+        plan = controller.plan(seen())
+        assert isinstance(plan, Plan)
+        assert plan.generator == mix(99, k)
+        for length, _, key, _ in search.forget():
+            assert key == mix(mix(99, k), length)
+            keys.add(key)
+    assert len(keys) == 6 + 3 + 3
+
+
+def test_a_used_up_sequence_is_the_outcome():
+    search = Scripted({1: 0.0})
+    controller = PsoMpc(spec(), 99, search)
+    assert isinstance(controller.plan(seen()), Plan)
+    assert controller.plan(seen()) is Outcome.SEQUENCE_USED_UP
+
+
+def test_k_max_steps_follow_step_0():
+    search = Scripted({n: 100.0 - n for n in range(20)})
+    controller = PsoMpc(spec(steps_max=3), 99, search)
+    decisions = [controller.plan(seen()) for _ in range(5)]
+    assert [isinstance(d, Plan) for d in decisions] == [True, True, True, True, False]
+    assert decisions[4] is Outcome.STEPS_MAX
+
+
+def test_arrival_means_every_robot_within_the_tolerance():
+    near = TARGETS.copy()
+    near[:, 0] += [20, -20, 0]
+    near[2, 1] += 20.001
+    controller = PsoMpc(spec(arrival_tolerance=20), 99, Scripted())
+    assert isinstance(controller.plan(seen(near)), Plan)
+    near[2, 1] = 2020
+    assert controller.plan(seen(near)) is Outcome.ARRIVED
+
+
+def test_arrival_comes_before_the_other_ends():
+    controller = PsoMpc(spec(arrival_tolerance=20, steps_max=1), 99, Scripted({1: 0.0}))
+    assert isinstance(controller.plan(seen()), Plan)
+    assert controller.plan(seen(TARGETS)) is Outcome.ARRIVED
+    assert controller.plan(seen()) is Outcome.SEQUENCE_USED_UP
+
+
+def test_the_plan_states_the_terms_of_its_cost_and_its_path():
+    controller = PsoMpc(spec(horizon_max=12, obstacle_weight=50), 5, compiled.pso)
+    plan = controller.plan(seen())
+    assert isinstance(plan, Plan)
+    problem = Problem.of(spec(obstacle_weight=50), Poses.of(STARTS))
+    costs = evaluate(problem, plan.signals[None])
+    assert plan.cost == pytest.approx(costs.total[0], rel=1e-9)
+    assert plan.cost == pytest.approx(plan.target_cost + 50 * plan.obstacle_cost, rel=1e-9)
+    assert np.array_equal(plan.path, predict(problem, plan.signals))
+    assert plan.path.shape == (len(plan.signals) + 1, 3, 3)
+    assert plan.path[0].tolist() == STARTS.tolist()
+    for search in plan.searches:
+        assert np.all(np.diff(search.history) <= 0)
+        assert search.cost == search.history[-1]
+
+
+def test_each_search_gets_what_the_budget_has_left():
+    search = Scripted(evaluations=30)
+    PsoMpc(spec(evaluations_max=100), 99, search).plan(seen())
+    assert [budget for *_, budget in search.asked] == [100, 70, 40, 10]
+
+
+@pytest.mark.parametrize("budget", [6, 7, 20, 33, 60, 1000])
+def test_a_step_spends_no_more_than_its_budget(budget):
+    controller = PsoMpc(spec(evaluations_max=budget), 99, compiled.pso)
+    for k in range(4):
+        plan = controller.plan(seen(now=k))
+        if isinstance(plan, Outcome):
+            assert (k > 0, plan) == (True, Outcome.SEQUENCE_USED_UP)
+            return
+        assert 5 <= plan.evaluations <= budget
+        assert plan.cost == min(search.cost for search in plan.searches)
+
+
+def test_a_pose_that_is_no_number_is_refused():
+    poses = STARTS.copy()
+    poses[1, 2] = math.nan
+    with pytest.raises(ControlError, match="not finite"):
+        PsoMpc(spec(), 99, compiled.pso).plan(seen(poses))

@@ -138,15 +138,14 @@ class SimPlant:
         while True:
             frame = self._next_frame()
             end = min(until, frame) if noisy else until
-            if self._orders and self._orders[0].due <= end:
-                order = self._orders.popleft()
-                self._glide(order.due)
-                self._take(order)
-                continue
-            self._glide(end)
-            if noisy and end == frame:
+            order = self._orders.popleft() if self._orders and self._orders[0].due <= end else None
+            reached = order.due if order else end
+            self._glide(reached)
+            if noisy and reached == frame:
                 self._swerve()
-            if end == until:
+            if order:
+                self._take(order)
+            elif reached == until:
                 return
 
     def _next_frame(self) -> int:

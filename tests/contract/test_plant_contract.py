@@ -1,0 +1,234 @@
+"""What every plant promises, whatever is behind it; see `tetractl.plant.protocol`."""
+
+import itertools
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from support.plants import RIGS
+from unit.model.geometry import gap
+
+from tetractl.clock import SECOND
+
+PERIOD = SECOND // 5
+
+
+@pytest.fixture(params=RIGS, ids=list(RIGS))
+def make(request):
+    return RIGS[request.param]
+
+
+@contextmanager
+def opened(rig):
+    """A plant as the trial loop uses it: stopped, settled and closed whatever happens."""
+    info = rig.plant.open()
+    try:
+        yield info
+    finally:
+        rig.plant.stop()
+        rig.plant.settle()
+        rig.plant.close()
+
+
+def drive(rig, directions, period=PERIOD):
+    """Open, steer, stop, settle, close; everything that came out, in order."""
+    seen, commands, samples = [], [], []
+    rig.plant.open()
+    for k, direction in enumerate(directions, start=1):
+        seen.append(rig.plant.observe())
+        commands.append(rig.plant.steer(direction))
+        samples += rig.plant.samples()
+        rig.clock.sleep_until(k * period)
+    commands.append(rig.plant.stop())
+    verdict = rig.plant.settle()
+    samples += rig.plant.samples()
+    rig.plant.close()
+    return seen, commands, samples, verdict
+
+
+DIRECTIONS = (0.5, -2.0, 3.1, 0.0, -1.0)
+
+
+def test_open_tells_what_the_plant_is(make):
+    rig = make(1)
+    with opened(rig) as info:
+        assert info.kind == rig.spec.plant.type
+        assert info.camera_rate_hz == rig.spec.plant.camera_rate
+        assert all(isinstance(value, str) for value in info.facts.values())
+
+
+def test_the_first_frame_is_there_when_open_returns(make):
+    rig = make(1)
+    with opened(rig):
+        seen = rig.plant.observe()
+        count = len(rig.spec.robots)
+        for column in (seen.poses.x, seen.poses.y, seen.poses.heading, seen.valid):
+            assert column.shape == (count,)
+        starts = np.array([robot.start for robot in rig.spec.robots])
+        assert np.abs(seen.poses.xy - starts).max() <= rig.true_to
+
+
+def test_an_observation_is_never_of_the_future_and_never_goes_back(make):
+    rig = make(1)
+    frame = -1
+    with opened(rig):
+        for k in range(1, 30):
+            rig.clock.sleep_until(k * SECOND // 37)
+            seen = rig.plant.observe()
+            assert seen.sampled_ns <= seen.received_ns <= rig.clock.now()
+            assert seen.frame >= frame
+            frame = seen.frame
+        assert frame > 0
+
+
+def test_observing_twice_at_one_instant_gives_the_same(make):
+    rig = make(1)
+    with opened(rig):
+        rig.plant.steer(1.0)
+        rig.clock.sleep_until(PERIOD)
+        one, two = rig.plant.observe(), rig.plant.observe()
+        assert one.frame == two.frame
+        assert one.poses.array().tobytes() == two.poses.array().tobytes()
+
+
+def test_samples_come_once_each_in_order_at_camera_rate(make):
+    rig = make(1)
+    *_, samples, _ = drive(rig, DIRECTIONS)
+    frames = [sample.observation.frame for sample in samples]
+    assert frames == list(range(frames[0], frames[0] + len(frames)))
+    times = np.array([sample.observation.sampled_ns for sample in samples])
+    gaps = np.diff(times) * rig.spec.plant.camera_rate / SECOND
+    assert gaps == pytest.approx(1.0, abs=1e-6 if rig.spec.plant.type == "sim" else 0.5)
+    assert rig.plant.samples() == []
+
+
+def test_what_is_observed_is_among_the_samples(make):
+    rig = make(1)
+    seen, _, samples, _ = drive(rig, DIRECTIONS)
+    by_frame = {sample.observation.frame: sample.observation for sample in samples}
+    for observation in seen:
+        sampled = by_frame[observation.frame]
+        assert sampled.poses.array().tobytes() == observation.poses.array().tobytes()
+
+
+def test_commands_say_what_was_sent(make):
+    rig = make(1)
+    _, commands, *_ = drive(rig, DIRECTIONS)
+    assert [command.direction for command in commands] == [*DIRECTIONS, None]
+    assert [command.sent_ns for command in commands] == sorted(c.sent_ns for c in commands)
+    for command in commands:
+        assert len(command.delivered) == len(rig.spec.robots)
+        if rig.spec.wheels:
+            assert command.left is not None
+            assert command.right is not None
+            assert command.left.shape == command.right.shape == (len(rig.spec.robots),)
+    if rig.spec.wheels:
+        assert np.all(commands[-1].left == 0)
+        assert np.all(commands[-1].right == 0)
+
+
+def test_robots_stand_until_they_are_steered(make):
+    rig = make(1)
+    with opened(rig):
+        rig.clock.sleep_until(PERIOD)
+        last = rig.plant.observe()
+        starts = np.array([robot.start for robot in rig.spec.robots])
+        assert np.abs(last.poses.xy - starts).max() <= rig.true_to
+
+
+def test_robots_move_when_steered(make):
+    rig = make(1)
+    *_, verdict = drive(rig, DIRECTIONS * 3)
+    starts = np.array([robot.start for robot in rig.spec.robots])
+    assert np.hypot(*(verdict.final.xy - starts).T).max() > 10
+
+
+def test_stop_is_idempotent(make):
+    rig = make(1)
+    rig.plant.open()
+    rig.plant.steer(1.0)
+    rig.clock.sleep_until(PERIOD)
+    first = rig.plant.stop()
+    rig.clock.sleep_until(2 * PERIOD)
+    second = rig.plant.stop()
+    assert first.direction is None
+    assert (second.direction, second.sent_ns) == (None, first.sent_ns)
+    rig.plant.settle()
+    rig.plant.stop()
+    rig.plant.close()
+    rig.plant.stop()
+
+
+def test_stop_and_close_need_no_open(make):
+    rig = make(1)
+    rig.plant.stop()
+    rig.plant.close()
+    rig.plant.close()
+
+
+def test_robots_stand_after_settle(make):
+    rig = make(1)
+    rig.plant.open()
+    rig.plant.steer(0.7)
+    rig.clock.sleep_until(PERIOD)
+    rig.plant.steer(-1.5)  # with a dead time, still under way when the stop is sent
+    rig.plant.stop()
+    verdict = rig.plant.settle()
+    rig.plant.samples()
+    rig.clock.sleep_until(rig.clock.now() + PERIOD)
+    resting = [sample.truth or sample.observation.poses for sample in rig.plant.samples()]
+    assert resting
+    for poses in resting:
+        assert np.abs(poses.array() - verdict.final.array()).max() <= rig.true_to
+    rig.plant.close()
+
+
+def test_the_verdict_is_of_the_path(make):
+    rig = make(1)
+    *_, samples, verdict = drive(rig, DIRECTIONS * 3)
+    count = len(rig.spec.robots)
+    assert len(verdict.entered) == len(verdict.clearance) == count
+    last = samples[-1].truth or samples[-1].observation.poses
+    assert np.abs(last.xy - verdict.final.xy).max() <= rig.true_to
+    for i in range(count):
+        assert verdict.entered[i] == (verdict.clearance[i] <= 0)
+        for sample in samples:
+            poses = sample.truth or sample.observation.poses
+            nearest = min(gap(thing, poses.x[i], poses.y[i]) for thing in rig.spec.obstacles)
+            assert verdict.clearance[i] <= nearest + rig.true_to
+
+
+def test_a_simulated_plant_repeats_itself_by_seed(make):
+    def run(seed):
+        rig = make(seed)
+        _, commands, samples, verdict = drive(rig, DIRECTIONS)
+        poses = [sample.observation.poses for sample in samples]
+        truths = [sample.truth for sample in samples if sample.truth]
+        numbers = [p.array() for p in (*poses, *truths, verdict.final)]
+        return np.concatenate(numbers).tobytes(), [command.delivered for command in commands]
+
+    if not make(1).plant.open().simulated:
+        pytest.skip("only a simulation repeats itself")
+    assert run(1) == run(1)
+    plain = {"motion", "camera_rate", "truth_rate", "dead_time"}
+    disturbed = make(1).spec.plant.model_fields_set - {"type"} - plain
+    assert (run(1) != run(2)) == bool(disturbed)
+
+
+def test_how_often_a_simulation_is_looked_at_does_not_change_it(make):
+    """Disturbances come from the seed, not from the calls."""
+    if not make(1).plant.open().simulated:
+        pytest.skip("only a simulation repeats itself")
+    finals = []
+    for looks in (1, 17):
+        rig = make(3)
+        rig.plant.open()
+        for k, look in itertools.product(range(4), range(looks)):
+            if look == 0:
+                rig.plant.steer(DIRECTIONS[k])
+            rig.clock.sleep_until(k * PERIOD + (look + 1) * PERIOD // looks)
+            rig.plant.observe()
+            rig.plant.samples()
+        rig.plant.stop()
+        finals.append(rig.plant.settle().final.array())
+    assert finals[1] == pytest.approx(finals[0], abs=1e-8)

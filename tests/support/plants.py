@@ -1,0 +1,64 @@
+"""Plants by name, each with a clock: what the contract suites run against."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from support.trials import experiment
+
+from tetractl.clock import Clock, VirtualClock
+from tetractl.plant.protocol import Plant
+from tetractl.plant.simulation import SimPlant
+from tetractl.spec.experiment import Experiment
+
+
+@dataclass(frozen=True)
+class Rig:
+    """One plant under test and what the suite needs to drive it."""
+
+    plant: Plant
+    clock: Clock
+    spec: Experiment
+    true_to: float  # how far a robot's measured position may be from the truth, if known [mm]
+
+
+def sim(spec: Experiment, seed: int = 1, clock: Clock | None = None) -> SimPlant:
+    """A simulated plant, seeded, on a clock of its own unless one is given."""
+    return SimPlant(spec, clock or VirtualClock(), np.random.SeedSequence(seed))
+
+
+def sim_rig(seed: int, **plant: Any) -> Rig:
+    spec = experiment(plant=plant, wheels={"radius": 40})
+    clock = VirtualClock()
+    noise = plant.get("measurement_noise", {}).get("position", 0.0)
+    return Rig(sim(spec, seed, clock), clock, spec, 8 * noise)
+
+
+DISTURBANCES: dict[str, dict[str, Any]] = {
+    "undisturbed": {},
+    "arc": {"motion": "arc"},
+    "euler": {"motion": "euler"},
+    "measurement noise": {"measurement_noise": {"position": 2.0, "heading": 0.02}},
+    "heading noise": {"heading_noise": 0.2},
+    "dead time": {"dead_time": 0.13},
+    "lost commands": {"lost_commands": 0.3},
+    "wrong a": {"a_error": 0.2},
+    "wrong speed": {"speed_error": 0.2},
+    "slow camera": {"camera_rate": 7.0, "truth_rate": 100.0},
+    "everything": {
+        "motion": "arc",
+        "measurement_noise": {"position": 2.0, "heading": 0.02},
+        "heading_noise": 0.2,
+        "dead_time": 0.1,
+        "lost_commands": 0.3,
+        "a_error": 0.2,
+        "speed_error": 0.2,
+    },
+}
+
+RIGS: dict[str, Callable[[int], Rig]] = {
+    f"sim, {name}": lambda seed, plant=plant: sim_rig(seed, **plant)
+    for name, plant in DISTURBANCES.items()
+}
+"""Each makes a rig from a seed. A further plant joins the contract by an entry here."""

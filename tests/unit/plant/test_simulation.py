@@ -1,0 +1,283 @@
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import solve_ivp
+from support.plants import sim
+from support.trials import experiment
+
+from tetractl.clock import SECOND, VirtualClock
+from tetractl.control import compiled
+from tetractl.control.cost import Problem, predict
+from tetractl.control.mpc import PsoMpc
+from tetractl.control.plan import Outcome
+from tetractl.model.state import Poses
+from tetractl.model.wheels import body_velocity
+
+PERIOD = SECOND // 5
+STRAIGHT = [  # a robot that hardly turns, along +x at 100 mm/s
+    {"name": "arrow", "start": [900, 800], "target": [1700, 500], "a": 1e-9, "speed": 100}
+]
+
+
+def plant(robots=None, obstacles=(), seed=1, wheels=None, **fields):
+    changes = {} if robots is None else {"robots": robots}
+    spec = experiment(plant=fields, obstacles=list(obstacles), wheels=wheels, **changes)
+    return sim(spec, seed)
+
+
+def steered(simulated, directions, period=PERIOD):
+    """Open, steer once a period, and return every sample up to the last period's end."""
+    simulated.open()
+    for k, direction in enumerate(directions):
+        simulated.steer(direction)
+        simulated.clock.sleep_until((k + 1) * period)
+    return simulated.samples()
+
+
+def truths(samples):
+    return np.array([sample.truth.array() for sample in samples])  # (M, N, 3)
+
+
+def measured(samples):
+    return np.array([sample.observation.poses.array() for sample in samples])
+
+
+DIRECTIONS = np.random.default_rng(5).uniform(-math.pi, math.pi, 12).tolist()
+
+
+def test_the_continuous_plant_solves_1_to_3():
+    simulated = plant()
+    path = truths(steered(simulated, DIRECTIONS))
+    for i, robot in enumerate(experiment().robots):
+        state = np.array([*robot.start, robot.heading])
+        for k, u in enumerate(DIRECTIONS):
+
+            def rates(_, s, u=u, robot=robot):
+                return [
+                    robot.speed * math.cos(s[2]),
+                    robot.speed * math.sin(s[2]),
+                    robot.a * math.sin(u - s[2]),
+                ]
+
+            times = np.arange(24) / 120
+            done = solve_ivp(rates, (0, 0.2), state, "DOP853", [*times, 0.2], rtol=3e-14, atol=1e-9)
+            assert path[24 * k : 24 * k + 24, i] == pytest.approx(done.y[:, :24].T, abs=1e-6)
+            state = done.y[:, -1]
+
+
+@pytest.mark.parametrize(("motion", "model"), [("euler", "euler"), ("arc", "arc")])
+def test_the_plant_reproduces_the_planners_prediction(motion, model):
+    path = truths(steered(plant(motion=motion), DIRECTIONS))[::24]
+    spec = experiment(controller={"model": model})
+    predicted = predict(Problem.of(spec, Poses.of(path[0])), np.array(DIRECTIONS))
+    assert path == pytest.approx(predicted, abs=1e-9)
+
+
+def test_the_continuous_plant_reproduces_the_exact_planners_prediction():
+    path = truths(steered(plant(), DIRECTIONS))[::24]
+    spec = experiment(controller={"model": "exact"})
+    predicted = predict(Problem.of(spec, Poses.of(path[0])), np.array(DIRECTIONS))
+    assert path == pytest.approx(predicted, abs=1e-9)
+
+
+def test_an_euler_planner_meets_its_own_plan_on_an_euler_plant():
+    """The loop of Algorithm 2: what is predicted for the next step is what is observed then."""
+    spec = experiment(
+        plant={"motion": "euler"},
+        controller={"horizon_max": 20, "swarm": {"particles": 20, "iterations": 20}},
+    )
+    clock = VirtualClock()
+    simulated = sim(spec, 1, clock)
+    controller = PsoMpc(spec, 7, compiled.pso)
+    simulated.open()
+    expected = None
+    for k in range(15):
+        observation = simulated.observe()
+        if expected is not None:
+            assert observation.poses.array() == pytest.approx(expected, abs=1e-9)
+        plan = controller.plan(observation)
+        if isinstance(plan, Outcome):
+            break
+        simulated.steer(float(plan.signals[0]))
+        expected = plan.path[1]
+        clock.sleep_until((k + 1) * PERIOD)
+    assert k > 5
+
+
+def test_held_wheels_turn_each_period_as_far_as_6():
+    path = truths(steered(plant(motion="arc"), DIRECTIONS))[::24]
+    a = np.array([robot.a for robot in experiment().robots])
+    for k, u in enumerate(DIRECTIONS[: len(path) - 1]):
+        turned = 0.2 * a * np.sin(u - path[k, :, 2])  # (6)
+        assert path[k + 1, :, 2] - path[k, :, 2] == pytest.approx(turned, abs=1e-9)
+
+
+def test_the_camera_rate_does_not_change_the_motion():
+    ends = []
+    for rates in ({"camera_rate": 5}, {"camera_rate": 1000, "truth_rate": 1000}):
+        simulated = plant(motion="continuous", **rates)
+        steered(simulated, DIRECTIONS)
+        simulated.stop()
+        ends.append(simulated.settle().final.array())
+    assert ends[1] == pytest.approx(ends[0], abs=1e-9)
+
+
+def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
+    simulated = plant(wheels={"radius": 40}, measurement_noise={"heading": 0.1})
+    simulated.open()
+    seen, command = simulated.observe(), simulated.steer(1.0)
+    assert command.left is not None
+    assert command.right is not None
+    speed, turning = body_velocity(command.left, command.right, 40)
+    robots = experiment().robots
+    assert speed == pytest.approx([robot.speed for robot in robots])
+    a = np.array([robot.a for robot in robots])
+    assert turning == pytest.approx(a * np.sin(1.0 - seen.poses.heading), abs=1e-12)
+    assert plant().steer(1.0).left is None  # robots without wheels
+
+
+@pytest.mark.parametrize("dead_time", [0.05, 0.1, 0.123, 0.2, 0.35])
+def test_the_dead_time_delays_every_command_and_the_stop(dead_time):
+    simulated = plant(STRAIGHT, dead_time=dead_time, camera_rate=1000, truth_rate=1000)
+    samples = steered(simulated, [0.0, 0.0, 0.0])
+    simulated.stop()
+    verdict = simulated.settle()
+    samples += simulated.samples()
+    assert verdict.final.x[0] == pytest.approx(900 + 100 * 0.6, abs=1e-6)
+    x = truths(samples)[:, 0, 0]
+    moving = (np.abs(np.diff(x)) > 1e-9).nonzero()[0] / 1000
+    assert moving[0] == pytest.approx(dead_time, abs=2e-3)
+    assert moving[-1] == pytest.approx(0.6 + dead_time, abs=2e-3)
+
+
+def test_a_lost_command_leaves_the_one_before_in_force():
+    simulated = plant(lost_commands=0.5, seed=3)
+    simulated.open()
+    path, held = [simulated.observe().poses.array()], [None] * 3
+    checked = 0
+    for k in range(20):
+        u = DIRECTIONS[k % 12]
+        command = simulated.steer(u)
+        held = [u if got else h for got, h in zip(command.delivered, held, strict=True)]
+        simulated.clock.sleep_until((k + 1) * PERIOD)
+        path.append(simulated.observe().poses.array())
+        for i, robot in enumerate(experiment().robots):
+            if held[i] is None:
+                assert path[-1][i].tolist() == path[-2][i].tolist()  # never told to move
+                continue
+            phi = held[i] - path[-2][i, 2]
+            left = 2 * math.atan(math.tan(phi / 2) * math.exp(-robot.a * 0.2))
+            assert math.remainder(held[i] - path[-1][i, 2] - left, 2 * math.pi) == pytest.approx(
+                0, abs=1e-9
+            )
+            checked += not command.delivered[i]
+    assert checked > 5
+
+
+def test_commands_are_lost_as_often_as_stated_and_one_robot_at_a_time():
+    simulated = plant(lost_commands=0.3)
+    simulated.open()
+    delivered = np.array([simulated.steer(0.0).delivered for _ in range(2000)])
+    assert stats.binomtest(int((~delivered).sum()), delivered.size, 0.3).pvalue > 1e-4
+    assert abs(np.corrcoef(delivered[:, 0], delivered[:, 1])[0, 1]) < 0.08
+    assert simulated.stop().delivered == (True, True, True)
+
+
+def test_measurement_noise_is_normal_of_the_stated_size_and_moves_nobody():
+    noise = {"position": 3.0, "heading": 0.05}
+    samples = steered(plant(measurement_noise=noise), DIRECTIONS * 4)
+    error = measured(samples) - truths(samples)
+    assert len(error) > 1000
+    for column, size in ((0, 3.0), (1, 3.0), (2, 0.05)):
+        values = error[..., column].ravel() / size
+        assert stats.kstest(values, "norm").pvalue > 1e-4
+        assert abs(np.corrcoef(values[1:], values[:-1])[0, 1]) < 0.08
+    clean = truths(steered(plant(), DIRECTIONS * 4))
+    assert truths(samples).tobytes() == clean.tobytes()
+
+
+def test_without_noise_the_camera_sees_the_truth():
+    samples = steered(plant(), DIRECTIONS)
+    assert measured(samples).tobytes() == truths(samples).tobytes()
+
+
+def test_heading_noise_is_a_random_walk_of_the_stated_size():
+    robots = [STRAIGHT[0] | {"name": f"robot {i}", "speed": 0} for i in range(40)]
+    samples = steered(plant(robots, heading_noise=0.3), [0.0] * 50)  # 10 s
+    headings = truths(samples)[..., 2]
+    steps = np.diff(headings[1:], axis=0) / (0.3 / math.sqrt(120))
+    assert stats.kstest(steps.ravel(), "norm").pvalue > 1e-4
+    assert headings[-1].std() == pytest.approx(0.3 * math.sqrt(10), rel=0.35)
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.1, 0.05])
+def test_heading_noise_comes_with_every_frame(dead_time):
+    """Regression: a command taking effect just at a frame made the frame lose its noise."""
+    samples = steered(plant(STRAIGHT, heading_noise=0.3, dead_time=dead_time), [0.0] * 10)
+    began = round(dead_time * 120) + 1
+    steps = np.diff(truths(samples)[began:, 0, 2])
+    assert np.all(np.abs(steps) > 1e-6)
+
+
+def test_a_standing_robot_does_not_wander():
+    simulated = plant(heading_noise=0.3)
+    simulated.open()
+    simulated.clock.sleep_until(SECOND)
+    path = truths(simulated.samples())
+    assert np.all(path == path[0])
+
+
+@pytest.mark.parametrize(("field", "nominal"), [("a_error", "a"), ("speed_error", "speed")])
+def test_errors_of_a_and_speed_are_uniform_within_their_bound(field, nominal):
+    ratios = []
+    for seed in range(300):
+        facts = plant(seed=seed, **{field: 0.2}).open().facts
+        true = np.array(json.loads(facts[f"true_{nominal}"]))
+        ratios.append(true / [getattr(robot, nominal) for robot in experiment().robots])
+    errors = np.array(ratios) - 1
+    assert np.abs(errors).max() <= 0.2
+    assert stats.kstest(errors.ravel(), "uniform", args=(-0.2, 0.4)).pvalue > 1e-4
+    assert abs(np.corrcoef(errors[:, 0], errors[:, 1])[0, 1]) < 0.2
+
+
+def test_the_facts_are_those_the_robots_move_by():
+    simulated = plant(STRAIGHT, speed_error=0.2)
+    true = json.loads(simulated.open().facts["true_speed"])[0]
+    simulated.steer(0.0)
+    simulated.clock.sleep_until(SECOND)
+    assert simulated.observe().poses.x[0] == pytest.approx(900 + true, abs=1e-6)
+
+
+def test_switching_one_disturbance_on_leaves_the_draws_of_the_others():
+    alone = measured(steered(plant(measurement_noise={"position": 2}), DIRECTIONS)) - truths(
+        steered(plant(), DIRECTIONS)
+    )
+    both = steered(plant(measurement_noise={"position": 2}, lost_commands=0.4), DIRECTIONS)
+    assert measured(both) - truths(both) == pytest.approx(alone, abs=1e-9)
+
+
+def test_the_truth_decides_what_the_camera_misses():
+    """A thin wall between two frames of a slow camera: only the fine path is in it."""
+    wall = {"type": "rectangle", "left": 949, "bottom": 700, "width": 1, "height": 200}
+    simulated = plant(STRAIGHT, [wall], camera_rate=2, truth_rate=500)
+    path = truths(steered(simulated, [0.0] * 5))
+    assert not np.any((path[..., 0] >= 949) & (path[..., 0] <= 950) & (path[..., 0] != 950))
+    simulated.stop()
+    verdict = simulated.settle()
+    assert verdict.entered == (True,)
+    assert verdict.clearance[0] <= 0
+
+
+def test_what_a_robot_does_before_it_stands_counts():
+    """With a dead time it is still moving when it is told to stop, and may enter an obstacle."""
+    wall = {"type": "rectangle", "left": 925, "bottom": 700, "width": 100, "height": 200}
+    simulated = plant(STRAIGHT, [wall], dead_time=0.2)
+    steered(simulated, [0.0, 0.0])  # at 920 now
+    simulated.stop()
+    verdict = simulated.settle()
+    assert verdict.final.x[0] == pytest.approx(940, abs=1e-6)
+    assert verdict.entered == (True,)
+    assert verdict.clearance[0] == pytest.approx(-15, abs=1e-6)

@@ -42,7 +42,9 @@ def run(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the spec, its limits and what would be run.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no progress.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="No live view, no progress.")
+    ] = False,
     json: Annotated[
         bool, typer.Option("--json", help="Print the statistics as `stats --format json` does.")
     ] = False,

@@ -4,6 +4,7 @@ Beside the letter: the plan's grid may be coarser than the control's (`hold`), t
 predicted over the dead time, and an optimiser with a tolerance may take costs within it as equal.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -20,6 +21,10 @@ from tetractl.control.pso import Searcher, never, pso
 from tetractl.model.state import Floats, Observation
 from tetractl.spec.controller import MultistartSpec
 from tetractl.spec.experiment import Experiment
+
+SHARE = 4
+Candidate = tuple[int, Floats | None]
+"""A length to try, and the u_gb^0 to start from."""
 
 
 class PsoMpc:
@@ -80,26 +85,40 @@ class PsoMpc:
         return bool(np.all(gaps <= self.control.arrival_tolerance))
 
     def _decide(self, problem: Problem, step_key: int) -> Plan:
-        """Search every horizon that is a candidate now, and choose."""
-        left, expired = self.control.evaluations_max, self._deadline()
+        """Search every horizon that is a candidate now, and choose.
+
+        A budget of evaluations is shared equally. Where it is too small for all horizons of step 0,
+        fewer are tried, evenly spread, so that each gets some SHARE swarms' worth.
+        """
+        candidates, left, expired = list(self._candidates()), self.control.evaluations_max, never
+        least = self.control.swarm.particles + 1  # evaluations below which no search is worth it
+        if left is not None:
+            candidates = self._affordable(candidates, left // least)
+        if self.control.deadline is not None and self.warm is not None:
+            end = self.timer() + round(self.control.deadline * SECOND)
+            expired = lambda: self.timer() >= end  # noqa: E731
         searches: list[Search] = []
-        for length, start in self._candidates():
-            if searches and ((left is not None and left <= 0) or expired()):
+        for i, (length, start) in enumerate(candidates):
+            share = None if left is None else left // (len(candidates) - i)
+            if searches and (expired() or (share is not None and share < least)):
                 break
             key = mix(step_key, length)
-            found = self.search(problem, length, start, self.control.swarm, key, left, expired)
+            found = self.search(problem, length, start, self.control.swarm, key, share, expired)
             searches.append(found)
             if left is not None:
                 left -= found.evaluations
         return make_plan(problem, searches, self._choose(searches), step_key)
 
-    def _deadline(self) -> Callable[[], bool]:
-        if self.control.deadline is None:
-            return never
-        end = self.timer() + round(self.control.deadline * SECOND)
-        return lambda: self.timer() >= end
+    def _affordable(self, candidates: list[Candidate], searches: int) -> list[Candidate]:
+        """Thin the candidates out: evenly at step 0, and to the plan as it is (H) after it."""
+        if self.warm is None:
+            stride = math.ceil(len(candidates) / max(1, searches // SHARE))
+            return candidates[::-stride][::-1]
+        count = len(self.warm)
+        kept = sorted(candidates, key=lambda one: abs(one[0] - count))[: max(1, searches)]
+        return sorted(kept, key=lambda one: one[0])
 
-    def _candidates(self) -> Iterable[tuple[int, Floats | None]]:
+    def _candidates(self) -> Iterable[Candidate]:
         """Yield (length, u_gb^0) of Algorithm 2: lines 2-4 at step 0, then lines 10-20."""
         if self.warm is None:  # Part I
             for length in range(1, self.control.horizon_max + 1):

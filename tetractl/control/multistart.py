@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tetractl.control.compiled import NO_LIMIT
 from tetractl.control.cost import Problem, require_finite
 from tetractl.control.draws import mix, uniform
 from tetractl.control.kernels.polish import Route, lay_route, polish
@@ -42,16 +43,18 @@ def multistart(
     hunt = _Hunt(problem, length, spec, budget)
     if warm is not None:
         hunt.take(warm)
-        hunt.improve(warm)
+        if hunt.affords(2):
+            hunt.improve(warm)
     for number in range(spec.rounds if warm is None else 1):
         if hunt.ended or (number > 0 and _out_of_reach(problem, length, spec)):
             break
+        if hunt.history and not hunt.affords(spec.particles):
+            break
         starts = _scatter(problem, length, warm, spec, mix(key, number))
         for start in hunt.select(starts):
-            if hunt.ended:
-                break
-            if hunt.history and expired():
+            if expired():
                 hunt.ended = "deadline"
+            if hunt.ended or not hunt.affords(2):
                 break
             hunt.improve(start)
     return hunt.search()
@@ -98,7 +101,8 @@ class _Hunt:
     def __init__(
         self, problem: Problem, length: int, spec: MultistartSpec, budget: int | None
     ) -> None:
-        self.spec, self.budget, self.length = spec, budget, length
+        self.spec, self.length = spec, length
+        self.budget = NO_LIMIT if budget is None else budget
         self.many = lay_out(problem, spec.particles)
         self.one = lay_out(problem, 1)
         self.route: Route = lay_route(problem, length)
@@ -111,6 +115,12 @@ class _Hunt:
         self.history: list[float] = []
         self.evaluations = 0
         self.ended = ""
+
+    def affords(self, evaluations: int) -> bool:
+        """Whether the budget allows so many more; if not, that ends the search."""
+        if self.evaluations + evaluations > self.budget:
+            self.ended = self.ended or "evaluations"
+        return not self.ended
 
     def select(self, starts: Floats) -> list[Floats]:
         """Evaluate a round and return its best, best first."""
@@ -139,6 +149,7 @@ class _Hunt:
             self.spec.tolerance,
             self.slack,
             self.spec.polish_steps,
+            self.budget - self.evaluations - 1,
             self.factor,
             self.trace,
         )
@@ -150,8 +161,6 @@ class _Hunt:
             self.history.append(self.cost)
         if self.cost <= self.spec.tolerance:
             self.ended = "target"
-        elif self.budget is not None and self.evaluations >= self.budget:
-            self.ended = "evaluations"
 
     def _keep(self, signals: Floats, cost: float) -> None:
         if cost < self.cost or not self.history:

@@ -61,7 +61,7 @@ class SwarmSpec(Model):
 
 
 class MultistartSpec(Model):
-    """Many starts, the best of them polished by Levenberg-Marquardt; see docs/explanation/solver.md.
+    """Many starts, the best polished by Levenberg-Marquardt; see docs/explanation/solver.md.
 
     Each round scatters `particles` smooth random sequences, evaluates them as a swarm is, and
     polishes the best `polished` of them until one has a cost of at most `tolerance`.
@@ -164,10 +164,11 @@ class PsoMpcSpec(Model):
     first_plan: FirstPlan = NoWait(type="stand")
     """What the robots do while the first plan is computed."""
     evaluations_max: int | None = Field(default=None, ge=1)
-    """Cost evaluations one control step may spend, over all its horizons; then the best sequence so
-    far is used. No limit by default."""
+    """Cost evaluations one control step may spend, shared equally by its horizons; then the best
+    sequence so far is used. No limit by default."""
     deadline: Positive | None = None
     """Time after which a control step uses the best sequence so far [s]; it only cuts searches
-    short. None by default: a simulation then depends on its seed alone."""
+    short, and does not hold at step 0. None by default: a simulation then depends on its seed
+    alone."""
     swarm: Optimiser = SwarmSpec()
     """The optimiser of each search."""

@@ -197,12 +197,12 @@ def _propose(route, u, r):
 
 
 @njit(**KERNEL)
-def polish(route, u, tolerance, slack, iterations, factor, history):
+def polish(route, u, tolerance, slack, iterations, budget, factor, history):
     """Improve u (L,) in place; returns (merit, iterations used, evaluations).
 
-    Ends when the merit is at most `tolerance`, when no step helps, when PATIENCE is at its end, or
-    after `iterations`. history[z] is the merit after z iterations, of room iterations + 1. A
-    Jacobian counts as one evaluation for each of its rows.
+    Ends when the merit is at most `tolerance`, when no step helps, when PATIENCE is at its end,
+    after `iterations`, or before `budget` evaluations are exceeded. history[z] is the merit after z
+    iterations, of room iterations + 1. A Jacobian counts as one evaluation for each of its rows.
     """
     start, a, v, t0, t = route.start, route.a, route.v, route.first_period, route.period
     trace(u, start, a, v, t0, t, route.model, route.path, route.slopes)
@@ -210,7 +210,8 @@ def polish(route, u, tolerance, slack, iterations, factor, history):
     history[0] = merit
     evaluations, damping = 1, 1e-2
     z = 0
-    while z < iterations and not merit <= tolerance:
+    most = route.residual.size + 1  # evaluations of one iteration
+    while z < iterations and evaluations + most <= budget and not merit <= tolerance:
         r = _linearise(route, max(tolerance, 1e-9), slack)
         _gram(route, r)
         evaluations += r
@@ -218,7 +219,7 @@ def polish(route, u, tolerance, slack, iterations, factor, history):
         for p in range(r):
             size += route.gram[p, p] / r
         better = False
-        while z < iterations and damping < 1e4:
+        while z < iterations and damping < 1e4 and evaluations < budget:
             z += 1
             history[z] = merit
             if _solve(route.gram, route.residual, route.step, r, damping * size, factor):

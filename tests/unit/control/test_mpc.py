@@ -157,10 +157,10 @@ def test_the_plan_states_the_terms_of_its_cost_and_its_path():
         assert search.cost == search.history[-1]
 
 
-def test_the_searches_share_what_the_budget_has_left():
+def test_the_searches_share_what_the_budget_has_left_and_fewer_horizons_are_tried():
     search = Scripted(evaluations=30)
     PsoMpc(spec(evaluations_max=100), 99, search).plan(seen())
-    assert [budget for *_, budget in search.asked] == [100 // 4, 70 // 3, 40 // 2, 10]
+    assert [budget for *_, budget in search.asked] == [100 // 3, 70 // 2, 40]
 
 
 @pytest.mark.parametrize("budget", [6, 7, 20, 33, 60, 1000])

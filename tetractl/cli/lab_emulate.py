@@ -64,10 +64,8 @@ def emulate(
     """
     import gc
     import signal
-    import time
 
     from tetractl.lab.emulate.lab import EmulatedLab, Options
-    from tetractl.lab.emulate.record import Record
     from tetractl.lab.emulate.script import NOTHING, load_script
     from tetractl.spec.load import load_spec
     from tetractl.spec.plants import lab_of
@@ -75,14 +73,12 @@ def emulate(
     loaded = load_spec(spec, sets or [])
     lab = lab_of(loaded.experiment, loaded.name)
     play = load_script(script) if script else NOTHING
-    options = Options(address, command_port, data_port, port_link, replace_after, seed)
+    options = Options(address, command_port, data_port, port_link, record, replace_after, seed)
     emulation = EmulatedLab(
         loaded.experiment,
         lab,
         play,
         options,
-        Record(record),
-        time.monotonic_ns(),
         _tell_json if json else _tell,
     )
 

@@ -1,5 +1,6 @@
 """The emulated lab put together: cameras, radio, robots, faults, and a helping hand."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,14 +31,15 @@ SECOND = 1_000_000_000
 class Options:
     """Where the emulation is to be found. Port 0 takes any; None what the spec says.
 
-    `replace_after` [s]: robots that have stood still that long after a run are switched off and
-    on and put back on their starts.
+    `record` is a file for what truly happens. `replace_after` [s]: robots that have stood still
+    that long after a run are switched off and on and put back on their starts.
     """
 
     address: str = "127.0.0.1"
     command_port: int | None = None
     data_port: int | None = None
     link: Path | None = None
+    record: Path | None = None
     replace_after: float | None = None
     seed: int = 1
 
@@ -54,16 +56,15 @@ class EmulatedLab:
         lab: LabSpec,
         script: Script,
         options: Options,
-        record: Record,
-        start_ns: int,
         tell: Callable[[str, dict[str, Any]], None] = lambda event, facts: None,
     ) -> None:
         self.sights = build.sights(experiment, lab, script)
         self.robots = [sight.robot for sight in self.sights]
         self.swapped: set[int] = set()
         self._experiment, self._script, self._options = experiment, script, options
-        self._record, self._tell = record, tell
+        self._record, self._tell = Record(None), tell
         self._view = build.view(experiment, lab, script)
+        start_ns = time.monotonic_ns()
         self.timeline = Timeline(self._advance, start_ns)
         self.loop = Loop(self.timeline)
         self.port = PseudoPort(options.link or Path(lab.radio.port))
@@ -99,14 +100,14 @@ class EmulatedLab:
             robot.place(*build.start_of(experiment, script, robot.name))
 
     def __enter__(self) -> "EmulatedLab":
+        self.loop.catch_up()
         try:
+            self._record = Record(self._options.record)
             self.plug()
+            self.loop.watch(self.motive.open(), self.motive.readable)
         except BaseException:
             self.close()
             raise
-        self.loop.watch(self.motive.command.fileno(), self.motive.readable)
-        self.loop.catch_up()
-        self.motive.start()
         self._tick()
         self._flush()
         facts = {

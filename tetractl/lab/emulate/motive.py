@@ -129,39 +129,39 @@ class Motive:
         self._last: Frame | None = None
         self._start_ns = 0
         self._exposures = 0
-        self.command = _bound(streaming.address, streaming.command_port)
-        try:
-            multicast = streaming.transport == "multicast"
-            self.data = _bound(streaming.address, 0 if multicast else streaming.data_port)
-        except BaseException:
-            self.command.close()
-            raise
-        if multicast:
-            self.data.setsockopt(
-                socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(streaming.address)
-            )
+        self.command: socket.socket | None = None
+        self.data: socket.socket | None = None
 
     @property
     def command_port(self) -> int:
         """The port that was really taken."""
-        return self.command.getsockname()[1]
+        return self.streaming.command_port if self.command is None else _port(self.command)
 
     @property
     def data_port(self) -> int:
         """The port frames come from or, in multicast, go to."""
-        if self.streaming.transport == "multicast":
+        if self.data is None or self.streaming.transport == "multicast":
             return self.streaming.data_port
-        return self.data.getsockname()[1]
+        return _port(self.data)
 
-    def start(self) -> None:
-        """Expose the first frame now."""
+    def open(self) -> int:
+        """Take the ports and expose the first frame now; return the file to watch."""
+        s = self.streaming
+        multicast = s.transport == "multicast"
+        self.command = _bound(s.address, s.command_port)
+        self.data = _bound(s.address, 0 if multicast else s.data_port)
+        if multicast:
+            interface = socket.inet_aton(s.address)
+            self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
         self._start_ns = self._timeline.now_ns
         self._plan()
+        return self.command.fileno()
 
     def close(self) -> None:
-        """Release the sockets."""
-        self.command.close()
-        self.data.close()
+        """Release the ports; idempotent."""
+        for opened in (self.command, self.data):
+            if opened is not None:
+                opened.close()
 
     def ticks(self, when_ns: int) -> int:
         """Return the server's clock at a time of the host's."""
@@ -169,6 +169,7 @@ class Motive:
 
     def readable(self) -> None:
         """Answer what came to the command port."""
+        assert self.command is not None, "it is open"
         for _ in range(DATAGRAMS_A_TURN):
             try:
                 datagram, sender = self.command.recvfrom(65_535)
@@ -200,6 +201,8 @@ class Motive:
                 return self._info()
             case EchoRequest(client):
                 return EchoResponse(client, self.ticks(self._timeline.now_ns))
+            case Request(text) if text.startswith("Bitstream,"):
+                return self._change_version(text.removeprefix("Bitstream,"), sender)
             case Request(text):
                 return self._reply(text)
             case Bare(Kind.REQUEST_MODELDEF):
@@ -212,13 +215,24 @@ class Motive:
         if self.streaming.transport == "multicast":
             return
         version = self.streaming.version
-        if message.bitstream is not None and version >= (4, 0):
-            asked = Version(*message.bitstream[:2])
-            if asked.known and asked <= version:
-                version = asked
+        if message.bitstream is not None and self._can_change(asked := message.bitstream[:2]):
+            version = Version(*asked)
         if sender not in self.clients:
             self._on_client(f"{sender[0]}:{sender[1]}")
         self.clients[sender] = Client(version, self._timeline.now_ns)
+
+    def _can_change(self, asked: tuple[int, int]) -> bool:
+        """Whether a unicast client can have this version: servers from 4.0 on can be asked."""
+        version = Version(*asked)
+        return (4, 0) <= self.streaming.version >= version and version.known
+
+    def _change_version(self, text: str, sender: Address) -> Message:
+        major, _, minor = text.partition(".")
+        known = self.clients.get(sender)
+        if known and (major + minor).isdecimal() and self._can_change((int(major), int(minor))):
+            known.version = Version(int(major), int(minor))
+            return Response(struct.pack("<i", 0))
+        return Response(struct.pack("<i", 1))
 
     def _info(self) -> ServerInfo:
         a, b, c, d = (int(part) for part in self.streaming.group.split("."))
@@ -306,10 +320,15 @@ class Motive:
                 self.counts.timed_out += 1
         return [(address, client.version) for address, client in self.clients.items()]
 
-    def _send(self, sender: socket.socket, datagram: bytes, to: Address) -> None:
+    def _send(self, sender: socket.socket | None, datagram: bytes, to: Address) -> None:
+        assert sender is not None, "it is open"
         with suppress(OSError):  # a full buffer or a client that has gone loses a datagram
             sender.sendto(datagram, to)
             self.counts.datagrams += 1
+
+
+def _port(of: socket.socket) -> int:
+    return of.getsockname()[1]
 
 
 def _bound(address: str, port: int) -> socket.socket:

@@ -109,6 +109,10 @@ def _tell(event: str, facts: dict[str, Any]) -> None:
             line = f"emulated cameras: {facts['address']} connected"
         case "run":
             line = "emulated robots: a run starts"
+        case "moving":
+            line = "emulated robots: on the move"
+        case "rest":
+            line = "emulated robots: all stand still"
         case "placed":
             line = "emulated robots: put back on their starts"
         case _:

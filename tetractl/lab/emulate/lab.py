@@ -94,7 +94,7 @@ class EmulatedLab:
         )
         self._moving = [False] * len(self.robots)
         self._ran = False  # since the robots were last put on their starts
-        self._still_since: int | None = None
+        self._still_since: int | None = start_ns  # None while any robot moves
         for robot in self.robots:
             robot.now_ns = start_ns
             robot.place(*build.start_of(experiment, script, robot.name))
@@ -227,9 +227,12 @@ class EmulatedLab:
                 self._moving[i] = not robot.standing
                 self._note("robot", name=robot.name, moving=self._moving[i])
         if any(self._moving):
+            if self._still_since is not None:
+                self._tell("moving", {})
             self._still_since = None
         elif self._still_since is None:
             self._still_since = now
+            self._tell("rest", {})
         self._help(now)
         self.timeline.at(now + TICK_NS, self._tick)
 

@@ -1,0 +1,180 @@
+"""Plays a fault script end to end: emulator process, runner process, and what became of it.
+
+Nothing sleeps: the emulator says when things happen, and the stage waits for it to say so.
+"""
+
+import json
+import queue
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
+TETRACTL = str(Path(sys.executable).with_name("tetractl"))
+PATIENCE_S = 60  # until a step counts as hung: generous, for loaded machines
+SMALL = (  # a small swarm and two seconds of driving
+    "lab.mocap.transport=unicast",
+    "lab.mocap.server=127.0.0.1",
+    "lab.mocap.interface=127.0.0.1",
+    "controller.swarm={particles: 20, iterations: 10, stop: {type: budget}}",
+    "controller.horizon_max=10",
+    "trials.count=1",
+)
+
+
+def flags(settings):
+    return [word for setting in settings for word in ("--set", setting)]
+
+
+class Emulator:
+    """`tetractl lab emulate` in a process; `events` are what it says, as it says it."""
+
+    def __init__(self, folder, settings, *options):
+        self.record = folder / "emulator.jsonl"
+        self.link = folder / "radio"
+        command = [TETRACTL, "lab", "emulate", str(SPEC), "--json", *flags(settings)]
+        command += ["--command-port", "0", "--data-port", "0", "--port-link", str(self.link)]
+        command += ["--record", str(self.record), *options]
+        self.errors = (folder / "emulator.err").open("w+")
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=self.errors, text=True, cwd=folder
+        )
+        self.events = queue.Queue()
+        self.resting = True
+        self.reader = threading.Thread(target=self._read)
+        self.reader.start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.events.put(json.loads(line))
+        self.events.put({"event": "gone"})
+
+    def next(self, timeout=PATIENCE_S):
+        """Return the next event; queue.Empty after the timeout."""
+        event = self.events.get(timeout=timeout)
+        if event["event"] == "gone":
+            self.errors.seek(0)
+            raise AssertionError(f"the emulator has ended: {self.errors.read()}")
+        self.resting = {"rest": True, "moving": False}.get(event["event"], self.resting)
+        return event
+
+    def wait_for(self, name):
+        while (event := self.next())["event"] != name:
+            pass
+        return event
+
+    def end(self):
+        """End it as Ctrl-C does; return its exit code and its record."""
+        self.process.send_signal(signal.SIGINT)
+        code = self.process.wait(PATIENCE_S)
+        self.close()
+        return code, [json.loads(line) for line in self.record.read_text().splitlines()]
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self.reader.join()
+        self.process.stdout.close()
+        self.errors.close()
+
+
+class Runner:
+    """`tetractl run --plant lab` in a process, told only addresses and a port's name."""
+
+    def __init__(self, folder, name, settings):
+        self.folder = folder / name
+        self.output = (folder / f"{name}.txt").open("w+")
+        command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--quiet", *flags(settings)]
+        command += ["--out", str(self.folder)]
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=self.output,
+            stderr=subprocess.STDOUT,
+            cwd=folder,
+        )
+
+    def said(self):
+        self.output.seek(0)
+        return self.output.read()
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self.output.close()
+
+
+@dataclass
+class Played:
+    """What became of a script: `exits` and `said` of every runner, the first first."""
+
+    exits: list
+    said: list
+    emulator_exit: int
+    record: list
+    logs: list
+    link: Path
+
+    def of(self, event, **facts):
+        """The record's events of a kind."""
+        return [e for e in self.record if e["event"] == event and facts.items() <= e.items()]
+
+
+def play(path, script, folder):
+    """Play a script; return what became of it."""
+    settings = (*SMALL, *script.runner.sets)
+    runners = []
+    emulator = Emulator(folder, settings, "--script", str(path))
+    try:
+        ready = emulator.wait_for("ready")
+        settings += (
+            f"lab.mocap.command_port={ready['command_port']}",
+            f"lab.radio.port={ready['port']}",
+        )
+        runners.append(Runner(folder, "first", settings))
+        _attend(emulator, runners, script, folder, settings)
+        for runner in runners:
+            runner.process.wait(PATIENCE_S)
+        while not emulator.resting:
+            emulator.next()
+        code, record = emulator.end()
+        logs = sorted(runners[0].folder.glob("*.mcap*"))
+        return Played(
+            [runner.process.returncode for runner in runners],
+            [runner.said() for runner in runners],
+            code,
+            record,
+            logs,
+            emulator.link,
+        )
+    finally:
+        emulator.close()
+        for runner in runners:
+            runner.close()
+
+
+def _attend(emulator, runners, script, folder, settings):
+    """Do what the script's marks say until the first runner ends."""
+    first = runners[0].process
+    while first.poll() is None:
+        try:
+            event = emulator.next(timeout=0.05)
+        except queue.Empty:
+            continue
+        if event["event"] != "fault" or event["name"] != "mark":
+            continue
+        mark = event["mark"]
+        if mark in script.runner.on_mark:
+            first.send_signal(getattr(signal, "SIG" + script.runner.on_mark[mark]))
+        elif mark == "full" and script.runner.file_limit is not None:
+            limit = script.runner.file_limit
+            resource.prlimit(first.pid, resource.RLIMIT_FSIZE, (limit, limit))
+        elif mark == "second" and script.runner.second:
+            runners.append(Runner(folder, "second", settings))

@@ -1,0 +1,116 @@
+"""Every row of the fault table, end to end: emulator process, runner process, fault.
+
+What the robots truly did is read from the emulator's own record, not from the runner's log.
+"""
+
+from pathlib import Path
+
+import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from stage import ROOT, play
+
+from tetractl.lab.emulate.script import load_script
+from tetractl.log.channels import LOG
+from tetractl.log.reader import read_trial
+from tetractl.log.salvage import scan
+from tetractl.spec.load import load_spec
+
+SCRIPTS = sorted((ROOT / "experiments" / "faults").glob("*.yaml"))
+REACTION_S = 0.1  # on top of a fault's own tolerance, until the stop frame is on the wire
+ROLLING_S = 0.3  # from the stop frame on the wire until the wheels are at rest
+RUN = 1  # the flag
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_fault(path, tmp_path):
+    script = load_script(path)
+    expect = script.expect
+    played = play(path, script, tmp_path)
+    said = "\n".join([*played.said, *messages(played.logs)])
+    note = f"\nsaid: {said}"
+    assert played.exits[0] == expect.exit, note
+    assert played.exits[1:] == [1] * script.runner.second, note
+    assert expect.says.lower() in said.lower(), note
+    assert "Traceback" not in said
+    assert played.emulator_exit == 0
+    assert not played.link.is_symlink()
+    if expect.outcome == "refused":
+        assert not played.of("run"), "no wheel may turn"
+        return
+    assert played.of("run")
+    check_log(expect, played)
+    check_motion(expect, played)
+    check_space(expect, played)
+
+
+def messages(logs):
+    """What the logs' /log channels say."""
+    entries = [entry for log in logs for entry in scan(log).entries if entry.topic == LOG]
+    return [Log.FromString(entry.data).message for entry in entries]
+
+
+def check_log(expect, played):
+    """The log is readable and its result, if there could be one, names the fault."""
+    (log,) = played.logs
+    trial = read_trial(log)
+    assert len(trial.mocap_ns) > 0
+    if expect.outcome == "killed" or trial.result is None:
+        assert trial.damage is not None
+        return
+    if expect.outcome == "done":
+        assert trial.result.outcome.complete
+    else:
+        assert trial.result.outcome == expect.outcome
+        assert expect.says.lower() in trial.result.reason.lower()
+
+
+def check_motion(expect, played):
+    """Robots stop in time, and none moves again after a run that ended."""
+    slack = played.record[-1]["worst_lag_ms"] / 1e3 * 2 + 0.02  # what the host's load cost
+    names = played.record[0]["robots"]
+    told = [
+        e for e in played.of("fault", phase="start") if e["t_ns"] >= played.of("run")[0]["t_ns"]
+    ]
+    if told and expect.tolerance is not None:
+        seen = told[0]["t_ns"]
+        limit = expect.tolerance + REACTION_S + slack
+        for name in expect.robots or names:
+            place = names.index(name)
+            stop = next(e for e in played.of("command") if e["t_ns"] >= seen and stops(e, place))
+            assert (stop["t_ns"] - seen) / 1e9 <= limit, f"{name}'s stop came late"
+            assert rest_after(played, name, seen) <= limit + ROLLING_S, f"{name} stood late"
+    if told and expect.still is not None:
+        for name in names:
+            assert rest_after(played, name, told[0]["t_ns"]) <= expect.still + slack
+    if expect.outcome != "done":
+        rest = played.of("robot", moving=False)[-1]["t_ns"]
+        assert not [e for e in played.of("robot", moving=True) if e["t_ns"] >= rest]
+        first = min(e["t_ns"] for e in played.of("robot", moving=True))
+        assert first < rest
+
+
+def stops(command, place):
+    """Whether a command stops the robot at a place in the frame."""
+    wheels = command["wheels"]
+    return not command["flags"] & RUN or place >= len(wheels) or wheels[place] == [0, 0]
+
+
+def rest_after(played, name, since_ns):
+    """Seconds from `since_ns` until a robot stood still; 0 where it did already."""
+    changes = played.of("robot", name=name)
+    before = [e for e in changes if e["t_ns"] < since_ns]
+    if not before or not before[-1]["moving"]:
+        return 0.0
+    return next(e["t_ns"] - since_ns for e in changes if e["t_ns"] >= since_ns) / 1e9
+
+
+def check_space(expect, played):
+    """True positions: inside the arena, and apart from one another, where that is expected."""
+    arena = load_spec(Path(ROOT / "experiments" / "three_m3pi_lab.yaml")).experiment.arena
+    for truth in played.of("truth"):
+        spots = [complex(x, y) for x, y, _ in truth["poses"]]
+        if expect.inside:
+            assert all(arena.contains(spot.real, spot.imag) for spot in spots)
+        if expect.apart_mm is not None:
+            gaps = [abs(a - b) for i, a in enumerate(spots) for b in spots[:i]]
+            assert min(gaps) >= expect.apart_mm

@@ -11,7 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from tetractl import __version__
-from tetractl.cli import info, plot, replay, run, schema, stats, validate
+from tetractl.cli import info, lab, plot, replay, run, schema, stats, validate
 from tetractl.errors import Exit, TetractlError
 
 app = typer.Typer(
@@ -48,6 +48,7 @@ app.command("info")(info.info)
 app.command("replay")(replay.replay)
 app.command("plot")(plot.plot)
 app.command("stats")(stats.stats)
+app.add_typer(lab.app, name="lab")
 
 
 def main() -> None:

@@ -3,16 +3,24 @@
 import sys
 from contextlib import ExitStack
 from datetime import UTC, datetime
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.errors import Exit
+from tetractl.errors import Exit, UsageError
 
 if TYPE_CHECKING:
     from tetractl.run.batch import Report
     from tetractl.spec.load import LoadedSpec
+
+
+class PlantChoice(StrEnum):
+    """What to steer."""
+
+    SIM = "sim"
+    LAB = "lab"
 
 
 def run(
@@ -28,6 +36,10 @@ def run(
         typer.Option(
             "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
         ),
+    ] = None,
+    plant: Annotated[
+        PlantChoice | None,
+        typer.Option(help="Simulate, or drive the robots of the spec's lab.  [spec: plant.type]"),
     ] = None,
     out: Annotated[
         Path | None,
@@ -45,6 +57,12 @@ def run(
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="No live view, no progress.")
     ] = False,
+    record_wire: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Lab only: keep every datagram and serial byte of each trial here."
+        ),
+    ] = None,
     json: Annotated[
         bool, typer.Option("--json", help="Print the statistics as `stats --format json` does.")
     ] = False,
@@ -56,18 +74,24 @@ def run(
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
     from tetractl.run.folder import default_folder, trials_to_run
+    from tetractl.run.limits import check
     from tetractl.spec.load import load_spec
+    from tetractl.spec.plants import on_plant
 
+    if resume and out is None:
+        raise UsageError("--resume needs --out", "name the folder of the batch to go on with")
     settings = list(sets or [])
     settings += [] if trials is None else [f"trials.count={trials}"]
     settings += [] if seed is None else [f"trials.seed={seed}"]
-    loaded = load_spec(spec, settings)
+    loaded = on_plant(load_spec(spec, settings), plant.value if plant else None)
+    _check_lab_options(loaded, jobs, record_wire)
+    check(loaded.experiment)
     folder = out or default_folder(loaded.experiment.name, datetime.now(UTC))
     todo = trials_to_run(loaded.experiment, folder, resume)
     if dry_run:
         _describe(loaded, folder, todo)
         return Exit.DONE
-    report = _run(loaded, folder, todo, jobs, quiet)
+    report = _run(loaded, folder, todo, jobs, quiet, record_wire)
     return _conclude(report, folder, json)
 
 
@@ -88,29 +112,50 @@ def _describe(loaded: "LoadedSpec", folder: Path, todo: list[int]) -> None:
         print(f"# Logs to write: {' ... '.join(ends)}")
 
 
-def _run(loaded: "LoadedSpec", folder: Path, todo: list[int], jobs: int, quiet: bool) -> "Report":
+def _check_lab_options(loaded: "LoadedSpec", jobs: int, record_wire: Path | None) -> None:
+    from tetractl.spec.lab import LabSpec
+
+    in_lab = isinstance(loaded.experiment.plant, LabSpec)
+    if in_lab and jobs > 1:
+        raise UsageError("--jobs: the lab runs one trial at a time")
+    if record_wire is not None and not in_lab:
+        raise UsageError("--record-wire: a simulation has no wire", "add --plant lab")
+
+
+def _run(
+    loaded: "LoadedSpec",
+    folder: Path,
+    todo: list[int],
+    jobs: int,
+    quiet: bool,
+    record_wire: Path | None,
+) -> "Report":
     from rich.console import Console
 
     from tetractl.control.build import warm_up
     from tetractl.run.batch import run_batch
     from tetractl.run.folder import make_folder, set_aside
     from tetractl.run.interrupt import Interrupt
-    from tetractl.run.limits import check
+    from tetractl.spec.lab import LabSpec
 
-    check(loaded.experiment)
     make_folder(folder)
     for trial in todo:
         set_aside(folder, trial)
     console = Console(stderr=True, quiet=quiet)
     warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
     interrupt = Interrupt()
+    live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not quiet
     with ExitStack() as stack:
         stack.enter_context(interrupt.watch())
-        if console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not quiet:
+        if isinstance(loaded.experiment.plant, LabSpec):
+            from tetractl.cli.lab_run import run_in_lab
+
+            return run_in_lab(loaded, folder, todo, console, interrupt, live, record_wire)
+        if live:
             from tetractl.view.live import LiveView
 
-            live = stack.enter_context(LiveView(console))
-            return run_batch(loaded, folder, todo, jobs, interrupt, live, [live])
+            view = stack.enter_context(LiveView(console))
+            return run_batch(loaded, folder, todo, jobs, interrupt, view, [view])
         from tetractl.view.progress import BatchProgress
 
         unit = loaded.experiment.units.length
@@ -120,31 +165,44 @@ def _run(loaded: "LoadedSpec", folder: Path, todo: list[int], jobs: int, quiet: 
 
 def _conclude(report: "Report", folder: Path, json: bool) -> int:
     """Print the statistics of the whole folder, then say how the run ended."""
-    from json import dumps
-
-    from rich.console import Console
-
     from tetractl.run.batch import log_path
-    from tetractl.stats import export, table
-    from tetractl.stats.summary import summarise
-    from tetractl.stats.trials import load_trials
 
+    if report.refused and not report.results:
+        raise report.refused
     if report.results or not report.not_run:
-        results, damaged = load_trials([folder])
-        summary = summarise(results, damaged)
-        if json:
-            print(dumps(export.as_json(summary), indent=2, allow_nan=False))
-        else:
-            table.print_table(summary, Console())
+        try:
+            _print_statistics(folder, json)
+        except UsageError:
+            if not report.aborted:  # an aborted trial may leave no log, or none that tells a pose
+                raise
     for trial, result in report.aborted.items():
         print(f"error: trial {trial + 1}: {result.reason}", file=sys.stderr)
     left = f"; {len(report.not_run)} trials were not run" if report.not_run else ""
     print(f"logs in {folder}{left}", file=sys.stderr)
+    if report.refused:
+        raise report.refused
     if report.aborted:
         return Exit.FAILED
     if report.interrupted:
-        again = f"tetractl run SPEC --out {folder} --resume"
-        print(f"interrupted; go on with: {again}", file=sys.stderr)
+        again = f"the same command and --out {folder} --resume"
+        print(f"interrupted; go on with {again}", file=sys.stderr)
         return Exit.INTERRUPTED
     print(f"look at one with: tetractl replay {log_path(folder, 0)}", file=sys.stderr)
     return Exit.DONE
+
+
+def _print_statistics(folder: Path, json: bool) -> None:
+    from json import dumps
+
+    from rich.console import Console
+
+    from tetractl.stats import export, table
+    from tetractl.stats.summary import summarise
+    from tetractl.stats.trials import load_trials
+
+    results, damaged = load_trials([folder])
+    summary = summarise(results, damaged)
+    if json:
+        print(dumps(export.as_json(summary), indent=2, allow_nan=False))
+    else:
+        table.print_table(summary, Console())

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tetractl.control.plan import Outcome, Plan
 from tetractl.model.state import Floats, Observation
-from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
+from tetractl.plant.protocol import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.spec.experiment import Experiment
 
 Integers = NDArray[np.int64]
@@ -27,6 +27,7 @@ class Start:
     trial: int  # index in the batch, from 0
     plant: PlantInfo
     start_unix_ns: int  # trial clock 0 in Unix time; EPOCH_NS in simulation
+    attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +82,10 @@ class Observer(Protocol):
 
     def on_command(self, command: Command) -> None:
         """A command sent outside the control steps, as in the square before the first plan."""
+        ...
+
+    def on_note(self, note: Note) -> None:
+        """Something a person should know of, such as a robot that does not move as told."""
         ...
 
     def on_stop(self, stop: Command, result: Result) -> None:

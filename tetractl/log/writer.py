@@ -14,12 +14,15 @@ from tetractl.log.facts import result_facts, run_facts, timing_facts
 from tetractl.log.records import Result, Start, Step
 from tetractl.log.scene import Scene, note
 from tetractl.log.sink import Sink
-from tetractl.plant.protocol import Command, Sample
+from tetractl.plant.protocol import Command, Note, Sample
 from tetractl.spec.load import resolved_yaml, spec_hash
 
 FLUSH_NS = 1_000_000_000
 """A chunk ends after this much trial time: what a crash may cost. Trial time and not the wall
 clock's, so that a simulated trial always gives the same chunks."""
+
+
+_LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 
 
 class LogWriter:
@@ -51,6 +54,8 @@ class LogWriter:
             (channels.ENVIRONMENT, "application/json", provenance.environment()),
         ):
             sink.attachment(name, media_type, self._start_ns, text)
+        for name, text in start.attached:
+            sink.attachment(name, "application/yaml", self._start_ns, text)
         self._put(channels.SCENE, self._scene.static(self._start_ns), 0)
         self._note(0, Log.INFO, f"trial {start.trial} of {start.experiment.name} starts")
         sink.flush()
@@ -75,6 +80,10 @@ class LogWriter:
     def on_command(self, command: Command) -> None:
         """Store a command sent outside the control steps."""
         self._put(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
+
+    def on_note(self, note: Note) -> None:
+        """Store what a person should know of."""
+        self._note(note.t_ns, _LEVELS[note.level], note.text)
 
     def on_step(self, step: Step) -> None:
         """Store a decision, its command, its picture and how long it took."""

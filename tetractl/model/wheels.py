@@ -6,7 +6,7 @@ from tetractl.model.state import Floats
 
 
 def wheel_speeds(
-    heading: Floats, u: Floats | float, a: Floats, v: Floats, r: float
+    heading: Floats, u: Floats | float, a: Floats, v: Floats, r: Floats | float
 ) -> tuple[Floats, Floats]:
     """Return (left, right) wheel speeds [length unit/s] that turn a robot like a cell, (24)-(25).
 
@@ -17,6 +17,6 @@ def wheel_speeds(
     return v - difference, v + difference
 
 
-def body_velocity(left: Floats, right: Floats, r: float) -> tuple[Floats, Floats]:
+def body_velocity(left: Floats, right: Floats, r: Floats | float) -> tuple[Floats, Floats]:
     """Return (speed [length unit/s], turning rate [rad/s]) of given wheel speeds, (21)-(23)."""
     return (right + left) / 2, (right - left) / (2 * r)

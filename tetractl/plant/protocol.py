@@ -31,16 +31,27 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
+class Note:
+    """Something a person should know of: `level` is "info", "warning" or "error"."""
+
+    t_ns: int
+    level: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Verdict:
     """What the plant's own path says of the trial, sampled as finely as the plant can.
 
     `entered` (N,) tells which robots were ever inside an obstacle, `clearance` (N,) is each one's
-    least distance to one [length unit], negative inside, inf without obstacles.
+    least distance to one [length unit], negative inside, inf without obstacles. `unrest` says who
+    still moved after the stop, "" where all stood.
     """
 
     final: Poses
     entered: tuple[bool, ...]
     clearance: tuple[float, ...]
+    unrest: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +67,8 @@ class PlantInfo:
 class Plant(Protocol):
     """N robots under one control signal, simulated or real.
 
-    Calls come in this order: open, then any of observe, steer and samples, then stop, close.
+    Calls come in this order: open, then any of observe, steer, samples and news, then stop, settle,
+    close.
     Times are nanoseconds on the clock the plant was made with, 0 at the trial's start.
     """
 
@@ -74,6 +86,10 @@ class Plant(Protocol):
 
     def samples(self) -> list[Sample]:
         """Return, once, every camera frame since the last call, oldest first."""
+        ...
+
+    def news(self) -> list[Command | Note]:
+        """Return, once, what was sent outside `steer` and what was noted, oldest first."""
         ...
 
     def stop(self) -> Command:

@@ -16,7 +16,7 @@ from tetractl.model.judge import PathJudge
 from tetractl.model.state import Floats, Observation, Poses
 from tetractl.model.wheels import wheel_speeds
 from tetractl.model.world import Obstacles
-from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
+from tetractl.plant.protocol import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.plant import SimSpec
 
@@ -102,6 +102,10 @@ class SimPlant:
         self._advance(self.clock.now())
         fresh, self._fresh = self._fresh, []
         return fresh
+
+    def news(self) -> list[Command | Note]:
+        """Nothing is sent or noted but what `steer` returns."""
+        return []
 
     def stop(self) -> Command:
         """Stop every robot after the dead time; a stop is repeated, so it is never lost."""

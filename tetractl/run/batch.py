@@ -3,21 +3,27 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Protocol
 
-from tetractl.clock import VirtualClock
+from tetractl.clock import MonotonicClock, VirtualClock
 from tetractl.control.build import build_controller
 from tetractl.control.plan import Outcome
+from tetractl.errors import AbortError, TetractlError
 from tetractl.log.records import EPOCH_NS, Observer, Result, Start
 from tetractl.log.writer import LogWriter
 from tetractl.plant.build import build_plant
+from tetractl.plant.lab import Hands
 from tetractl.plant.protocol import PlantInfo
-from tetractl.run.interrupt import Interrupt
+from tetractl.run.interrupt import SIGNALS, Interrupt
+from tetractl.run.relay import Relay
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
 from tetractl.spec.load import LoadedSpec
@@ -41,11 +47,14 @@ class Report:
 
     results: dict[int, Result] = field(default_factory=dict)
     not_run: list[int] = field(default_factory=list)
+    asked_to_stop: bool = False
+    refused: TetractlError | None = None  # why a plant would not start a trial
 
     @property
     def interrupted(self) -> bool:
-        """Whether somebody stopped the batch."""
-        return any(r.outcome is Outcome.INTERRUPTED for r in self.results.values())
+        """Whether somebody stopped the batch, in a trial or between two."""
+        in_trial = any(r.outcome is Outcome.INTERRUPTED for r in self.results.values())
+        return in_trial or (self.asked_to_stop and bool(self.not_run))
 
     @property
     def aborted(self) -> dict[int, Result]:
@@ -56,6 +65,33 @@ class Report:
 def log_path(folder: Path, trial: int) -> Path:
     """Return where the log of a trial goes."""
     return folder / f"trial-{trial:03d}.mcap"
+
+
+def run_lab_trial(
+    spec: LoadedSpec,
+    folder: Path,
+    trial: int,
+    observers: Sequence[Observer],
+    interrupt: Interrupt,
+    hands: Hands,
+) -> Result:
+    """Run one trial in real time and write its log; no observer can hold it up."""
+    experiment = spec.experiment
+    key, seed = trial_seeds(experiment.trials.seed, trial)
+    clock, start_ns = MonotonicClock(), time.time_ns()
+    nothing_yet = PlantInfo("", False, 0.0, {})
+    start = Start(experiment, spec.text, spec.name, trial, nothing_yet, start_ns, spec.attached)
+    with ExitStack() as stack:
+        writer = stack.enter_context(LogWriter(log_path(folder, trial)))
+        relays = [stack.enter_context(Relay(observer)) for observer in (writer, *observers)]
+        return Trial(
+            start=start,
+            plant=build_plant(experiment, clock, seed, hands),
+            controller=build_controller(experiment, key),
+            clock=clock,
+            observers=relays,
+            interrupt=interrupt,
+        ).run()
 
 
 def run_trial(
@@ -78,6 +114,38 @@ def run_trial(
         ).run()
 
 
+def run_lab_batch(
+    spec: LoadedSpec,
+    folder: Path,
+    trials: Sequence[int],
+    interrupt: Interrupt,
+    watcher: Watcher,
+    observers: Sequence[Observer],
+    hands: Callable[[int], AbstractContextManager[Hands]],
+) -> Report:
+    """Run trials in the lab, one after another, in this process.
+
+    `hands` gives, for each trial, who and what has a hand in it. A lab that refuses to start a
+    trial ends the batch, as does an interruption or an aborted trial.
+    """
+    report = Report()
+    for trial in trials:
+        if interrupt.requested or report.aborted:
+            break
+        watcher.trial_started(trial, spec.experiment.trials.count)
+        try:
+            with hands(trial) as mine:
+                result = run_lab_trial(spec, folder, trial, observers, interrupt, mine)
+        except TetractlError as error:
+            report.refused = error
+            break
+        report.results[trial] = result
+        watcher.trial_finished(trial, result)
+    report.not_run = [trial for trial in trials if trial not in report.results]
+    report.asked_to_stop = interrupt.requested
+    return report
+
+
 def run_batch(
     spec: LoadedSpec,
     folder: Path,
@@ -92,7 +160,7 @@ def run_batch(
     `observers` watch every trial, which only works in this process: jobs must be 1 to have any.
     """
     report = Report()
-    if jobs == 1:
+    if min(jobs, len(trials)) <= 1:
         for trial in trials:
             if interrupt.requested or report.aborted:
                 break
@@ -103,6 +171,7 @@ def run_batch(
     else:
         _run_processes(spec, folder, trials, jobs, interrupt, watcher, report)
     report.not_run = [trial for trial in trials if trial not in report.results]
+    report.asked_to_stop = interrupt.requested
     return report
 
 
@@ -125,11 +194,18 @@ def _run_processes(
             while waiting and len(running) < count and not ending.is_set():
                 trial = waiting.pop()
                 watcher.trial_started(trial, spec.experiment.trials.count)
-                running[pool.submit(_work, spec, folder, trial)] = trial
+                with _signals_held_back():  # a worker starts inside submit
+                    running[pool.submit(_work, spec, folder, trial)] = trial
             done, _ = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
             for future in done:
                 trial = running.pop(future)
-                report.results[trial] = result = future.result()
+                try:
+                    report.results[trial] = result = future.result()
+                except BrokenProcessPool:
+                    raise AbortError(
+                        "the process of a trial was killed, perhaps for want of memory",
+                        f"with fewer --jobs, go on by --out {folder} --resume",
+                    ) from None
                 watcher.trial_finished(trial, result)
             if interrupt.requested or report.aborted:
                 ending.set()
@@ -138,6 +214,16 @@ def _run_processes(
                     if process.pid:
                         os.kill(process.pid, signal.SIGTERM)
                 interrupt.count = 1  # told once is enough; a third request tells again
+
+
+@contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """Let a process that is started inside begin with the signals blocked: see `_start_worker`."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class _SharedInterrupt(Interrupt):
@@ -167,6 +253,7 @@ def _start_worker(ending: Event) -> None:
     _worker_interrupt = interrupt = _SharedInterrupt(ending)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # one that came too early comes now
 
 
 def _work(spec: LoadedSpec, folder: Path, trial: int) -> Result:

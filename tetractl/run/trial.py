@@ -13,7 +13,7 @@ from tetractl.control.plan import Controller, Outcome, Plan
 from tetractl.errors import TetractlError
 from tetractl.log.records import Observer, Result, Start, Step
 from tetractl.model.state import Observation
-from tetractl.plant.protocol import Plant, PlantInfo
+from tetractl.plant.protocol import Command, Note, Plant, PlantInfo
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.square import directions
 from tetractl.spec.controller import Square
@@ -37,6 +37,7 @@ class Trial:
     _solve_ns: list[int] = field(default_factory=list)
     _solving_ns: int = 0
     _misses: int = 0
+    _opened_ns: int = 0
 
     def run(self) -> Result:
         """Run to the end. Whatever happens, the robots are stopped before anything else is done.
@@ -51,21 +52,21 @@ class Trial:
             self.plant.stop()
             self.plant.close()
             raise
+        self._opened_ns = self.clock.now()
         try:
             start = replace(self.start, plant=info)
             for observer in self.observers:
                 observer.on_start(start)
             outcome, reason = self._steps(info)
         except KeyboardInterrupt:
-            outcome, reason = Outcome.INTERRUPTED, "stopped at once by a second interruption"
+            at_once = "stopped at once by a second interruption"
+            reason = at_once if self.interrupt.count > 1 else "interrupted before the first step"
+            outcome = Outcome.INTERRUPTED
         except TetractlError as error:
             outcome, reason = Outcome.ABORTED, str(error)
         except Exception as error:
             outcome, reason, bug = Outcome.ABORTED, f"{type(error).__name__}: {error}", error
-        result = self._end(outcome, reason)
-        if bug is not None:
-            raise bug
-        return result
+        return self._end(outcome, reason, bug)
 
     def _steps(self, info: PlantInfo) -> tuple[Outcome, str]:
         """Run the control loop of Algorithm 2 until something ends it."""
@@ -112,7 +113,8 @@ class Trial:
         try:
             planning = pool.submit(self._timed_plan, observation)
             if info.simulated:  # virtual time must not depend on how fast this host plans
-                wait([planning])
+                with self.interrupt.breakable():
+                    wait([planning])
             laps = 0
             while laps < square.laps or not planning.done():
                 for direction in directions(observation.poses.heading):
@@ -133,37 +135,59 @@ class Trial:
             self.clock.sleep_until(when)
 
     def _tell_samples(self) -> None:
-        samples = self.plant.samples()
+        samples, news = self.plant.samples(), self.plant.news()
         for observer in self.observers:
             observer.on_samples(samples)
+            _tell_news(observer, news)
 
-    def _end(self, outcome: Outcome, reason: str) -> Result:
-        """Stop the robots, let them come to rest, and tell every observer, failed ones too."""
+    def _end(self, outcome: Outcome, reason: str, bug: Exception | None) -> Result:
+        """Stop the robots, let them come to rest, and tell every observer, failed ones too.
+
+        What an observer raises keeps nothing from the others; a bug is raised again at the end.
+        """
         stop = self.plant.stop()
         stopped = self.clock.now()
-        verdict = self.plant.settle()
-        samples = self.plant.samples()
-        self.plant.close()
+        try:
+            verdict = self.plant.settle()
+            samples, news = self.plant.samples(), self.plant.news()
+        finally:
+            self.plant.close()
+        if verdict.unrest and outcome is not Outcome.ABORTED:
+            outcome, reason = Outcome.ABORTED, verdict.unrest
         targets = np.array([robot.target for robot in self.start.experiment.robots])
         errors = np.hypot(*(verdict.final.xy - targets).T)
         result = Result(
             outcome=outcome,
             reason=reason,
             steps=len(self._solve_ns),
-            duration_s=stopped / SECOND,
+            duration_s=(stopped - self._opened_ns) / SECOND,
             total_error=float(errors.sum()),
             robot_errors=tuple(errors.tolist()),
             verdict=verdict,
             solve_ns=tuple(self._solve_ns),
             deadline_misses=self._misses,
         )
-        failure: TetractlError | None = None
+        failures: list[Exception] = []
         for observer in self.observers:
             try:
-                observer.on_samples(samples)
-                observer.on_stop(stop, result)
-            except TetractlError as error:
-                failure = failure or error
-        if failure is not None and outcome is not Outcome.ABORTED:
-            result = replace(result, outcome=Outcome.ABORTED, reason=str(failure))
+                try:
+                    observer.on_samples(samples)
+                    _tell_news(observer, news)
+                finally:
+                    observer.on_stop(stop, result)
+            except Exception as error:
+                failures.append(error)
+        bug = bug or next((f for f in failures if not isinstance(f, TetractlError)), None)
+        if bug is not None:
+            raise bug
+        if failures and outcome is not Outcome.ABORTED:
+            result = replace(result, outcome=Outcome.ABORTED, reason=str(failures[0]))
         return result
+
+
+def _tell_news(observer: Observer, news: Sequence[Command | Note]) -> None:
+    for item in news:
+        if isinstance(item, Command):
+            observer.on_command(item)
+        else:
+            observer.on_note(item)

@@ -65,9 +65,12 @@ def _robots_of_lab(loc: Loc, lab: LabSpec, experiment: Experiment) -> Iterator[t
         for field, value in mine.items():
             if (first := taken.setdefault((field, value), i)) != i:
                 yield (*loc, i, field), f"is that of {lab.robots[first].name}; must differ"
+        limit = robot.limit
+        if isinstance(lab.protocol, Slave):
+            limit = min(limit, lab.protocol.limit)
         for side in ("left", "right"):
-            if getattr(robot, side).dead_zone >= robot.limit:
-                yield (*loc, i, side, "dead_zone"), f"must be below its limit, {robot.limit}"
+            if getattr(robot, side).dead_zone >= limit:
+                yield (*loc, i, side, "dead_zone"), f"must be below its limit, {limit}"
 
 
 def _extent(arena: Arena) -> str:

@@ -8,6 +8,7 @@ from pydantic import Field, ValidationError
 
 from tetractl.errors import SpecError
 from tetractl.spec.base import Finite, Model, Name
+from tetractl.spec.consistency import lab_contradictions
 from tetractl.spec.core_yaml import dump
 from tetractl.spec.document import parse_document, read_text
 from tetractl.spec.experiment import Experiment
@@ -15,7 +16,7 @@ from tetractl.spec.explain import explain
 from tetractl.spec.lab import LabRobot, LabSpec, LabWheel
 from tetractl.spec.load import LoadedSpec, frozen
 from tetractl.spec.plant import SimSpec
-from tetractl.spec.problems import InvalidSpecError
+from tetractl.spec.problems import InvalidSpecError, dotted
 
 PlantKind = Literal["sim", "lab"]
 
@@ -65,11 +66,10 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     path = (loaded.path.parent if loaded.path else Path()) / lab.calibration
     text = read_text(path)
     calibrated = apply(lab, parse_calibration(text, str(path)), str(path))
-    return replace(
-        loaded,
-        experiment=loaded.experiment.model_copy(update={"plant": calibrated}),
-        attached=((path.name, text),),
-    )
+    experiment = loaded.experiment.model_copy(update={"plant": calibrated})
+    for loc, message in lab_contradictions(experiment):
+        raise SpecError(f"{path}: with this calibration, {dotted(loc)} {message}")
+    return replace(loaded, experiment=experiment, attached=((path.name, text),))
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSpec:

@@ -11,7 +11,7 @@ from rich.live import Live
 
 from tetractl.log.records import Result, Start, Step
 from tetractl.model.state import Floats
-from tetractl.plant.protocol import Command, Sample
+from tetractl.plant.protocol import Command, Note, Sample
 from tetractl.replay.frame import Frame, distances, starts, tracked
 from tetractl.view.dashboard import Dashboard, Footer
 from tetractl.view.progress import Tally, duration
@@ -63,6 +63,8 @@ class LiveView:
         """Clear the arena for a new trial."""
         spec = self._spec = start.experiment
         self._plant = start.plant.kind
+        simulated = start.plant.simulated
+        self._hints = ("Ctrl-C stops",) if simulated else ("SPACE or ESC: EMERGENCY STOP",)
         self._colors = robot_colors(spec.robots)
         self._poses = starts(spec)
         self._trail: list[Floats] = []
@@ -91,6 +93,9 @@ class LiveView:
 
     def on_command(self, command: Command) -> None:
         """Commands outside the control steps show in the trails alone."""
+
+    def on_note(self, note: Note) -> None:
+        """Notes stay in the log; the picture has no room for them."""
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Show how it ended."""
@@ -123,7 +128,7 @@ class LiveView:
             left=f"trial {self._index + 1} of {n}",
             fraction=done / n,
             right=self._left(done, n),
-            hints=("Ctrl-C stops",),
+            hints=self._hints,
         )
         heading = f"{spec.name}, {self._plant}"
         so_far = self._tally.summary(spec.units.length)

@@ -1,0 +1,277 @@
+"""The guard: decides, at every tick, which robots may move. No I/O, no clock of its own.
+
+    preflight --ready()--> ready --go()--> run <--> hold
+                             ^              |        |
+                             +---- rest() --+--------+      any --> abort, for good
+
+In `hold` some robot, or all, are stopped while the fault may still pass. Nothing leaves `abort`.
+Lengths are in the spec's length unit, times ns on the run's clock.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from tetractl.clock import SECOND
+from tetractl.lab.conduct import Conduct
+from tetractl.lab.snapshot import Pose, Snapshot
+
+FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
+
+
+class State(StrEnum):
+    """Where the guard stands."""
+
+    PREFLIGHT = "preflight"
+    READY = "ready"
+    RUN = "run"
+    HOLD = "hold"
+    ABORT = "abort"
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What the guard goes by; see the fields of the same name in the spec's limits."""
+
+    names: tuple[str, ...]
+    speeds: tuple[float, ...]  # v of each robot [length unit/s]
+    turning: tuple[float, ...]  # the fastest it may turn [rad/s]
+    left: float
+    bottom: float
+    right: float
+    top: float  # the arena, drawn in by its margin [length unit]
+    separation: float
+    jump: float
+    jump_heading: float = 0.7  # rad beyond what the turning rate explains
+    stale_ns: int = SECOND // 10
+    stream_lost_ns: int = SECOND // 2
+    untracked_stop_ns: int = SECOND // 20
+    untracked_abort_ns: int = 3 * SECOND // 10
+    reaction_ns: int = 15 * SECOND // 100
+    bad_datagrams: int = 20
+    late_steps: int = 5
+    silence_ns: int = 2 * SECOND  # the controller must say something that often
+    disobedience_ns: int = SECOND
+
+
+@dataclass(frozen=True, slots=True)
+class Ruling:
+    """What a tick decides: `moving` by robot; the poses that may be believed; what to warn of."""
+
+    state: State
+    moving: tuple[bool, ...]
+    poses: tuple[Pose | None, ...]
+    reason: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Track:
+    """What is believed of one robot."""
+
+    pose: Pose | None = None
+    seen_ns: int = 0
+    jumped: bool = False
+
+
+@dataclass(slots=True)
+class Guard:
+    """Watches N robots by the rules; feed it every snapshot, in order, and tick it often."""
+
+    rules: Rules
+    state: State = State.PREFLIGHT
+    reason: str = ""
+    emergency: bool = False
+    _tracks: list[_Track] = field(default_factory=list)
+    _conduct: Conduct | None = None
+    _last_frame_ns: int | None = None
+    _last_tick_ns: int | None = None
+    _steered_ns: int = 0
+    _bad: deque[tuple[int, int]] = field(default_factory=deque)
+    _late: int = 0
+    _jumps: int = 0
+
+    def __post_init__(self) -> None:
+        rules = self.rules
+        self._tracks = [_Track() for _ in rules.names]
+        self._conduct = Conduct(rules.names, rules.disobedience_ns)
+
+    @property
+    def jumps(self) -> int:
+        """Poses that were not believed."""
+        return self._jumps
+
+    def ready(self) -> None:
+        """The preflight is passed."""
+        if self.state is State.PREFLIGHT:
+            self.state = State.READY
+
+    def go(self, now_ns: int) -> None:
+        """Let the robots move; only from `ready`."""
+        if self.state is State.READY:
+            self.state = State.RUN
+            self._last_tick_ns = self._steered_ns = now_ns
+            for track in self._tracks:  # what they did before does not count
+                track.jumped = False
+
+    def rest(self) -> None:
+        """The run has ended well; the robots are stopped."""
+        if self.state in (State.RUN, State.HOLD):
+            self.state = State.READY
+
+    def abort(self, reason: str, emergency: bool = False) -> None:
+        """End everything; the first reason stays."""
+        self.emergency |= emergency
+        if self.state is not State.ABORT:
+            self.state, self.reason = State.ABORT, reason
+
+    def steered(self, now_ns: int) -> None:
+        """The controller is alive: it gave a direction."""
+        self._steered_ns = now_ns
+
+    def late(self, missed: bool) -> None:
+        """Tell whether a control step missed its deadline."""
+        self._late = self._late + 1 if missed else 0
+        if self._late >= self.rules.late_steps and self._active:
+            self.abort(f"{self._late} control steps in a row were late")
+
+    def told(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Tell what the robots were last sent: speeds [length unit/s], turning rates [rad/s]."""
+        assert self._conduct is not None
+        self._conduct.told(now_ns, speed, turning)
+
+    def believed(self, snapshot: Snapshot) -> tuple[tuple[Pose | None, bool], ...]:
+        """Return each robot's last believed pose and whether it is of this snapshot."""
+        return tuple(
+            (track.pose, track.pose is not None and track.seen_ns == snapshot.sampled_ns)
+            for track in self._tracks
+        )
+
+    def see(self, snapshot: Snapshot) -> None:
+        """Take one camera frame."""
+        if snapshot.fault:
+            self.abort(snapshot.fault)
+        self._last_frame_ns = max(self._last_frame_ns or 0, snapshot.sampled_ns)
+        for i, (track, pose) in enumerate(zip(self._tracks, snapshot.poses, strict=True)):
+            if pose is None:
+                continue
+            if self._jumped(i, track, pose, snapshot.sampled_ns):
+                track.jumped = True
+                self._jumps += 1
+                continue
+            if track.pose is not None and self._conduct is not None:
+                dt = snapshot.sampled_ns - track.seen_ns
+                self._conduct.moved(i, snapshot.sampled_ns, dt, track.pose, pose)
+            track.pose, track.seen_ns, track.jumped = pose, snapshot.sampled_ns, False
+
+    def tick(self, now_ns: int, bad_datagrams: int = 0, link_failure: str | None = None) -> Ruling:
+        """Decide. `bad_datagrams` only grows; `link_failure` says what is wrong with the radio."""
+        asleep_ns = 0 if self._last_tick_ns is None else now_ns - self._last_tick_ns
+        self._last_tick_ns = now_ns
+        if link_failure:
+            self.abort(link_failure)
+        self._count_bad(now_ns, bad_datagrams)
+        tracked = self._tracked(now_ns)
+        believed = tuple(
+            track.pose if ok else None for track, ok in zip(self._tracks, tracked, strict=True)
+        )
+        warnings: tuple[str, ...] = ()
+        if self._active:
+            if asleep_ns >= self.rules.stream_lost_ns:
+                self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
+            if now_ns - self._steered_ns >= self.rules.silence_ns:
+                silent_s = (now_ns - self._steered_ns) / SECOND
+                self.abort(f"the controller has been silent for {silent_s:.1f} s")
+            self._check_stream(now_ns)
+            self._check_tracking(now_ns)
+            self._check_places(believed)
+            if self._conduct is not None:
+                warnings = self._conduct.complaints(now_ns)
+        still = (False,) * len(self._tracks)
+        if not self._active:
+            return Ruling(self.state, still, believed, self.reason, warnings)
+        fresh = now_ns - (self._last_frame_ns or 0) <= self.rules.stale_ns
+        moving = tracked if fresh else still
+        self.state = State.RUN if all(moving) else State.HOLD
+        return Ruling(self.state, moving, believed, "", warnings)
+
+    @property
+    def _active(self) -> bool:
+        return self.state in (State.RUN, State.HOLD)
+
+    def _jumped(self, i: int, track: _Track, pose: Pose, sampled_ns: int) -> bool:
+        """Whether a robot cannot have come here from where it was last seen."""
+        if track.pose is None or not self._active:
+            return False
+        rules, dt = self.rules, max(0, sampled_ns - track.seen_ns) / SECOND
+        gone = math.hypot(pose.x - track.pose.x, pose.y - track.pose.y)
+        turned = abs(math.remainder(pose.heading - track.pose.heading, math.tau))
+        too_far = gone > FASTER * rules.speeds[i] * dt + rules.jump
+        return too_far or turned > FASTER * rules.turning[i] * dt + rules.jump_heading
+
+    def _tracked(self, now_ns: int) -> tuple[bool, ...]:
+        limit = max(self.rules.untracked_stop_ns, 0)
+        newest = self._last_frame_ns or 0
+        # a stream that stands still is judged as such, not as robots that are not tracked
+        return tuple(
+            track.pose is not None and newest - track.seen_ns <= limit for track in self._tracks
+        )
+
+    def _check_stream(self, now_ns: int) -> None:
+        silent_ns = now_ns - (self._last_frame_ns or 0)
+        if silent_ns >= self.rules.stream_lost_ns:
+            self.abort(f"no new camera frame for {silent_ns / SECOND:.2f} s")
+
+    def _check_tracking(self, now_ns: int) -> None:
+        newest = self._last_frame_ns or 0
+        for name, track in zip(self.rules.names, self._tracks, strict=True):
+            lost_ns = newest - track.seen_ns
+            if track.pose is None or lost_ns >= self.rules.untracked_abort_ns:
+                why = ": its pose jumped" if track.jumped else ""
+                self.abort(f"{name} is not tracked{why} ({lost_ns / SECOND:.2f} s)")
+
+    def _check_places(self, poses: Sequence[Pose | None]) -> None:
+        """Stop before a robot is out of the arena or touches another."""
+        rules, ahead_s = self.rules, self.rules.reaction_ns / SECOND
+        coming: list[tuple[str, Pose, Pose]] = []
+        for i, pose in enumerate(poses):
+            if pose is None:
+                continue
+            way = rules.speeds[i] * ahead_s
+            then = Pose(
+                pose.x + way * math.cos(pose.heading),
+                pose.y + way * math.sin(pose.heading),
+                pose.heading,
+            )
+            inside = rules.left <= then.x <= rules.right and rules.bottom <= then.y <= rules.top
+            if not inside and self._outward(pose, then):
+                self.abort(f"{rules.names[i]} is about to leave the arena")
+            coming.append((rules.names[i], pose, then))
+        for i, (name, now, then) in enumerate(coming):
+            for other, other_now, other_then in coming[:i]:
+                gap = math.hypot(then.x - other_then.x, then.y - other_then.y)
+                before = math.hypot(now.x - other_now.x, now.y - other_now.y)
+                if min(gap, before) < rules.separation and gap <= before:
+                    self.abort(f"{other} and {name} are too close: {before:.0f} apart")
+
+    def _outward(self, now: Pose, then: Pose) -> bool:
+        """Whether a robot gets further out: one at the edge may drive back in."""
+        return self._outside(then) > self._outside(now) or self._outside(now) == 0.0
+
+    def _outside(self, pose: Pose) -> float:
+        rules = self.rules
+        return math.hypot(
+            max(rules.left - pose.x, 0.0, pose.x - rules.right),
+            max(rules.bottom - pose.y, 0.0, pose.y - rules.top),
+        )
+
+    def _count_bad(self, now_ns: int, total: int) -> None:
+        """Abort on too many damaged datagrams within a second."""
+        self._bad.append((now_ns, total))
+        while self._bad and self._bad[0][0] < now_ns - SECOND:
+            self._bad.popleft()
+        within = total - self._bad[0][1]
+        if within > self.rules.bad_datagrams and self._active:
+            self.abort(f"{within} damaged datagrams within a second")

@@ -1,0 +1,81 @@
+"""The server's clock on the host's: offset, drift and round trip from echoes.
+
+An echo tells that the server's clock read `ticks` at some time between its sending and its
+return; halfway is the best guess, wrong by half the round trip at most. So the echoes of shortest
+round trip decide, and the drift is fitted to those.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+SECOND = 1_000_000_000  # ns
+KEPT = 120
+BEST = 0.25  # share of the echoes that decide
+DRIFT_SPAN = 5 * SECOND  # echoes must span this for a drift to be told from noise
+DRIFT_MAX = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """One echo: host time halfway [ns], what the server's clock read there [ns], round trip."""
+
+    host_ns: int
+    server_ns: int
+    round_trip_ns: int
+
+
+class ClockSync:
+    """Maps the ticks of a server's clock to the host's clock; without an echo it cannot."""
+
+    def __init__(self, clock_hz: int) -> None:
+        self.clock_hz = clock_hz
+        self.drift = 0.0  # the server gains this much on the host, per unit of time
+        self._echoes: deque[Echo] = deque(maxlen=KEPT)
+        self._at = Echo(0, 0, 0)
+
+    @property
+    def synced(self) -> bool:
+        """Whether `to_host` can tell anything."""
+        return bool(self._echoes)
+
+    @property
+    def offset_ns(self) -> int:
+        """Server minus host at the reference echo [ns]."""
+        return self._at.server_ns - self._at.host_ns
+
+    @property
+    def round_trip_ns(self) -> int:
+        """Round trip of the reference echo [ns]; half of it bounds the error."""
+        return self._at.round_trip_ns
+
+    def add(self, sent_ns: int, returned_ns: int, ticks: int) -> None:
+        """Take an echo: host times of sending and return [ns], and the server's ticks between."""
+        if not 0 <= returned_ns - sent_ns <= SECOND:
+            return
+        halfway = (sent_ns + returned_ns) // 2
+        self._echoes.append(Echo(halfway, self._ns(ticks), returned_ns - sent_ns))
+        best = sorted(self._echoes, key=lambda echo: echo.round_trip_ns)
+        best = best[: max(1, round(BEST * len(best)))]
+        self._at = max(best, key=lambda echo: echo.host_ns)
+        self.drift = _slope(best)
+
+    def to_host(self, ticks: int) -> int:
+        """Return the host time [ns] when the server's clock read `ticks`."""
+        since = self._ns(ticks) - self._at.server_ns
+        return self._at.host_ns + round(since / (1.0 + self.drift))
+
+    def _ns(self, ticks: int) -> int:
+        return ticks * SECOND // self.clock_hz
+
+
+def _slope(echoes: list[Echo]) -> float:
+    """Least squares slope of server minus host against host; 0 where it cannot be told."""
+    first = echoes[0]
+    t = [echo.host_ns - first.host_ns for echo in echoes]
+    if max(t) - min(t) < DRIFT_SPAN:
+        return 0.0
+    d = [(echo.server_ns - first.server_ns) - x for echo, x in zip(echoes, t, strict=True)]
+    mean_t, mean_d = sum(t) / len(t), sum(d) / len(d)
+    covariance = sum((x - mean_t) * (y - mean_d) for x, y in zip(t, d, strict=True))
+    slope = covariance / sum((x - mean_t) ** 2 for x in t)
+    return max(-DRIFT_MAX, min(DRIFT_MAX, slope))

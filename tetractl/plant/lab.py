@@ -1,0 +1,276 @@
+"""The lab as a plant: real robots behind cameras and a radio."""
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from tetractl.clock import SECOND, Clock
+from tetractl.errors import AbortError
+from tetractl.lab import preflight
+from tetractl.lab.drive import Sent
+from tetractl.lab.guard import Guard, State
+from tetractl.lab.preflight import Findings
+from tetractl.lab.session import Session
+from tetractl.lab.snapshot import Snapshot
+from tetractl.lab.tap import NO_TAP, Tap
+from tetractl.model.judge import PathJudge
+from tetractl.model.state import Observation, Poses
+from tetractl.model.world import Obstacles
+from tetractl.plant.protocol import Command, Note, PlantInfo, Sample, Verdict
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.lab import LabSpec
+
+KEPT = 100_000
+LOOK_NS = SECOND // 5  # how often placing is looked at
+REST_NS = SECOND // 4  # robots must stand still for this long
+
+
+class Attendant(Protocol):
+    """Somebody who puts robots on their starts."""
+
+    def place(self, lines: list[str]) -> None:
+        """Told again and again which robots are off, a line each; none: all are placed."""
+        ...
+
+    def go(self) -> bool:
+        """Whether all placed robots may start."""
+        ...
+
+
+@dataclass(slots=True)
+class Hands:
+    """What people and files have to do with a lab run.
+
+    `operator` set is the emergency stop. `attendant` None: nobody is asked, and robots that are not
+    on their starts within the spec's `placing` time end the run. `cancelled` tells that a person
+    wants to wait no longer.
+    """
+
+    operator: threading.Event = field(default_factory=threading.Event)
+    attendant: Attendant | None = None
+    tap: Tap = NO_TAP
+    cancelled: Callable[[], bool] = lambda: False
+
+
+class LabPlant:
+    """A `Plant` of real robots; after a fault every call raises AbortError with the reason."""
+
+    def __init__(self, experiment: Experiment, clock: Clock, hands: Hands) -> None:
+        assert isinstance(experiment.plant, LabSpec), "build_plant chooses by the spec's plant"
+        self.experiment, self.spec, self.clock = experiment, experiment.plant, clock
+        self._hands = hands
+        self.session = Session(
+            experiment, experiment.plant, clock, hands.operator, hands.tap, self._see
+        )
+        count = len(experiment.robots)
+        self._heading = np.array([robot.heading for robot in experiment.robots])
+        self._judge = PathJudge(Obstacles.of(experiment.obstacles), count)
+        self._judging = False
+        self._newest: Observation | None = None
+        self._fresh: deque[Sample] = deque(maxlen=KEPT)
+        self._news: deque[Command | Note] = deque(maxlen=KEPT)
+        self._handed: Sent | None = None  # told by `steer` already
+        self._observed_ns: int | None = None
+        self._stop: Command | None = None
+
+    def open(self) -> PlantInfo:
+        """Connect, look everything over, and wait until the robots stand on their starts."""
+        session = self.session
+        session.open()
+        findings = preflight.inspect(session, preflight.poll(session))
+        if findings.all_problems:
+            raise AbortError("; ".join(findings.all_problems), "try `tetractl lab check SPEC`")
+        self._wait_for_placing()
+        now = self.clock.now()
+        for warning in findings.all_warnings:
+            self._news.append(Note(now, "warning", warning))
+        session.guard.ready()
+        self._fresh.clear()
+        self._judging = True
+        if self._newest is None:
+            raise AbortError("no camera frame came")
+        rate = findings.camera_rate_hz or 0.0
+        return PlantInfo("lab", False, round(rate, 3), self._facts(findings))
+
+    def observe(self) -> Observation:
+        """Return the newest camera frame; a robot not tracked now keeps its last pose."""
+        self._raise_abort()
+        self._observed_ns = self.clock.now()
+        assert self._newest is not None, "open() waits for the first frame"
+        return self._newest
+
+    def steer(self, direction: float) -> Command:
+        """Hold u from now on and return the first transmission that carries it."""
+        if self._observed_ns is not None:
+            period_ns = round(self.experiment.controller.period * SECOND)
+            first = self.session.guard.state is State.READY
+            late = not first and self.clock.now() - self._observed_ns > period_ns
+            self.session.guard.late(late)
+            self._observed_ns = None
+        self._raise_abort()
+        self._handed = self.session.drive.steer(direction)
+        return self._command(self._handed)
+
+    def samples(self) -> list[Sample]:
+        """Return, once, every camera frame since the last call, oldest first."""
+        fresh: list[Sample] = []
+        while self._fresh:
+            fresh.append(self._fresh.popleft())
+        return fresh
+
+    def news(self) -> list[Command | Note]:
+        """Return, once, every other transmission and every warning."""
+        drive = self.session.drive
+        self._news.extend(self._command(s) for s in drive.sent() if s is not self._handed)
+        self._news.extend(Note(t_ns, "warning", text) for t_ns, text in drive.warnings())
+        news, self._news = list(self._news), deque(maxlen=KEPT)
+        return news
+
+    def stop(self) -> Command:
+        """Stop every robot, ten times over 200 ms."""
+        if self._stop is None:
+            self.session.drive.stop()
+            count = len(self.experiment.robots)
+            still = np.zeros(count)
+            reached = (self.session.link.failure is None,) * count
+            self._stop = Command(None, self.clock.now(), reached, still, still)
+        return self._stop
+
+    def settle(self) -> Verdict:
+        """Look by the cameras that the robots stand still, and judge their path."""
+        unrest = self._unrest()
+        if unrest:
+            self._news.append(Note(self.clock.now(), "error", unrest))
+        self._judging = False
+        final = self._newest.poses if self._newest is not None else self._starts()
+        entered = tuple(bool(e) for e in self._judge.entered)
+        return Verdict(final, entered, tuple(self._judge.clearance.tolist()), unrest)
+
+    def close(self) -> None:
+        """Let go of cameras and radio."""
+        self.session.close()
+
+    def _raise_abort(self) -> None:
+        if self.session.guard.state is State.ABORT:
+            raise AbortError(self.session.guard.reason)
+
+    def _see(self, snapshot: Snapshot, guard: Guard) -> None:
+        """Take one frame, in the drive's thread, after the guard judged it."""
+        believed = guard.believed(snapshot)
+        robots = self.experiment.robots
+        x, y, valid = [], [], []
+        heading = self._heading.copy()
+        for i, (pose, here) in enumerate(believed):
+            x.append(robots[i].start[0] if pose is None else pose.x)
+            y.append(robots[i].start[1] if pose is None else pose.y)
+            valid.append(here)
+            if pose is not None:
+                heading[i] += math.remainder(pose.heading - heading[i], math.tau)
+        self._heading = heading
+        poses = Poses(np.array(x, dtype=np.float64), np.array(y, dtype=np.float64), heading)
+        self._newest = Observation(
+            snapshot.number, snapshot.sampled_ns, snapshot.received_ns, poses, np.array(valid)
+        )
+        if self._judging:
+            self._judge.add(poses.x[None], poses.y[None])
+        self._fresh.append(Sample(self._newest, None))
+
+    def _command(self, sent: Sent) -> Command:
+        mm = self.session.mm
+        left, right = sent.left / mm, sent.right / mm
+        delivered = (True,) * len(sent.counts)  # nobody acknowledges a broadcast
+        if sent.direction is not None:
+            delivered = sent.moving
+        return Command(sent.direction, sent.t_ns, delivered, left, right)
+
+    def _wait_for_placing(self) -> None:
+        """Wait until every robot stands still on its start and, where one is there, a person
+        agrees; AbortError says who is how far off."""
+        attendant, limit = self._hands.attendant, self.spec.limits.placing
+        began = self.clock.now()
+        while True:
+            client = self.session.client
+            lines = preflight.unplaced(self.session, client.newest) or self._moving()
+            if attendant is not None:
+                attendant.place(lines)
+            if not lines and (attendant is None or attendant.go()):
+                return
+            if self._hands.operator.is_set():
+                raise AbortError("emergency stop by the operator")
+            if self._hands.cancelled():
+                raise KeyboardInterrupt
+            self._check_stream()
+            waited_s = (self.clock.now() - began) / SECOND
+            if attendant is None and waited_s >= limit:
+                raise AbortError(
+                    "; ".join(lines),
+                    "put the robots on their starts; plant.limits.placing waits for that",
+                )
+            self.clock.sleep_until(self.clock.now() + LOOK_NS)
+
+    def _check_stream(self) -> None:
+        newest, limits = self.session.client.newest, self.spec.limits
+        silent = self.clock.now() - (newest.received_ns if newest else 0)
+        if silent > max(limits.stream_lost, 0.5) * SECOND:
+            raise AbortError(f"no new camera frame for {silent / SECOND:.2f} s")
+
+    def _moving(self) -> list[str]:
+        """Return who moved within the last frames, a line each."""
+        recent = [sample.observation for sample in tuple(self._fresh)]
+        if not recent:
+            return []
+        newest = recent[-1]
+        window = [o for o in recent if newest.sampled_ns - o.sampled_ns <= REST_NS]
+        span = (newest.sampled_ns - window[0].sampled_ns) / SECOND
+        names = [robot.name for robot in self.experiment.robots]
+        if span < 0.6 * REST_NS / SECOND:
+            return [f"{name} has not been watched long enough" for name in names]
+        gone = np.hypot(*(newest.poses.xy - window[0].poses.xy).T) * self.session.mm
+        limit = self.spec.limits.standstill_mm
+        speeds = gone / span
+        return [f"{name} still moves" for name, v in zip(names, speeds, strict=True) if v > limit]
+
+    def _unrest(self) -> str:
+        """Wait until the robots stand still; return who does not, "" where all do."""
+        limit = round(self.spec.limits.standstill * SECOND)
+        began = self.clock.now()
+        if self._newest is None or self.session.client.newest is None:
+            return ""
+        while True:
+            self.clock.sleep_until(self.clock.now() + SECOND // 20)
+            now = self.clock.now()
+            seen_ns = self._newest.received_ns
+            blind = now - seen_ns > round(self.spec.limits.stream_lost * SECOND)
+            moving = [] if blind else self._moving()
+            watched = seen_ns - began >= REST_NS
+            if watched and not moving and not blind:
+                return ""
+            if now - began >= limit:
+                if blind:
+                    return "the cameras could not show that the robots stand still"
+                return "; ".join(moving) + f" {limit / SECOND:g} s after the stop"
+
+    def _starts(self) -> Poses:
+        robots = self.experiment.robots
+        return Poses.of(np.array([(*robot.start, robot.heading) for robot in robots]))
+
+    def _facts(self, findings: Findings) -> dict[str, str]:
+        stream = self.session.client.stream
+        latency = findings.latency_ms
+        batteries = [
+            f"{robot.name} {robot.battery_v:.2f} V" for robot in findings.robots if robot.battery_v
+        ]
+        return {
+            "natnet": str(stream.version),
+            "server": stream.info.name if stream.info else "",
+            "latency_ms": "unknown" if latency is None else f"{latency[0]:.2f}",
+            "clock_round_trip_ms": (
+                "unknown" if findings.round_trip_ms is None else f"{findings.round_trip_ms:.3f}"
+            ),
+            "batteries": ", ".join(batteries),
+        }

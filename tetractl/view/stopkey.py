@@ -1,0 +1,70 @@
+"""The operator's emergency stop: space or Esc in the terminal of a lab run."""
+
+import os
+import select
+import signal
+import sys
+import termios
+import threading
+import tty
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+STOP_KEYS = b" \x1b"
+SAYS = "SPACE or ESC: EMERGENCY STOP"
+POLL_S = 0.2
+
+
+class StopKey:
+    """Calls `stop` on space, Esc, or when the terminal goes away; a context manager.
+
+    Enter calls `enter`. Other keys do nothing, and Ctrl-Z does not put the program to sleep while
+    robots move. Works only where stdin is a terminal; `listening` tells.
+    """
+
+    def __init__(self, stop: Callable[[], None], enter: Callable[[], None]) -> None:
+        self.listening = sys.stdin is not None and sys.stdin.isatty()
+        self._stop, self._enter = stop, enter
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="stop key", daemon=True)
+
+    def __enter__(self) -> Self:
+        if self.listening:
+            self._fd = sys.stdin.fileno()
+            self._before = termios.tcgetattr(self._fd)
+            self._handler = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
+            tty.setcbreak(self._fd, termios.TCSADRAIN)
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self.listening:
+            self._closing.set()
+            self._thread.join(1.0)
+            signal.signal(signal.SIGTSTP, self._handler)
+            try:
+                termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
+            except termios.error:
+                return  # the terminal has gone
+
+    def _listen(self) -> None:
+        while not self._closing.is_set():
+            try:
+                ready, _, _ = select.select([self._fd], [], [], POLL_S)
+                if not ready:
+                    continue
+                keys = os.read(self._fd, 64)
+            except OSError:
+                keys = b""
+            if not keys or any(key in STOP_KEYS for key in keys):
+                self._stop()
+            if not keys:
+                return
+            if b"\n" in keys or b"\r" in keys:
+                self._enter()

@@ -4,4 +4,19 @@ Particles are contiguous in memory: an array of signals has shape (L, P), and on
 one robot of one particle, lane = robot * P + particle. A kernel is a loop over lanes that the
 compiler turns into vector instructions, so what it calls is written as polynomials, not as
 calls to the C library. Nothing is allocated inside a search, and the interpreter's lock is free.
+
+Numba keeps compiled code by the time stamp of one source file. A kernel also depends on the other
+files here, so each state of them gets a cache of its own; without that, an edit or an upgrade would
+go on running old code.
 """
+
+import os
+from pathlib import Path
+
+from numba import config
+
+from tetractl.cache import cache_folder, digest
+
+if "NUMBA_CACHE_DIR" not in os.environ:
+    folder = cache_folder() / f"kernels-{digest(Path(__file__).parent.glob('*.py'))}"
+    config.CACHE_DIR = str(folder)  # pyright: ignore[reportAttributeAccessIssue]

@@ -10,18 +10,26 @@ import numpy as np
 from numba import njit
 
 from tetractl.control.kernels.numeric import (
-    KERNEL,
     LARGEST_TURN,
+    PART,
     arctan,
     log_from_ratio,
     mantissa,
     sincos,
+    sincos_quarter,
     wrap,
 )
 from tetractl.model.state import Floats
 
-EULER, ARC, EXACT = range(3)
+EULER, ARC, EXACT, GENTLE = range(4)
 MODELS = {"euler": EULER, "arc": ARC, "exact": EXACT}
+
+
+def model_code(model: str, a: Floats, t: float) -> int:
+    """Return the kernel for a model: GENTLE is `euler` where no step turns by over a quarter."""
+    if model == "euler" and float(a.max()) * t <= math.pi / 2:
+        return GENTLE
+    return MODELS[model]
 
 
 def constants(model: str, a: Floats, v: Floats, t: float) -> tuple[Floats, int]:
@@ -36,7 +44,7 @@ def constants(model: str, a: Floats, v: Floats, t: float) -> tuple[Floats, int]:
     return np.stack([v * t, a * t, np.zeros_like(a)]), 1
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def euler(x, y, cos, sin, cos_u, sin_u, step, turn):
     """(4)-(6); step = T v and turn = T a, per lane."""
     for n in range(x.size):
@@ -48,7 +56,19 @@ def euler(x, y, cos, sin, cos_u, sin_u, step, turn):
         sin[n] = s * cw + c * sw
 
 
-@njit(**KERNEL)
+@njit(**PART)
+def gentle(x, y, cos, sin, cos_u, sin_u, step, turn):
+    """(4)-(6) with turn <= pi/2."""
+    for n in range(x.size):
+        c, s = cos[n], sin[n]
+        sw, cw = sincos_quarter(turn[n] * (sin_u[n] * c - cos_u[n] * s))
+        x[n] += step[n] * c
+        y[n] += step[n] * s
+        cos[n] = c * cw - s * sw
+        sin[n] = s * cw + c * sw
+
+
+@njit(**PART)
 def arc(x, y, cos, sin, cos_u, sin_u, step, turn):
     """Wheel speeds (24)-(25) held; step = T v and turn = T a, per lane."""
     for n in range(x.size):
@@ -64,7 +84,7 @@ def arc(x, y, cos, sin, cos_u, sin_u, step, turn):
         sin[n] = s * cw + c * sw
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def exact(x, y, cos, sin, cos_u, sin_u, step, radius, decay):
     """Closed form of (1)-(3); step = t v, radius = v/a and decay = E = exp(-a t), per lane.
 
@@ -94,10 +114,12 @@ def exact(x, y, cos, sin, cos_u, sin_u, step, radius, decay):
         sin[n] = su * c - cu * s
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def advance(model, pieces, x, y, cos, sin, cos_u, sin_u, f0, f1, f2):
     """Advance every lane by one signal."""
-    if model == EULER:
+    if model == GENTLE:
+        gentle(x, y, cos, sin, cos_u, sin_u, f0, f1)
+    elif model == EULER:
         euler(x, y, cos, sin, cos_u, sin_u, f0, f1)
     elif model == ARC:
         arc(x, y, cos, sin, cos_u, sin_u, f0, f1)

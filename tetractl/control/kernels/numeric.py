@@ -15,6 +15,7 @@ from tetractl.model.state import Floats
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 KERNEL = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "cache": True}
+PART = {**KERNEL, "forceinline": True}  # a loop in a kernel: a call would cost as much as the loop
 
 LOG_2 = math.log(2.0)
 LARGEST_TURN = 1.25
@@ -60,6 +61,15 @@ def sincos(x):
     q = t * t
     s, c = t * horner(SINE, q), horner(COSINE, q)
     s, c = 2 * s * c, 1 - 2 * s * s
+    return 2 * s * c, 1 - 2 * s * s
+
+
+@njit(**INLINE)
+def sincos_quarter(x):
+    """(sin x, cos x) for |x| <= pi/2, by one halving."""
+    t = 0.5 * x
+    q = t * t
+    s, c = t * horner(SINE, q), horner(COSINE, q)
     return 2 * s * c, 1 - 2 * s * s
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 
 from tetractl.control.cost import Problem
-from tetractl.control.kernels.motion import MODELS, advance, constants
-from tetractl.control.kernels.numeric import KERNEL, sincos
+from tetractl.control.kernels.motion import advance, constants, model_code
+from tetractl.control.kernels.numeric import KERNEL, PART, sincos
 from tetractl.control.kernels.world import count_hits
 from tetractl.model.state import Floats
 
@@ -50,7 +50,7 @@ def lay_out(problem: Problem, particles: int) -> Course:
         rest=lanes(rest),
         first_pieces=first_pieces,
         rest_pieces=rest_pieces,
-        model=MODELS[problem.model],
+        model=model_code(problem.model, a, problem.period),
         boxes=problem.obstacles.rectangles,
         discs=problem.obstacles.circles,
         weight=float(problem.obstacle_weight),
@@ -60,7 +60,7 @@ def lay_out(problem: Problem, particles: int) -> Course:
     )
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def face(signals, j, cos_u, sin_u):
     """Point every robot's lanes (N, P) at the j-th signal of their particle."""
     for n in range(signals.shape[1]):
@@ -109,7 +109,7 @@ def costs(course, signals, total):
     return finite
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _sum_up(x, y, count, target, weight, total):
     """Add up (7) and (8) over the robots of each particle."""
     particles = total.size

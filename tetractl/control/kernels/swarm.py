@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from tetractl.control.kernels.numeric import KERNEL
+from tetractl.control.kernels.numeric import KERNEL, PART
 from tetractl.control.kernels.rollout import costs
 from tetractl.model.state import Floats
 
@@ -51,7 +51,7 @@ class Rules(NamedTuple):
     target: float
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
     """(14)-(17) of signal j of every particle, with draws first, first + 1, ...
 
@@ -74,7 +74,7 @@ def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
         u[j, n] = max(-math.pi, min(at + velocity, math.pi))
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def lead(swarm, z):
     """(18)-(19): note who improved, and let the best become u_gb."""
     leader, least = -1, swarm.history[z - 1]
@@ -92,7 +92,7 @@ def lead(swarm, z):
             swarm.u_gb[j] = swarm.u[j, leader] if fresh else swarm.best[j, leader]
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def stop_reason(history, z, rules):
     """Why to stop after iteration z > 10, or PAUSED: the twin of `tetractl.control.stop`."""
     if rules.stop == TARGET_STOP and history[z] <= rules.target:

@@ -6,10 +6,10 @@ Comparing a difference with 0 is the same as comparing its terms, and faster in 
 
 from numba import njit
 
-from tetractl.control.kernels.numeric import KERNEL
+from tetractl.control.kernels.numeric import PART
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def in_rectangle(x, y, left, bottom, right, top, gap):
     """Whether (x[n], y[n]) is in the rectangle."""
     for n in range(x.size):
@@ -17,7 +17,7 @@ def in_rectangle(x, y, left, bottom, right, top, gap):
         gap[n] = min(gap[n], max(gap_x, gap_y))
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def in_circle(x, y, cx, cy, radius, gap):
     """Whether (x[n], y[n]) is in the disc."""
     r2 = radius * radius
@@ -26,7 +26,7 @@ def in_circle(x, y, cx, cy, radius, gap):
         gap[n] = min(gap[n], dx * dx + dy * dy - r2)
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def through_rectangle(x0, y0, x1, y1, left, bottom, right, top, gap):
     """Whether the segment from (x0[n], y0[n]) to (x1[n], y1[n]) meets it (separating axes)."""
     cx, cy, hx, hy = (left + right) / 2, (bottom + top) / 2, (right - left) / 2, (top - bottom) / 2
@@ -38,7 +38,7 @@ def through_rectangle(x0, y0, x1, y1, left, bottom, right, top, gap):
         gap[n] = min(gap[n], max(beside, across))
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def through_circle(x0, y0, x1, y1, cx, cy, radius, gap):
     """Whether the segment from (x0[n], y0[n]) to (x1[n], y1[n]) meets the disc."""
     r2 = radius * radius
@@ -51,7 +51,7 @@ def through_circle(x0, y0, x1, y1, cx, cy, radius, gap):
         gap[n] = min(gap[n], gx * gx + gy * gy - r2)
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def count_hits(x0, y0, x, y, boxes, discs, swept, gap, count):
     """Add 1 to count[n] where a lane is in (or, if swept, came through) any obstacle.
 

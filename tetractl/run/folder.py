@@ -5,6 +5,7 @@ from datetime import datetime
 from pathlib import Path
 
 from tetractl.errors import LogError, UsageError
+from tetractl.log.find import PART, SUFFIX
 from tetractl.log.reader import read_result
 from tetractl.run.batch import log_path
 from tetractl.spec.experiment import Experiment
@@ -25,8 +26,7 @@ def trials_to_run(experiment: Experiment, folder: Path, resume: bool) -> list[in
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: not a folder", "name another with --out")
     count = experiment.trials.count
-    found = [trial for trial in range(count) if _exists(log_path(folder, trial))]
-    if found and not resume:
+    if not resume and folder.exists() and any(map(_is_log, folder.iterdir())):
         raise UsageError(
             f"{folder}: holds logs already", "name another folder with --out, or add --resume"
         )
@@ -50,8 +50,8 @@ def set_aside(folder: Path, trial: int) -> None:
             left.rename(next(name for name in names if not name.exists()))
 
 
-def _exists(path: Path) -> bool:
-    return path.exists() or path.with_name(path.name + ".part").exists()
+def _is_log(path: Path) -> bool:
+    return path.name.endswith((SUFFIX, PART))
 
 
 def _is_complete(experiment: Experiment, folder: Path, trial: int) -> bool:

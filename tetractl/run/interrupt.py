@@ -39,10 +39,10 @@ class Interrupt:
     @contextmanager
     def breakable(self) -> Iterator[None]:
         """Mark code, planning or sleeping, that a second request may break off at once."""
-        if self.count > 1:
-            raise KeyboardInterrupt
         self._breakable = True
         try:
+            if self.count > 1:
+                raise KeyboardInterrupt
             yield
         finally:
             self._breakable = False

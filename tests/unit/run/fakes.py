@@ -1,0 +1,161 @@
+"""A plant, a controller and an observer that write down what happens, in one list."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from support.trials import experiment
+
+from tetractl.clock import SECOND, VirtualClock
+from tetractl.control.plan import Outcome, Plan, Search
+from tetractl.log.records import EPOCH_NS, Start
+from tetractl.model.state import Observation, Poses
+from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.trial import Trial
+
+STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
+FINAL = np.array([[1700.0, 510, 0], [1703, 1504, 0], [1700, 2000, 0]])  # misses by 10, 5, 0 mm
+
+
+@dataclass
+class Happenings:
+    """What was called, in order; `faults` maps a name to what is raised at its n-th call."""
+
+    names: list[str] = field(default_factory=list)
+    faults: dict[tuple[str, int], BaseException] = field(default_factory=dict)
+    actions: dict[tuple[str, int], Any] = field(default_factory=dict)
+
+    def note(self, name: str) -> None:
+        self.names.append(name)
+        nth = self.names.count(name)
+        if action := self.actions.get((name, nth)):
+            action()
+        if fault := self.faults.get((name, nth)):
+            raise fault
+
+
+class FakePlant:
+    """A camera frame every 100 ms; the robots jump to FINAL when stopped."""
+
+    def __init__(self, happenings, clock, simulated=True, verdict=None):
+        self.happenings, self.clock, self.simulated = happenings, clock, simulated
+        self.verdict = verdict or Verdict(Poses.of(FINAL), (False,) * 3, (40.0, 12.0, 300.0))
+        self.frames = 0
+        self.steered: list[tuple[int, float]] = []
+
+    def open(self):
+        self.happenings.note("open")
+        return PlantInfo("fake", self.simulated, 10.0, {"bench": "left"})
+
+    def observe(self):
+        self.happenings.note("observe")
+        return self._frame(self.clock.now() * 10 // SECOND)
+
+    def steer(self, direction):
+        self.happenings.note("steer")
+        self.steered.append((self.clock.now(), direction))
+        return Command(direction, self.clock.now(), (True,) * 3)
+
+    def samples(self):
+        first, self.frames = self.frames, self.clock.now() * 10 // SECOND + 1
+        return [Sample(self._frame(n), None) for n in range(first, self.frames)]
+
+    def news(self):
+        return []
+
+    def stop(self):
+        self.happenings.note("stop")
+        return Command(None, self.clock.now(), (True,) * 3)
+
+    def settle(self):
+        self.happenings.note("settle")
+        self.clock.sleep_until(self.clock.now() + SECOND)
+        return self.verdict
+
+    def close(self):
+        self.happenings.note("close")
+
+    def _frame(self, number):
+        when = number * SECOND // 10
+        return Observation(number, when, when, Poses.of(STARTS), np.ones(3, np.bool_))
+
+
+class FakeController:
+    """Plans as many steps as it is given, then says how the trial ended."""
+
+    def __init__(self, happenings, steps=3, outcome=Outcome.SEQUENCE_USED_UP):
+        self.happenings, self.left, self.outcome = happenings, steps, outcome
+        self.seen: list[Observation] = []
+
+    def plan(self, observation):
+        self.happenings.note("plan")
+        self.seen.append(observation)
+        if self.left == 0:
+            return self.outcome
+        self.left -= 1
+        signals = np.array([self.left / 10, 0.5])
+        search = Search(2, signals, 1.0, np.array([1.0]), 5, "iterations")
+        return Plan(signals, np.zeros((3, 3, 3)), 1.0, 1.0, 0.0, (search,), 0, 7)
+
+
+class FakeObserver:
+    """Keeps what it is told."""
+
+    def __init__(self, happenings, name="log"):
+        self.happenings, self.name = happenings, name
+        self.start: Start | None = None
+        self.steps, self.samples, self.commands, self.stops = [], [], [], []
+
+    def on_start(self, start):
+        self.start = start
+        self.happenings.note(f"{self.name}.start")
+
+    def on_samples(self, samples):
+        self.samples += samples
+        self.happenings.note(f"{self.name}.samples")
+
+    def on_step(self, step):
+        self.steps.append(step)
+        self.happenings.note(f"{self.name}.step")
+
+    def on_command(self, command):
+        self.commands.append(command)
+        self.happenings.note(f"{self.name}.command")
+
+    def on_note(self, note):
+        raise AssertionError("a fake plant has no news")
+
+    def on_stop(self, stop, result):
+        self.stops.append((stop, result))
+        self.happenings.note(f"{self.name}.stop")
+
+
+@dataclass
+class Bench:
+    """A trial of fakes, ready to run."""
+
+    trial: Trial
+    happenings: Happenings
+    plant: FakePlant
+    controller: FakeController
+    observers: list[FakeObserver]
+    interrupt: Interrupt
+
+    def run(self):
+        return self.trial.run()
+
+
+def bench(
+    steps=3, outcome=Outcome.SEQUENCE_USED_UP, simulated=True, observers=("log",), **fields
+) -> Bench:
+    """Make a trial; `fields` are the controller's part of the spec."""
+    spec = experiment(controller=fields)
+    happenings, clock, interrupt = Happenings(), VirtualClock(), Interrupt()
+    plant = FakePlant(happenings, clock, simulated)
+    controller = FakeController(happenings, steps, outcome)
+    watchers = [FakeObserver(happenings, name) for name in observers]
+    nothing_yet = PlantInfo("", simulated, 0.0, {})
+    start = Start(spec, "", "spec.yaml", 4, nothing_yet, EPOCH_NS)
+    trial = Trial(start, plant, controller, clock, watchers, interrupt)
+    return Bench(trial, happenings, plant, controller, watchers, interrupt)

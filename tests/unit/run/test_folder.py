@@ -1,0 +1,99 @@
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from unit.log import made
+
+from tetractl.control.plan import Outcome
+from tetractl.errors import LogError, UsageError
+from tetractl.run.batch import log_path
+from tetractl.run.folder import default_folder, make_folder, set_aside, trials_to_run
+
+
+def log(folder, index, outcome=Outcome.ARRIVED, **fields):
+    trial = made.trial(index + 1, index=index, steps=2, frames=2, **fields)
+    result = replace(trial.result, outcome=outcome)
+    return made.write(replace(trial, result=result), log_path(folder, index))
+
+
+def spec(count=4, seed=None, **fields):
+    found = made.trial(1, steps=2, frames=2, **fields).start.experiment
+    trials = found.trials.model_copy(update={"count": count} | ({"seed": seed} if seed else {}))
+    return found.model_copy(update={"trials": trials})
+
+
+def test_a_new_folder_lacks_every_trial(tmp_path):
+    for resume in (False, True):
+        assert trials_to_run(spec(), tmp_path / "new", resume) == [0, 1, 2, 3]
+        assert trials_to_run(spec(), tmp_path, resume) == [0, 1, 2, 3]
+    (tmp_path / "notes.txt").write_text("not a log")
+    assert trials_to_run(spec(), tmp_path, False) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("name", ["trial-001.mcap", "trial-001.mcap.part", "other.mcap"])
+def test_a_folder_with_logs_is_refused(tmp_path, name):
+    (tmp_path / name).write_bytes(b"")
+    with pytest.raises(UsageError, match="holds logs already") as caught:
+        trials_to_run(spec(), tmp_path, False)
+    assert caught.value.hint
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    for resume in (False, True):
+        with pytest.raises(UsageError, match="file: not a folder"):
+            trials_to_run(spec(), tmp_path / "file", resume)
+
+
+def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path):
+    log(tmp_path, 0, Outcome.SEQUENCE_USED_UP)
+    log(tmp_path, 1, Outcome.INTERRUPTED)
+    log(tmp_path, 2, Outcome.STEPS_MAX)
+    log(tmp_path, 3, Outcome.ABORTED)
+    part = log(tmp_path, 4)
+    part.rename(part.with_name(part.name + ".part"))
+    cut = log(tmp_path, 5)
+    cut.write_bytes(cut.read_bytes()[:-300])
+    assert trials_to_run(spec(8), tmp_path, True) == [1, 3, 4, 5, 6, 7]
+    assert trials_to_run(spec(3), tmp_path, True) == [1]
+
+
+def test_resuming_with_another_seed_or_spec_is_refused(tmp_path):
+    log(tmp_path, 0)
+    for other in (spec(seed=99), spec(description="x", name="other")):
+        with pytest.raises(UsageError, match=r"trial-000\.mcap: was run with another spec or seed"):
+            trials_to_run(other, tmp_path, True)
+    assert trials_to_run(spec(1), tmp_path, True) == []
+
+
+def test_what_is_unfinished_is_set_aside_under_a_name_of_its_own(tmp_path):
+    path = log_path(tmp_path, 3)
+    for content in (b"one", b"two", b"three"):
+        path.with_name(path.name + ".part").write_bytes(content)
+        set_aside(tmp_path, 3)
+    path.write_bytes(b"whole")
+    set_aside(tmp_path, 3)
+    set_aside(tmp_path, 3)  # nothing left
+    kept = {left.name: left.read_bytes() for left in tmp_path.iterdir()}
+    assert kept == {
+        "trial-003.mcap.part.unfinished-1": b"one",
+        "trial-003.mcap.part.unfinished-2": b"two",
+        "trial-003.mcap.part.unfinished-3": b"three",
+        "trial-003.mcap.unfinished-1": b"whole",
+    }
+    assert trials_to_run(spec(), tmp_path, False) == [0, 1, 2, 3]  # no longer counted
+
+
+def test_a_folder_is_made_with_its_parents(tmp_path):
+    make_folder(tmp_path / "a" / "b")
+    make_folder(tmp_path / "a" / "b")
+    assert (tmp_path / "a" / "b").is_dir()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LogError, match="cannot create the folder: Not a directory"):
+        make_folder(tmp_path / "file" / "b")
+
+
+def test_the_default_folder_tells_spec_and_hour():
+    now = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
+    assert default_folder("three-m3pi", now) == Path("logs/three-m3pi-20260304T050607Z")

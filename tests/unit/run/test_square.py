@@ -1,0 +1,80 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+from support.plants import sim
+from support.trials import experiment
+
+from tetractl.clock import SECOND
+from tetractl.errors import SpecError
+from tetractl.run.limits import check, limits
+from tetractl.run.square import directions
+
+SQUARE = {"type": "square", "side": 2.0}
+
+
+def heading(angle, **changes):
+    robots = [robot.model_dump() | {"heading": angle} for robot in experiment().robots]
+    return experiment(robots=robots, controller={"first_plan": SQUARE}, **changes)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, -3.1, 3.1, 9.0])
+def test_the_square_ends_where_it_began(angle):
+    """To within about exp(-a side) of a side: the slowest robot turns with a = 3 rad/s."""
+    simulated = sim(heading(angle))
+    simulated.open()
+    for lap in range(2):
+        for k, direction in enumerate(directions(np.full(3, angle)), start=1):
+            simulated.steer(direction)
+            simulated.clock.sleep_until(2 * (4 * lap + k) * SECOND)
+    now = simulated.observe().poses
+    starts = np.array([robot.start for robot in heading(angle).robots])
+    side = 2.0 * np.array([robot.speed for robot in heading(angle).robots])
+    assert np.all(np.hypot(*(now.xy - starts).T) < 3 * math.exp(-6) * side)
+    off = [math.remainder(h - angle, 2 * math.pi) for h in now.heading]
+    assert np.abs(off).max() < 3 * math.exp(-6)
+
+
+def test_directions_turn_by_quarters_and_end_at_the_start_heading():
+    found = list(directions(np.array([3.0, 3.0 + 2 * math.pi])))
+    assert len(found) == 4
+    assert all(abs(direction) <= math.pi for direction in found)
+    turns = [math.remainder(b - a, 2 * math.pi) for a, b in itertools.pairwise(found)]
+    assert turns == pytest.approx([math.pi / 2] * 3)
+    assert found[-1] == pytest.approx(3.0)
+
+
+WIDE = {"left": -4000, "bottom": -4000, "width": 9000, "height": 9000}
+
+
+def test_a_square_with_room_is_accepted():
+    check(heading(0.0, arena=WIDE, obstacles=[]))
+    check(experiment())  # no square at all
+
+
+NARROW = {"left": 890, "bottom": 350, "width": 1600, "height": 1800}
+DISC = {"type": "circle", "center": (800, 1700), "radius": 60}
+CROSSED = [robot.model_dump() | {"heading": i} for i, robot in enumerate(experiment().robots)]
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        (heading(math.pi, arena=NARROW, obstacles=[]), "robot green would leave the arena"),
+        (heading(0.0, arena=WIDE, obstacles=[DISC]), "robot blue would enter an obstacle"),
+        (experiment(robots=CROSSED, controller={"first_plan": SQUARE}), "start with one heading"),
+    ],
+)
+def test_a_square_that_cannot_be_driven_is_refused(spec, message):
+    with pytest.raises(SpecError, match=message) as caught:
+        check(spec)
+    assert caught.value.hint
+
+
+def test_limits_say_what_a_trial_can_do_at_most():
+    found = limits(experiment(controller={"steps_max": 9, "first_plan": SQUARE | {"laps": 3}}))
+    assert found["control steps of a trial"] == "at most 10"
+    assert found["duration of a trial"].startswith("at most 2 s")
+    assert found["path of a robot"] == "at most 400 mm"
+    assert found["before step 0"] == "3 squares of 8 s"

@@ -1,0 +1,272 @@
+import threading
+import time
+
+import pytest
+from unit.run.fakes import bench
+
+from tetractl.clock import SECOND
+from tetractl.control.plan import Outcome
+from tetractl.errors import AbortError, ControlError, LogError, TetractlError
+
+PERIOD = SECOND // 5
+DECIDED = [Outcome.ARRIVED, Outcome.SEQUENCE_USED_UP, Outcome.STEPS_MAX]
+
+
+class BugError(Exception):
+    pass
+
+
+def assert_ended_well(made, outcome):
+    """Robots stopped before anything else, once; plant closed; every observer told."""
+    names = made.happenings.names
+    assert names.count("stop") == names.count("settle") == names.count("close") == 1
+    assert names.index("stop") < names.index("settle") < names.index("close")
+    for observer in made.observers:
+        assert len(observer.stops) == 1
+        stop, result = observer.stops[0]
+        assert stop.direction is None
+        assert result.outcome is outcome
+        assert names.index("close") < names.index(f"{observer.name}.stop")
+    return made.observers[0].stops[0][1] if made.observers else None
+
+
+@pytest.mark.parametrize("outcome", DECIDED)
+@pytest.mark.parametrize("steps", [0, 1, 3])
+def test_the_controller_decides_when_a_trial_is_over(outcome, steps):
+    made = bench(steps, outcome)
+    result = made.run()
+    assert result == assert_ended_well(made, outcome)
+    assert (result.outcome, result.reason, result.steps) == (outcome, "", steps)
+    assert result.duration_s == pytest.approx(steps * 0.2)
+    assert len(result.solve_ns) == steps
+    assert result.robot_errors == pytest.approx((10, 5, 0))
+    assert result.total_error == pytest.approx(15)
+    assert not result.entered_obstacle
+
+
+def test_the_loop_observes_plans_steers_and_records_at_the_control_period():
+    made = bench(2)
+    made.run()
+    step = ["observe", "plan", "steer", "log.samples", "log.step"]
+    assert made.happenings.names == [
+        *("open", "log.start", *step, *step, "observe", "plan"),
+        *("stop", "settle", "close", "log.samples", "log.stop"),
+    ]
+    assert made.plant.steered == [(0, 0.1), (PERIOD, 0.0)]
+    assert [seen.sampled_ns for seen in made.controller.seen] == [0, PERIOD, 2 * PERIOD]
+    log = made.observers[0]
+    assert [(step.k, step.command.sent_ns) for step in log.steps] == [(0, 0), (1, PERIOD)]
+    assert [step.observation for step in log.steps] == made.controller.seen[:2]
+
+
+def test_the_log_starts_with_what_the_plant_says_of_itself():
+    made = bench()
+    made.run()
+    start = made.observers[0].start
+    assert start is not None
+    assert (start.plant.kind, start.plant.facts) == ("fake", {"bench": "left"})
+    assert start.trial == 4
+
+
+def test_every_camera_frame_is_told_once_those_of_coming_to_rest_too():
+    made = bench(4)
+    made.run()
+    frames = [sample.observation.frame for sample in made.observers[0].samples]
+    assert frames == list(range(8 + 10 + 1))  # 0.8 s of steps, 1 s to settle
+
+
+@pytest.mark.parametrize("error", [ControlError("no finite cost"), AbortError("a cable came off")])
+@pytest.mark.parametrize("where", ["plan", "steer", "observe", "log.step", "log.samples"])
+def test_a_fault_aborts_the_trial_and_is_its_reason(where, error):
+    made = bench()
+    made.happenings.faults[where, 2] = error
+    result = made.run()
+    assert result.reason == str(error)
+    assert_ended_well(made, Outcome.ABORTED)
+    fault = [i for i, name in enumerate(made.happenings.names) if name == where][1]
+    assert made.happenings.names[fault + 1] == "stop"
+
+
+@pytest.mark.parametrize(
+    ("where", "nth"),
+    [("plan", 1), ("plan", 2), ("steer", 1), ("observe", 2), ("log.start", 1), ("log.step", 1)],
+)
+def test_a_bug_stops_the_robots_is_told_and_is_raised_again(where, nth):
+    made = bench(observers=("log", "view"))
+    made.happenings.faults[where, nth] = BugError("off by one")
+    with pytest.raises(BugError, match="off by one"):
+        made.run()
+    result = assert_ended_well(made, Outcome.ABORTED)
+    assert result.reason == "BugError: off by one"
+    names = made.happenings.names
+    fault = [i for i, name in enumerate(names) if name == where][nth - 1]
+    assert names[fault + 1] == "stop"
+
+
+@pytest.mark.parametrize("error", [LogError("the disk is full"), BugError("in the view")])
+@pytest.mark.parametrize("where", ["log.samples", "log.stop"])
+def test_an_observer_that_fails_at_the_end_keeps_nothing_from_the_others(where, error):
+    made = bench(2, observers=("log", "view"))
+    made.happenings.faults[where, 3 if where == "log.samples" else 1] = error
+    if isinstance(error, TetractlError):
+        result = made.run()
+        assert (result.outcome, result.reason) == (Outcome.ABORTED, str(error))
+    else:
+        with pytest.raises(BugError):
+            made.run()
+    assert len(made.observers[0].stops) == len(made.observers[1].stops) == 1
+    assert made.observers[1].samples[-1].observation.frame == 14
+
+
+def test_the_first_fault_is_the_one_reported():
+    made = bench(observers=("log", "view"))
+    made.happenings.faults["plan", 2] = ControlError("first")
+    made.happenings.faults["log.stop", 1] = LogError("second")
+    result = made.run()
+    assert (result.outcome, result.reason) == (Outcome.ABORTED, "first")
+    made = bench(observers=("log", "view"))
+    made.happenings.faults["plan", 2] = BugError("first")
+    made.happenings.faults["log.stop", 1] = BugError("second")
+    with pytest.raises(BugError, match="first"):
+        made.run()
+
+
+@pytest.mark.parametrize("error", [AbortError("no robot answers"), BugError("typo")])
+def test_a_plant_that_does_not_open_is_stopped_closed_and_nobody_is_told(error):
+    made = bench()
+    made.happenings.faults["open", 1] = error
+    with pytest.raises(type(error)):
+        made.run()
+    assert made.happenings.names == ["open", "stop", "close"]
+
+
+def test_a_plant_that_cannot_settle_is_closed():
+    made = bench()
+    made.happenings.faults["settle", 1] = BugError("lost")
+    with pytest.raises(BugError):
+        made.run()
+    assert made.happenings.names[-3:] == ["stop", "settle", "close"]
+
+
+@pytest.mark.parametrize("where", ["plan", "steer", "observe", "log.step"])
+def test_a_first_interruption_finishes_the_step(where):
+    made = bench(5)
+    made.happenings.actions[where, 2] = made.interrupt.request
+    result = made.run()
+    assert_ended_well(made, Outcome.INTERRUPTED)
+    assert result.steps == 2  # the step in which it came was recorded, and no other was begun
+    assert result.reason == "interrupted; the step was finished"
+    assert made.happenings.names.count("plan") == 2
+
+
+@pytest.mark.parametrize("where", ["plan", "steer", "log.step"])
+def test_a_second_interruption_breaks_off_what_may_be_broken_off(where):
+    made = bench(5)
+
+    def twice():
+        made.interrupt.request()
+        made.interrupt.request()
+
+    made.happenings.actions[where, 2] = twice
+    result = made.run()
+    assert_ended_well(made, Outcome.INTERRUPTED)
+    planning = where == "plan"  # steering and recording are never torn
+    assert result.steps == (1 if planning else 2)
+    at_once, finished = "stopped at once by a second interruption", "interrupted; the step was"
+    assert result.reason.startswith(at_once if planning else finished)
+    assert not made.interrupt._breakable
+
+
+def test_interruptions_while_the_robots_stop_tear_nothing():
+    made = bench(2)
+    for where in ("stop", "settle", "log.stop"):
+        made.happenings.actions[where, 1] = made.interrupt.request
+    assert made.run().outcome is Outcome.SEQUENCE_USED_UP
+    assert_ended_well(made, Outcome.SEQUENCE_USED_UP)
+
+
+@pytest.fixture
+def watch(monkeypatch):
+    """A stop watch: each plan takes as long as the test says, in ns."""
+    taken, now = [], [0]
+
+    def read():
+        if len(taken) and watch_reads[0] % 2:
+            now[0] += taken.pop(0)
+        watch_reads[0] += 1
+        return now[0]
+
+    watch_reads = [0]
+    monkeypatch.setattr(time, "perf_counter_ns", read)
+    return taken
+
+
+def test_a_plan_that_takes_longer_than_the_period_misses_its_deadline(watch):
+    watch += [9 * PERIOD, PERIOD, PERIOD + 1, 5]
+    made = bench(4)
+    result = made.run()
+    assert result.solve_ns == (9 * PERIOD, PERIOD, PERIOD + 1, 5)
+    assert result.deadline_misses == 1  # the first plan has no deadline
+    missed = [step.deadline_missed for step in made.observers[0].steps]
+    assert missed == [False, False, True, False]
+
+
+SQUARE = {"type": "square", "side": 2.0, "laps": 2}
+
+
+def test_the_square_is_driven_while_the_first_plan_is_made():
+    made = bench(2, first_plan=SQUARE)
+    result = made.run()
+    assert_ended_well(made, Outcome.SEQUENCE_USED_UP)
+    assert [when for when, _ in made.plant.steered[:8]] == [2 * k * SECOND for k in range(8)]
+    turns = [direction for _, direction in made.plant.steered[:8]]
+    assert turns == pytest.approx([1.5707963, 3.1415927, -1.5707963, 0] * 2)
+    log = made.observers[0]
+    assert [command.direction for command in log.commands] == turns
+    assert [step.command.sent_ns for step in log.steps] == [16 * SECOND, 16 * SECOND + PERIOD]
+    assert log.steps[0].observation.sampled_ns == 0  # planned from before the square
+    assert result.steps == 2
+    frames = [sample.observation.frame for sample in log.samples]
+    assert frames == list(range(len(frames)))
+
+
+def test_in_the_lab_squares_go_on_until_the_plan_is_there():
+    made = bench(1, simulated=False, first_plan=SQUARE | {"laps": 1})
+    enough = threading.Event()
+    made.happenings.actions["plan", 1] = enough.wait
+    made.happenings.actions["steer", 11] = enough.set  # in the third square
+    made.run()
+    sides = len(made.observers[0].commands)
+    assert sides >= 12
+    assert sides % 4 == 0
+
+
+def test_a_controller_that_fails_during_the_square_aborts_the_trial():
+    made = bench(first_plan=SQUARE)
+    made.happenings.faults["plan", 1] = ControlError("no finite cost")
+    assert made.run().reason == "no finite cost"
+    assert_ended_well(made, Outcome.ABORTED)
+
+
+def test_one_interruption_ends_the_square_after_its_side():
+    made = bench(first_plan=SQUARE)
+    made.happenings.actions["steer", 2] = made.interrupt.request
+    result = made.run()
+    assert_ended_well(made, Outcome.INTERRUPTED)
+    assert result.reason == "interrupted before the first step"
+    assert (len(made.plant.steered), result.steps) == (2, 0)
+    assert len(made.observers[0].commands) == 2
+
+
+def test_two_interruptions_end_the_square_at_once():
+    made = bench(first_plan=SQUARE)
+
+    def twice():
+        made.interrupt.request()
+        made.interrupt.request()
+
+    made.happenings.actions["log.command", 2] = twice
+    result = made.run()
+    assert_ended_well(made, Outcome.INTERRUPTED)
+    assert result.reason == "stopped at once by a second interruption"
+    assert result.duration_s == 2.0  # the second side was not driven to its end

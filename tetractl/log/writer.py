@@ -10,6 +10,7 @@ from google.protobuf.message import Message
 from tetractl.control.plan import Outcome
 from tetractl.log import channels, codec, provenance
 from tetractl.log.channels import Entry
+from tetractl.log.desk import Desk
 from tetractl.log.facts import result_facts, run_facts, timing_facts
 from tetractl.log.records import Result, Start, Step
 from tetractl.log.scene import Scene, note
@@ -18,8 +19,8 @@ from tetractl.plant.protocol import Command, Note, Sample
 from tetractl.spec.load import resolved_yaml, spec_hash
 
 FLUSH_NS = 1_000_000_000
-"""A chunk ends after this much trial time: what a crash may cost. Trial time and not the wall
-clock's, so that a simulated trial always gives the same chunks."""
+"""A chunk ends after this much trial time, so that a simulated trial gives the same chunks again
+while it runs faster than the clock. What runs slower is flushed by the clock, `sink.CHUNK_S`."""
 
 
 _LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
@@ -29,13 +30,15 @@ class LogWriter:
     """Stores one trial as `path`, which is called `path`.part until the trial has ended.
 
     Every message has two times, Unix ns: log_time is when the host received or sent it and
-    publish_time when what it tells of was sampled. Any call raises LogError where the log cannot be
-    written; what was written until then stays readable.
+    publish_time when what it tells of was sampled. Calls only encode; a thread writes. Any call
+    raises LogError where the log cannot be written, the call after it was found at the latest; what
+    was written until then stays readable.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._sink: Sink | None = None
+        self._desk: Desk | None = None
+        self._batch: list[Entry] = []
         self._flushed_ns = 0
         self._tracked: list[bool] = []
 
@@ -45,24 +48,25 @@ class LogWriter:
         self._experiment = start.experiment
         self._scene = Scene(start.experiment)
         self._tracked = [True] * len(start.experiment.robots)
-        self._sink = sink = Sink(self._path)
-        sink.metadata(channels.RUN, run_facts(start, spec_hash(start.experiment)))
-        sink.metadata(channels.HOST, provenance.facts())
+        self._desk = desk = Desk(self._path)
+        desk.put(Sink.metadata, channels.RUN, run_facts(start, spec_hash(start.experiment)))
+        desk.put(Sink.metadata, channels.HOST, provenance.facts())
         for name, media_type, text in (
             (channels.SPEC, "application/yaml", start.spec_text),
             (channels.RESOLVED_SPEC, "application/yaml", resolved_yaml(start.experiment)),
             (channels.ENVIRONMENT, "application/json", provenance.environment()),
+            *((name, "application/yaml", text) for name, text in start.attached),
         ):
-            sink.attachment(name, media_type, self._start_ns, text)
-        for name, text in start.attached:
-            sink.attachment(name, "application/yaml", self._start_ns, text)
+            desk.put(Sink.attachment, name, media_type, self._start_ns, text)
         self._put(channels.SCENE, self._scene.static(self._start_ns), 0)
         self._note(0, Log.INFO, f"trial {start.trial} of {start.experiment.name} starts")
-        sink.flush()
+        self._hand_on()
+        desk.put(Sink.sync)
+        desk.drain()  # nothing moves before the log is known to be written
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Store camera frames: measured, as transforms, and true where known."""
-        if self._sink is None:
+        if self._desk is None:
             return
         for sample in samples:
             seen = sample.observation
@@ -75,19 +79,21 @@ class LogWriter:
             self._put(channels.TRANSFORMS, transforms, received_ns, sampled_ns)
             self._note_tracking(seen.valid.tolist(), received_ns)
         if samples:
-            self._flush_at(samples[-1].observation.received_ns)
+            self._hand_on(samples[-1].observation.received_ns)
 
     def on_command(self, command: Command) -> None:
         """Store a command sent outside the control steps."""
         self._put(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
+        self._hand_on()
 
     def on_note(self, note: Note) -> None:
         """Store what a person should know of."""
         self._note(note.t_ns, _LEVELS[note.level], note.text)
+        self._hand_on()
 
     def on_step(self, step: Step) -> None:
         """Store a decision, its command, its picture and how long it took."""
-        if self._sink is None:
+        if self._desk is None:
             return
         path, sent_ns = step.plan.path, step.command.sent_ns
         sampled_ns, unix_ns = step.observation.sampled_ns, self._start_ns + sent_ns
@@ -100,26 +106,38 @@ class LogWriter:
             if not delivered:
                 text = f"{robot.name} did not get the command of step {step.k}"
                 self._note(sent_ns, Log.WARNING, text)
-        self._flush_at(sent_ns)
+        self._hand_on(sent_ns)
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Store the stop and the result, and give the log its name."""
-        if self._sink is None:
+        if self._desk is None:
             return
         self._put(channels.COMMANDS, codec.encode_command(stop), stop.sent_ns)
         level = Log.ERROR if result.outcome is Outcome.ABORTED else Log.INFO
         reason = f" ({result.reason})" if result.reason else ""
         text = f"{result.outcome.value}{reason} after {result.steps} control steps"
         self._note(stop.sent_ns, level, text)
+        self._hand_on()
         facts = result_facts(result, self._experiment.units.length)
-        self._sink.metadata(channels.TIMING, timing_facts(result) | {"ended": provenance.now()})
-        self._sink.last_metadata(channels.RESULT, facts)
-        self._sink.close(complete=True)
+        timing = timing_facts(result) | {"ended": provenance.now()}
+        self._desk.put(Sink.metadata, channels.TIMING, timing)
+        self._desk.put(Sink.last_metadata, channels.RESULT, facts)
+        self._desk.close(complete=True)
 
     def close(self) -> None:
         """Close a log whose trial did not end: it keeps its .part."""
-        if self._sink:
-            self._sink.close(complete=False)
+        if self._desk:
+            self._desk.close(complete=False)
+
+    def drain(self) -> None:
+        """Wait until the file system has been handed all chunks that have ended."""
+        if self._desk:
+            self._desk.drain()
+
+    @property
+    def failure(self) -> Exception | None:
+        """Why the log can no longer be written, as soon as that is known."""
+        return self._desk.failure if self._desk else None
 
     def __enter__(self) -> Self:
         return self
@@ -135,11 +153,11 @@ class LogWriter:
     def _put(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
     ) -> None:
-        if self._sink:
+        if self._desk:
             log_unix = self._start_ns + log_ns
             publish_unix = log_unix if publish_ns is None else self._start_ns + publish_ns
             data = message.SerializeToString()
-            self._sink.message(Entry(topic, log_unix, publish_unix, data))
+            self._batch.append(Entry(topic, log_unix, publish_unix, data))
 
     def _note(self, log_ns: int, level: Log.Level.ValueType, text: str) -> None:
         self._put(channels.LOG, note(self._start_ns + log_ns, level, text), log_ns)
@@ -153,7 +171,12 @@ class LogWriter:
                 self._note(log_ns, level, f"{robot.name} is {word}")
         self._tracked = valid
 
-    def _flush_at(self, trial_ns: int) -> None:
-        if self._sink and trial_ns - self._flushed_ns >= FLUSH_NS:
-            self._sink.flush()
+    def _hand_on(self, trial_ns: int | None = None) -> None:
+        """Give the thread what was encoded; end the chunk where a second of the trial has gone."""
+        if self._desk is None:
+            return
+        batch, self._batch = self._batch, []
+        self._desk.put(Sink.messages, batch)
+        if trial_ns is not None and trial_ns - self._flushed_ns >= FLUSH_NS:
+            self._desk.put(Sink.flush)
             self._flushed_ns = trial_ns

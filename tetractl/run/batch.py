@@ -83,7 +83,8 @@ def run_lab_trial(
     start = Start(experiment, spec.text, spec.name, trial, nothing_yet, start_ns, spec.attached)
     with ExitStack() as stack:
         writer = stack.enter_context(LogWriter(log_path(folder, trial)))
-        relays = [stack.enter_context(Relay(observer)) for observer in (writer, *observers)]
+        log = stack.enter_context(Relay(writer, lambda: writer.failure))
+        relays = [log, *(stack.enter_context(Relay(observer)) for observer in observers)]
         return Trial(
             start=start,
             plant=build_plant(experiment, clock, seed, hands),

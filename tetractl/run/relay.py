@@ -19,11 +19,14 @@ PATIENCE_S = 30.0  # for the last of them, after the robots were stopped
 class Relay:
     """Hands every call on to `observer`, in order; a context manager.
 
-    What the observer raises is raised by the next call here; later calls are dropped then.
+    What the observer raises is raised by the next call here; later calls are dropped then. So is
+    what `failed` returns, for an observer that itself works behind its calls, as the log does.
     """
 
-    def __init__(self, observer: Observer) -> None:
-        self._observer = observer
+    def __init__(
+        self, observer: Observer, failed: Callable[[], Exception | None] = lambda: None
+    ) -> None:
+        self._observer, self._failed = observer, failed
         self._calls: queue.Queue[Call | None] = queue.Queue(WAITING)
         self._failure: TetractlError | None = None
         self._bug: Exception | None = None
@@ -86,6 +89,8 @@ class Relay:
             raise self._bug
         if self._failure is not None:
             raise self._failure
+        if (failure := self._failed()) is not None:
+            raise failure
 
     def _work(self) -> None:
         while (call := self._calls.get()) is not None:

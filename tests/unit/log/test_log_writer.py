@@ -60,6 +60,7 @@ def test_a_second_of_trial_time_is_all_a_crash_can_cost(tmp_path: Path) -> None:
     for samples, step in made.rounds:
         writer.on_samples(samples)
         writer.on_step(step)
+        writer.drain()
         found = read_trial(tmp_path / "trial.mcap.part")  # as if killed here
         seen_ns = int(found.received_ns[-1]) if len(found.received_ns) else 0
         assert samples[-1].observation.received_ns - seen_ns <= 1_200_000_000
@@ -95,10 +96,29 @@ def test_a_folder_removed_during_the_trial_is_one_line(tmp_path: Path) -> None:
     writer = LogWriter(folder / "trial.mcap")
     writer.on_start(made.start)
     shutil.rmtree(folder)
-    with pytest.raises(LogError, match="cannot write the log: No such file or directory") as caught:
+    for samples, step in made.rounds:
+        writer.on_samples(samples)
+        writer.on_step(step)
+    with pytest.raises(LogError, match="the file or its folder was removed during") as caught:
+        writer.on_stop(made.stop, made.result)
+    assert caught.value.hint == f"what was written until then is in {folder / 'trial.mcap.part'}"
+    writer.close()
+    put_back = read_trial(folder / "trial.mcap.part")
+    assert [step.k for step in put_back.steps] == [0]
+
+
+def test_a_folder_moved_during_the_trial_takes_its_log_along(tmp_path: Path) -> None:
+    made, folder = trial(steps=1), tmp_path / "logs"
+    folder.mkdir()
+    writer = LogWriter(folder / "trial.mcap")
+    writer.on_start(made.start)
+    folder.rename(tmp_path / "moved")
+    writer.on_samples(made.samples)
+    with pytest.raises(LogError, match="was moved during the trial") as caught:
         writer.on_stop(made.stop, made.result)
     assert caught.value.hint is None
-    writer.close()
+    assert not folder.exists()
+    assert len(read_trial(tmp_path / "moved" / "trial.mcap.part").frames) == len(made.samples)
 
 
 FULL_DISK = """

@@ -183,7 +183,10 @@ class Guard:
                 self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
             if now_ns - self._steered_ns >= self.rules.silence_ns:
                 silent_s = (now_ns - self._steered_ns) / SECOND
-                self.abort(f"the controller has been silent for {silent_s:.1f} s")
+                steps = self.rules.late_steps
+                self.abort(
+                    f"{steps} control steps in a row were late: no direction for {silent_s:.1f} s"
+                )
             self._check_stream(now_ns)
             self._check_tracking(now_ns)
             self._check_places(believed)

@@ -88,18 +88,19 @@ class BroadcastVoice:
     def poll(self, timeout_s: float) -> list[Answer | None]:
         """Poll, several times where somebody does not answer: broadcasts may be lost."""
         found: dict[int, Answer] = {}
+        wanted = set(self._indices)
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000
         deadline = self._clock.now() + round(timeout_s * SECOND)
         for _ in range(TRIES):
             splitter = Splitter()
             self._link.fetch()
             until = min(deadline, self._send(Flag.POLL) + slots + SECOND // 10)
-            while len(found) < len(self._indices) and (left := until - self._clock.now()) > 0:
+            while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
                 self._link.wait(left / SECOND)
                 for received in self._link.fetch():
                     for frame in splitter.feed(received.data):
                         _keep_reply(frame, found)
-            if len(found) == len(self._indices) or self._clock.now() >= deadline:
+            if wanted <= found.keys() or self._clock.now() >= deadline:
                 break
         return [found.get(index) for index in self._indices]
 

@@ -4,6 +4,8 @@ Writing never waits: a port that takes nothing for 20 ms is stuck and raises, on
 raises at once. Reading is a thread's work; what it finds is fetched with `fetch`.
 """
 
+import os
+import select
 import threading
 from collections import deque
 from contextlib import suppress
@@ -76,8 +78,8 @@ class Link:
         self._port: serial.Serial | None = None
         self._thread = threading.Thread(target=self._receive, name="radio", daemon=True)
 
-    def open(self) -> None:
-        """Open the port for this process alone and, in the API modes, check the module."""
+    def open(self, checked: bool = True) -> None:
+        """Open the port for this process alone and, `checked` in an API mode, check the module."""
         radio = self.radio
         try:
             self._port = serial.Serial(
@@ -90,7 +92,7 @@ class Link:
         except (serial.SerialException, OSError, ValueError) as error:
             raise _cannot_open(radio.port, error) from error
         self._thread.start()
-        if self._api:
+        if checked and self._api:
             check.module(self, radio)
 
     @property
@@ -163,9 +165,9 @@ class Link:
             if self.failure or self._port is None:
                 raise AbortError(self.failure or f"the radio on {self.radio.port} is not open")
             try:
-                self._port.write(data)
+                _put(self._port.fileno(), data)
                 waiting = self._port.out_waiting
-            except serial.SerialTimeoutException:
+            except TimeoutError:
                 raise self._failed("takes no more bytes: the radio is stuck") from None
             except (serial.SerialException, OSError, TypeError) as error:
                 raise self._failed(f"is gone: {_why(error)}") from error
@@ -226,6 +228,19 @@ class Link:
                 self.counts.undelivered += 1
             case _:
                 pass
+
+
+def _put(fd: int, data: bytes) -> None:
+    """Hand bytes to the system; TimeoutError where it takes none for 20 ms.
+
+    pyserial's own write also times out where this process was merely not scheduled for that long.
+    """
+    rest = memoryview(data)
+    while rest:
+        with suppress(BlockingIOError):
+            rest = rest[os.write(fd, rest) :]
+        if rest and not select.select([], [fd], [], WRITE_TIMEOUT_S)[1]:
+            raise TimeoutError
 
 
 def _why(error: Exception) -> str:

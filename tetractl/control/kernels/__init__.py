@@ -1,9 +1,9 @@
 """Compiled twins of the readable code in `control`, and nothing that is not checked against it.
 
-Particles are contiguous in memory: an array of signals has shape (L, P), and one lane stands for
-one robot of one particle, lane = robot * P + particle. A kernel is a loop over lanes that the
-compiler turns into vector instructions, so what it calls is written as polynomials, not as
-calls to the C library. Nothing is allocated inside a search, and the interpreter's lock is free.
+Particles are contiguous in memory: an array of signals has shape (L, P), of positions (N, P). A
+kernel is a loop over the particles of one robot that the compiler turns into vector instructions:
+what it calls is written as polynomials, not as calls to the C library, and what belongs to the
+robot is a scalar. Nothing is allocated inside a search, and the interpreter's lock is free.
 
 Numba keeps compiled code by the time stamp of one source file. A kernel also depends on the other
 files here, so each state of them gets a cache of its own; without that, an edit or an upgrade would

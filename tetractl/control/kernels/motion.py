@@ -1,7 +1,8 @@
-"""Lanes advanced by one signal: the twins of `tetractl.model.cell`.
+"""Robots advanced by one signal: the twins of `tetractl.model.cell`.
 
-Arguments are rows (M,): position x, y; cos and sin of the heading, advanced by rotation; cos and
-sin of the direction u; and what the model needs of each lane's robot, see `constants`.
+Arguments are the rows of robot i in arrays (N, P): position x, y; cos and sin of the heading,
+advanced by rotation. Then cos and sin of the direction u (P,), the same for every robot, and the
+numbers that the model needs of this robot, see `constants`.
 """
 
 import math
@@ -45,55 +46,55 @@ def constants(model: str, a: Floats, v: Floats, t: float) -> tuple[Floats, int]:
 
 
 @njit(**PART)
-def euler(x, y, cos, sin, cos_u, sin_u, step, turn):
-    """(4)-(6); step = T v and turn = T a, per lane."""
-    for n in range(x.size):
-        c, s = cos[n], sin[n]
-        sw, cw = sincos(wrap(turn[n] * (sin_u[n] * c - cos_u[n] * s)))
-        x[n] += step[n] * c
-        y[n] += step[n] * s
-        cos[n] = c * cw - s * sw
-        sin[n] = s * cw + c * sw
+def euler(x, y, cos, sin, cos_u, sin_u, i, step, turn):
+    """(4)-(6); step = T v and turn = T a."""
+    for n in range(cos_u.size):
+        c, s = cos[i, n], sin[i, n]
+        sw, cw = sincos(wrap(turn * (sin_u[n] * c - cos_u[n] * s)))
+        x[i, n] += step * c
+        y[i, n] += step * s
+        cos[i, n] = c * cw - s * sw
+        sin[i, n] = s * cw + c * sw
 
 
 @njit(**PART)
-def gentle(x, y, cos, sin, cos_u, sin_u, step, turn):
+def gentle(x, y, cos, sin, cos_u, sin_u, i, step, turn):
     """(4)-(6) with turn <= pi/2."""
-    for n in range(x.size):
-        c, s = cos[n], sin[n]
-        sw, cw = sincos_quarter(turn[n] * (sin_u[n] * c - cos_u[n] * s))
-        x[n] += step[n] * c
-        y[n] += step[n] * s
-        cos[n] = c * cw - s * sw
-        sin[n] = s * cw + c * sw
+    for n in range(cos_u.size):
+        c, s = cos[i, n], sin[i, n]
+        sw, cw = sincos_quarter(turn * (sin_u[n] * c - cos_u[n] * s))
+        x[i, n] += step * c
+        y[i, n] += step * s
+        cos[i, n] = c * cw - s * sw
+        sin[i, n] = s * cw + c * sw
 
 
 @njit(**PART)
-def arc(x, y, cos, sin, cos_u, sin_u, step, turn):
-    """Wheel speeds (24)-(25) held; step = T v and turn = T a, per lane."""
-    for n in range(x.size):
-        c, s = cos[n], sin[n]
-        half = 0.5 * turn[n] * (sin_u[n] * c - cos_u[n] * s)
+def arc(x, y, cos, sin, cos_u, sin_u, i, step, turn):
+    """Wheel speeds (24)-(25) held; step = T v and turn = T a."""
+    for n in range(cos_u.size):
+        c, s = cos[i, n], sin[i, n]
+        half = 0.5 * turn * (sin_u[n] * c - cos_u[n] * s)
         sw, cw = sincos(wrap(half))
         flat = abs(half) < 1e-9
-        chord = step[n] * ((1.0 if flat else sw) / (1.0 if flat else half))
+        chord = step * ((1.0 if flat else sw) / (1.0 if flat else half))
         c, s = c * cw - s * sw, s * cw + c * sw  # along the chord
-        x[n] += chord * c
-        y[n] += chord * s
-        cos[n] = c * cw - s * sw
-        sin[n] = s * cw + c * sw
+        x[i, n] += chord * c
+        y[i, n] += chord * s
+        cos[i, n] = c * cw - s * sw
+        sin[i, n] = s * cw + c * sw
 
 
 @njit(**PART)
-def exact(x, y, cos, sin, cos_u, sin_u, step, radius, decay):
-    """Closed form of (1)-(3); step = t v, radius = v/a and decay = E = exp(-a t), per lane.
+def exact(x, y, cos, sin, cos_u, sin_u, i, step, radius, e):
+    """Closed form of (1)-(3); step = t v, radius = v/a and e = E = exp(-a t).
 
     The three quotients share one division.
     """
-    for n in range(x.size):
-        cu, su, e = cos_u[n], sin_u[n], decay[n]
-        c = cu * cos[n] + su * sin[n]  # cos phi
-        s = su * cos[n] - cu * sin[n]
+    for n in range(cos_u.size):
+        cu, su = cos_u[n], sin_u[n]
+        c = cu * cos[i, n] + su * sin[i, n]  # cos phi
+        s = su * cos[i, n] - cu * sin[i, n]
         near, far = 1 + c, (1 - c) * e
         d = near + far * e  # D
         across = near + far
@@ -102,27 +103,27 @@ def exact(x, y, cos, sin, cos_u, sin_u, step, radius, decay):
         inverse = 1 / (d * m1 * across)
         log_half_d = log_from_ratio((m - 1) * (inverse * d * across), k)
         half_turn = arctan(s * (1 - e) * (inverse * d * m1))
-        along = step[n] + radius[n] * log_half_d
-        right = 2 * radius[n] * half_turn
-        x[n] += along * cu + right * su
-        y[n] += along * su - right * cu
+        along = step + radius * log_half_d
+        right = 2 * radius * half_turn
+        x[i, n] += along * cu + right * su
+        y[i, n] += along * su - right * cu
         over_d = inverse * m1 * across
         c, s = (near - far * e) * over_d, 2 * e * s * over_d  # of phi'
         unit = 1.5 - 0.5 * (c * c + s * s)  # near phi = pi, rounding off the circle would grow
         c, s = c * unit, s * unit
-        cos[n] = cu * c + su * s
-        sin[n] = su * c - cu * s
+        cos[i, n] = cu * c + su * s
+        sin[i, n] = su * c - cu * s
 
 
 @njit(**PART)
-def advance(model, pieces, x, y, cos, sin, cos_u, sin_u, f0, f1, f2):
-    """Advance every lane by one signal."""
+def advance(model, pieces, x, y, cos, sin, cos_u, sin_u, i, c0, c1, c2):
+    """Advance robot i of every particle by one signal; c0, c1, c2 are its `constants`."""
     if model == GENTLE:
-        gentle(x, y, cos, sin, cos_u, sin_u, f0, f1)
+        gentle(x, y, cos, sin, cos_u, sin_u, i, c0, c1)
     elif model == EULER:
-        euler(x, y, cos, sin, cos_u, sin_u, f0, f1)
+        euler(x, y, cos, sin, cos_u, sin_u, i, c0, c1)
     elif model == ARC:
-        arc(x, y, cos, sin, cos_u, sin_u, f0, f1)
+        arc(x, y, cos, sin, cos_u, sin_u, i, c0, c1)
     else:
         for _ in range(pieces):
-            exact(x, y, cos, sin, cos_u, sin_u, f0, f1, f2)
+            exact(x, y, cos, sin, cos_u, sin_u, i, c0, c1, c2)

@@ -17,12 +17,13 @@ ROOT = Path(__file__).parents[2]
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))
 PATIENCE_S = 60  # until a step counts as hung: generous, for loaded machines
-SMALL = (  # a small swarm and two seconds of driving
+SMALL = (  # a small swarm and under two seconds of driving
     "lab.mocap.transport=unicast",
     "lab.mocap.server=127.0.0.1",
     "lab.mocap.interface=127.0.0.1",
     "controller.swarm={particles: 20, iterations: 10, stop: {type: budget}}",
-    "controller.horizon_max=10",
+    "controller.horizon_max=20",
+    "controller.steps_max=8",
     "trials.count=1",
 )
 
@@ -89,26 +90,31 @@ class Runner:
 
     def __init__(self, folder, name, settings):
         self.folder = folder / name
-        self.output = (folder / f"{name}.txt").open("w+")
+        self.words = []
         command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--quiet", *flags(settings)]
         command += ["--out", str(self.folder)]
         self.process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
-            stdout=self.output,
+            stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
+            text=True,
             cwd=folder,
         )
+        self.reader = threading.Thread(target=lambda: self.words.extend(self.process.stdout))
+        self.reader.start()  # a pipe: files may be limited
 
     def said(self):
-        self.output.seek(0)
-        return self.output.read()
+        """All it said; once it has ended."""
+        self.reader.join()
+        return "".join(self.words)
 
     def close(self):
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
-        self.output.close()
+        self.reader.join()
+        self.process.stdout.close()
 
 
 @dataclass

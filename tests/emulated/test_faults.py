@@ -3,6 +3,7 @@
 What the robots truly did is read from the emulator's own record, not from the runner's log.
 """
 
+import re
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,7 @@ def test_fault(path, tmp_path):
     note = f"\nsaid: {said}"
     assert played.exits[0] == expect.exit, note
     assert played.exits[1:] == [1] * script.runner.second, note
-    assert expect.says.lower() in said.lower(), note
+    assert re.search(expect.says, said, re.IGNORECASE), note
     assert "Traceback" not in said
     assert played.emulator_exit == 0
     assert not played.link.is_symlink()
@@ -61,7 +62,7 @@ def check_log(expect, played):
         assert trial.result.outcome.complete
     else:
         assert trial.result.outcome == expect.outcome
-        assert expect.says.lower() in trial.result.reason.lower()
+        assert re.search(expect.says, trial.result.reason, re.IGNORECASE)
 
 
 def check_motion(expect, played):
@@ -78,7 +79,9 @@ def check_motion(expect, played):
             place = names.index(name)
             stop = next(e for e in played.of("command") if e["t_ns"] >= seen and stops(e, place))
             assert (stop["t_ns"] - seen) / 1e9 <= limit, f"{name}'s stop came late"
-            assert rest_after(played, name, seen) <= limit + ROLLING_S, f"{name} stood late"
+            if expect.outcome != "done":  # else it may start again before it came to rest
+                rest = rest_after(played, name, seen)
+                assert rest <= limit + ROLLING_S, f"{name} stood late"
     if told and expect.still is not None:
         for name in names:
             assert rest_after(played, name, told[0]["t_ns"]) <= expect.still + slack

@@ -164,7 +164,7 @@ class Expect(Model):
     exit: int
     """The runner's exit code; less than 0 for the signal that killed it."""
     says: str = ""
-    """Text in what the runner says, upper and lower case alike."""
+    """A regular expression for what the runner says, in its output or its log."""
     tolerance: NonNegative | None = None
     """The fault's own tolerance [s]; the stop frame leaves within 0.1 s more."""
     robots: tuple[Name, ...] = ()

@@ -1,0 +1,379 @@
+import math
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from tetractl.lab.guard import Guard, Rules, State
+from tetractl.lab.snapshot import Pose, Snapshot
+
+MS = 1_000_000
+FRAME = 8 * MS
+RULES = Rules(
+    names=("green", "blue"),
+    speeds=(200.0, 100.0),
+    turning=(6.0, 3.0),
+    left=0.0,
+    bottom=0.0,
+    right=2000.0,
+    top=2000.0,
+    separation=110.0,
+    jump=30.0,
+)
+PLACES = (Pose(500.0, 500.0, 0.3), Pose(500.0, 1500.0, -2.0))
+
+
+class Course:
+    """A guard fed frames at 125 Hz; `at` is the time of the last one."""
+
+    def __init__(self, rules=RULES):
+        self.guard = Guard(rules)
+        self.at = 0
+        self.number = 0
+        self.bad = 0
+
+    def frame(self, poses=PLACES, fault="", step=FRAME):
+        self.at += step
+        self.number += 1
+        self.guard.see(Snapshot(self.number, self.at, self.at, tuple(poses), fault=fault))
+        return self.tick()
+
+    def tick(self, after=0, failure=None):
+        return self.guard.tick(self.at + after, self.bad, failure)
+
+    def frames(self, count, poses=PLACES):
+        for _ in range(count):
+            ruling = self.frame(poses)
+            self.guard.steered(self.at)
+        return ruling
+
+
+def running(rules=RULES):
+    course = Course(rules)
+    course.frames(3)
+    course.guard.ready()
+    course.guard.go(course.at)
+    assert course.frames(2).moving == (True, True)
+    return course
+
+
+def test_nothing_moves_before_go():
+    course = Course()
+    assert not any(course.frames(5).moving)
+    course.guard.go(course.at)  # not passed the preflight yet
+    assert course.frames(1).state is State.PREFLIGHT
+    course.guard.ready()
+    assert course.frames(1).state is State.READY
+    assert not any(course.frames(1).moving)
+
+
+def test_a_stream_that_stops_stops_all_at_100_ms_and_aborts_at_500():
+    course = running()
+    assert course.tick(after=100 * MS).moving == (True, True)
+    held = course.tick(after=101 * MS)
+    assert (held.state, held.moving) == (State.HOLD, (False, False))
+    for late in range(120, 500, 20):
+        assert course.tick(after=late * MS).state is State.HOLD
+    ended = course.tick(after=500 * MS)
+    assert ended.state is State.ABORT
+    assert ended.reason == "no new camera frame for 0.50 s"
+
+
+def test_a_stream_that_comes_back_lets_the_robots_go_on():
+    course = running()
+    for late in (50, 110, 200, 300):
+        course.tick(after=late * MS)
+    assert course.frame(step=310 * MS).state is State.RUN
+
+
+def test_old_frames_that_come_late_are_no_new_frames():
+    course = running()
+    now = course.at + 200 * MS
+    course.guard.tick(now - 80 * MS)
+    for i in range(5):  # a burst from a socket's buffer, exposed long ago
+        course.guard.see(Snapshot(99 + i, course.at + (i + 1) * FRAME, now, PLACES))
+    assert course.guard.tick(now).moving == (False, False)
+
+
+def test_an_untracked_robot_stops_after_50_ms_alone_and_the_run_aborts_at_300():
+    course = running()
+    lost = (None, PLACES[1])
+    moving = [course.frames(1, lost).moving for _ in range(10)]
+    assert moving[5] == (True, True)  # 48 ms
+    assert moving[6] == (False, True)  # 56 ms
+    assert course.guard.state is State.HOLD
+    course.frames(26, lost)
+    assert course.guard.state is State.HOLD
+    course.frames(2, lost)
+    assert course.guard.state is State.ABORT
+    assert course.guard.reason.startswith("green is not tracked")
+
+
+def test_a_robot_tracked_again_moves_again():
+    course = running()
+    course.frames(10, (None, PLACES[1]))
+    assert course.frames(1).moving == (True, True)
+
+
+@pytest.mark.parametrize("fault", ["edit mode", "the frame counter went back"])
+def test_a_stream_not_of_now_aborts_at_once(fault):
+    course = running()
+    assert course.frame(fault=fault).state is State.ABORT
+    assert course.guard.reason == fault
+
+
+def test_one_jump_is_dropped_and_a_jump_that_stays_aborts():
+    course = running()
+    away = (Pose(900.0, 500.0, 0.3), PLACES[1])
+    assert course.frame(away).poses[0] == PLACES[0]
+    assert course.frames(1).state is State.RUN
+    assert course.guard.jumps == 1
+    course.frames(8, away)
+    assert course.guard.state is State.HOLD
+    course.frames(40, away)
+    assert course.guard.state is State.ABORT
+    assert course.guard.reason.startswith("green is not tracked: its pose jumped")
+
+
+def test_swapped_identities_abort():
+    course = running()
+    course.frames(50, PLACES[::-1])
+    assert course.guard.state is State.ABORT
+    assert "its pose jumped" in course.guard.reason
+
+
+def test_a_heading_that_flips_is_a_jump():
+    course = running()
+    flipped = Pose(PLACES[0].x, PLACES[0].y, PLACES[0].heading + math.pi)
+    course.frame((flipped, PLACES[1]))
+    assert course.guard.jumps == 1
+
+
+def test_driving_is_no_jump():
+    course = running()
+    x = PLACES[0].x
+    for _ in range(100):
+        x += 200.0 * FRAME / 1e9
+        course.frame((Pose(x, 500.0, 0.3), PLACES[1]))
+        course.guard.steered(course.at)
+    assert course.guard.jumps == 0
+    assert course.guard.state is State.RUN
+
+
+def test_a_robot_about_to_leave_the_arena_stops_before_the_edge():
+    course = Course()
+    poses = (Pose(1960.0, 500.0, 0.0), PLACES[1])
+    course.frames(3, poses)
+    course.guard.ready()
+    course.guard.go(course.at)
+    x = 1960.0
+    while course.guard.state is not State.ABORT and x < 2000.0:
+        x += 200.0 * FRAME / 1e9
+        course.frame((Pose(x, 500.0, 0.0), PLACES[1]))
+    assert course.guard.reason == "green is about to leave the arena"
+    assert x < 2000.0 - 0.15 * 200 + 3
+
+
+def test_robots_that_come_too_close_abort():
+    course = Course()
+    facing = (Pose(500.0, 500.0, 0.0), Pose(800.0, 500.0, math.pi))
+    course.frames(3, facing)
+    course.guard.ready()
+    course.guard.go(course.at)
+    gap = 300.0
+    while course.guard.state is not State.ABORT and gap > 0:
+        gap -= 300.0 * FRAME / 1e9
+        course.frame((Pose(500.0, 500.0, 0.0), Pose(500.0 + gap, 500.0, math.pi)))
+    assert course.guard.reason.startswith("green and blue are too close")
+    assert gap > 110.0
+
+
+def test_bad_datagrams_abort_above_a_rate_only():
+    course = running()
+    for _ in range(200):  # 12.5 a second
+        course.bad += course.number % 10 == 0
+        course.frames(1)
+    assert course.guard.state is State.RUN
+    for _ in range(25):
+        course.bad += 1
+        course.frames(1)
+    assert course.guard.state is State.ABORT
+    assert course.guard.reason.endswith("damaged datagrams within a second")
+
+
+def test_a_radio_that_fails_aborts():
+    course = running()
+    assert course.tick(failure="the radio's port is gone").state is State.ABORT
+    assert course.guard.reason == "the radio's port is gone"
+
+
+def test_late_steps_abort_in_a_row_only():
+    course = running()
+    for _ in range(20):
+        for _ in range(RULES.late_steps - 1):
+            course.guard.late(True)
+        course.guard.late(False)
+    assert course.guard.state is State.RUN
+    for _ in range(RULES.late_steps):
+        course.guard.late(True)
+    assert course.guard.reason == "5 control steps in a row were late"
+
+
+def test_a_controller_that_falls_silent_stops_the_robots():
+    course = running()
+    while course.guard.state is not State.ABORT:
+        course.frame()
+        assert course.at < 3000 * MS
+    assert course.guard.reason.startswith("5 control steps in a row were late: no direction")
+
+
+def test_a_program_that_slept_does_not_go_on():
+    course = running()
+    course.at += 2000 * MS
+    ruling = course.frame()
+    assert ruling.state is State.ABORT
+    assert ruling.reason == "this program stood still for 2.0 s"
+
+
+def test_the_operators_stop_is_an_emergency_and_the_first_reason_stays():
+    course = running()
+    course.guard.abort("emergency stop by the operator", emergency=True)
+    course.guard.abort("something else")
+    assert course.guard.emergency
+    assert course.frames(1).reason == "emergency stop by the operator"
+
+
+def drive(told, done, turning=(0.0, 0.0), turned=0.0, seconds=1.3):
+    """Tell green to drive at `told` [mm/s, rad/s]; it does `done`; return the warnings."""
+    course = running()
+    course.guard.told(course.at, (told, 0.0), turning)
+    x, y, heading, warnings = 500.0, 500.0, 0.3, []
+    for _ in range(round(seconds * 1e9 / FRAME)):
+        dt = FRAME / 1e9
+        heading += turned * dt
+        x += done * dt * math.cos(heading)
+        y += done * dt * math.sin(heading)
+        course.guard.told(course.at, (told, 0.0), turning)
+        warnings += course.frame((Pose(x, y, heading), PLACES[1])).warnings
+        course.guard.steered(course.at)
+    assert course.guard.state is State.RUN
+    return warnings
+
+
+def test_robots_that_do_not_do_as_told_are_warned_of_once():
+    assert drive(200.0, 200.0) == []
+    assert drive(200.0, 170.0) == []
+    stuck = drive(200.0, 0.0, seconds=2.5)
+    assert stuck == ["green does not move as told: battery, motor or radio?"]
+    (backward,) = drive(200.0, -200.0)
+    assert backward.startswith("green drives backward")
+    (swapped,) = drive(200.0, 150.0, turning=(1.5, 0.0), turned=-1.5)
+    assert swapped.startswith("green turns the wrong way")
+
+
+def test_rest_lets_nothing_move_and_needs_a_new_go():
+    course = running()
+    course.guard.rest()
+    assert course.frames(1).state is State.READY
+    assert not any(course.frames(1).moving)
+    course.guard.go(course.at)
+    assert all(course.frames(1).moving)
+
+
+poses = st.one_of(
+    st.none(),
+    st.builds(
+        Pose,
+        st.floats(-100, 2100),
+        st.floats(-100, 2100),
+        st.floats(-math.pi, math.pi),
+    ),
+)
+
+
+class GuardMachine(RuleBasedStateMachine):
+    """Anything in any order: what must always hold does."""
+
+    @initialize()
+    def begin(self):
+        self.guard = Guard(RULES)
+        self.now, self.number, self.bad = MS, 0, 0
+        self.exposed = None
+        self.seen = [None, None]
+        self.ruling = None
+        self.aborted = ""
+
+    @rule(a=poses, b=poses, age=st.integers(0, 200 * MS), fault=st.sampled_from(["", "", "", "f"]))
+    def see(self, a, b, age, fault):
+        self.number += 1
+        sampled = max(0, self.now - age)
+        self.guard.see(Snapshot(self.number, sampled, self.now, (a, b), fault=fault))
+        self.exposed = max(self.exposed or 0, sampled)
+        for i, pose in enumerate((a, b)):
+            if pose is not None:
+                self.seen[i] = max(self.seen[i] or 0, sampled)
+
+    @rule(count=st.integers(1, 20))
+    def drive_on(self, count):
+        for _ in range(count):
+            self.now += FRAME
+            self.see(PLACES[0], PLACES[1], 0, "")
+            self.guard.steered(self.now)
+            self.decide(0, None)
+
+    @rule(ms=st.integers(0, 700))
+    def time_passes(self, ms):
+        self.now += ms * MS
+
+    @rule(bad=st.integers(0, 30), failure=st.sampled_from([None] * 6 + ["gone"]))
+    def decide(self, bad, failure):
+        self.bad += bad
+        self.ruling = self.guard.tick(self.now, self.bad, failure)
+
+    @rule()
+    def pass_preflight(self):
+        self.guard.ready()
+
+    @rule()
+    def go(self):
+        self.guard.go(self.now)
+        self.ruling = None
+
+    @rule()
+    def rest(self):
+        self.guard.rest()
+        self.ruling = None
+
+    @rule(missed=st.booleans())
+    def step(self, missed):
+        self.guard.late(missed)
+
+    @invariant()
+    def abort_is_for_good(self):
+        if not hasattr(self, "guard"):
+            return
+        if self.aborted:
+            assert (self.guard.state, self.guard.reason) == (State.ABORT, self.aborted)
+        assert bool(self.guard.reason) == (self.guard.state is State.ABORT)
+        self.aborted = self.guard.reason
+
+    @invariant()
+    def only_what_is_seen_moves(self):
+        ruling = getattr(self, "ruling", None)
+        self.ruling = None
+        if ruling is None:
+            return
+        if ruling.state not in (State.RUN, State.HOLD):
+            assert not any(ruling.moving)
+        assert (ruling.state is State.RUN) <= all(ruling.moving)
+        for i, moving in enumerate(ruling.moving):
+            if moving:
+                assert self.now - self.exposed <= RULES.stale_ns
+                assert self.exposed - self.seen[i] <= RULES.untracked_stop_ns
+                pose = ruling.poses[i]
+                assert pose is not None
+
+
+TestGuardMachine = GuardMachine.TestCase
+TestGuardMachine.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)

@@ -1,0 +1,148 @@
+import random
+import struct
+
+import pytest
+
+from tetractl.lab.natnet.messages import (
+    BodyName,
+    EchoResponse,
+    Frame,
+    ModelDef,
+    Request,
+    Response,
+    RigidBody,
+    ServerInfo,
+    Ticks,
+    Version,
+)
+from tetractl.lab.natnet.pose import UpAxis
+from tetractl.lab.natnet.stream import FRAME_RATE, UP_AXIS, Stream, Tracked
+from tetractl.lab.natnet.wire import pack
+from tetractl.lab.snapshot import Placement
+
+V41 = Version(4, 1)
+HZ = 10_000_000
+INFO = ServerInfo("Motive", (3, 1, 0, 0), (4, 1, 0, 0), HZ, 1511, True, (239, 255, 42, 99))
+MODEL = ModelDef((BodyName("green", 11), BodyName("blue", 12), BodyName("hand", 13)))
+ROBOTS = (Tracked("green"), Tracked(12, heading_offset=0.5))
+MILLIMETRES = Placement(0.0, 0.0, 0.0, 1000.0)
+
+
+def body(number, x, y, valid=True):
+    return RigidBody(number, (x, y, 0.1), (0.0, 0.0, 0.0, 1.0), 0.0, valid)
+
+
+def frame(number, *bodies, exposure=0, params=0):
+    return pack(Frame(number, tuple(bodies), params=params, ticks=Ticks(exposure, 0, 0)), V41)
+
+
+def connected(up=UpAxis.Z, placement=MILLIMETRES):
+    stream = Stream(ROBOTS, placement, up=up)
+    stream.feed(pack(INFO), 0)
+    stream.feed(pack(MODEL, V41), 0)
+    return stream
+
+
+def test_robots_are_found_by_name_and_by_id_others_are_strangers():
+    stream = connected()
+    stream.feed(frame(7, body(12, 2.0, 1.0), body(13, 0.5, 0.5), body(11, 1.0, 0.25)), 99)
+    green, blue = stream.newest.poses
+    assert (green.x, green.y, green.heading) == pytest.approx((1000, 250, 0))
+    assert (blue.x, blue.y, blue.heading) == pytest.approx((2000, 1000, 0.5))
+    (hand,) = stream.newest.strangers
+    assert (hand.x, hand.y) == (500, 500)
+    assert (stream.newest.number, stream.newest.received_ns) == (7, 99)
+
+
+def test_the_placement_turns_and_shifts():
+    stream = connected(placement=Placement(100.0, 200.0, 3.141592653589793 / 2, 1000.0))
+    stream.feed(frame(1, body(11, 1.0, 0.0)), 0)
+    pose = stream.newest.poses[0]
+    assert (pose.x, pose.y, pose.heading) == pytest.approx((100, 1200, 3.141592653589793 / 2))
+
+
+def test_a_body_that_is_missing_or_not_tracked_has_no_pose():
+    stream = connected()
+    stream.feed(frame(1, body(11, 1.0, 1.0, valid=False)), 0)
+    assert stream.newest.poses == (None, None)
+
+
+def test_names_that_the_server_does_not_know_are_told():
+    stream = Stream((Tracked("green"), Tracked("red"), Tracked(99)), MILLIMETRES, up=UpAxis.Z)
+    assert stream.missing() == ["green", "red", 99]
+    stream.feed(pack(INFO), 0)
+    stream.feed(pack(MODEL, V41), 0)
+    assert stream.missing() == ["red", 99]
+
+
+def test_the_newest_frame_wins_and_what_was_overtaken_is_counted():
+    stream = connected()
+    for number in (5, 6, 9, 8, 9):
+        stream.feed(frame(number), 0)
+    assert stream.newest.number == 9
+    assert stream.newest.fault == ""
+    counts = stream.counts
+    assert (counts.frames, counts.missed, counts.overtaken) == (3, 2, 2)
+
+
+def test_a_counter_that_goes_back_is_a_fault_for_good():
+    stream = connected()
+    for number in (5000, 5001, 3, 4):
+        stream.feed(frame(number), 0)
+    assert "went back from 5001 to 3" in stream.newest.fault
+    assert stream.newest.number == 4
+
+
+def test_edit_mode_is_a_fault():
+    stream = connected()
+    stream.feed(frame(1, params=4), 0)
+    assert "edit mode" in stream.newest.fault
+
+
+def test_models_that_change_are_asked_for_again():
+    stream = connected()
+    stream.feed(frame(1, params=2), 0)
+    assert stream.models_changed
+    stream.feed(pack(MODEL, V41), 0)
+    assert not stream.models_changed
+
+
+def test_frames_before_the_server_is_known_are_no_bad_datagrams():
+    stream = Stream(ROBOTS, MILLIMETRES)
+    assert stream.feed(frame(1), 0) is None
+    assert (stream.counts.early, stream.counts.bad) == (1, 0)
+
+
+def test_exposure_is_told_in_host_time():
+    stream = connected()
+    stream.feed(pack(EchoResponse(1_000_000_000, 5 * HZ)), 1_000_200_000)
+    stream.feed(frame(1, exposure=6 * HZ), 2_006_000_000)
+    assert stream.newest.sampled_ns == 2_000_100_000
+    assert stream.latency_ns == 5_900_000
+
+
+def test_the_server_answers_axis_and_rate():
+    stream = connected(up=None)
+    stream.feed(frame(1, body(11, 1.0, 1.0)), 0)
+    assert stream.newest.poses == (None, None)
+    stream.asked(Request(UP_AXIS))
+    stream.feed(pack(Response(struct.pack("<i", 1))), 0)
+    assert stream.up is UpAxis.Y
+    stream.asked(Request(FRAME_RATE))
+    stream.feed(pack(Response(struct.pack("<f", 120.0))), 0)
+    assert stream.camera_rate_hz == 120
+    stream.asked(Request(FRAME_RATE))
+    stream.feed(pack(Response(b"Unrecognized request")), 0)
+    assert (stream.camera_rate_hz, stream.counts.bad) == (120, 1)
+
+
+def test_damaged_datagrams_are_counted_and_nothing_else_happens():
+    stream = connected()
+    stream.feed(frame(10, body(11, 1.0, 1.0)), 0)
+    good = frame(11, body(11, 1.0, 1.0))
+    chance = random.Random(5)
+    for _ in range(3000):
+        cut = good[: chance.randrange(len(good))]
+        stream.feed(cut, 0)
+    assert stream.counts.bad == 3000
+    assert stream.newest.number == 10

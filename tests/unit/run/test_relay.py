@@ -1,0 +1,72 @@
+import threading
+
+import pytest
+
+from tetractl.errors import LogError
+from tetractl.run import relay
+from tetractl.run.relay import Relay
+
+
+class Watcher:
+    def __init__(self, fail=None):
+        self.calls, self.threads, self.fail = [], set(), fail
+        self.gate = threading.Event()
+        self.gate.set()
+
+    def __getattr__(self, name):
+        if not name.startswith("on_"):
+            raise AttributeError(name)
+
+        def call(*args):
+            self.gate.wait(10)
+            self.threads.add(threading.get_ident())
+            self.calls.append((name, *args))
+            if name == self.fail:
+                raise LogError("disk full")
+
+        return call
+
+
+def test_calls_arrive_in_order_in_another_thread():
+    watcher = Watcher()
+    with Relay(watcher) as observer:
+        observer.on_start("start")
+        for i in range(100):
+            observer.on_samples(i)
+            observer.on_step(i)
+        observer.on_note("note")
+        observer.on_command("command")
+        observer.on_stop("stop", "result")
+    assert watcher.calls[0] == ("on_start", "start")
+    assert watcher.calls[1:201:2] == [("on_samples", i) for i in range(100)]
+    assert watcher.calls[-1] == ("on_stop", "stop", "result")
+    assert len(watcher.threads) == 2
+
+
+def test_a_failure_comes_out_at_the_end_at_the_latest_and_nothing_follows_it():
+    watcher = Watcher(fail="on_step")
+    with Relay(watcher) as observer:
+        observer.on_step(1)
+        with pytest.raises(LogError, match="disk full"):
+            observer.on_stop("stop", "result")
+    assert watcher.calls == [("on_step", 1)]
+
+
+def test_a_disk_that_cannot_follow_is_an_error_and_blocks_nobody(monkeypatch):
+    monkeypatch.setattr(relay, "WAITING", 5)
+    watcher = Watcher()
+    watcher.gate.clear()
+    with Relay(watcher) as observer:
+        with pytest.raises(LogError, match="too slow"):
+            for i in range(10):
+                observer.on_step(i)
+        watcher.gate.set()
+
+
+def test_a_bug_of_the_observer_is_raised():
+    watcher = Watcher()
+    watcher.on_step = lambda step: 1 / 0
+    with Relay(watcher) as observer:
+        observer.on_step(1)
+        with pytest.raises(ZeroDivisionError):
+            observer.on_stop("stop", "result")

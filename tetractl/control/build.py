@@ -39,6 +39,6 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     notice.start()
     try:
         problem, swarm = Problem.of(experiment), experiment.controller.swarm
-        searcher(experiment)(problem, 1, np.zeros(1), swarm, key=0, budget=1)
+        searcher(experiment)(problem, 1, np.zeros(1), swarm, key=0)
     finally:
         notice.cancel()

@@ -1,0 +1,35 @@
+import subprocess
+import sys
+
+import pytest
+
+WATCH = """
+from pathlib import Path
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from tetractl.control.build import build_controller, warm_up
+from tetractl.control.plan import Plan
+from tetractl.model.state import Observation, Poses
+from tetractl.spec.load import load_spec
+
+small = ["controller.horizon_max=4"]
+spec = load_spec(Path("experiments/{name}.yaml"), small).experiment
+warm_up(spec, print)
+late, compile = [], Dispatcher.compile
+Dispatcher.compile = lambda self, types: late.append(self.py_func.__name__) or compile(self, types)
+poses = Poses.of(np.array([[*robot.start, robot.heading] for robot in spec.robots]))
+controller = build_controller(spec, 1)
+for k in range(2):
+    ns = 200_000_000 * k
+    seen = Observation(24 * k, ns, ns, poses, np.ones(len(spec.robots), bool))
+    assert isinstance(controller.plan(seen), Plan)
+print(late)
+"""
+
+
+@pytest.mark.parametrize("name", ["three_m3pi", "three_m3pi_paper"])
+def test_warming_up_leaves_nothing_to_compile(name):
+    done = subprocess.run(
+        [sys.executable, "-c", WATCH.replace("{name}", name)], capture_output=True, text=True
+    )
+    assert done.stdout.splitlines()[-1:] == ["[]"], done.stdout + done.stderr

@@ -258,7 +258,10 @@ def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
 @pytest.mark.parametrize("target", ["test", "sanitize"])
 def test_the_firmwares_own_tests_pass(tmp_path, target):
     done = subprocess.run(
-        ["make", f"BUILD={tmp_path}", target], cwd=FOLDER, capture_output=True, text=True
+        ["make", "--no-print-directory", f"BUILD={tmp_path}", target],
+        cwd=FOLDER,
+        capture_output=True,
+        text=True,
     )
     if target == "sanitize" and "cannot find -l" in done.stderr:
         pytest.skip("the compiler has no sanitizer libraries")

@@ -64,10 +64,10 @@ def _row(name: str, values: Distribution, show: Callable[[float], str]) -> tuple
 
 def _figures(summary: Summary) -> Grid:
     n = len(summary.trials)
-    show = _lengths(summary.total.mean)
     rows = []
     if summary.published:
         found = summary.published.comparison
+        show = _lengths(found.value)
         rows += [
             (f"ours minus published [{summary.unit}]", show(found.value)),
             (f"  its 95 % interval [{summary.unit}]", _range(found.ci95, show)),
@@ -86,10 +86,10 @@ def _figures(summary: Summary) -> Grid:
         ]
         if math.isfinite(scaled.published):
             lengths = _digits(scaled.body_lengths(scaled.published))
-            text = f"{show_scaled(scaled.published)} ({lengths} body lengths)"
+            text = f"{_lengths(scaled.published)(scaled.published)} ({lengths} body lengths)"
             rows.append((f"  published, scaled alike [{unit}]", text))
     rows += [
-        ("arrived", f"{summary.arrived} of {n}{_percent(summary.arrived_ci95)}"),
+        ("arrived", _arrived(summary)),
         (
             "entered an obstacle",
             f"{summary.obstacle_violations} of {n}{_percent(summary.violations_ci95)}",
@@ -106,10 +106,16 @@ def _figures(summary: Summary) -> Grid:
     return Grid("Trials", ("figure", "value"), tuple(rows), words=True)
 
 
+def _arrived(summary: Summary) -> str:
+    if summary.experiment.controller.arrival_tolerance == 0:
+        return f"{NONE} (the spec sets no arrival_tolerance)"
+    return f"{summary.arrived} of {len(summary.trials)}{_percent(summary.arrived_ci95)}"
+
+
 def _comparison(comparison: Comparison) -> Grid:
     unit = comparison.ours.unit
-    show = _lengths(comparison.ours.total.mean)
     found = comparison.welch
+    show = _lengths(found.value)
     verdict = comparison.verdict or f"none: {comparison.reason}"
     rows = [
         ("n", f"{comparison.ours.counted} and {comparison.theirs.counted}"),
@@ -145,14 +151,17 @@ def _fixed(decimals: int) -> Callable[[float], str]:
 
 
 def _lengths(scale: float) -> Callable[[float], str]:
-    """Show lengths with the decimals that give `scale` four digits."""
-    digits = math.floor(math.log10(scale)) if math.isfinite(scale) and scale > 0 else 2
-    return _fixed(min(max(3 - digits, 0), 9))
+    """Show lengths with the decimals that give `scale` three digits; one decimal below 1000."""
+    scale = abs(scale)
+    digits = math.floor(math.log10(scale)) if math.isfinite(scale) and scale > 0 else 1
+    return _fixed(min(max(2 - digits, int(digits < 3)), 9))
 
 
 def _digits(value: float) -> str:
     """Show three significant digits."""
-    return _lengths(10 * value)(value) if value > 0 else _fixed(0)(value)
+    if value <= 0 or not math.isfinite(value):
+        return _fixed(0)(value)
+    return _fixed(min(max(2 - math.floor(math.log10(value)), 0), 9))(value)
 
 
 def _range(interval: Interval, show: Callable[[float], str]) -> str:

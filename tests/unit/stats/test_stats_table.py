@@ -68,10 +68,27 @@ def test_trials_left_out_are_listed_with_their_reason():
     assert "Trials to look at" not in printed(summarise(batch(ERRORS[:4])))
 
 
-@pytest.mark.parametrize(("scale", "mean"), [(1, "648.6"), (1e-3, "0.6486"), (1e3, "648600")])
-def test_means_keep_four_digits_in_every_unit(scale, mean):
+@pytest.mark.parametrize(("scale", "mean"), [(1, "648.6"), (1e-3, "0.649"), (1e3, "648600")])
+def test_means_keep_three_digits_in_every_unit(scale, mean):
     rows = [[600 * scale], [697.2 * scale]]
     assert f" {mean} " in printed(summarise(batch(rows)))
+
+
+def test_small_errors_beside_a_large_published_one_keep_their_own_digits():
+    rows = [[0.04123456, 0.01], [0.05543210, 0.01]]
+    text = printed(summarise(batch(rows, experiment(reference=REFERENCE, scale=SCALE, robots=2))))
+    assert " 0.0583 " in text
+    assert " -648.5 " in text
+
+
+def test_arrivals_are_counted_only_where_the_spec_says_what_arriving_is():
+    def shown(tolerance):
+        spec = experiment(controller={"arrival_tolerance": tolerance})
+        text = printed(summarise(batch(ERRORS[:4], spec)))
+        return next(line for line in text.splitlines() if line.strip().startswith("arrived"))
+
+    assert "the spec sets no arrival_tolerance" in shown(0)
+    assert "0 of 4 (95 % interval" in shown(20)
 
 
 def test_markdown_has_as_many_cells_in_every_row():

@@ -26,10 +26,10 @@ class PlantChoice(StrEnum):
 def run(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
     trials: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of trials.  [spec: trials.count]")
+        int | None, typer.Option(metavar="N", help="Number of trials.  \\[spec: trials.count]")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="S", help="Root seed.  [spec: trials.seed]")
+        int | None, typer.Option(metavar="S", help="Root seed.  \\[spec: trials.seed]")
     ] = None,
     sets: Annotated[
         list[str] | None,
@@ -39,11 +39,11 @@ def run(
     ] = None,
     plant: Annotated[
         PlantChoice | None,
-        typer.Option(help="Simulate, or drive the robots of the spec's lab.  [spec: plant.type]"),
+        typer.Option(help="Simulate, or drive the robots of the spec's lab.  \\[spec: plant.type]"),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for the logs.  [logs/<spec name>-<UTC time>]"),
+        typer.Option(metavar="DIR", help="Folder for the logs.  \\[logs/<spec name>-<UTC time>]"),
     ] = None,
     jobs: Annotated[
         int, typer.Option(min=1, metavar="N", help="Trials at a time, each in its process.")

@@ -133,15 +133,16 @@ class Played:
         return [e for e in self.record if e["event"] == event and facts.items() <= e.items()]
 
 
-def play(path, script, folder):
-    """Play a script; return what became of it."""
-    settings = (*SMALL, *script.runner.sets)
+def play(path, script, folder, *options, sets=()):
+    """Play a script, with further options of the emulator and settings of both sides."""
+    settings = (*SMALL, *script.runner.sets, *sets)
     runners = []
-    emulator = Emulator(folder, settings, "--script", str(path))
+    emulator = Emulator(folder, settings, "--script", str(path), *options)
     try:
         ready = emulator.wait_for("ready")
         settings += (
             f"lab.mocap.command_port={ready['command_port']}",
+            f"lab.mocap.data_port={ready['data_port']}",
             f"lab.radio.port={ready['port']}",
         )
         runners.append(Runner(folder, "first", settings))

@@ -212,13 +212,14 @@ def test_garbage_is_counted_and_survived(opened):
 
 
 def test_multicast(opened):
-    lab, client = opened(*MULTICAST, data_port=15_117)
+    lab, client = opened(*MULTICAST)
+    port = lab.motive.data_port
     info = client.ask(Connect(), ServerInfo)
-    assert (info.multicast, info.group, info.data_port) == (True, (239, 255, 42, 98), 15_117)
+    assert (info.multicast, info.group, info.data_port) == (True, (239, 255, 42, 98), port)
     data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         data.setblocking(False)
-        data.bind(("239.255.42.98", 15_117))
+        data.bind(("239.255.42.98", port))
         group = socket.inet_aton("239.255.42.98") + socket.inet_aton("127.0.0.1")
         data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
         own, client.socket = client.socket, data
@@ -244,7 +245,7 @@ def test_a_port_that_is_taken_is_refused(opened, tmp_path):
 def test_the_public_client_reads_our_frames(opened, transport):
     natnet = pytest.importorskip("natnet")
     multicast = transport == "multicast"
-    lab, _ = opened(*(MULTICAST if multicast else ()), data_port=15_118 if multicast else 0)
+    lab, _ = opened(*(MULTICAST if multicast else ()))
     frames, enough = [], threading.Event()
 
     def take(frame):

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from pathlib import Path
 
 import pytest
 import serial
@@ -294,3 +295,17 @@ def test_robots_are_put_back_and_restarted(tmp_path):
         assert (green.x, green.y, green.heading) == (500, 500, 0.5)
         green.hear(encode_command(Command(3, Flag.RUN, RUN)))
         assert green.counts() == (60, 60)
+
+
+def open_files():
+    return {path.name for path in Path("/proc/self/fd").iterdir()}
+
+
+def test_nothing_is_left_open(tmp_path):
+    before = open_files()
+    for _ in range(3):
+        with emulated(tmp_path) as lab:
+            lab.unplug()
+            lab.plug()
+    assert open_files() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["record.jsonl"]

@@ -220,6 +220,8 @@ class EmulatedLab:
         for i, robot in enumerate(self.robots):
             if any(robot.counts()) and not self._ran:
                 self._ran = True
+                if self._still_since is not None:  # what was before the run does not count
+                    self._still_since = now
                 self._note("run")
                 self._tell("run", {})
                 self.injector.happened("run")

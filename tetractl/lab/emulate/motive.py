@@ -5,16 +5,15 @@ import socket
 import struct
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Literal
 
 from tetractl.errors import TetractlError
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.mangle import mangle
+from tetractl.lab.emulate.streaming import Client, Counts, Streaming, Trouble
 from tetractl.lab.errors import WireError
 from tetractl.lab.natnet.messages import (
-    MULTICAST_GROUP,
     Bare,
     BodyName,
     Connect,
@@ -31,70 +30,14 @@ from tetractl.lab.natnet.messages import (
     Ticks,
     Version,
 )
-from tetractl.lab.natnet.pose import UpAxis
 from tetractl.lab.natnet.wire import pack, parse
 
 SECOND = 1_000_000_000
 CLOCK_HZ = 10_000_000
 CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock has nothing to do with the host's
 EDIT_MODE = 4
-EMULATED_VERSION = Version(4, 1)
 DATAGRAMS_A_TURN = 100
 Address = tuple[str, int]
-
-
-@dataclass(frozen=True, slots=True)
-class Streaming:
-    """Motive's streaming settings. Port 0 takes any that is free; times in seconds.
-
-    Exposure to transmit is `latency` on the mean with a deviation of `jitter`; one frame in 250
-    is late by up to half a frame.
-    """
-
-    address: str = "127.0.0.1"
-    command_port: int = 1510
-    data_port: int = 1511
-    transport: Literal["unicast", "multicast"] = "unicast"
-    group: str = MULTICAST_GROUP
-    version: Version = EMULATED_VERSION
-    rate_hz: float = 120.0
-    latency: float = 0.0054
-    jitter: float = 0.00025
-    client_timeout: float = 5.0
-    up: UpAxis = UpAxis.Y
-    knows_up_axis: bool = True
-
-
-@dataclass(slots=True)
-class Trouble:
-    """What faults set: silent (answers nothing, sends nothing), no frames, the same frame again
-    and again, the counter back by so many, edit mode, or a share of damaged datagrams."""
-
-    silent: bool = False
-    no_frames: bool = False
-    frozen: bool = False
-    counter: int = 0
-    edit_mode: bool = False
-    damaged: float = 0.0
-    version: Version | None = None
-
-
-@dataclass(slots=True)
-class Client:
-    """A unicast client: the version it asked for and when it was last heard."""
-
-    version: Version
-    heard_ns: int
-
-
-@dataclass(slots=True)
-class Counts:
-    """What the server has seen and done."""
-
-    frames: int = 0
-    datagrams: int = 0
-    refused: int = 0
-    timed_out: int = 0
 
 
 class Motive:
@@ -119,6 +62,7 @@ class Motive:
         self.trouble = Trouble()
         self.counts = Counts()
         self.clients: dict[Address, Client] = {}
+        self._greeted: set[Address] = set()
         self._timeline = timeline
         self._names = names
         self._expose = expose
@@ -131,6 +75,7 @@ class Motive:
         self._exposures = 0
         self.command: socket.socket | None = None
         self.data: socket.socket | None = None
+        self._group_port: int | None = None  # of multicast
 
     @property
     def command_port(self) -> int:
@@ -140,9 +85,9 @@ class Motive:
     @property
     def data_port(self) -> int:
         """The port frames come from or, in multicast, go to."""
-        if self.data is None or self.streaming.transport == "multicast":
-            return self.streaming.data_port
-        return _port(self.data)
+        if self._group_port is not None:
+            return self._group_port
+        return self.streaming.data_port if self.data is None else _port(self.data)
 
     def open(self) -> int:
         """Take the ports and expose the first frame now; return the file to watch."""
@@ -153,6 +98,7 @@ class Motive:
         if multicast:
             interface = socket.inet_aton(s.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+            self._group_port = s.data_port or _port(self.data)  # nobody else has that one
         self._start_ns = self._timeline.now_ns
         self._plan()
         return self.command.fileno()
@@ -212,13 +158,14 @@ class Motive:
         return None
 
     def _admit(self, message: Connect, sender: Address) -> None:
+        if sender not in self._greeted:
+            self._greeted.add(sender)
+            self._on_client(f"{sender[0]}:{sender[1]}")
         if self.streaming.transport == "multicast":
             return
         version = self.streaming.version
         if message.bitstream is not None and self._can_change(asked := message.bitstream[:2]):
             version = Version(*asked)
-        if sender not in self.clients:
-            self._on_client(f"{sender[0]}:{sender[1]}")
         self.clients[sender] = Client(version, self._timeline.now_ns)
 
     def _can_change(self, asked: tuple[int, int]) -> bool:
@@ -312,7 +259,7 @@ class Motive:
     def _receivers(self, now: int) -> list[tuple[Address, Version]]:
         s = self.streaming
         if s.transport == "multicast":
-            return [((s.group, s.data_port), s.version)]
+            return [((s.group, self.data_port), s.version)]
         silent = round(s.client_timeout * SECOND)
         for address, client in list(self.clients.items()):
             if now - client.heard_ns > silent:

@@ -1,0 +1,63 @@
+"""How the emulated Motive streams, what it knows of its clients, and what faults do to it."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from tetractl.lab.natnet.messages import MULTICAST_GROUP, Version
+from tetractl.lab.natnet.pose import UpAxis
+
+EMULATED_VERSION = Version(4, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Streaming:
+    """Motive's streaming settings. Port 0 takes any that is free; times in seconds.
+
+    Exposure to transmit is `latency` on the mean with a deviation of `jitter`; one frame in 250
+    is late by up to half a frame.
+    """
+
+    address: str = "127.0.0.1"
+    command_port: int = 1510
+    data_port: int = 1511
+    transport: Literal["unicast", "multicast"] = "unicast"
+    group: str = MULTICAST_GROUP
+    version: Version = EMULATED_VERSION
+    rate_hz: float = 120.0
+    latency: float = 0.0054
+    jitter: float = 0.00025
+    client_timeout: float = 5.0
+    up: UpAxis = UpAxis.Y
+    knows_up_axis: bool = True
+
+
+@dataclass(slots=True)
+class Trouble:
+    """What faults set: silent (answers nothing, sends nothing), no frames, the same frame again
+    and again, the counter back by so many, edit mode, or a share of damaged datagrams."""
+
+    silent: bool = False
+    no_frames: bool = False
+    frozen: bool = False
+    counter: int = 0
+    edit_mode: bool = False
+    damaged: float = 0.0
+    version: Version | None = None
+
+
+@dataclass(slots=True)
+class Client:
+    """A unicast client: the version it asked for and when it was last heard."""
+
+    version: Version
+    heard_ns: int
+
+
+@dataclass(slots=True)
+class Counts:
+    """What the server has seen and done."""
+
+    frames: int = 0
+    datagrams: int = 0
+    refused: int = 0
+    timed_out: int = 0

@@ -82,7 +82,8 @@ class PsoMpc:
 
     def _arrived(self, problem: Problem) -> bool:
         gaps = np.hypot(*(problem.poses.xy - problem.targets).T)
-        return bool(np.all(gaps <= self.control.arrival_tolerance))
+        tolerance = self.control.arrival_tolerance
+        return tolerance > 0 and bool(np.all(gaps <= tolerance))
 
     def _decide(self, problem: Problem, step_key: int) -> Plan:
         """Search every horizon that is a candidate now, and choose.

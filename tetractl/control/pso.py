@@ -124,7 +124,7 @@ def pso(
         evaluations += 1
     history = [swarm.cost]
     reason = "iterations"
-    for z in range(1, spec.iterations + 1):  # line 7
+    for _ in range(spec.iterations):  # line 7
         if budget is not None and evaluations + spec.particles > budget:
             reason = "evaluations"
             break
@@ -134,7 +134,7 @@ def pso(
         swarm.tell(evaluate(problem, swarm.ask()).total)  # line 8
         evaluations += spec.particles
         history.append(swarm.cost)
-        if z > 10 and (why := stopped(np.array(history), spec.stop)):  # line 9
+        if why := stopped(np.array(history), spec.stop):  # line 9
             reason = why
             break
     return Search(length, swarm.u_gb, swarm.cost, np.array(history), evaluations, reason)

@@ -9,7 +9,7 @@ from tetractl.spec.controller import BudgetStop, PaperStop, RelativeStop, Stop, 
 def stopped(history: Floats, stop: Stop) -> str | None:
     """Return why to stop after iteration z = len(history) - 1, or None to go on.
 
-    history[m] is J(u_gb) after iteration m. Algorithm 1 asks only when z > 10.
+    history[m] is J(u_gb) after iteration m. Only a target may stop a search before z > 10.
     """
     match stop:
         case BudgetStop():

@@ -134,6 +134,11 @@ def test_arrival_means_every_robot_within_the_tolerance():
     assert controller.plan(seen(near)) is Outcome.ARRIVED
 
 
+def test_a_tolerance_of_0_never_ends_a_trial():
+    plan = PsoMpc(spec(arrival_tolerance=0), 99, Scripted()).plan(seen(TARGETS))
+    assert isinstance(plan, Plan)
+
+
 def test_arrival_comes_before_the_other_ends():
     controller = PsoMpc(spec(arrival_tolerance=20, steps_max=1), 99, Scripted({1: 0.0}))
     assert isinstance(controller.plan(seen()), Plan)

@@ -117,6 +117,18 @@ def test_the_paper_stop_ends_a_search_at_a_standstill(search):
 
 
 @SEARCHERS
+def test_a_target_ends_a_search_as_soon_as_it_is_met(search):
+    problem = problems.problem(problems.world(6))
+    whole = search(problem, 5, None, swarm(10, 20), 3)
+    for z in (1, 4, 12):
+        stop = {"type": "target", "cost": float(whole.history[z])}
+        found = search(problem, 5, None, swarm(10, 20, stop), 3)
+        first = max(1, int(np.argmax(whole.history <= whole.history[z])))
+        assert found.history.tolist() == whole.history[: first + 1].tolist()
+        assert found.stopped == "target"
+
+
+@SEARCHERS
 @pytest.mark.parametrize("length", [1, 4])
 def test_draws_depend_on_the_key_alone(search, length):
     problem = problems.problem(problems.world(8))

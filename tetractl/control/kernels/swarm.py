@@ -94,14 +94,14 @@ def lead(swarm, z):
 
 @njit(**PART)
 def stop_reason(history, z, rules):
-    """Why to stop after iteration z > 10, or PAUSED: the twin of `tetractl.control.stop`."""
+    """Why to stop after iteration z, or PAUSED: the twin of `tetractl.control.stop`."""
     if rules.stop == TARGET_STOP and history[z] <= rules.target:
         return TARGET
     if rules.stop == RELATIVE_STOP and z > max(rules.window, 10):
         before = history[z - rules.window]
         if before - history[z] <= rules.decrease * abs(before):
             return CRITERION
-    if rules.stop == PAPER_STOP:  # (20)
+    if rules.stop == PAPER_STOP and z > 10:  # (20)
         c = math.log(history[z - 10])
         delta = 0.0
         for m in range(z - 9, z + 1):
@@ -135,7 +135,6 @@ def iterate(course, swarm, rules, z, pause):
             return NOT_FINITE, z
         z += 1
         lead(swarm, z)
-        if z > 10:
-            reason = stop_reason(swarm.history, z, rules)
-            if reason != PAUSED:
-                return reason, z
+        reason = stop_reason(swarm.history, z, rules)
+        if reason != PAUSED:
+            return reason, z

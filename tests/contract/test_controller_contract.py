@@ -1,0 +1,152 @@
+"""What every controller promises, whatever is inside; see `tetractl.control.plan`."""
+
+import math
+
+import numpy as np
+import pytest
+from support.controllers import CONTROLLERS
+from support.plants import sim
+from support.trials import experiment
+
+from tetractl.clock import SECOND
+from tetractl.control.build import build_controller
+from tetractl.control.cost import Problem, evaluate
+from tetractl.control.plan import Outcome, Plan
+from tetractl.errors import ControlError
+from tetractl.model.state import Observation, Poses
+
+HORIZON = 14
+STOPPED = {"criterion", "iterations", "target", "evaluations", "deadline"}
+TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
+
+
+@pytest.fixture(params=CONTROLLERS.values(), ids=list(CONTROLLERS))
+def fields(request):
+    return {"horizon_max": HORIZON, "arrival_tolerance": 20} | request.param
+
+
+def make(fields, key=7):
+    return build_controller(experiment(controller=fields), key)
+
+
+def seen(poses, now=0):
+    valid = np.ones(len(poses), np.bool_)
+    return Observation(now * 120 // SECOND, now, now, Poses.of(np.array(poses)), valid)
+
+
+def drive(fields, steps, key=7):
+    """Let the controller drive a simulation; what it saw and what it decided."""
+    spec = experiment(controller=fields)
+    plant, controller = sim(spec), make(fields, key)
+    plant.open()
+    found = []
+    for k in range(steps):
+        observation = plant.observe()
+        decision = controller.plan(observation)
+        found.append((observation, decision))
+        if isinstance(decision, Outcome):
+            break
+        plant.steer(float(decision.signals[0]))
+        plant.clock.sleep_until((k + 1) * SECOND // 5)
+    return found
+
+
+def test_a_decision_is_a_whole_plan_or_an_outcome(fields):
+    for _, plan in drive(fields, 5):
+        if isinstance(plan, Outcome):
+            assert plan.complete
+            continue
+        count = len(plan.signals)
+        assert count >= 1
+        assert np.isfinite(plan.signals).all()
+        assert np.abs(plan.signals).max() <= math.pi + 1e-12
+        assert plan.path.shape == (count + 1, 3, 3)
+        assert np.isfinite(plan.path).all()
+        assert 0 <= plan.generator < 2**64
+        assert plan.search.signals is plan.signals
+        weight = experiment(controller=fields).controller.obstacle_weight
+        terms = plan.target_cost + weight * plan.obstacle_cost
+        assert plan.cost == pytest.approx(terms, rel=1e-9, abs=1e-6)
+
+
+def test_each_search_tells_how_it_went(fields):
+    for _, plan in drive(fields, 4):
+        if isinstance(plan, Outcome):
+            continue
+        assert plan.evaluations == sum(search.evaluations for search in plan.searches)
+        lengths = [search.length for search in plan.searches]
+        assert len(set(lengths)) == len(lengths)
+        for search in plan.searches:
+            assert search.stopped in STOPPED
+            assert search.evaluations >= 1
+            assert len(search.signals) == search.length
+            assert np.isfinite(search.history).all()
+            assert np.all(np.diff(search.history) <= 0)
+            assert search.cost == search.history[-1]
+            assert search.cost >= 0
+
+
+def test_step_0_predicts_from_what_was_observed_with_the_cost_it_states(fields):
+    ((observation, plan), *_) = drive(fields, 1)
+    assert isinstance(plan, Plan)
+    assert plan.path[0] == pytest.approx(observation.poses.array(), abs=1e-9)
+    problem = Problem.of(experiment(controller=fields), observation.poses)
+    assert plan.cost == pytest.approx(evaluate(problem, plan.signals[None]).total[0], rel=1e-9)
+    last = plan.path[-1, :, :2] - TARGETS[:, :2]
+    assert plan.target_cost == pytest.approx(np.hypot(*last.T).sum(), rel=1e-9)
+
+
+def test_the_key_alone_decides(fields):
+    def decisions(key):
+        plans = [plan for _, plan in drive(fields, 4, key) if isinstance(plan, Plan)]
+        return [(plan.signals.tobytes(), plan.cost, plan.generator) for plan in plans]
+
+    assert decisions(7) == decisions(7)
+    assert decisions(7) != decisions(8)
+
+
+def test_an_observation_is_left_as_it_was(fields):
+    poses = np.array([[900.0, 800, 0.3], [900, 1200, 0.1], [900, 1600, -0.2]])
+    observation = seen(poses)
+    make(fields).plan(observation)
+    assert observation.poses.array().tolist() == poses.tolist()
+
+
+def test_robots_at_their_targets_have_arrived(fields):
+    for off, arrived in ((19, True), (21, False)):
+        decision = make(fields).plan(seen(TARGETS + np.array([off, 0, 1.0])))
+        assert (decision is Outcome.ARRIVED) == arrived
+
+
+def test_a_trial_ends_after_k_max_steps(fields):
+    decisions = [plan for _, plan in drive(fields | {"steps_max": 2}, 10)]
+    assert isinstance(decisions[-1], Outcome)
+    assert len(decisions) <= 4
+    if len(decisions) == 4:
+        assert decisions[-1] is Outcome.STEPS_MAX
+
+
+def test_poses_that_are_no_numbers_are_refused(fields):
+    poses = np.array([[900.0, 800, 0.3], [math.nan, 1200, 0.1], [900, 1600, -0.2]])
+    with pytest.raises(ControlError):
+        make(fields).plan(seen(poses))
+
+
+def test_one_robot_or_five_are_steered_too(fields):
+    for count in (1, 5):
+        robots = [
+            {"name": f"r{i}", "start": [700, 500 + 300 * i], "target": [1000, 600 + 280 * i]}
+            | {"a": 2 + i, "speed": 150}
+            for i in range(count)
+        ]
+        spec = experiment(robots=robots, obstacles=[], controller=fields)
+        starts = [[*robot.start, robot.heading] for robot in spec.robots]
+        plan = build_controller(spec, 1).plan(seen(np.array(starts)))
+        assert isinstance(plan, Plan)
+        assert plan.path.shape[1] == count
+
+
+def test_steps_bring_the_robots_nearer(fields):
+    found = drive(fields, 12)
+    gaps = [np.hypot(*(observation.poses.xy - TARGETS[:, :2]).T).sum() for observation, _ in found]
+    assert gaps[-1] < gaps[0]

@@ -108,7 +108,7 @@ def _figures(summary: Summary) -> Grid:
 
 def _arrived(summary: Summary) -> str:
     if summary.experiment.controller.arrival_tolerance == 0:
-        return f"{NONE} (the spec sets no arrival_tolerance)"
+        return f"{NONE} (no arrival_tolerance set)"
     return f"{summary.arrived} of {len(summary.trials)}{_percent(summary.arrived_ci95)}"
 
 

@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))
 PATIENCE_S = 60  # until a step counts as hung: generous, for loaded machines
+RUN = 1  # the flag of a command
 SMALL = (  # a small swarm and under two seconds of driving
     "lab.mocap.transport=unicast",
     "lab.mocap.server=127.0.0.1",
@@ -132,6 +133,41 @@ class Played:
         """The record's events of a kind."""
         return [e for e in self.record if e["event"] == event and facts.items() <= e.items()]
 
+    def seen_ns(self):
+        """When the first fault after the run's start became visible, None without one."""
+        start = self.of("run")[0]["t_ns"]
+        return next(
+            (e["t_ns"] for e in self.of("fault", phase="start") if e["t_ns"] >= start), None
+        )
+
+    def stop_after(self, name, since_ns):
+        """Seconds from `since_ns` until a stop for a robot was on the wire."""
+        place = self.record[0]["robots"].index(name)
+        return next(
+            (event["t_ns"] - since_ns) / 1e9
+            for event in self.of("command")
+            if event["t_ns"] >= since_ns and stops(event, place)
+        )
+
+    def rest_after(self, name, since_ns):
+        """Seconds from `since_ns` until a robot stood still; 0 where it did already."""
+        changes = self.of("robot", name=name)
+        before = [e for e in changes if e["t_ns"] < since_ns]
+        if not before or not before[-1]["moving"]:
+            return 0.0
+        return next(e["t_ns"] - since_ns for e in changes if e["t_ns"] >= since_ns) / 1e9
+
+    def moves_after(self, name, since_ns):
+        """Whether a robot, having come to rest after `since_ns`, moved again."""
+        rest = since_ns + self.rest_after(name, since_ns) * 1e9
+        return any(e["t_ns"] > rest for e in self.of("robot", name=name, moving=True))
+
+
+def stops(command, place):
+    """Whether a command stops the robot at a place in the frame."""
+    wheels = command["wheels"]
+    return not command["flags"] & RUN or place >= len(wheels) or wheels[place] == [0, 0]
+
 
 def play(path, script, folder, *options, sets=()):
     """Play a script, with further options of the emulator and settings of both sides."""
@@ -168,9 +204,14 @@ def play(path, script, folder, *options, sets=()):
 
 
 def _attend(emulator, runners, script, folder, settings):
-    """Do what the script's marks say until the first runner ends."""
+    """Do what the script's marks say until the first runner ends, which it has to after
+    the second."""
+    ended = False
     first = runners[0].process
     while first.poll() is None:
+        if len(runners) == 2 and runners[1].process.poll() is not None and not ended:
+            ended = True
+            first.send_signal(signal.SIGINT)
         try:
             event = emulator.next(timeout=0.05)
         except queue.Empty:

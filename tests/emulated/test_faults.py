@@ -19,7 +19,6 @@ from tetractl.spec.load import load_spec
 SCRIPTS = sorted((ROOT / "experiments" / "faults").glob("*.yaml"))
 REACTION_S = 0.1  # on top of a fault's own tolerance, until the stop frame is on the wire
 ROLLING_S = 0.3  # from the stop frame on the wire until the wheels are at rest
-RUN = 1  # the flag
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
@@ -62,49 +61,30 @@ def check_log(expect, played):
         assert trial.result.outcome.complete
     else:
         assert trial.result.outcome == expect.outcome
-        assert re.search(expect.says, trial.result.reason, re.IGNORECASE)
+        if expect.outcome == "aborted":
+            assert re.search(expect.says, trial.result.reason, re.IGNORECASE)
 
 
 def check_motion(expect, played):
     """Robots stop in time, and none moves again after a run that ended."""
     slack = played.record[-1]["worst_lag_ms"] / 1e3 * 2 + 0.02  # what the host's load cost
     names = played.record[0]["robots"]
-    told = [
-        e for e in played.of("fault", phase="start") if e["t_ns"] >= played.of("run")[0]["t_ns"]
-    ]
-    if told and expect.tolerance is not None:
-        seen = told[0]["t_ns"]
+    ended = expect.outcome != "done"
+    seen = played.seen_ns()
+    if seen is not None and expect.tolerance is not None:
         limit = expect.tolerance + REACTION_S + slack
         for name in expect.robots or names:
-            place = names.index(name)
-            stop = next(e for e in played.of("command") if e["t_ns"] >= seen and stops(e, place))
-            assert (stop["t_ns"] - seen) / 1e9 <= limit, f"{name}'s stop came late"
-            if expect.outcome != "done":  # else it may start again before it came to rest
-                rest = rest_after(played, name, seen)
-                assert rest <= limit + ROLLING_S, f"{name} stood late"
-    if told and expect.still is not None:
+            assert played.stop_after(name, seen) <= limit, f"{name}'s stop came late"
+            if ended:  # else it may start again before it came to rest
+                assert played.rest_after(name, seen) <= limit + ROLLING_S, f"{name} stood late"
+                assert not played.moves_after(name, seen), f"{name} moved again"
+    if seen is not None and expect.still is not None:
         for name in names:
-            assert rest_after(played, name, told[0]["t_ns"]) <= expect.still + slack
-    if expect.outcome != "done":
-        rest = played.of("robot", moving=False)[-1]["t_ns"]
-        assert not [e for e in played.of("robot", moving=True) if e["t_ns"] >= rest]
-        first = min(e["t_ns"] for e in played.of("robot", moving=True))
-        assert first < rest
-
-
-def stops(command, place):
-    """Whether a command stops the robot at a place in the frame."""
-    wheels = command["wheels"]
-    return not command["flags"] & RUN or place >= len(wheels) or wheels[place] == [0, 0]
-
-
-def rest_after(played, name, since_ns):
-    """Seconds from `since_ns` until a robot stood still; 0 where it did already."""
-    changes = played.of("robot", name=name)
-    before = [e for e in changes if e["t_ns"] < since_ns]
-    if not before or not before[-1]["moving"]:
-        return 0.0
-    return next(e["t_ns"] - since_ns for e in changes if e["t_ns"] >= since_ns) / 1e9
+            assert played.rest_after(name, seen) <= expect.still + slack
+            assert not played.moves_after(name, seen), f"{name} moved again"
+    assert played.of("robot", moving=True), "the run did drive"
+    last = {event["name"]: event["moving"] for event in played.of("robot")}
+    assert not any(last.values())
 
 
 def check_space(expect, played):

@@ -1,0 +1,251 @@
+"""`tetractl lab check`, `stop`, `calibrate`, and what `tetractl run --plant lab` adds, emulated."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from stage import PATIENCE_S, ROOT, SMALL, SPEC, TETRACTL, Emulator, flags
+from support.terminal import Terminal
+
+from tetractl.clock import MonotonicClock
+from tetractl.lab.m3pi.broadcast import Flag, decode_command
+from tetractl.lab.m3pi.cobs import Splitter
+from tetractl.lab.recorded import read_wire, replay_cameras
+from tetractl.lab.session import Session
+from tetractl.lab.xbee.framing import Decoder
+from tetractl.log.reader import read_trial
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import on_plant, parse_calibration
+
+UNEVEN = """
+about: robots that differ from their spec
+emulation:
+  robots:
+    - name: green
+      swap: true
+      left: {gain_mm: 7.1, dead_zone: 9, invert: true}
+      right: {gain_mm: 8.2, dead_zone: 12}
+      radius_mm: 43
+      heading_offset: 0.3
+"""
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """Start an emulated lab; returns it and the settings that lead to it."""
+    made = []
+
+    def start(script="", *options):
+        if script:
+            (tmp_path / "script.yaml").write_text(script)
+            options = (*options, "--script", str(tmp_path / "script.yaml"))
+        emulator = Emulator(tmp_path, SMALL, *options)
+        made.append(emulator)
+        ready = emulator.wait_for("ready")
+        return emulator, (
+            *SMALL,
+            f"lab.mocap.command_port={ready['command_port']}",
+            f"lab.radio.port={ready['port']}",
+        )
+
+    yield start
+    for emulator in made:
+        emulator.close()
+
+
+def tetractl(folder, *words):
+    return subprocess.run(
+        [TETRACTL, *words],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+
+
+def test_check_says_ready_and_moves_nothing(lab, tmp_path):
+    emulator, settings = lab()
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), "--json", *flags(settings))
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["ready"]
+    assert [robot["name"] for robot in found["robots"]] == ["green", "blue", "red"]
+    for robot in found["robots"]:
+        assert robot["tracked"]
+        assert robot["answers"]
+        assert robot["off_mm"] < 1
+        assert 4 < robot["battery_v"] < 6
+    assert 100 < found["camera_rate_hz"] < 140
+    assert 0 < found["latency_ms"]["p50"] <= found["latency_ms"]["max"]
+    _, record = emulator.end()
+    assert not [event for event in record if event["event"] == "run"]
+
+
+def test_check_says_who_is_off_and_how_far(lab, tmp_path):
+    _, settings = lab()
+    moved = ("robots.0.start=[1000, 800]", "robots.2.heading=1")
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags((*settings, *moved)))
+    assert done.returncode == 1
+    assert "problem: green is 100 mm from its start" in done.stdout
+    assert "problem: red is turned by -1.00 rad from its start heading" in done.stdout
+    assert done.stdout.rstrip().endswith("not ready")
+
+
+def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
+    emulator, settings = lab()
+    sets = flags((*settings, "robots.1.start=[900, 1300]"))
+    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--out", "logs", *sets)
+    assert done.returncode == 1
+    assert "error: blue is 100 mm from its start" in done.stderr
+    _, record = emulator.end()
+    assert not [event for event in record if event["event"] == "run"]
+    assert list((tmp_path / "logs").iterdir()) == []
+
+
+def test_stop_latches_every_robot_by_port_alone(lab, tmp_path):
+    _, settings = lab()
+    done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio"))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("sent 20 stops on ")
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags(settings))
+    assert done.returncode == 1
+    for name in ("green", "blue", "red"):
+        assert f"problem: {name} is emergency-stopped" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "says"),
+    [
+        (["stop"], 2, "name a SPEC or a --port"),
+        (["stop", "--port", "nowhere"], 1, "nowhere: there is no such port"),
+        (["stop", "--port", "x", "--mode", "loud"], 2, "--mode"),
+        (["check", str(SPEC.with_name("three_m3pi.yaml"))], 2, "has no lab"),
+        (["calibrate", str(SPEC)], 2, "robots would move"),
+        (["calibrate", str(SPEC), "--robot", "pink", "--yes"], 2, "has no such robot"),
+    ],
+)
+def test_bad_usage_is_one_clear_line(tmp_path, words, code, says):
+    done = tetractl(tmp_path, "lab", *words)
+    assert done.returncode == code
+    assert done.stderr.startswith("error: ")
+    assert says in done.stderr
+
+
+def test_lab_options_of_run_are_checked(tmp_path):
+    done = tetractl(tmp_path, "run", str(SPEC), "--record-wire", "wire")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "a simulation has no wire" in done.stderr
+    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--jobs", "2")
+    assert done.returncode == 2
+    assert "one trial at a time" in done.stderr
+
+
+def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tmp_path):
+    _, settings = lab(UNEVEN, "--replace-after", "1")
+    done = tetractl(
+        tmp_path, "lab", "calibrate", str(SPEC), "--robot", "green", "--yes", *flags(settings)
+    )
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "calibration.yaml").read_text()
+    (green,) = parse_calibration(text, "calibration.yaml").robots
+    assert green.swap
+    assert (green.left.invert, green.right.invert) == (True, False)
+    assert green.left.gain_mm == pytest.approx(7.1, rel=0.06)
+    assert green.right.gain_mm == pytest.approx(8.2, rel=0.06)
+    assert abs(green.left.dead_zone - 9) <= 1
+    assert abs(green.right.dead_zone - 12) <= 1
+    assert green.radius_mm == pytest.approx(43, rel=0.05)
+    assert green.heading_offset == pytest.approx(0.3, abs=0.03)
+    sets = flags(
+        (
+            *settings,
+            f"lab.calibration={tmp_path / 'calibration.yaml'}",
+            "lab.limits.placing=30",
+            "controller.steps_max=3",
+        )
+    )
+    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--out", "logs", *sets)
+    assert done.returncode == 0, done.stderr
+    trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
+    assert trial.start.experiment.plant.robots[0].radius_mm == green.radius_mm
+    assert attachment(tmp_path / "logs" / "trial-000.mcap", "calibration.yaml") == text
+
+
+def attachment(path, name):
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        (found,) = [a for a in make_reader(file).iter_attachments() if a.name == name]
+        return found.data.decode()
+
+
+def test_a_recorded_wire_gives_the_same_poses_and_commands_again(lab, tmp_path):
+    _, settings = lab()
+    words = ("--plant", "lab", "--out", "logs", "--record-wire", "wire", *flags(settings))
+    done = tetractl(tmp_path, "run", str(SPEC), *words)
+    assert done.returncode == 0, done.stderr
+    trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
+    passages = list(read_wire(tmp_path / "wire" / "trial-000.wire"))
+
+    loaded = on_plant(load_spec(SPEC, settings), "lab").experiment
+    seen = {}
+    session = Session(loaded, loaded.plant, MonotonicClock(), None)
+    stream = session.client.stream
+    stream._on_snapshot = lambda snapshot: seen.setdefault(snapshot.number, snapshot)
+    replay_cameras(passages, stream)
+    assert stream.counts.bad == 0
+    for number, sampled_ns, poses in zip(trial.frames, trial.mocap_ns, trial.mocap, strict=True):
+        again = seen[number]
+        assert again.sampled_ns == sampled_ns
+        np.testing.assert_array_equal([(p.x, p.y) for p in again.poses], poses[:, :2])
+
+    decoder, splitter = Decoder(), Splitter()
+    frames = [
+        decode_command(cut)
+        for passage in passages
+        if passage.wire == "radio" and not passage.received
+        for frame in decoder.feed(passage.data)
+        if hasattr(frame, "destination")
+        for cut in splitter.feed(frame.data)
+    ]
+    driven = [frame for frame in frames if frame.flags & Flag.RUN]
+    moves = [command for command in trial.commands if command.direction is not None]
+    assert len(driven) == len(moves)
+    plant = on_plant(load_spec(SPEC, settings), "lab").experiment.plant
+    for frame, command in zip(driven, moves, strict=True):
+        left = [pair[0] * plant.robots[0].left.gain_mm for pair in frame.wheels]
+        np.testing.assert_allclose(command.left, left, rtol=1e-9)
+
+
+def test_space_is_the_operators_emergency_stop(lab, tmp_path):
+    emulator, settings = lab()
+    sets = flags((*settings, "lab.limits.placing=30", "robots.0.target=[1500, 500]"))
+    command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--out", "logs", "--quiet", *sets]
+    with Terminal(command, tmp_path, columns=100) as terminal:
+        terminal.expect("SPACE or ESC: EMERGENCY STOP")
+        terminal.expect("press Enter to go")
+        terminal.press("\r")
+        emulator.wait_for("run")
+        terminal.press(" ")
+        assert terminal.finish() == 1
+        assert "emergency stop by the operator" in terminal.raw
+        assert terminal.settings() == terminal.before
+    _, record = emulator.end()
+    stops = [e for e in record if e["event"] == "command" and e["flags"] & 2]
+    assert len(stops) == 10
+    last = [e for e in record if e["event"] == "robot"][-3:]
+    assert not any(event["moving"] for event in last)
+
+
+def test_no_line_of_the_runner_knows_that_a_lab_is_emulated():
+    folder = ROOT / "tetractl"
+    for path in folder.rglob("*.py"):
+        if "emulat" in path.name or path.parent.name == "emulate":
+            continue
+        text = path.read_text().replace("lab_emulate", "").replace("lab.emulate", "")
+        lines = [line for line in text.splitlines() if "emulat" in line and "import" in line]
+        assert lines == [], path
+    assert sys.version_info >= (3, 11)

@@ -144,7 +144,7 @@ def test_lab_options_of_run_are_checked(tmp_path):
 
 
 def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tmp_path):
-    _, settings = lab(UNEVEN, "--replace-after", "1")
+    _, settings = lab(UNEVEN, "--replace-after", "4")
     done = tetractl(
         tmp_path, "lab", "calibrate", str(SPEC), "--robot", "green", "--yes", *flags(settings)
     )
@@ -163,7 +163,7 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
         (
             *settings,
             f"lab.calibration={tmp_path / 'calibration.yaml'}",
-            "lab.limits.placing=30",
+            "lab.limits.placing=60",
             "controller.steps_max=3",
         )
     )
@@ -235,7 +235,7 @@ def test_space_is_the_operators_emergency_stop(lab, tmp_path):
         assert terminal.settings() == terminal.before
     _, record = emulator.end()
     stops = [e for e in record if e["event"] == "command" and e["flags"] & 2]
-    assert len(stops) == 10
+    assert len(stops) >= 10
     last = [e for e in record if e["event"] == "robot"][-3:]
     assert not any(event["moving"] for event in last)
 

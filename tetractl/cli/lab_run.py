@@ -30,18 +30,21 @@ def run_in_lab(
     record: Path | None,
 ) -> "Report":
     """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time."""
+    from rich.console import Console
+
     from tetractl.lab.recorded import WireRecorder
     from tetractl.plant.lab import Hands
     from tetractl.run.batch import run_lab_batch
     from tetractl.view.stopkey import SAYS, StopKey
 
+    quiet, console = console, Console(stderr=True)  # what concerns safety is always said
     operator, entered = threading.Event(), threading.Event()
     with ExitStack() as stack:
         key = stack.enter_context(StopKey(operator.set, entered.set))
         says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
         console.print(says, style="bold", highlight=False)
         live = live and key.listening
-        watch = LabWatch(console, loaded.experiment, live)
+        watch = LabWatch(console, quiet, loaded.experiment, live)
         attendant = TerminalAttendant(console, entered) if key.listening else None
 
         @contextmanager
@@ -92,11 +95,16 @@ class TerminalAttendant:
 class LabWatch:
     """Shows a batch in the lab: lines, or each trial's live view; an `Observer` and a watcher.
 
+    Notes go to `console`, a line a trial to `quiet`, which may drop it.
+
     The live view's screen is given back between trials, for placing the robots.
     """
 
-    def __init__(self, console: "Console", experiment: "Experiment", live: bool) -> None:
-        self._console, self._unit, self._live = console, experiment.units.length, live
+    def __init__(
+        self, console: "Console", quiet: "Console", experiment: "Experiment", live: bool
+    ) -> None:
+        self._console, self._quiet = console, quiet
+        self._unit, self._live = experiment.units.length, live
         self._view: LiveView | None = None
         self._notes: list[Note] = []
         self._trial = self._count = 0
@@ -111,7 +119,7 @@ class LabWatch:
 
         self._close()
         text = trial_line(index, self._count, result, self._unit)
-        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+        self._quiet.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def on_start(self, start: "Start") -> None:
         """Open the live view."""

@@ -7,7 +7,7 @@ on the run's clock.
 
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +19,9 @@ from mcap.writer import CompressionType, Writer
 
 from tetractl import __version__
 from tetractl.errors import LogError
+from tetractl.lab.natnet.messages import Request
+from tetractl.lab.natnet.stream import Stream
+from tetractl.lab.natnet.wire import parse
 
 QUEUE = 100_000  # passages that may wait for the disk
 
@@ -108,3 +111,14 @@ def read_wire(path: Path) -> Iterator[Passage]:
         raise LogError(f"{path}: {error.strerror or error}") from error
     except (McapError, ValueError) as error:
         raise LogError(f"{path}: not a recorded wire: {error}") from error
+
+
+def replay_cameras(passages: Iterable[Passage], stream: Stream) -> None:
+    """Feed what came from the cameras into a stream, as it was fed live."""
+    for passage in passages:
+        if passage.wire != "natnet":
+            continue
+        if passage.received:
+            stream.feed(passage.data, passage.t_ns)
+        elif isinstance(message := parse(passage.data), Request):
+            stream.asked(message)

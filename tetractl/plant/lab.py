@@ -27,6 +27,7 @@ from tetractl.spec.lab import LabSpec
 
 KEPT = 100_000
 LOOK_NS = SECOND // 5  # how often placing is looked at
+GRACE_S = 1.0  # at least this long, for frames that are missing now and then
 REST_NS = SECOND // 4  # robots must stand still for this long
 
 
@@ -82,10 +83,7 @@ class LabPlant:
         """Connect, look everything over, and wait until the robots stand on their starts."""
         session = self.session
         session.open()
-        findings = preflight.inspect(session, preflight.poll(session))
-        if findings.all_problems:
-            raise AbortError("; ".join(findings.all_problems), "try `tetractl lab check SPEC`")
-        self._wait_for_placing()
+        findings = self._make_ready()
         now = self.clock.now()
         for warning in findings.all_warnings:
             self._news.append(Note(now, "warning", warning))
@@ -188,28 +186,37 @@ class LabPlant:
             delivered = sent.moving
         return Command(sent.direction, sent.t_ns, delivered, left, right)
 
-    def _wait_for_placing(self) -> None:
-        """Wait until every robot stands still on its start and, where one is there, a person
-        agrees; AbortError says who is how far off."""
-        attendant, limit = self._hands.attendant, self.spec.limits.placing
+    def _make_ready(self) -> Findings:
+        """Wait until all is well, every robot stands still on its start and, where one is there, a
+        person agrees; AbortError says what is wrong and who is how far off.
+
+        Robots that are carried may be off and out of sight for a while: only time tells.
+        """
+        session, attendant = self.session, self._hands.attendant
+        limit = round(max(self.spec.limits.placing, GRACE_S) * SECOND)
         began = self.clock.now()
         while True:
-            client = self.session.client
-            lines = preflight.unplaced(self.session, client.newest) or self._moving()
+            findings: Findings | None = None
+            lines = preflight.unplaced(session, session.client.newest) or self._moving()
+            if not lines:
+                findings = preflight.inspect(session, preflight.poll(session))
+                again = preflight.unplaced(session, session.client.newest)
+                lines = list(dict.fromkeys((*findings.all_problems, *again)))
             if attendant is not None:
                 attendant.place(lines)
-            if not lines and (attendant is None or attendant.go()):
-                return
+            if findings is not None and not lines and (attendant is None or attendant.go()):
+                return findings
             if self._hands.operator.is_set():
                 raise AbortError("emergency stop by the operator")
             if self._hands.cancelled():
                 raise KeyboardInterrupt
             self._check_stream()
-            waited_s = (self.clock.now() - began) / SECOND
-            if attendant is None and waited_s >= limit:
+            if attendant is None and self.clock.now() - began >= limit:
+                found = findings or preflight.inspect(session, preflight.poll(session))
+                problems = dict.fromkeys((*found.all_problems, *lines))
                 raise AbortError(
-                    "; ".join(lines),
-                    "put the robots on their starts; plant.limits.placing waits for that",
+                    "; ".join(problems),
+                    "see `tetractl lab check`; limits.placing waits for robots to be placed",
                 )
             self.clock.sleep_until(self.clock.now() + LOOK_NS)
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tetractl.log.records import ResultSummary
+from tetractl.spec.experiment import Experiment
 from tetractl.stats.estimate import Distribution, Interval
 from tetractl.stats.summary import Comparison, Summary
 from tetractl.stats.trials import counts, listing
@@ -33,7 +34,7 @@ def grids(summary: Summary, comparison: Comparison | None = None) -> list[Grid]:
 
 
 def _errors(summary: Summary, comparison: Comparison | None) -> Grid:
-    show = _lengths(summary.total.mean)
+    show = _lengths(summary.total.mean, _finest(summary.experiment))
     rows = [_row("total", summary.total, show)]
     if comparison:
         rows.append(_row("against", comparison.theirs.total, show))
@@ -115,7 +116,7 @@ def _arrived(summary: Summary) -> str:
 def _comparison(comparison: Comparison) -> Grid:
     unit = comparison.ours.unit
     found = comparison.welch
-    show = _lengths(found.value)
+    show = _lengths(found.value, _finest(comparison.ours.experiment))
     verdict = comparison.verdict or f"none: {comparison.reason}"
     rows = [
         ("n", f"{comparison.ours.counted} and {comparison.theirs.counted}"),
@@ -150,11 +151,18 @@ def _fixed(decimals: int) -> Callable[[float], str]:
     return show
 
 
-def _lengths(scale: float) -> Callable[[float], str]:
-    """Show lengths with the decimals that give `scale` three digits; one decimal below 1000."""
+def _lengths(scale: float, finest: int = 9) -> Callable[[float], str]:
+    """Show lengths with the decimals that give `scale` three digits, but at most `finest`; with one
+    decimal at least below 1000."""
     scale = abs(scale)
     digits = math.floor(math.log10(scale)) if math.isfinite(scale) and scale > 0 else 1
-    return _fixed(min(max(2 - digits, int(digits < 3)), 9))
+    return _fixed(min(max(2 - digits, int(digits < 3)), finest))
+
+
+def _finest(experiment: Experiment) -> int:
+    """Return the decimals of about a millionth of the arena: less than that is no one's error."""
+    extent = max(experiment.arena.width, experiment.arena.height)
+    return min(max(6 - math.floor(math.log10(extent)), 0), 9)
 
 
 def _digits(value: float) -> str:

@@ -11,7 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from tetractl import __version__
-from tetractl.cli import info, lab, plot, replay, run, schema, stats, validate
+from tetractl.cli import info, lab, plot, recover, replay, run, schema, stats, validate, verify
 from tetractl.errors import Exit, TetractlError
 
 app = typer.Typer(
@@ -45,8 +45,10 @@ app.command("run")(run.run)
 app.command("validate")(validate.validate)
 app.command("schema")(schema.schema)
 app.command("info")(info.info)
+app.command("recover")(recover.recover)
 app.command("replay")(replay.replay)
 app.command("plot")(plot.plot)
+app.command("verify")(verify.verify)
 app.command("stats")(stats.stats)
 app.add_typer(lab.app, name="lab")
 

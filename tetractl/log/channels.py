@@ -50,12 +50,13 @@ RUN = "tetractl.run"
 HOST = "tetractl.host"
 TIMING = "tetractl.timing"
 RESULT = "tetractl.result"
+RECOVERED = "tetractl.recovered"
 
 SPEC = "spec.yaml"
 RESOLVED_SPEC = "spec.resolved.yaml"
 ENVIRONMENT = "environment.json"
 
-HOST_RECORDS = frozenset({HOST_TIMING, HOST, TIMING, ENVIRONMENT})
+HOST_RECORDS = frozenset({HOST_TIMING, HOST, TIMING, ENVIRONMENT, RECOVERED})
 """Topics, metadata and attachments that differ between two runs of the same trial."""
 
 

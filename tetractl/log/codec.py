@@ -25,13 +25,15 @@ def encode_observation(observation: Observation) -> pb.MocapSample:
     )
 
 
-def decode_observation(message: pb.MocapSample) -> Observation:
-    """Decode one camera frame."""
+def decode_observation(message: pb.MocapSample, robots: int | None = None) -> Observation:
+    """Decode one camera frame; ValueError where it is not of so many robots."""
+    if robots is not None and len(message.valid) != robots:
+        raise ValueError(f"a frame of {len(message.valid)} robots, not {robots}")
     return Observation(
         frame=message.frame,
         sampled_ns=message.sampled_ns,
         received_ns=message.received_ns,
-        poses=decode_poses(message),
+        poses=decode_poses(message, robots),
         valid=np.array(message.valid, dtype=np.bool_),
     )
 
@@ -47,8 +49,11 @@ def encode_truth(observation: Observation, truth: Poses) -> pb.Truth:
     )
 
 
-def decode_poses(message: pb.MocapSample | pb.Truth) -> Poses:
-    """Decode the poses of a camera frame, measured or true."""
+def decode_poses(message: pb.MocapSample | pb.Truth, robots: int | None = None) -> Poses:
+    """Decode the poses of a camera frame, measured or true; ValueError as above."""
+    found = {len(message.x), len(message.y), len(message.heading)}
+    if len(found) > 1 or (robots is not None and found != {robots}):
+        raise ValueError(f"poses of {sorted(found)} robots, not {robots}")
     return Poses(_floats(message.x), _floats(message.y), _floats(message.heading))
 
 
@@ -95,13 +100,17 @@ def encode_step(step: Step) -> pb.ControllerStep:
     )
 
 
-def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None) -> Step:
+def decode_step(
+    message: pb.ControllerStep, timing: pb.StepTiming | None, robots: int | None = None
+) -> Step:
     """Decode one decision; without its timing, solve_ns is 0.
 
-    Raises ValueError where the arrays do not fit each other.
+    Raises ValueError where the arrays do not fit each other or so many robots.
     """
-    observation = decode_observation(message.observation)
+    observation = decode_observation(message.observation, robots)
     robots = len(observation.poses.x)
+    if not 0 <= message.chosen < len(message.searches) or not message.signals:
+        raise ValueError(f"step {message.k} chooses a search that is not there")
     flat = [_floats(column) for column in (message.path_x, message.path_y, message.path_heading)]
     plan = Plan(
         signals=_floats(message.signals),

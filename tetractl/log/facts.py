@@ -13,7 +13,7 @@ import numpy as np
 
 from tetractl.control.plan import Outcome
 from tetractl.log.digest import CHECKSUM
-from tetractl.log.records import FORMAT_VERSION, Result, Start
+from tetractl.log.records import FORMAT_VERSION, Damage, Result, Start
 from tetractl.model.state import Poses
 from tetractl.plant.protocol import PlantInfo, Verdict
 from tetractl.spec.experiment import Experiment
@@ -108,26 +108,53 @@ def timing_facts(result: Result) -> dict[str, str]:
     }
 
 
-def read_result(facts: Mapping[str, str], timing: Mapping[str, str] | None) -> Result:
+def damage_facts(damage: Damage, source: str, size: int, sha256: str) -> dict[str, str]:
+    """Return what a recovered log says of the file it comes from: metadata `tetractl.recovered`."""
+    return {
+        "source": source,
+        "source_bytes": str(size),
+        "source_sha256": sha256,
+        "problems": json.dumps(damage.problems),
+        "lost": json.dumps(damage.lost),
+    }
+
+
+def read_damage(facts: Mapping[str, str]) -> Damage | None:
+    """Return what was lost before a log was recovered, None for nothing."""
+    problems, lost = (json.loads(facts[key]) for key in ("problems", "lost"))
+    if not lost:
+        return None
+    whence = f"recovered from {facts['source']}, which was damaged"
+    return Damage((whence, *map(str, problems)), tuple(map(str, lost)))
+
+
+def read_result(
+    facts: Mapping[str, str], timing: Mapping[str, str] | None, robots: int | None = None
+) -> Result:
     """Return how a trial ended; the inverse of `result_facts` and `timing_facts`.
 
-    Without the timing there are no solve times. Raises KeyError or ValueError where the facts are
-    not ours.
+    Without the timing there are no solve times. Raises KeyError, TypeError or ValueError where the
+    facts are not ours, or not of so many robots.
     """
     final = [_floats(facts[key]) for key in ("final_x", "final_y", "final_heading")]
+    entered = tuple(bool(entered) for entered in json.loads(facts["entered"]))
+    errors, clearance = _floats(facts["robot_errors"]), _floats(facts["clearance"])
+    count = len(errors) if robots is None else robots
+    if any(len(column) != count for column in (*final, entered, errors, clearance)):
+        raise ValueError("the result is not of as many robots as the run")
     return Result(
         outcome=Outcome(facts["outcome"]),
         reason=facts["reason"],
         steps=int(facts["steps"]),
         duration_s=float(facts["duration_s"]),
         total_error=float(facts["total_error"]),
-        robot_errors=_floats(facts["robot_errors"]),
+        robot_errors=errors,
         verdict=Verdict(
             final=Poses(*(np.array(column, dtype=np.float64) for column in final)),
-            entered=tuple(bool(entered) for entered in json.loads(facts["entered"])),
-            clearance=_floats(facts["clearance"]),
+            entered=entered,
+            clearance=clearance,
         ),
-        solve_ns=tuple(json.loads(timing["solve_ns"])) if timing else (),
+        solve_ns=tuple(int(ns) for ns in json.loads(timing["solve_ns"])) if timing else (),
         deadline_misses=int(timing["deadline_misses"]) if timing else 0,
     )
 

@@ -9,6 +9,7 @@ from tetractl.errors import UsageError
 
 SUFFIX = ".mcap"
 PART = ".mcap.part"
+RECOVERED_SUFFIX = ".recovered.mcap"
 
 
 def find_logs(paths: Iterable[Path | str]) -> list[Path]:
@@ -16,14 +17,23 @@ def find_logs(paths: Iterable[Path | str]) -> list[Path]:
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder stands for the
     logs in it and in its sub-folders, by name with numbers in their order; a .part counts too, for
-    a trial that crashed is part of its batch, unless the finished log lies beside it. Raises
+    a trial that crashed is part of its batch, unless the finished log lies beside it. What
+    `tetractl recover` wrote is passed over where the log that it comes from is given too. Raises
     UsageError for a path that does not exist, a folder without logs, or a pattern without a match.
     """
     found: dict[Path, Path] = {}
     for path in map(Path, paths):
         for log in _expand(path):
             found.setdefault(log.resolve(), log)
-    return list(found.values())
+    return [log for real, log in found.items() if not _sources(real) & found.keys()]
+
+
+def _sources(log: Path) -> set[Path]:
+    """Return what a log was recovered from, if it was."""
+    if not log.name.endswith(RECOVERED_SUFFIX):
+        return set()
+    stem = log.name.removesuffix(RECOVERED_SUFFIX)
+    return {log.with_name(stem + suffix) for suffix in (SUFFIX, PART)}
 
 
 def _expand(path: Path) -> list[Path]:

@@ -1,5 +1,6 @@
 """Where a log comes from: the machine, the hour, the versions, the state of the source tree."""
 
+import hashlib
 import json
 import os
 import platform
@@ -12,14 +13,26 @@ from importlib import metadata
 from pathlib import Path
 
 from tetractl import __version__
+from tetractl.cache import digest as cache_name
 
-PACKAGES = ("numpy", "numba", "scipy", "mcap", "protobuf")
+PACKAGES = (
+    "numpy",
+    "numba",
+    "llvmlite",
+    "scipy",
+    "pydantic",
+    "pyyaml",
+    "mcap",
+    "zstandard",
+    "protobuf",
+)
 """Packages whose version may change a result or how it is stored."""
 
-VERSION_KEYS = frozenset({"python", "tetractl", "git_commit", "git_dirty", *PACKAGES})
+VERSION_KEYS = frozenset({"python", "tetractl", "code", "git_commit", "git_dirty", *PACKAGES})
 """What `versions` may hold."""
 
 DIFF_LIMIT = 50_000  # characters
+UNTRACKED_LIMIT = 200  # files
 _GIT_TIMEOUT_S = 5.0
 
 
@@ -35,6 +48,7 @@ def host() -> dict[str, str]:
         "host": socket.gethostname(),
         "os": platform.platform(),
         "cpu": _cpu(),
+        "cpu_target": _cpu_target(),
         "cpus": str(os.cpu_count() or 0),
     }
 
@@ -43,10 +57,16 @@ def host() -> dict[str, str]:
 def versions() -> dict[str, str]:
     """Return the versions behind a result and, from a source checkout, its git state.
 
+    `code` names the contents of the sources that decide: `tetractl.control` and `tetractl.model`.
     `git_commit` and `git_dirty` are left out where tetractl does not run from a git checkout or git
     is not installed.
     """
-    facts = {"python": platform.python_version(), "tetractl": __version__}
+    sources = [file for part in ("control", "model") for file in (_here() / part).rglob("*.py")]
+    facts = {
+        "python": platform.python_version(),
+        "tetractl": __version__,
+        "code": cache_name(sources),
+    }
     facts |= {name: metadata.version(name) for name in PACKAGES}
     return facts | _git_state()
 
@@ -67,8 +87,17 @@ def environment() -> str:
         "packages": dict(sorted(packages.items(), key=lambda item: item[0].lower())),
     }
     if versions().get("git_dirty") == "true":
-        facts["git_diff"] = (_git("diff", "HEAD") or "")[:DIFF_LIMIT]
+        diff = _git("diff", "HEAD") or ""
+        untracked = _git("ls-files", "--others", "--exclude-standard", ":/") or ""
+        facts["git_diff"] = diff[:DIFF_LIMIT]
+        facts["git_diff_characters"] = len(diff)
+        facts["git_diff_sha256"] = hashlib.sha256(diff.encode()).hexdigest()
+        facts["git_untracked"] = untracked.splitlines()[:UNTRACKED_LIMIT]
     return json.dumps(facts, indent=1) + "\n"
+
+
+def _here() -> Path:
+    return Path(__file__).parents[1]
 
 
 def _git_state() -> dict[str, str]:
@@ -82,10 +111,9 @@ def _git_state() -> dict[str, str]:
 
 def _git(*arguments: str) -> str | None:
     """Return the output of git in tetractl's own folder, None where it fails."""
-    folder = Path(__file__).parents[1]
     try:
         done = subprocess.run(
-            ["git", "-C", str(folder), *arguments],
+            ["git", "-C", str(_here()), *arguments],
             capture_output=True,
             text=True,
             errors="replace",
@@ -95,6 +123,13 @@ def _git(*arguments: str) -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout
+
+
+def _cpu_target() -> str:
+    """Return the processor that compiled code is made for, as LLVM calls it."""
+    from llvmlite import binding  # slow to import, and needed by those who compute anyway
+
+    return binding.get_host_cpu_name()
 
 
 def _cpu() -> str:

@@ -1,5 +1,6 @@
 """Trials read back from their logs, whole or as much as a damaged file still holds."""
 
+import json
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
@@ -37,23 +38,26 @@ def trial_of(contents: Contents) -> TrialLog:
     start, seed = _start(contents)
     try:
         return _trial(contents, start, seed)
-    except (DecodeError, KeyError, ValueError) as error:  # intact, but not as we write it
+    except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
+        # intact, but not as we write it
         raise LogError(f"{contents.path}: holds what tetractl does not write: {error}") from None
 
 
 def _trial(contents: Contents, start: Start, seed: int) -> TrialLog:
-    problems, lost = list(contents.problems), list(contents.lost)
+    before = _recovered(contents)
+    problems = [*(before.problems if before else ()), *contents.problems]
+    lost = [*(before.lost if before else ()), *contents.lost]
     robots = len(start.experiment.robots)
     data: dict[str, list[bytes]] = {topic: [] for topic in channels.CHANNELS}
     for entry in contents.entries:
         data.setdefault(entry.topic, []).append(entry.data)
     frames = map(pb.MocapSample.FromString, data[channels.MOCAP])
-    samples = [codec.decode_observation(frame) for frame in frames]
+    samples = [codec.decode_observation(frame, robots) for frame in frames]
     sent = map(pb.WheelCommand.FromString, data[channels.COMMANDS])
     commands = tuple(map(codec.decode_command, sent))
     stops = [command for command in commands if command.direction is None]
     truths = map(pb.Truth.FromString, data[channels.TRUTH])
-    true = {truth.frame: codec.decode_poses(truth) for truth in truths}
+    true = {truth.frame: codec.decode_poses(truth, robots) for truth in truths}
     missing = Poses.of(np.full((robots, 3), np.nan))
     timings = {m.k: m for m in map(pb.StepTiming.FromString, data[channels.HOST_TIMING])}
     steps = map(pb.ControllerStep.FromString, data[channels.STEP])
@@ -74,7 +78,7 @@ def _trial(contents: Contents, start: Start, seed: int) -> TrialLog:
         truth=_stack([true.get(seen.frame, missing) for seen in samples], robots)
         if start.plant.simulated
         else None,
-        steps=tuple(codec.decode_step(step, timings.get(step.k)) for step in steps),
+        steps=tuple(codec.decode_step(step, timings.get(step.k), robots) for step in steps),
         stop=stops[-1] if stops else None,
         result=result,
         damage=Damage(tuple(problems), tuple(lost)) if problems else None,
@@ -97,7 +101,10 @@ def read_result(path: Path) -> ResultSummary:
     contents = peek(Path(path))
     if contents and (result := _result(contents)):
         start, seed = _start(contents)
-        recovered, digest = False, (contents.facts(channels.RESULT) or {}).get(DIGEST)
+        recovered, digest = (
+            _recovered(contents) is not None,
+            (contents.facts(channels.RESULT) or {}).get(DIGEST),
+        )
     else:
         trial = read_trial(path)
         start, seed, digest = trial.start, trial.seed, trial.digest
@@ -174,7 +181,7 @@ def _start(contents: Contents) -> tuple[Start, int]:
             raise LogError(f"{path}: damaged: the resolved spec is lost")
         text = contents.attachment(channels.SPEC) or ""
         return facts.read_start(run, _experiment(resolved), text), int(run["seed"])
-    except (SpecError, KeyError, ValueError) as error:
+    except (SpecError, KeyError, RecursionError, ValueError) as error:
         raise LogError(f"{path}: the record of the run cannot be read: {error}") from None
 
 
@@ -183,12 +190,27 @@ def _experiment(resolved: str) -> Experiment:
     return parse_spec(resolved, channels.RESOLVED_SPEC).experiment
 
 
+def _recovered(contents: Contents) -> Damage | None:
+    """Return what a recovered log says was wrong with the one before it, None for nothing."""
+    found = contents.facts(channels.RECOVERED)
+    if found is None:
+        return None
+    try:
+        return facts.read_damage(found)
+    except (KeyError, RecursionError, TypeError, ValueError):
+        return Damage(("recovered from a damaged log",), ())
+
+
 def _result(contents: Contents) -> Result | None:
     """Return the stated result, None where there is none that can be read."""
     result = contents.facts(channels.RESULT)
+    run = contents.facts(channels.RUN)
+    if result is None or run is None:
+        return None
     try:
-        return facts.read_result(result, contents.facts(channels.TIMING)) if result else None
-    except (KeyError, ValueError):
+        robots = len(json.loads(run["robots"]))
+        return facts.read_result(result, contents.facts(channels.TIMING), robots)
+    except (KeyError, OverflowError, RecursionError, TypeError, ValueError):
         return None
 
 

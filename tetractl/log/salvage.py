@@ -3,14 +3,18 @@
 Chunks and attachments have checksums in MCAP and our metadata has its own, so each is believed by
 itself. The file is walked from record to record; where that walk fails, or the checksum over the
 data section does not match, the file is also searched for records that the walk did not find.
+
+A file may come from anybody: what it can make us unpack, copy and keep is bounded.
 """
 
 import mmap
 import re
+import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import IO, cast
 
@@ -24,13 +28,11 @@ from mcap.records import (
     Chunk,
     DataEnd,
     Footer,
-    McapRecord,
-    Message,
     Metadata,
     MetadataIndex,
+    Schema,
     Statistics,
 )
-from mcap.stream_reader import breakup_chunk
 
 from tetractl.errors import LogError
 from tetractl.log.channels import CHANNELS, RUN, Entry
@@ -38,15 +40,21 @@ from tetractl.log.digest import ContentDigest
 from tetractl.log.facts import intact
 
 MAGIC = b"\x89MCAP0\r\n"
-CHUNK_LIMIT = 1 << 28
+CHUNK_LIMIT = 1 << 24
 """Most bytes a chunk may unpack to; ours have about a million."""
+TOTAL_LIMIT = 1 << 32
+"""Most bytes all chunks may unpack to: some ten hours of a trial."""
+MESSAGE_LIMIT = 10_000_000
+OVERLAP_LIMIT = 32
+"""How often the whole file may be read, by records that claim the same bytes."""
+PROBLEM_LIMIT = 50
 
 _HEAD = 9  # opcode and length, before the body of every record
 _FOOTER_BODY = 20
 _TRACES = re.compile(
-    rb"(?P<chunk>\x04\0\0\0zstd|\x03\0\0\0lz4)"
-    rb"|(?P<metadata>[\0-\xff]\0\0\0tetractl\.(?:run|host|timing|result))"
-    rb"|(?P<attachment>[\0-\xff]\0\0\0(?:spec\.yaml|spec\.resolved\.yaml|environment\.json))"
+    rb"(?P<chunk>\x04\0\0\0zstd)"
+    rb"|(?P<metadata>[\0-\xff]\0\0\0tetractl\.(?:run|host|timing|result|recovered))"
+    rb"|(?P<attachment>[\0-\xff]\0\0\0[ -~]{1,200}\x10\0\0\0application/(?:yaml|json))"
 )
 _TRACED = {  # opcode of the record that holds the trace, and bytes from its start to the trace
     "chunk": (Opcode.CHUNK, _HEAD + 28),
@@ -55,6 +63,10 @@ _TRACED = {  # opcode of the record that holds the trace, and bytes from its sta
 }
 
 Verified = Chunk | Attachment | Metadata
+RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, data
+Inside = tuple[list[Schema], list[Channel], list[RawMessage]]
+
+_MESSAGE = struct.Struct("<HIQQ")
 
 
 @dataclass
@@ -67,6 +79,7 @@ class Contents:
     chunks: int = 0
     problems: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
+    channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)  # by topic
 
     @property
     def entries(self) -> list[Entry]:
@@ -134,8 +147,11 @@ class _Scan:
         self._result = Contents(path, size=len(data))
         self._problems = self._result.problems
         self._found: dict[int, Verified] = {}  # by offset in the file
-        self._messages: dict[int, list[Message]] = {}  # of the chunk at an offset
+        self._messages: dict[int, list[RawMessage]] = {}  # of the chunk at an offset
         self._topics: dict[int, str] = {}
+        self._channels: dict[int, Channel] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._read = self._unpacked = self._count = 0  # bytes, bytes, messages
         self._indexed: list[tuple[int, int]] = []  # offset and opcode, by the index
         self._expected: int | None = None  # messages, by the index
 
@@ -199,7 +215,7 @@ class _Scan:
         offset = len(MAGIC)
         while offset + _HEAD <= len(self._data):
             opcode, end = self._head(offset)
-            if end > len(self._data):
+            if end > len(self._data) or opcode == 0:  # zeros are what a power cut leaves
                 break
             if opcode == Opcode.DATA_END:
                 stated = DataEnd.read(self._stream(offset + _HEAD)).data_section_crc
@@ -210,7 +226,8 @@ class _Scan:
                 self._verify(offset, opcode)
             except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other ancestor
                 why = str(error).splitlines()[0] if str(error) else type(error).__name__
-                self._problems.append(f"the record at byte {offset} is damaged: {why}")
+                if len(self._problems) < PROBLEM_LIMIT:
+                    self._problems.append(f"the record at byte {offset} is damaged: {why}")
             offset = end
         self._problems.append(f"the file breaks off in the record at byte {offset}")
 
@@ -225,12 +242,22 @@ class _Scan:
 
     def _verify(self, offset: int, opcode: int) -> None:
         """Take the record at an offset; raise where its checksum does not match."""
+        if self._read > OVERLAP_LIMIT * len(self._data):
+            raise ValueError("too many records claim the same bytes")
         stream = self._stream(offset + _HEAD)
+        try:
+            self._take(offset, opcode, stream)
+        finally:
+            self._read += self._data.tell() - offset
+
+    def _take(self, offset: int, opcode: int, stream: ReadDataStream) -> None:
         if opcode == Opcode.CHUNK:
             chunk = Chunk.read(stream)
-            records = _unpack(chunk)
-            self._topics |= {item.id: item.topic for item in records if isinstance(item, Channel)}
-            self._messages[offset] = [item for item in records if isinstance(item, Message)]
+            schemas, channels, messages = self._unpack(chunk)
+            self._schemas |= {item.id: item for item in schemas}
+            self._channels |= {item.id: item for item in channels}
+            self._topics |= {item.id: item.topic for item in channels}
+            self._messages[offset] = messages
             self._found[offset] = chunk
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
@@ -245,6 +272,28 @@ class _Scan:
                 raise ValueError("its checksum does not match")
             self._found[offset] = metadata
 
+    def _unpack(self, chunk: Chunk) -> Inside:
+        size = chunk.uncompressed_size
+        if chunk.compression == "zstd":  # a frame that states its size heeds no other limit
+            size = max(size, zstandard.frame_content_size(chunk.data))
+        elif chunk.compression:
+            raise ValueError(f"its compression {chunk.compression[:20]!r} is not known")
+        if size > CHUNK_LIMIT:
+            raise ValueError(f"it claims to unpack to {size} bytes")
+        self._unpacked += size
+        if self._unpacked > TOTAL_LIMIT or self._count > MESSAGE_LIMIT:
+            raise ValueError("with it the log holds more than tetractl reads")
+        if chunk.uncompressed_crc == 0:
+            raise ValueError("it has no checksum")
+        data = chunk.data
+        if chunk.compression:
+            data = zstandard.decompress(data, max_output_size=max(size, 1))
+        if len(data) != chunk.uncompressed_size or zlib.crc32(data) != chunk.uncompressed_crc:
+            raise ValueError("its checksum does not match")
+        inside = _inside(data)
+        self._count += len(inside[2])
+        return inside
+
     def _collect(self) -> None:
         """Put what was found into file order, and count what was not."""
         result = self._result
@@ -255,14 +304,16 @@ class _Scan:
             if isinstance(record, Chunk):
                 result.chunks += 1
                 result.records += [
-                    Entry(
-                        self._topics[item.channel_id], item.log_time, item.publish_time, item.data
-                    )
-                    for item in self._messages[offset]
-                    if item.channel_id in self._topics
+                    Entry(self._topics[channel], log_ns, publish_ns, data)
+                    for channel, log_ns, publish_ns, data in self._messages[offset]
+                    if channel in self._topics
                 ]
             else:
                 result.records.append(record)
+        result.channels = {
+            channel.topic: (channel, self._schemas.get(channel.schema_id))
+            for channel in self._channels.values()
+        }
         if self._expected is None:
             result.lost.append("the messages of every missing or damaged chunk")
         elif missing := self._expected - len(result.entries):
@@ -282,12 +333,21 @@ class _Scan:
             return zlib.crc32(view[start:end])
 
 
-def _unpack(chunk: Chunk) -> list[McapRecord]:
-    size = chunk.uncompressed_size
-    if chunk.compression == "zstd":  # a frame that states its size heeds no other limit
-        size = max(size, zstandard.frame_content_size(chunk.data))
-    if size > CHUNK_LIMIT:
-        raise ValueError(f"it claims to unpack to {size} bytes")
-    if chunk.uncompressed_crc == 0:
-        raise ValueError("it has no checksum")
-    return breakup_chunk(chunk, validate_crc=True)
+def _inside(data: bytes) -> Inside:
+    """Take an unpacked chunk apart."""
+    schemas, channels, messages = [], [], []
+    offset, end = 0, len(data)
+    while offset < end:
+        opcode = data[offset]
+        body = offset + _HEAD
+        offset = body + int.from_bytes(data[offset + 1 : body], "little")
+        if offset > end or opcode == 0:
+            raise ValueError("it holds a record that does not fit into it")
+        if opcode == Opcode.MESSAGE:
+            channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, body)
+            messages.append((channel, log_ns, publish_ns, data[body + _MESSAGE.size : offset]))
+        elif opcode == Opcode.CHANNEL:
+            channels.append(Channel.read(ReadDataStream(BytesIO(data[body:offset]))))
+        elif opcode == Opcode.SCHEMA:
+            schemas.append(Schema.read(ReadDataStream(BytesIO(data[body:offset]))))
+    return schemas, channels, messages

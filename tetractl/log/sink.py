@@ -10,6 +10,7 @@ from functools import wraps
 from pathlib import Path
 from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
 
+from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import register_schema
@@ -79,6 +80,19 @@ class Sink:
             for topic, message in CHANNELS.items()
         }
 
+    def channel(self, channel: Channel, schema: Schema | None) -> None:
+        """Take on a channel of another log; ours are there already."""
+        if channel.topic not in self._channels:
+            known = schema and self._mcap.register_schema(schema.name, schema.encoding, schema.data)
+            self._channels[channel.topic] = self._mcap.register_channel(
+                channel.topic, channel.message_encoding, known or 0, channel.metadata
+            )
+
+    @property
+    def digest(self) -> str:
+        """The content digest of all so far."""
+        return self._digest.hexdigest()
+
     @_while_open
     def messages(self, entries: Iterable[Entry]) -> None:
         """Add messages."""
@@ -103,9 +117,15 @@ class Sink:
         self._mcap.add_metadata(name, seal({**facts, DIGEST: self._digest.hexdigest()}))
 
     @_while_open
-    def attachment(self, name: str, media_type: str, unix_ns: int, text: str) -> None:
+    def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Add a metadata record of another log as it is, its checksum and digest included."""
+        self.flush()
+        self._digest.metadata(name, items)
+        self._mcap.add_metadata(name, dict(items))
+
+    @_while_open
+    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
         """Add an attachment behind all messages so far."""
-        data = text.encode()
         self.flush()
         self._digest.attachment(name, media_type, data)
         self._mcap.add_attachment(0, unix_ns, name, media_type, data)

@@ -57,7 +57,7 @@ class LogWriter:
             (channels.ENVIRONMENT, "application/json", provenance.environment()),
             *((name, "application/yaml", text) for name, text in start.attached),
         ):
-            desk.put(Sink.attachment, name, media_type, self._start_ns, text)
+            desk.put(Sink.attachment, name, media_type, self._start_ns, text.encode())
         self._put(channels.SCENE, self._scene.static(self._start_ns), 0)
         self._note(0, Log.INFO, f"trial {start.trial} of {start.experiment.name} starts")
         self._hand_on()

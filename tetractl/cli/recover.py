@@ -1,0 +1,51 @@
+"""`tetractl recover`: a damaged log back into a complete file."""
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tetractl.errors import Exit, UsageError
+
+
+def recover(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, a .part too.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="FILE", help="Where to.  [NAME.recovered.mcap]"),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
+) -> int:
+    """Save what is intact of a torn or damaged log into a complete file; say what is lost and when.
+
+    Exits with 0 where nothing is lost, 3 where something is, 1 where nothing can be saved.
+
+    Example: tetractl recover logs/batch/trial-003.mcap.part
+    """
+    from tetractl.log.recover import recover as save
+    from tetractl.spec.problems import printable
+
+    if not log.exists():
+        raise UsageError(f"{log}: no such file")
+    done = save(log, out)
+    if as_json:
+        print(json.dumps({**asdict(done), "whole": done.whole}, indent=2))
+    elif done.path is None:
+        print(printable(f"{log}: complete; there is nothing to recover"))
+    else:
+        for problem in done.damage.problems:
+            print(printable(f"damaged: {problem}"), file=sys.stderr)
+        print(
+            printable(
+                f"{done.path}: {done.chunks} chunks with {done.messages} messages,"
+                f" {done.metadata} metadata records, {done.attachments} attachments"
+            )
+        )
+        for lost in done.damage.lost:
+            print(printable(f"lost: {lost}"))
+        if done.whole:
+            print("nothing is lost: the content digest matches")
+    return Exit.DONE if done.whole else Exit.LOSSY

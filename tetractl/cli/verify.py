@@ -1,0 +1,67 @@
+"""`tetractl verify`: compute every decision of a log again."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tetractl.errors import Exit
+
+if TYPE_CHECKING:
+    from tetractl.replay.verify import Verification
+
+SHOWN = 20  # problems of one log
+
+
+def verify(
+    logs: Annotated[list[str], typer.Argument(metavar="LOG", help="Logs, folders or globs.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> int:
+    """Compute every control decision again from the log alone, and check the log against itself.
+
+    On the machine that wrote a log every number must come out with the same bits. Elsewhere the
+    costs of the logged plans are evaluated again; the output says which of the two was done. Exits
+    with 1 where anything differs, and names the first step and field that do.
+
+    Example: tetractl verify logs/batch
+    """
+    from tetractl.errors import LogError
+    from tetractl.log.find import find_logs
+    from tetractl.replay.verify import verify as check
+    from tetractl.spec.problems import printable
+
+    done: list[dict[str, Any]] = []
+    good = True
+    for path in find_logs(logs):
+        try:
+            found = check(path)
+        except LogError as error:
+            good = False
+            done.append({"path": str(path), "ok": False, "error": str(error)})
+            lines = iter([f"{path}: FAILED: {str(error).removeprefix(f'{path}: ')}"])
+        else:
+            good &= found.ok
+            done.append({**asdict(found), "ok": found.ok})
+            lines = _lines(found)
+        if not as_json:
+            for line in lines:
+                print(printable(line))
+    if as_json:
+        print(json.dumps({"ok": good, "logs": done}, indent=2))
+    return Exit.DONE if good else Exit.FAILED
+
+
+def _lines(found: "Verification") -> "Iterator[str]":
+    verdict = "ok" if found.ok else "FAILED"
+    text = f"{found.checked} of {found.steps} decisions {found.method}"
+    yield f"{found.path}: {verdict}: {text} ({found.seconds:.2f} s)"
+    if found.method.startswith("costs"):
+        yield from (f"  written elsewhere: {fact}" for fact in found.elsewhere)
+    for problem in found.problems[:SHOWN]:
+        where = "trial" if problem.step is None else f"step {problem.step}"
+        yield f"  {where}: {problem.field}: {problem.message}"
+    if len(found.problems) > SHOWN:
+        yield f"  and {len(found.problems) - SHOWN} more"
+    yield from (f"  note: {note}" for note in found.notes)

@@ -1,0 +1,218 @@
+"""A log checked against itself: what it says twice, or what follows from something else it says."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tetractl.clock import SECOND
+from tetractl.control.plan import Outcome
+from tetractl.log import channels
+from tetractl.log.digest import CHECKSUM
+from tetractl.log.facts import run_facts
+from tetractl.log.gaps import frame_gaps, step_gaps
+from tetractl.log.records import Result, Step, TrialLog
+from tetractl.log.salvage import Contents
+from tetractl.model.state import Observation, Poses
+from tetractl.model.world import Obstacles
+from tetractl.plant.protocol import Command
+from tetractl.replay.recompute import Difference
+from tetractl.spec.load import spec_hash
+
+REST = 1e-6  # of a coordinate: how far a robot at rest may be from where it stopped
+LAST_FRAMES = 120  # among which a lab's final poses are
+
+
+@dataclass(slots=True)
+class Findings:
+    """What does not fit, and what is only worth knowing."""
+
+    problems: list[Difference] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def audit(log: TrialLog, contents: Contents) -> Findings:
+    """Check a log against itself; the decisions are checked by `recompute`."""
+    findings = Findings()
+    stated = contents.facts(channels.RUN) or {}
+    findings.problems += _run(log, stated)
+    if log.digest and log.digest != contents.digest():
+        text = "the content does not match the digest that the log states"
+        findings.problems.append(Difference(None, "content_digest", text))
+    findings.problems += _frames(log)
+    findings.problems += _steps(log)
+    findings.problems += _stamps(log, contents)
+    for gap in frame_gaps(log):
+        if log.start.plant.simulated or log.damage:
+            findings.problems.append(Difference(None, "frames", f"missing: {gap}"))
+        else:  # a datagram may get lost on the way
+            findings.notes.append(f"missing: {gap}")
+    for gap in step_gaps(log):
+        findings.problems.append(Difference(gap.first, "k", f"missing: {gap}"))
+    if log.result is not None:
+        findings.problems += _result(log, log.result)
+    if log.damage:
+        texts = (*log.damage.problems, *(f"lost: {lost}" for lost in log.damage.lost))
+        findings.problems += [Difference(None, "damage", text) for text in texts]
+    return findings
+
+
+def _run(log: TrialLog, stated: dict[str, str]) -> Iterator[Difference]:
+    ours = run_facts(log.start, spec_hash(log.start.experiment))
+    for key in sorted((ours.keys() | stated.keys()) - {CHECKSUM}):
+        if ours.get(key) != stated.get(key):
+            text = f"states {stated.get(key)!r}, but the resolved spec and the run make it "
+            yield Difference(None, f"run.{key}", text + repr(ours.get(key)))
+
+
+def _frames(log: TrialLog) -> Iterator[Difference]:
+    """Time goes on from frame to frame, and nothing is received before it is seen."""
+    for name, values, least in (
+        ("frames", log.frames, 1),
+        ("sampled_ns", log.mocap_ns, 1),
+        ("received_ns", log.received_ns, 0),
+    ):
+        for i in np.flatnonzero(np.diff(values) < least):
+            text = f"after frame {log.frames[i]} it goes from {values[i]} to {values[i + 1]}"
+            yield Difference(None, f"mocap.{name}", text)
+    for i in np.flatnonzero(log.received_ns < log.mocap_ns):
+        yield Difference(None, "mocap.received_ns", f"frame {log.frames[i]} came before it was")
+
+
+def _steps(log: TrialLog) -> Iterator[Difference]:
+    seen = {int(number): i for i, number in enumerate(log.frames)}
+    sent = {command.sent_ns: command for command in log.commands}
+    control, simulated = log.start.experiment.controller, log.start.plant.simulated
+    before: Step | None = None
+    for step in log.steps:
+        at, k = step.observation, step.k
+        yield from _order(step, before, control.period if simulated else None)
+        i = seen.get(at.frame)
+        if i is not None and not _same_frame(at, log, i):
+            yield Difference(k, "observation", f"differs from frame {at.frame} on /mocap")
+        if i is None and seen and min(seen) < at.frame and not log.damage:
+            yield Difference(k, "observation.frame", f"frame {at.frame} is not on /mocap")
+        command = step.command
+        if command.direction != float(step.plan.signals[0]):
+            text = f"sent {command.direction!r}, decided {float(step.plan.signals[0])!r}"
+            yield Difference(k, "command.direction", text)
+        if not _same_command(command, sent.get(command.sent_ns)) and not log.damage:
+            yield Difference(k, "command", "differs from what is on /commands")
+        if simulated and k > 0 and not log.damage:
+            newest = int(np.searchsorted(log.received_ns, command.sent_ns, side="right")) - 1
+            if newest >= 0 and int(log.frames[newest]) != at.frame:
+                text = f"frame {at.frame} was decided on, the newest was {log.frames[newest]}"
+                yield Difference(k, "observation.frame", text)
+        late = k > 0 and step.solve_ns > round(control.period * SECOND)
+        if step.deadline_missed != late:
+            text = f"{step.deadline_missed} for {step.solve_ns / 1e6:.3f} ms"
+            yield Difference(k, "timing.deadline_missed", text)
+        before = step
+
+
+def _order(step: Step, before: Step | None, period: float | None) -> Iterator[Difference]:
+    at, sent = step.observation, step.command.sent_ns
+    if not at.sampled_ns <= at.received_ns <= sent:
+        text = f"sampled {at.sampled_ns}, received {at.received_ns}, sent {sent}"
+        yield Difference(step.k, "observation", f"times out of order: {text}")
+    if before is None:
+        return
+    if sent <= before.command.sent_ns or at.frame < before.observation.frame:
+        yield Difference(step.k, "command.sent_ns", "not after the step before")
+    if period is not None and step.k > 0 and before.k == step.k - 1:
+        spaced = sent - before.command.sent_ns
+        if abs(spaced - period * SECOND) > 1:
+            yield Difference(
+                step.k, "command.sent_ns", f"{spaced / SECOND} s after the step before"
+            )
+
+
+def _same_frame(at: Observation, log: TrialLog, i: int) -> bool:
+    times = (at.sampled_ns, at.received_ns) == (log.mocap_ns[i], log.received_ns[i])
+    poses = np.ascontiguousarray(at.poses.array()).tobytes() == log.mocap[i].tobytes()
+    return bool(times and poses and (at.valid == log.valid[i]).all())
+
+
+def _same_command(one: Command, two: Command | None) -> bool:
+    if two is None or (one.direction, one.delivered) != (two.direction, two.delivered):
+        return False
+    for ours, theirs in ((one.left, two.left), (one.right, two.right)):
+        if (ours is None) != (theirs is None):
+            return False
+        if ours is not None and theirs is not None and ours.tobytes() != theirs.tobytes():
+            return False
+    return True
+
+
+def _stamps(log: TrialLog, contents: Contents) -> Iterator[Difference]:
+    """The times of the messages are those in them."""
+    start, entries = log.start.start_unix_ns, contents.entries
+    steps = [(s.command.sent_ns, s.observation.sampled_ns) for s in log.steps]
+    for topic, times in (
+        (channels.MOCAP, list(zip(log.received_ns, log.mocap_ns, strict=True))),
+        (channels.STEP, steps),
+        (channels.COMMANDS, [(c.sent_ns, c.sent_ns) for c in log.commands]),
+    ):
+        stamps = [(e.log_ns - start, e.publish_ns - start) for e in entries if e.topic == topic]
+        for i, (stamp, inside) in enumerate(zip(stamps, times, strict=True)):
+            if stamp != inside:
+                yield Difference(None, f"{topic}[{i}]", f"stamped {stamp}, holds {inside}")
+
+
+def _result(log: TrialLog, result: Result) -> Iterator[Difference]:
+    """The result follows from the poses and the steps."""
+    final, verdict = result.verdict.final, result.verdict
+    targets = np.array([robot.target for robot in log.start.experiment.robots])
+    errors = np.hypot(*(final.xy - targets).T)
+    for name, stated, found in (
+        ("robot_errors", result.robot_errors, tuple(errors.tolist())),
+        ("total_error", result.total_error, float(errors.sum())),
+    ):
+        if not np.allclose(stated, found, rtol=1e-12, atol=0):
+            yield Difference(None, f"result.{name}", f"states {stated}, the poses make it {found}")
+    timed = tuple(step.solve_ns for step in log.steps)
+    if log.damage is None and (result.steps != len(timed) or result.solve_ns != timed):
+        yield Difference(None, "result.steps", "steps and their timing are not those stated")
+    if log.damage is None and result.deadline_misses != sum(s.deadline_missed for s in log.steps):
+        yield Difference(None, "result.deadline_misses", f"states {result.deadline_misses}")
+    yield from _ending(log, result)
+    if log.damage is None and not _stands(log, final):
+        yield Difference(None, "result.final", "is not where the robots were seen last")
+    path = log.mocap if log.truth is None else log.truth
+    if len(path) and log.start.plant.simulated:  # sampled more finely than the frames
+        obstacles = Obstacles.of(log.start.experiment.obstacles)
+        seen = np.nanmin(obstacles.distance(path[..., 0], path[..., 1]), axis=0, initial=np.inf)
+        for i, (stated, least) in enumerate(zip(verdict.clearance, seen, strict=True)):
+            if stated > least + REST * max(1.0, abs(least)):
+                text = f"states {stated}, a frame shows {least}"
+                yield Difference(None, f"result.clearance.{i}", text)
+    for i, (entered, clearance) in enumerate(zip(verdict.entered, verdict.clearance, strict=True)):
+        if clearance < 0 and not entered:
+            yield Difference(None, f"result.entered.{i}", f"false, with clearance {clearance}")
+
+
+def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
+    stop = log.stop
+    if stop is None:
+        return
+    if log.steps and stop.sent_ns < log.steps[-1].command.sent_ns:
+        yield Difference(None, "stop.sent_ns", "the stop comes before the last step")
+    if log.start.plant.simulated and result.duration_s != stop.sent_ns / SECOND:
+        text = f"states {result.duration_s}, the stop was at {stop.sent_ns / SECOND}"
+        yield Difference(None, "result.duration_s", text)
+    if result.outcome is Outcome.ABORTED and not result.reason:
+        yield Difference(None, "result.reason", "aborted without a reason")
+
+
+def _stands(log: TrialLog, final: Poses) -> bool:
+    """Whether the robots were last seen where they ended."""
+    if log.truth is not None:
+        return not len(log.truth) or bool(
+            np.allclose(final.array(), log.truth[-1], rtol=REST, atol=REST)
+        )
+    if not len(log.mocap):
+        return True
+    ends: Sequence[bytes] = [
+        np.ascontiguousarray(row).tobytes() for row in log.mocap[-LAST_FRAMES:]
+    ]
+    return np.ascontiguousarray(final.array()).tobytes() in ends

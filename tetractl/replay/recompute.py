@@ -1,0 +1,249 @@
+"""Each decision of a trial once more, by the controller rebuilt from the log.
+
+There are two ways. *Re-computed*: every search is run again and every number must come out with the
+same bits, which holds on the machine and versions that wrote the log. *Re-evaluated*: the searches
+are taken as logged, and J of what they found, the choice among them and the predicted path are
+computed again, to TOLERANCE and ROUNDING. The searches cannot be repeated on another processor: a
+last bit that differs in one cost changes which particle leads, and soon everything.
+"""
+
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from tetractl.control.build import searcher
+from tetractl.control.cost import Problem, evaluate
+from tetractl.control.mpc import PsoMpc
+from tetractl.control.plan import Outcome, Plan, Search
+from tetractl.control.pso import Searcher, never
+from tetractl.errors import TetractlError
+from tetractl.log.records import Step, TrialLog
+from tetractl.model.state import Floats, Observation, Poses
+from tetractl.run.seeds import trial_seeds
+
+TOLERANCE = 1e-9
+"""Relative, of what is re-evaluated."""
+ROUNDING = 1e-12
+"""On top of it, relative to the largest coordinate: a cost near 0 is a difference of positions."""
+
+_LONG_AGO = 2**62
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first thing that does not come out as logged: in step `step`, None for the trial."""
+
+    step: int | None
+    field: str
+    message: str
+
+
+class _StopError(Exception):
+    """The controller wants to search where the log has no search."""
+
+
+class Rerun:
+    """A `Searcher` that does the logged searches of one step again, in order.
+
+    A search that the deadline cut short is run with the looks at the clock that spend the logged
+    evaluations: a deadline is only obeyed at a look, so their number is all there is to know. With
+    `again` False the logged searches are given back, and what differs in them is in `wrong`.
+    """
+
+    def __init__(self, search: Searcher, again: bool) -> None:
+        self._search, self._again = search, again
+        self._logged: Sequence[Search] = ()
+        self._done = 0
+        self.wrong: list[tuple[str, str]] = []
+
+    def begin(self, searches: Sequence[Search]) -> None:
+        """Take the searches that a step logged."""
+        self._logged, self._done, self.wrong = searches, 0, []
+
+    def timer(self) -> int:
+        """Return a time [ns] that passes the deadline once the logged searches are done."""
+        return _LONG_AGO if self._done >= len(self._logged) else 0
+
+    def __call__(
+        self,
+        problem: Problem,
+        length: int,
+        warm: Floats | None,
+        spec: Any,
+        key: int,
+        budget: int | None = None,
+        expired: Callable[[], bool] = never,
+    ) -> Search:
+        """Do the next search."""
+        if self._done >= len(self._logged):
+            raise _StopError
+        index, logged = self._done, self._logged[self._done]
+        self._done += 1
+        if not self._again:
+            self._evaluate(problem, length, index, logged)
+            return logged
+        if logged.stopped != "deadline":
+            return self._search(problem, length, warm, spec, key, budget)
+
+        def looks(count: int) -> Search:
+            return self._search(problem, length, warm, spec, key, budget, _Countdown(count))
+
+        few, many = 1, 2  # looks: the fewest that spend as many evaluations
+        while (found := looks(many)).evaluations < logged.evaluations:
+            if found.stopped != "deadline":
+                return found  # it ends by itself before that
+            few, many = many, 2 * many
+        while few < many:
+            middle = (few + many) // 2
+            if looks(middle).evaluations < logged.evaluations:
+                few = middle + 1
+            else:
+                many = middle
+        return looks(few)
+
+    def _evaluate(self, problem: Problem, length: int, index: int, logged: Search) -> None:
+        name = f"searches.{index}"
+        if logged.length != length or len(logged.signals) != length:
+            self.wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
+            raise _StopError
+        cost = float(evaluate(problem, logged.signals[None]).total[0])
+        if not _near(cost, logged.cost, ROUNDING * _extent(problem)):
+            self.wrong.append((f"{name}.cost", f"logged {logged.cost!r}, J is {cost!r}"))
+        history = logged.history
+        if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
+            self.wrong.append((f"{name}.history", "does not fall to the cost"))
+        if logged.evaluations < 1:
+            self.wrong.append((f"{name}.evaluations", str(logged.evaluations)))
+
+
+class _Countdown:
+    """True from the `count`-th call on."""
+
+    def __init__(self, count: int) -> None:
+        self._left = count
+
+    def __call__(self) -> bool:
+        self._left -= 1
+        return self._left <= 0
+
+
+def recompute(log: TrialLog, again: bool) -> Difference | None:
+    """Decide every step of a log once more; return the first difference, None for none.
+
+    `again` True runs the searches again and compares bits, False takes them as logged. Steps behind
+    a gap are not looked at: what the controller knew by then is lost.
+    """
+    try:
+        key, _ = trial_seeds(log.seed, log.start.trial)
+    except (ValueError, OverflowError):
+        return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.seed}")
+    rerun = Rerun(searcher(log.start.experiment), again)
+    controller = PsoMpc(log.start.experiment, key, rerun, rerun.timer)
+    for step in first_steps(log):
+        rerun.begin(step.plan.searches)
+        room = 0.0 if again else ROUNDING * _extent(controller.problem)
+        try:
+            decision = controller.plan(step.observation)
+        except _StopError:
+            found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
+            return Difference(step.k, *found)
+        except TetractlError as error:
+            return Difference(step.k, "plan", str(error))
+        if not isinstance(decision, Plan):
+            return Difference(step.k, "plan", f"the controller ends the trial: {decision.value}")
+        found = [*rerun.wrong, *_differences(decision, step.plan, "", room)]
+        if found:
+            return Difference(step.k, *found[0])
+    return _outcome(log, controller, rerun) if len(first_steps(log)) == len(log.steps) else None
+
+
+def first_steps(log: TrialLog) -> list[Step]:
+    """Return the steps up to the first gap."""
+    return [step for k, step in enumerate(log.steps) if step.k == k]
+
+
+def _outcome(log: TrialLog, controller: PsoMpc, rerun: Rerun) -> Difference | None:
+    """Check that the controller ends the trial as logged, on a frame of the last period.
+
+    The frame it ended on is not logged as such: in a simulation it is the newest before the stop,
+    in the lab one of the newest.
+    """
+    result, stop = log.result, log.stop
+    if result is None or stop is None or not result.outcome.complete:
+        return None
+    since = log.steps[-1].observation.received_ns if log.steps else -1
+    newest = np.flatnonzero((log.received_ns > since) & (log.received_ns <= stop.sent_ns))[::-1]
+    if log.start.plant.simulated:
+        newest = newest[:1]
+    said: list[str] = []
+    rerun.begin(())
+    for i in newest:
+        seen = Observation(
+            int(log.frames[i]),
+            int(log.mocap_ns[i]),
+            int(log.received_ns[i]),
+            Poses.of(log.mocap[i]),
+            log.valid[i],
+        )
+        try:
+            decision = copy.deepcopy(controller).plan(seen)
+        except _StopError:
+            said.append("goes on")
+            continue
+        if decision is result.outcome:
+            return None
+        said.append(decision.value if isinstance(decision, Outcome) else "goes on")
+    why = f"the controller {said[0]}" if said else "there is no frame to decide it on"
+    return Difference(None, "outcome", f"logged {result.outcome.value!r}, but {why}")
+
+
+def _extent(problem: Problem) -> float:
+    """Return how many length units there are to be rounded, over all robots."""
+    ends = np.abs(np.concatenate([problem.poses.xy, problem.targets]))
+    return float(ends.max(initial=1.0)) * len(problem.a)
+
+
+def _differences(ours: Any, logged: Any, name: str, room: float) -> Iterator[tuple[str, str]]:
+    """Yield (field, what differs) of two plans or searches; a `room` of 0 compares bits."""
+    for field in fields(ours):
+        path = f"{name}{field.name}"
+        one, two = getattr(ours, field.name), getattr(logged, field.name)
+        if isinstance(one, tuple):
+            if len(one) != len(two):
+                yield path, f"logged {len(two)}, computed {len(one)}"
+            for i, (a, b) in enumerate(zip(one, two, strict=False)):
+                yield from _differences(a, b, f"{path}.{i}.", room)
+        elif isinstance(one, np.ndarray):
+            yield from _array_difference(one, two, path, room)
+        elif isinstance(one, float):
+            if not (_near(one, two, room) if room else _same(one, two)):
+                yield path, f"logged {two!r}, computed {one!r}"
+        elif one != two:
+            yield path, f"logged {two!r}, computed {one!r}"
+
+
+def _array_difference(
+    one: Floats, two: Floats, path: str, room: float
+) -> Iterator[tuple[str, str]]:
+    if one.shape != two.shape:
+        yield path, f"logged shape {two.shape}, computed {one.shape}"
+        return
+    if room:
+        wrong = ~(np.abs(one - two) <= TOLERANCE * np.abs(one) + room)
+    else:
+        wrong = one.view(np.uint64) != two.view(np.uint64)
+    if wrong.any():
+        at = tuple(int(i) for i in np.argwhere(wrong)[0])
+        index = ".".join(map(str, at))
+        yield f"{path}.{index}", f"logged {float(two[at])!r}, computed {float(one[at])!r}"
+
+
+def _same(one: float, two: float) -> bool:
+    return np.float64(one).tobytes() == np.float64(two).tobytes()
+
+
+def _near(one: float, two: float, room: float) -> bool:
+    return abs(one - two) <= TOLERANCE * max(abs(one), abs(two)) + room

@@ -35,6 +35,7 @@ LOCAL = (
     "lab.limits.placing=60",
     "lab.limits.late_steps=100000",
 )
+ATTEMPTS = 6
 RADIO_S = 0.007  # from handing over a broadcast to the wheels, as the emulated radio takes
 
 
@@ -82,20 +83,24 @@ def batch(folder: Path, sets: Sequence[str], trials: int) -> list[TrialLog]:
             f"lab.mocap.command_port={ready['command_port']}",
             f"lab.radio.port={ready['port']}",
         )
-        run(folder, "--plant", "lab", *flags(settings))
+        for _ in range(ATTEMPTS):  # an aborted trial ends a batch; it is run again
+            if run(folder, "--plant", "lab", "--resume", *flags(settings)):
+                break
     finally:
         emulator.close()
     return [read_trial(path) for path in sorted((folder / "logs").glob("*.mcap"))]
 
 
-def run(folder: Path, *words: str) -> None:
-    """Run `tetractl run` on the lab's spec."""
+def run(folder: Path, *words: str) -> bool:
+    """Run `tetractl run` on the lab's spec; say why where it does not end well."""
     command = [TETRACTL, "run", str(SPEC), "--quiet", "--json", "--out", str(folder / "logs")]
     done = subprocess.run(
         [*command, *words], stdin=subprocess.DEVNULL, capture_output=True, text=True
     )
-    if done.returncode:
-        print(f"\n(a run ended with {done.returncode}: {done.stderr.strip().splitlines()[0]})\n")
+    for line in done.stderr.splitlines():
+        if line.startswith("error:"):
+            print(f"\n({line})\n", flush=True)
+    return done.returncode == 0
 
 
 def latency_ms(logs: Sequence[TrialLog]) -> np.ndarray:

@@ -88,7 +88,8 @@ class LabPlant:
         for warning in findings.all_warnings:
             self._news.append(Note(now, "warning", warning))
         session.guard.ready()
-        self._fresh.clear()
+        while len(self._fresh) > 1:  # the newest stays: it is what `observe` may return
+            self._fresh.popleft()
         self._judging = True
         if self._newest is None:
             raise AbortError("no camera frame came")

@@ -1,0 +1,135 @@
+"""What `tetractl.plant.protocol` promises, kept by the plant of real robots, in real time.
+
+The suite in tests/contract turns a virtual clock; this one cannot, so it says the same promises of
+one emulated run.
+"""
+
+import numpy as np
+import pytest
+from stage import SMALL, SPEC, Emulator
+
+from tetractl.clock import SECOND, MonotonicClock
+from tetractl.errors import AbortError
+from tetractl.plant.build import build_plant
+from tetractl.plant.lab import Hands, LabPlant
+from tetractl.plant.protocol import Command
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import on_plant
+
+DIRECTIONS = (0.5, -0.4, 0.6)
+PERIOD = SECOND // 5
+
+
+@pytest.fixture(scope="module")
+def addresses(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lab")
+    emulator = Emulator(folder, SMALL, "--replace-after", "0.3")
+    try:
+        ready = emulator.wait_for("ready")
+        yield (
+            *SMALL,
+            f"lab.mocap.command_port={ready['command_port']}",
+            f"lab.radio.port={ready['port']}",
+            "lab.limits.placing=30",
+        )
+    finally:
+        emulator.close()
+
+
+@pytest.fixture
+def make(addresses):
+    made = []
+
+    def plant(*sets, hands=None):
+        experiment = on_plant(load_spec(SPEC, (*addresses, *sets)), "lab").experiment
+        clock = MonotonicClock()
+        made.append(build_plant(experiment, clock, np.random.SeedSequence(1), hands or Hands()))
+        return made[-1], clock, experiment
+
+    yield plant
+    for each in made:
+        each.stop()
+        each.close()
+
+
+def test_one_run_keeps_every_promise(make):
+    plant, clock, experiment = make()
+    assert isinstance(plant, LabPlant)
+    count = len(experiment.robots)
+    info = plant.open()
+    assert (info.kind, info.simulated) == ("lab", False)
+    assert 100 < info.camera_rate_hz < 140
+    assert all(isinstance(value, str) for value in info.facts.values())
+
+    first = plant.observe()
+    starts = np.array([robot.start for robot in experiment.robots])
+    assert np.abs(first.poses.xy - starts).max() < 50
+    began = clock.now()
+    seen, commands, samples, news = [first], [], [], []
+    for k, direction in enumerate(DIRECTIONS, start=1):
+        commands.append(plant.steer(direction))
+        samples += plant.samples()
+        news += plant.news()
+        clock.sleep_until(began + k * PERIOD)
+        seen.append(plant.observe())
+        assert seen[-1].sampled_ns <= seen[-1].received_ns <= clock.now()
+    stop = plant.stop()
+    assert plant.stop() is stop
+    verdict = plant.settle()
+    samples += plant.samples()
+    news += plant.news()
+
+    frames = [sample.observation.frame for sample in samples]
+    assert frames == sorted(set(frames))
+    by_frame = {sample.observation.frame: sample.observation for sample in samples}
+    for observation in seen:
+        assert by_frame[observation.frame] is observation
+    assert [command.direction for command in commands] == list(DIRECTIONS)
+    others = [item for item in news if isinstance(item, Command)]
+    told = sorted((*commands, *others), key=lambda command: command.sent_ns)
+    assert len({command.sent_ns for command in told}) == len(told), "each is told once"
+    assert len(others) > len(commands), "the inner loop sends between the control steps"
+    for command in told:
+        assert command.left.shape == command.right.shape == (count,)
+        assert len(command.delivered) == count
+    assert stop.direction is None
+    assert not stop.left.any()
+    stops = [command for command in others if command.direction is None]
+    assert len(stops) >= 10
+    assert verdict.unrest == ""
+    last = samples[-1].observation.poses
+    assert np.abs(last.array() - verdict.final.array()).max() < 0.5
+    assert np.hypot(*(verdict.final.xy - starts).T).max() > 30
+    assert verdict.entered == (False,) * count
+    assert all(clearance > 0 for clearance in verdict.clearance)
+    plant.close()
+    plant.close()
+    plant.stop()
+
+
+def test_stop_and_close_need_no_open(make):
+    plant, _, _ = make()
+    plant.stop()
+    plant.close()
+    plant.close()
+
+
+def test_the_operators_stop_ends_every_call(make):
+    hands = Hands()
+    plant, _, _ = make(hands=hands)
+    plant.open()
+    plant.steer(0.5)
+    hands.operator.set()
+    with pytest.raises(AbortError, match="emergency stop by the operator"):
+        while True:
+            plant.observe()
+    with pytest.raises(AbortError, match="emergency stop by the operator"):
+        plant.steer(0.0)
+    assert plant.stop().direction is None
+    assert plant.settle().unrest == ""
+
+
+def test_a_port_that_is_not_there_refuses(make, tmp_path):
+    plant, _, _ = make(f"lab.radio.port={tmp_path}/none")
+    with pytest.raises(AbortError, match="there is no such port"):
+        plant.open()

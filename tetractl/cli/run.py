@@ -24,7 +24,9 @@ class PlantChoice(StrEnum):
 
 
 def run(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    spec: Annotated[
+        Path | None, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")
+    ] = None,
     trials: Annotated[
         int | None, typer.Option(metavar="N", help="Number of trials.  \\[spec: trials.count]")
     ] = None,
@@ -63,6 +65,14 @@ def run(
             metavar="DIR", help="Lab only: keep every datagram and serial byte of each trial here."
         ),
     ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="LOG",
+            help="In place of SPEC: repeat the trial of a log, and compare.",
+        ),
+    ] = None,
     json: Annotated[
         bool, typer.Option("--json", help="Print the statistics as `stats --format json` does.")
     ] = False,
@@ -73,6 +83,8 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
+    from tetractl.cli.again import compare, recorded
+    from tetractl.run.batch import log_path
     from tetractl.run.folder import default_folder, trials_to_run
     from tetractl.run.limits import check
     from tetractl.spec.load import load_spec
@@ -80,19 +92,32 @@ def run(
 
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to go on with")
+    if (spec is None) == (log is None):
+        raise UsageError("name either a SPEC or, with --from, a LOG")
     settings = list(sets or [])
     settings += [] if trials is None else [f"trials.count={trials}"]
     settings += [] if seed is None else [f"trials.seed={seed}"]
-    loaded = on_plant(load_spec(spec, settings), plant.value if plant else None)
+    if log is not None and (settings or plant or resume):
+        raise UsageError("--from repeats a trial as it was: nothing of it can be set")
+    number = None
+    if spec is not None:
+        loaded = on_plant(load_spec(spec, settings), plant.value if plant else None)
+    else:
+        assert log is not None
+        loaded, number = recorded(log)
     _check_lab_options(loaded, jobs, record_wire)
     check(loaded.experiment)
     folder = out or default_folder(loaded.experiment.name, datetime.now(UTC))
     todo = trials_to_run(loaded.experiment, folder, resume)
+    todo = todo if number is None else [number]
     if dry_run:
         _describe(loaded, folder, todo)
         return Exit.DONE
     report = _run(loaded, folder, todo, jobs, quiet, record_wire)
-    return _conclude(report, folder, json)
+    code = _conclude(report, folder, json)
+    if log is not None and number in report.results and code == Exit.DONE:
+        return compare(log, log_path(folder, number))
+    return code
 
 
 def _describe(loaded: "LoadedSpec", folder: Path, todo: list[int]) -> None:
@@ -143,7 +168,8 @@ def _run(
         set_aside(folder, trial)
     console = Console(stderr=True, quiet=quiet)
     warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
-    interrupt = Interrupt()
+    # a handler may only write: the console's lock may be taken
+    interrupt = Interrupt(lambda: os.write(sys.stderr.fileno(), STOPPING))
     live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not quiet
     with ExitStack() as stack:
         stack.enter_context(interrupt.watch())
@@ -187,7 +213,10 @@ def _conclude(report: "Report", folder: Path, json: bool) -> int:
         again = f"the same command and --out {folder} --resume"
         print(f"interrupted; go on with {again}", file=sys.stderr)
         return Exit.INTERRUPTED
-    print(f"look at one with: tetractl replay {log_path(folder, 0)}", file=sys.stderr)
+    print(
+        f"look at one with: tetractl replay {log_path(folder, min(report.results, default=0))}",
+        file=sys.stderr,
+    )
     return Exit.DONE
 
 

@@ -168,8 +168,7 @@ def _run(
         set_aside(folder, trial)
     console = Console(stderr=True, quiet=quiet)
     warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
-    # a handler may only write: the console's lock may be taken
-    interrupt = Interrupt(lambda: os.write(sys.stderr.fileno(), STOPPING))
+    interrupt = Interrupt()
     live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not quiet
     with ExitStack() as stack:
         stack.enter_context(interrupt.watch())

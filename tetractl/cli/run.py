@@ -1,5 +1,6 @@
 """`tetractl run`: run the trials of an experiment."""
 
+import os
 import sys
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -14,6 +15,8 @@ from tetractl.errors import Exit, UsageError
 if TYPE_CHECKING:
     from tetractl.run.batch import Report
     from tetractl.spec.load import LoadedSpec
+
+STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
 
 class PlantChoice(StrEnum):
@@ -168,7 +171,8 @@ def _run(
         set_aside(folder, trial)
     console = Console(stderr=True, quiet=quiet)
     warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
-    interrupt = Interrupt()
+    # a handler may only write: the console's lock may be taken
+    interrupt = Interrupt(lambda: os.write(sys.stderr.fileno(), STOPPING))
     live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not quiet
     with ExitStack() as stack:
         stack.enter_context(interrupt.watch())

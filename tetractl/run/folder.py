@@ -58,7 +58,10 @@ def _is_complete(experiment: Experiment, folder: Path, trial: int) -> bool:
     path = log_path(folder, trial)
     if not path.exists():
         return False
-    found = read_result(path)
+    try:
+        found = read_result(path)
+    except LogError:  # what cannot be read is set aside and run again
+        return False
     same = experiment.model_copy(update={"trials": found.experiment.trials})
     if found.seed != experiment.trials.seed or spec_hash(found.experiment) != spec_hash(same):
         raise UsageError(

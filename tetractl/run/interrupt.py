@@ -1,7 +1,7 @@
 """Ctrl-C and SIGTERM: the first lets the step finish and stops the robots, the second now."""
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -11,8 +11,9 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 class Interrupt:
     """Counts requests to stop; `KeyboardInterrupt` is raised only where nothing can be torn."""
 
-    def __init__(self) -> None:
+    def __init__(self, notice: Callable[[], object] = lambda: None) -> None:
         self.count = 0
+        self.notice = notice  # called at the first request, in the signal's handler
         self._breakable = False
 
     @property
@@ -23,6 +24,8 @@ class Interrupt:
     def request(self) -> None:
         """Ask once: a second request breaks into the breakable part that is under way."""
         self.count += 1
+        if self.count == 1:
+            self.notice()
         if self.count > 1 and self._breakable:
             raise KeyboardInterrupt
 

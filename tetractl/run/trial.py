@@ -91,6 +91,9 @@ class Trial:
                 observer.on_step(step)
             if self.interrupt.requested:
                 return Outcome.INTERRUPTED, "interrupted; the step was finished"
+            late = self.clock.now() - (began + round(k * control.period * SECOND))
+            if late > period:  # an overrun is not made up for by a burst of steps
+                began += late
             self._sleep_until(began + round((k + 1) * control.period * SECOND))
             observation = self.plant.observe()
             decision = self._plan(observation)
@@ -118,17 +121,23 @@ class Trial:
             laps = 0
             while laps < square.laps or not planning.done():
                 for direction in directions(observation.poses.heading):
-                    command = self.plant.steer(direction)
-                    for observer in self.observers:
-                        observer.on_command(command)
-                    self._sleep_until(self.clock.now() + side)
-                    self._tell_samples()
-                    if self.interrupt.requested:
-                        raise KeyboardInterrupt
+                    self._drive_side(direction, self.clock.now() + side)
                 laps += 1
             return planning.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+    def _drive_side(self, direction: float, end: int) -> None:
+        """Hold a direction until `end`, sent once a control period as in the control loop."""
+        period = round(self.start.experiment.controller.period * SECOND)
+        while (now := self.clock.now()) < end:
+            command = self.plant.steer(direction)
+            for observer in self.observers:
+                observer.on_command(command)
+            self._sleep_until(min(now + period, end))
+            self._tell_samples()
+            if self.interrupt.requested:
+                raise KeyboardInterrupt
 
     def _sleep_until(self, when: int) -> None:
         with self.interrupt.breakable():

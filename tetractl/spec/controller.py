@@ -1,10 +1,10 @@
 """The controller's part of a spec: MPC (Algorithm 2) and the swarm inside it (Algorithm 1)."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Discriminator, Field, PositiveInt, Tag
+from pydantic import Discriminator, Field, PositiveInt, Tag, model_validator
 
-from tetractl.spec.base import Model, NonNegative, Positive
+from tetractl.spec.base import Model, NonNegative, Positive, inconsistent
 
 
 class PaperStop(Model):
@@ -172,3 +172,10 @@ class PsoMpcSpec(Model):
     alone."""
     swarm: Optimiser = SwarmSpec()
     """The optimiser of each search."""
+
+    @model_validator(mode="after")
+    def _a_budget_pays_for_a_swarm(self) -> Self:
+        least = self.swarm.particles + 1
+        if self.evaluations_max is not None and self.evaluations_max < least:
+            raise inconsistent("evaluations_max", f"must be at least particles + 1, {least}")
+        return self

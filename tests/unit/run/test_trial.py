@@ -1,5 +1,6 @@
 import threading
 import time
+from itertools import pairwise
 
 import pytest
 from unit.run.fakes import bench
@@ -218,9 +219,11 @@ def test_the_square_is_driven_while_the_first_plan_is_made():
     made = bench(2, first_plan=SQUARE)
     result = made.run()
     assert_ended_well(made, Outcome.SEQUENCE_USED_UP)
-    assert [when for when, _ in made.plant.steered[:8]] == [2 * k * SECOND for k in range(8)]
-    turns = [direction for _, direction in made.plant.steered[:8]]
-    assert turns == pytest.approx([1.5707963, 3.1415927, -1.5707963, 0] * 2)
+    driven = made.plant.steered[:80]  # 8 sides of 2 s, told anew each control period
+    assert [when for when, _ in driven] == [k * PERIOD for k in range(80)]
+    turns = [direction for _, direction in driven]
+    assert turns[::10] == pytest.approx([1.5707963, 3.1415927, -1.5707963, 0] * 2)
+    assert turns == [turn for turn in turns[::10] for _ in range(10)]
     log = made.observers[0]
     assert [command.direction for command in log.commands] == turns
     assert [step.command.sent_ns for step in log.steps] == [16 * SECOND, 16 * SECOND + PERIOD]
@@ -234,11 +237,11 @@ def test_in_the_lab_squares_go_on_until_the_plan_is_there():
     made = bench(1, simulated=False, first_plan=SQUARE | {"laps": 1})
     enough = threading.Event()
     made.happenings.actions["plan", 1] = enough.wait
-    made.happenings.actions["steer", 11] = enough.set  # in the third square
+    made.happenings.actions["steer", 101] = enough.set  # in the third square of 40 commands
     made.run()
-    sides = len(made.observers[0].commands)
-    assert sides >= 12
-    assert sides % 4 == 0
+    commands = len(made.observers[0].commands)
+    assert commands >= 120
+    assert commands % 40 == 0
 
 
 def test_a_controller_that_fails_during_the_square_aborts_the_trial():
@@ -265,8 +268,24 @@ def test_two_interruptions_end_the_square_at_once():
         made.interrupt.request()
         made.interrupt.request()
 
-    made.happenings.actions["log.command", 2] = twice
+    made.happenings.actions["log.command", 12] = twice
     result = made.run()
     assert_ended_well(made, Outcome.INTERRUPTED)
     assert result.reason == "stopped at once by a second interruption"
-    assert result.duration_s == 2.0  # the second side was not driven to its end
+    assert result.duration_s == 2.2  # the second side was not driven to its end
+
+
+def test_after_an_overrun_the_steps_keep_their_distance():
+    """A step that takes 2.5 periods: it is late, and those after it come a period apart."""
+    made = bench(5)
+    clock = made.trial.clock
+    slow = 5 * PERIOD // 2
+    made.happenings.actions["plan", 2] = lambda: clock.sleep_until(clock.now() + slow)
+    made.run()
+    sent = [when for when, _ in made.plant.steered]
+    assert [later - earlier for earlier, later in pairwise(sent)] == [
+        PERIOD + slow,
+        PERIOD,
+        PERIOD,
+        PERIOD,
+    ]

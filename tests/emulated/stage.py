@@ -140,6 +140,12 @@ class Played:
             (e["t_ns"] for e in self.of("fault", phase="start") if e["t_ns"] >= start), None
         )
 
+    def lag_s(self, start_ns, end_ns):
+        """The most the emulator itself was late between two moments: what the host's load cost."""
+        late = [e for e in self.of("late") if e["t_ns"] <= end_ns]
+        over = [e for e in late if e["t_ns"] + 1e6 * e["lag_ms"] >= start_ns]
+        return max((e["lag_ms"] / 1e3 for e in over), default=0.0)
+
     def stop_after(self, name, since_ns):
         """Seconds from `since_ns` until a stop for a robot was on the wire."""
         place = self.record[0]["robots"].index(name)

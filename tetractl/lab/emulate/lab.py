@@ -66,7 +66,7 @@ class EmulatedLab:
         self._view = build.view(experiment, lab, script)
         start_ns = time.monotonic_ns()
         self.timeline = Timeline(self._advance, start_ns)
-        self.loop = Loop(self.timeline)
+        self.loop = Loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
         self.port = PseudoPort(options.link or Path(lab.radio.port))
         self.injector = Injector(self, script.faults, self._fault)
         settings = build.radio_settings(lab, script)

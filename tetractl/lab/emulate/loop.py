@@ -7,6 +7,7 @@ from collections.abc import Callable
 from itertools import count
 
 Act = Callable[[], None]
+LAG_NS = 5_000_000
 IDLE_S = 0.05  # wakes this often with nothing to do, so that a request to end is seen
 
 
@@ -48,11 +49,13 @@ class Timeline:
 class Loop:
     """Runs a timeline in real time on the host's monotonic clock.
 
-    `worst_lag_ns` is how late an event ever was: what a loaded host cost.
+    `worst_lag_ns` is how late an event ever was, and `on_lag` hears of each one later than
+    `LAG_NS`: what a loaded host cost.
     """
 
-    def __init__(self, timeline: Timeline) -> None:
+    def __init__(self, timeline: Timeline, on_lag: Callable[[int], None]) -> None:
         self.timeline = timeline
+        self._on_lag = on_lag
         self.worst_lag_ns = 0
         self._readers: dict[int, Act] = {}
         self._ended = False
@@ -84,6 +87,8 @@ class Loop:
         due = self.timeline.next_ns
         if due is not None and now > due:
             self.worst_lag_ns = max(self.worst_lag_ns, now - due)
+            if now - due > LAG_NS:
+                self._on_lag(now - due)
         self.timeline.run_to(now)
         due = self.timeline.next_ns
         wait = IDLE_S if due is None else (due - time.monotonic_ns()) / 1e9

@@ -11,6 +11,7 @@ import pytest
 from emulation import emulated, turn_until
 
 from tetractl.errors import TetractlError
+from tetractl.lab.emulate.desk import ticks
 from tetractl.lab.natnet.handshake import response_float, response_int
 from tetractl.lab.natnet.messages import (
     Bare,
@@ -142,7 +143,7 @@ def test_echo_tells_a_clock_of_its_own(opened):
     second = client.ask(EchoRequest(18), EchoResponse)
     assert (first.client, second.client) == (17, 18)
     assert second.server >= first.server
-    assert second.server == pytest.approx(lab.motive.ticks(before), abs=10_000_000)
+    assert second.server == pytest.approx(ticks(before), abs=10_000_000)
     assert abs(second.server - before // 100) > 10_000_000  # it is not the host's clock
 
 
@@ -155,7 +156,7 @@ def test_a_client_can_pin_the_version(opened):
     client.version = Version(2, 9)
     client.got.clear()
     client.send(Request("Bitstream,2.9"))
-    turn_until(lab, lambda: next(iter(lab.motive.clients.values())).version == (2, 9))
+    turn_until(lab, lambda: next(iter(lab.motive.desk.clients.values())).version == (2, 9))
     while True:  # a frame of the old version may still be on its way
         try:
             client.poll()
@@ -168,18 +169,18 @@ def test_a_client_can_pin_the_version(opened):
 def test_unicast_clients_time_out_and_are_kept_alive(opened):
     lab, client = opened()
     client.ask(Connect(), ServerInfo)
-    (known,) = lab.motive.clients.values()
+    (known,) = lab.motive.desk.clients.values()
     known.heard_ns -= 4_000_000_000
     before = known.heard_ns
     client.send(Bare(Kind.KEEPALIVE))
     turn_until(lab, lambda: known.heard_ns != before)
     client.next(Frame)
     known.heard_ns -= 6_000_000_000
-    turn_until(lab, lambda: not lab.motive.clients)
+    turn_until(lab, lambda: not lab.motive.desk.clients)
     assert lab.motive.counts.timed_out == 1
     client.send(Bare(Kind.KEEPALIVE))  # too late: it has to connect again
     client.ask(Request("FrameRate"), Response)
-    assert not lab.motive.clients
+    assert not lab.motive.desk.clients
     client.ask(Connect(), ServerInfo)
     client.next(Frame)
 
@@ -187,13 +188,13 @@ def test_unicast_clients_time_out_and_are_kept_alive(opened):
 def test_latency_and_jitter_are_those_of_the_real_capture(opened):
     lab, client = opened(script="emulation: {rate: 120}")
     client.ask(Connect(), ServerInfo)
-    lab.motive.clients.clear()
+    lab.motive.desk.clients.clear()
     sent = []
     send, lab.motive._stream = lab.motive._stream, lambda frame, now: sent.append((frame, now))
     start = lab.timeline.now_ns
     lab.timeline.run_to(start + 60_000_000_000)  # a minute of virtual time
     lab.motive._stream = send
-    delays = [(lab.motive.ticks(now) - frame.ticks.exposure) / 10_000 for frame, now in sent]  # ms
+    delays = [(ticks(now) - frame.ticks.exposure) / 10_000 for frame, now in sent]  # ms
     gaps = [(b - a) / 1e6 for (_, a), (_, b) in itertools.pairwise(sent)]
     assert len(sent) == pytest.approx(7200, abs=2)
     assert statistics.mean(delays) == pytest.approx(5.4, abs=0.1)
@@ -226,7 +227,7 @@ def test_multicast(opened):
         first, second = client.next(Frame, 2)
         client.socket = own
         assert second.number == first.number + 1
-        assert client.got and not lab.motive.clients
+        assert client.got and not lab.motive.desk.clients
     finally:
         data.close()
 

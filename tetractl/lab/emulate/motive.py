@@ -2,42 +2,22 @@
 
 import random
 import socket
-import struct
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
 from tetractl.errors import TetractlError
+from tetractl.lab.emulate.desk import SECOND, Address, Desk, ticks
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.mangle import mangle
-from tetractl.lab.emulate.streaming import Client, Counts, Streaming, Trouble
+from tetractl.lab.emulate.streaming import Counts, Streaming, Trouble
 from tetractl.lab.errors import WireError
-from tetractl.lab.natnet.messages import (
-    Bare,
-    BodyName,
-    Connect,
-    EchoRequest,
-    EchoResponse,
-    Frame,
-    Kind,
-    Message,
-    ModelDef,
-    Request,
-    Response,
-    RigidBody,
-    ServerInfo,
-    Ticks,
-    Version,
-)
+from tetractl.lab.natnet.messages import BodyName, Frame, RigidBody, Ticks, Version
 from tetractl.lab.natnet.wire import pack, parse
 
-SECOND = 1_000_000_000
-CLOCK_HZ = 10_000_000
-CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock has nothing to do with the host's
 EDIT_MODE = 4
 DATAGRAMS_A_TURN = 100
-Address = tuple[str, int]
 
 
 class Motive:
@@ -61,21 +41,17 @@ class Motive:
         self.streaming = streaming
         self.trouble = Trouble()
         self.counts = Counts()
-        self.clients: dict[Address, Client] = {}
-        self._greeted: set[Address] = set()
+        self.desk = Desk(streaming, names, self.counts, on_client)
         self._timeline = timeline
-        self._names = names
         self._expose = expose
         self._on_exposed = on_exposed
         self._on_sent = on_sent
-        self._on_client = on_client
         self._random = random.Random(seed)
         self._last: Frame | None = None
         self._start_ns = 0
         self._exposures = 0
         self.command: socket.socket | None = None
         self.data: socket.socket | None = None
-        self._group_port: int | None = None  # of multicast
 
     @property
     def command_port(self) -> int:
@@ -85,9 +61,7 @@ class Motive:
     @property
     def data_port(self) -> int:
         """The port frames come from or, in multicast, go to."""
-        if self._group_port is not None:
-            return self._group_port
-        return self.streaming.data_port if self.data is None else _port(self.data)
+        return self.desk.data_port
 
     def open(self) -> int:
         """Take the ports and expose the first frame now; return the file to watch."""
@@ -98,7 +72,8 @@ class Motive:
         if multicast:
             interface = socket.inet_aton(s.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
-            self._group_port = s.data_port or _port(self.data)  # nobody else has that one
+        if not (multicast and s.data_port):
+            self.desk.data_port = _port(self.data)  # in multicast too: nobody else has that one
         self._start_ns = self._timeline.now_ns
         self._plan()
         return self.command.fileno()
@@ -108,10 +83,6 @@ class Motive:
         for opened in (self.command, self.data):
             if opened is not None:
                 opened.close()
-
-    def ticks(self, when_ns: int) -> int:
-        """Return the server's clock at a time of the host's."""
-        return CLOCK_OFFSET + when_ns * CLOCK_HZ // SECOND
 
     def readable(self) -> None:
         """Answer what came to the command port."""
@@ -130,81 +101,9 @@ class Motive:
             except WireError:
                 self.counts.refused += 1
                 continue
-            answer = self._answer(message, sender)
+            answer = self.desk.answer(message, sender, self._timeline.now_ns)
             if answer is not None:
-                self._send(self.command, pack(answer, self._version(sender)), sender)
-
-    def _version(self, client: Address) -> Version:
-        known = self.clients.get(client)
-        return known.version if known else self.streaming.version
-
-    def _answer(self, message: Message, sender: Address) -> Message | None:
-        if sender in self.clients:
-            self.clients[sender].heard_ns = self._timeline.now_ns
-        match message:
-            case Connect():
-                self._admit(message, sender)
-                return self._info()
-            case EchoRequest(client):
-                return EchoResponse(client, self.ticks(self._timeline.now_ns))
-            case Request(text) if text.startswith("Bitstream,"):
-                return self._change_version(text.removeprefix("Bitstream,"), sender)
-            case Request(text):
-                return self._reply(text)
-            case Bare(Kind.REQUEST_MODELDEF):
-                return ModelDef(tuple(self._names))
-            case Bare(Kind.DISCONNECT):
-                self.clients.pop(sender, None)
-        return None
-
-    def _admit(self, message: Connect, sender: Address) -> None:
-        if sender not in self._greeted:
-            self._greeted.add(sender)
-            self._on_client(f"{sender[0]}:{sender[1]}")
-        if self.streaming.transport == "multicast":
-            return
-        version = self.streaming.version
-        if message.bitstream is not None and self._can_change(asked := message.bitstream[:2]):
-            version = Version(*asked)
-        self.clients[sender] = Client(version, self._timeline.now_ns)
-
-    def _can_change(self, asked: tuple[int, int]) -> bool:
-        """Whether a unicast client can have this version: servers from 4.0 on can be asked."""
-        version = Version(*asked)
-        return (4, 0) <= self.streaming.version >= version and version.known
-
-    def _change_version(self, text: str, sender: Address) -> Message:
-        major, _, minor = text.partition(".")
-        known = self.clients.get(sender)
-        if known and (major + minor).isdecimal() and self._can_change((int(major), int(minor))):
-            known.version = Version(int(major), int(minor))
-            return Response(struct.pack("<i", 0))
-        return Response(struct.pack("<i", 1))
-
-    def _info(self) -> ServerInfo:
-        a, b, c, d = (int(part) for part in self.streaming.group.split("."))
-        major, minor = self.streaming.version
-        multicast = self.streaming.transport == "multicast"
-        return ServerInfo(
-            "Motive (EMULATED by tetractl)",
-            (3, 0, 0, 0),
-            (major, minor, 0, 0),
-            CLOCK_HZ,
-            self.data_port,
-            multicast,
-            (a, b, c, d),
-        )
-
-    def _reply(self, text: str) -> Message:
-        match text:
-            case "FrameRate":
-                return Response(struct.pack("<f", self.streaming.rate_hz))
-            case "UnitsToMillimeters":
-                return Response(struct.pack("<f", 1000.0))
-            case "UpAxis" if self.streaming.knows_up_axis:
-                return Response(struct.pack("<i", self.streaming.up))
-            case _:
-                return Bare(Kind.UNRECOGNIZED)
+                self._send(self.command, pack(answer, self.desk.version(sender)), sender)
 
     def _plan(self) -> None:
         due = self._start_ns + round(self._exposures * SECOND / self.streaming.rate_hz)
@@ -228,7 +127,7 @@ class Motive:
             params=EDIT_MODE if self.trouble.edit_mode else 0,
             latency=delay,
             timestamp_s=seconds,
-            ticks=Ticks(self.ticks(now), self.ticks(now + round(0.6 * delay * SECOND)), 0),
+            ticks=Ticks(ticks(now), ticks(now + round(0.6 * delay * SECOND)), 0),
             precision=(int(seconds), int(seconds % 1 * 2**32)),
         )
         self._timeline.at(leaves, partial(self._transmit, self._exposures, frame))
@@ -245,9 +144,9 @@ class Motive:
 
     def _stream(self, frame: Frame, now: int) -> None:
         if frame.ticks is not None:
-            frame = replace(frame, ticks=replace(frame.ticks, transmit=self.ticks(now)))
+            frame = replace(frame, ticks=replace(frame.ticks, transmit=ticks(now)))
         packed: dict[Version, bytes] = {}
-        for address, version in self._receivers(now):
+        for address, version in self.desk.receivers(now):
             if version not in packed:
                 packed[version] = pack(frame, self.trouble.version or version)
             datagram = packed[version]
@@ -255,17 +154,6 @@ class Motive:
                 datagram = mangle(datagram, self._random)
             self._send(self.data, datagram, address)
         self.counts.frames += 1
-
-    def _receivers(self, now: int) -> list[tuple[Address, Version]]:
-        s = self.streaming
-        if s.transport == "multicast":
-            return [((s.group, self.data_port), s.version)]
-        silent = round(s.client_timeout * SECOND)
-        for address, client in list(self.clients.items()):
-            if now - client.heard_ns > silent:
-                del self.clients[address]
-                self.counts.timed_out += 1
-        return [(address, client.version) for address, client in self.clients.items()]
 
     def _send(self, sender: socket.socket | None, datagram: bytes, to: Address) -> None:
         assert sender is not None, "it is open"

@@ -7,7 +7,7 @@ import numpy as np
 from tetractl.control.cost import Problem, require_finite
 from tetractl.control.draws import mix
 from tetractl.control.kernels import swarm as kernel
-from tetractl.control.kernels.rollout import Course, costs, lay_out
+from tetractl.control.kernels.rollout import Course, aligned, costs, lay_out
 from tetractl.control.plan import Search
 from tetractl.control.pso import Swarm, never
 from tetractl.model.state import Floats
@@ -54,7 +54,8 @@ def scatter(
 ) -> tuple[kernel.Swarm, int]:
     """Algorithm 1, lines 1-6; returns the swarm and the evaluations it took."""
     drawn = Swarm.scatter(spec, length, key)
-    u, v, best = (np.ascontiguousarray(part.T) for part in (drawn.u, drawn.v, drawn.best))
+    u, v, best = (aligned((length, spec.particles)) for _ in range(3))
+    u[:], v[:], best[:] = drawn.u.T, drawn.v.T, drawn.best.T
     best_cost = np.empty(spec.particles)
     costs(course, best, best_cost)
     require_finite(best_cost)

@@ -39,9 +39,9 @@ def _atan_ratio(q: Floats) -> Floats:
 
 
 _STEEPEST = math.sinh(LARGEST_TURN / 2)  # of tan((phi - phi')/2), over all phi
-SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), (math.pi / 4) ** 2, 7)  # sin(t)/t, t = sqrt(q)
-COSINE = fit(lambda q: np.cos(np.sqrt(q)), (math.pi / 4) ** 2, 7)
-ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 7)  # atanh(f)/f
+SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), (math.pi / 4) ** 2, 6)  # sin(t)/t, t = sqrt(q)
+COSINE = fit(lambda q: np.cos(np.sqrt(q)), (math.pi / 4) ** 2, 6)
+ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 6)  # atanh(f)/f
 ATAN = fit(_atan_ratio, _STEEPEST**2, 13)  # atan(z)/z
 
 

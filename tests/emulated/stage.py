@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -214,7 +215,9 @@ def _attend(emulator, runners, script, folder, settings):
     the second."""
     ended = False
     first = runners[0].process
+    hung = time.monotonic() + 2 * PATIENCE_S
     while first.poll() is None:
+        assert time.monotonic() < hung, "the run does not end"
         if len(runners) == 2 and runners[1].process.poll() is not None and not ended:
             ended = True
             first.send_signal(signal.SIGINT)

@@ -1,17 +1,20 @@
 """The emulated Motive over real UDP, against our client's codec and against PyPI's `natnet`."""
 
-import itertools
 import json
 import math
 import socket
 import statistics
 import threading
+from itertools import pairwise
 
 import pytest
 from emulation import emulated, turn_until
 
 from tetractl.errors import TetractlError
 from tetractl.lab.emulate.desk import ticks
+from tetractl.lab.emulate.loop import Timeline
+from tetractl.lab.emulate.motive import Motive
+from tetractl.lab.emulate.streaming import Streaming
 from tetractl.lab.natnet.handshake import response_float, response_int
 from tetractl.lab.natnet.messages import (
     Bare,
@@ -185,17 +188,21 @@ def test_unicast_clients_time_out_and_are_kept_alive(opened):
     client.next(Frame)
 
 
-def test_latency_and_jitter_are_those_of_the_real_capture(opened):
-    lab, client = opened(script="emulation: {rate: 120}")
-    client.ask(Connect(), ServerInfo)
-    lab.motive.desk.clients.clear()
+def test_latency_and_jitter_are_those_of_the_real_capture():
+    timeline = Timeline(lambda when: None)  # virtual time: the same minute every time
+    streaming = Streaming(command_port=0, data_port=0)
+    motive = Motive(
+        timeline, streaming, [], tuple, lambda *_: None, lambda _: None, lambda _: None, seed=1
+    )
     sent = []
-    send, lab.motive._stream = lab.motive._stream, lambda frame, now: sent.append((frame, now))
-    start = lab.timeline.now_ns
-    lab.timeline.run_to(start + 60_000_000_000)  # a minute of virtual time
-    lab.motive._stream = send
+    motive._stream = lambda frame, now: sent.append((frame, now))
+    motive.open()
+    try:
+        timeline.run_to(60_000_000_000)
+    finally:
+        motive.close()
     delays = [(ticks(now) - frame.ticks.exposure) / 10_000 for frame, now in sent]  # ms
-    gaps = [(b - a) / 1e6 for (_, a), (_, b) in itertools.pairwise(sent)]
+    gaps = [(b - a) / 1e6 for (_, a), (_, b) in pairwise(sent)]
     assert len(sent) == pytest.approx(7200, abs=2)
     assert statistics.mean(delays) == pytest.approx(5.4, abs=0.1)
     assert statistics.mean(gaps) == pytest.approx(1000 / 120, abs=0.01)
@@ -294,5 +301,5 @@ def test_the_record_tells_what_was_exposed(opened, tmp_path):
     assert events[-1]["event"] == "end"
     truth = [event for event in events if event["event"] == "truth"]
     assert truth[0]["poses"] == [[500.0, 500.0, 0.5], [500.0, 1500.0, -2.0]]
-    gaps = [b["t_ns"] - a["t_ns"] for a, b in itertools.pairwise(truth)]
+    gaps = [b["t_ns"] - a["t_ns"] for a, b in pairwise(truth)]
     assert all(abs(gap - 8_333_333) <= 1 for gap in gaps)

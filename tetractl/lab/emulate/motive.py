@@ -118,7 +118,7 @@ class Motive:
         s, jitter = self.streaming, self._random
         delay = s.latency + min(max(jitter.gauss(0, s.jitter), -4 * s.jitter), 4 * s.jitter)
         if jitter.random() < 1 / 250:
-            delay += jitter.uniform(0, 0.5 / s.rate_hz)
+            delay += jitter.uniform(0, 0.45 / s.rate_hz)
         leaves = now + round(delay * SECOND)
         seconds = (now - self._start_ns) / SECOND
         frame = Frame(

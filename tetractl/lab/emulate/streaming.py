@@ -14,7 +14,7 @@ class Streaming:
     """Motive's streaming settings. Port 0 takes any that is free; times in seconds.
 
     Exposure to transmit is `latency` on the mean with a deviation of `jitter`; one frame in 250
-    is late by up to half a frame.
+    is late by up to nearly half a frame.
     """
 
     address: str = "127.0.0.1"

@@ -3,6 +3,7 @@
 import queue
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from tetractl.errors import LogError
@@ -29,7 +30,7 @@ class Desk:
         self._path = path
         self._sink = Sink(path)
         self._jobs: queue.Queue[Job | None] = queue.Queue(WAITING)
-        self._told = False
+        self._told = self._closed = False
         self.failure: Exception | None = None
         self._thread = threading.Thread(target=self._work, name=f"log {path.name}", daemon=True)
         self._thread.start()
@@ -51,9 +52,15 @@ class Desk:
         self._tell()
 
     def close(self, complete: bool) -> None:
-        """Finish the file and end the thread; only a complete log gets its name."""
+        """Finish the file and end the thread; only a complete log gets its name.
+
+        What went wrong is raised for a log that was to be complete; without an end it is known to
+        be a part.
+        """
         if not self._thread.is_alive():
             return
+        self._told |= not complete
+        self._closed = True
         stalled = self.failure is not None and self._jobs.full()
         if not stalled:
             self._hand(lambda: self._sink.close(complete))
@@ -83,18 +90,20 @@ class Desk:
 
     def _work(self) -> None:
         wait: float | None = None
-        while True:
+        while not (self._closed and self.failure and self._jobs.empty()):
             try:
                 job = self._jobs.get(timeout=wait)
             except queue.Empty:
                 job = _nothing
             if job is None:
-                return
+                break
             try:
                 job()  # with the sink closed by a failure, its methods do nothing
                 wait = self._sink.tend()
             except Exception as error:
                 self.failure, wait = self.failure or error, None
+        with suppress(LogError):
+            self._sink.close(complete=False)  # where it could not be done in its turn
 
 
 def _nothing() -> None:

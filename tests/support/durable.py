@@ -1,0 +1,135 @@
+"""Trials on the wall clock that can be killed, and what then is left of their logs."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from tetractl.log.reader import read_trial
+
+ENDLESS = """
+name: endless
+arena: {left: 0, bottom: 0, width: 100000, height: 1000}
+robots:
+  - {name: one, start: [100, 300], target: [99000, 500], a: 6, speed: 200}
+  - {name: two, start: [100, 700], target: [99000, 600], a: 3, speed: 150}
+controller: {horizon_max: 5, steps_max: 100000, swarm: {particles: 8, iterations: 5}}
+plant: {type: sim, measurement_noise: {position: 1}, heading_noise: 0.1}
+"""
+
+CHILD = """
+import sys, time
+from contextlib import ExitStack
+from pathlib import Path
+from tetractl.clock import MonotonicClock
+from tetractl.control.build import build_controller, warm_up
+from tetractl.log.records import EPOCH_NS, Start
+from tetractl.log.writer import LogWriter
+from tetractl.plant.build import build_plant
+from tetractl.plant.protocol import PlantInfo
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.relay import Relay
+from tetractl.run.seeds import trial_seeds
+from tetractl.run.trial import Trial
+from tetractl.spec.load import parse_spec
+
+spec = parse_spec(sys.argv[1], "spec.yaml")
+warm_up(spec.experiment, print)
+key, seed = trial_seeds(1, 0)
+interrupt = Interrupt()
+writer = LogWriter(Path(sys.argv[2]))
+with interrupt.watch(), writer, Relay(writer, lambda: writer.failure) as relay:
+    clock = MonotonicClock()
+    print(time.monotonic_ns(), flush=True)
+    start = Start(spec.experiment, spec.text, spec.name, 0, PlantInfo("", True, 0.0, {}), EPOCH_NS)
+    plant = build_plant(spec.experiment, clock, seed)
+    controller = build_controller(spec.experiment, key)
+    result = Trial(start, plant, controller, clock, [relay], interrupt).run()
+print(result.outcome.value, "|", result.reason, "|", result.steps, flush=True)
+"""
+"""A trial as in the lab, its log behind a relay, but of simulated robots: in real time."""
+
+
+@dataclass(frozen=True)
+class Killed:
+    """What a kill cost: `lost_s` of the trial, of which `ran_s` had gone."""
+
+    ran_s: float
+    lost_s: float
+    steps: int
+
+
+class RealTime:
+    """A trial in real time in a process of its own."""
+
+    def __init__(self, path: Path, spec: str = ENDLESS, **env: str) -> None:
+        self.path = path
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", CHILD, spec, str(path)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | env,
+        )
+        assert self.process.stdout is not None
+        first = self.process.stdout.readline()
+        while first and not first.strip().isdigit():  # it may say that it compiles
+            first = self.process.stdout.readline()
+        assert first, self.process.communicate()[1]
+        self.began_ns = int(first)
+
+    def now_s(self) -> float:
+        """Time of the trial."""
+        return (time.monotonic_ns() - self.began_ns) / 1e9
+
+    def kill(self) -> Killed:
+        """Kill it with -9 and look what its log still holds."""
+        ran = self.now_s()
+        self.process.kill()
+        self.process.communicate()
+        log = read_trial(self.path.with_name(self.path.name + ".part"))
+        assert [step.k for step in log.steps] == list(range(len(log.steps)))
+        assert log.frames.tolist() == list(range(len(log.frames)))
+        last = max([0, *log.received_ns[-1:], *(c.sent_ns for c in log.commands[-1:])])
+        return Killed(ran, ran - float(last) / 1e9, len(log.steps))
+
+    def ask(self, number: signal.Signals) -> str:
+        """Ask it to stop; return what it said."""
+        self.process.send_signal(number)
+        return self.end()
+
+    def end(self) -> str:
+        """Wait until it ends; return what it said."""
+        out, err = self.process.communicate(timeout=120)
+        assert self.process.returncode == 0, err
+        return out
+
+
+def kill_at(path: Path, seconds: float) -> Killed:
+    """Start a trial, let it run for so long, and kill it."""
+    trial = RealTime(path)
+    time.sleep(max(0.0, seconds - trial.now_s()))
+    return trial.kill()
+
+
+def random_kill(path: Path, rng: random.Random) -> Killed:
+    """Kill a trial within its first seconds."""
+    return kill_at(path, rng.uniform(0.3, 4.0))
+
+
+@contextmanager
+def small_disk(folder: Path, size: str) -> Iterator[Path]:
+    """Mount a file system of `size`; root only."""
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+    subprocess.run(mount, check=True, capture_output=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True, capture_output=True)

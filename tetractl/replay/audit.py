@@ -42,6 +42,7 @@ def audit(log: TrialLog, contents: Contents) -> Findings:
     findings.problems += _frames(log)
     findings.problems += _steps(log)
     findings.problems += _stamps(log, contents)
+    findings.problems += _ends(log)
     for gap in frame_gaps(log):
         if log.start.plant.simulated or log.damage:
             findings.problems.append(Difference(None, "frames", f"missing: {gap}"))
@@ -79,9 +80,21 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
         yield Difference(None, "mocap.received_ns", f"frame {log.frames[i]} came before it was")
 
 
+def _ends(log: TrialLog) -> Iterator[Difference]:
+    """A simulation's frames begin with the trial and go on until its robots have stopped."""
+    if not log.start.plant.simulated or log.damage:
+        return
+    if not len(log.frames) or log.frames[0] != 0:
+        yield Difference(None, "frames", "missing: camera frame 0")
+    elif log.stop is not None and log.mocap_ns[-1] < log.stop.sent_ns:
+        yield Difference(None, "frames", f"missing: camera frames after {log.frames[-1]}")
+
+
 def _steps(log: TrialLog) -> Iterator[Difference]:
     seen = {int(number): i for i, number in enumerate(log.frames)}
-    sent = {command.sent_ns: command for command in log.commands}
+    sent: dict[int, list[Command]] = {}
+    for command in log.commands:  # an interrupted trial's stop may go with its last step
+        sent.setdefault(command.sent_ns, []).append(command)
     control, simulated = log.start.experiment.controller, log.start.plant.simulated
     before: Step | None = None
     for step in log.steps:
@@ -96,7 +109,8 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
         if command.direction != float(step.plan.signals[0]):
             text = f"sent {command.direction!r}, decided {float(step.plan.signals[0])!r}"
             yield Difference(k, "command.direction", text)
-        if not _same_command(command, sent.get(command.sent_ns)) and not log.damage:
+        told = any(_same_command(command, one) for one in sent.get(command.sent_ns, ()))
+        if not told and not log.damage:
             yield Difference(k, "command", "differs from what is on /commands")
         if simulated and k > 0 and not log.damage:
             newest = int(np.searchsorted(log.received_ns, command.sent_ns, side="right")) - 1
@@ -133,8 +147,8 @@ def _same_frame(at: Observation, log: TrialLog, i: int) -> bool:
     return bool(times and poses and (at.valid == log.valid[i]).all())
 
 
-def _same_command(one: Command, two: Command | None) -> bool:
-    if two is None or (one.direction, one.delivered) != (two.direction, two.delivered):
+def _same_command(one: Command, two: Command) -> bool:
+    if (one.direction, one.delivered) != (two.direction, two.delivered):
         return False
     for ours, theirs in ((one.left, two.left), (one.right, two.right)):
         if (ours is None) != (theirs is None):

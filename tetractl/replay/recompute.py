@@ -154,6 +154,9 @@ def recompute(log: TrialLog, again: bool) -> Difference | None:
             return Difference(step.k, "plan", str(error))
         if not isinstance(decision, Plan):
             return Difference(step.k, "plan", f"the controller ends the trial: {decision.value}")
+        if decision.generator != step.plan.generator:
+            text = f"logged {step.plan.generator}, seed and trial make it {decision.generator}"
+            return Difference(step.k, "generator", text)
         found = [*rerun.wrong, *_differences(decision, step.plan, "", room)]
         if found:
             return Difference(step.k, *found[0])

@@ -1,0 +1,89 @@
+"""Logs with one number changed, and every checksum and the digest made to fit."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from google.protobuf.message import Message
+from mcap.records import Attachment, Metadata
+
+from tetractl.log.channels import CHANNELS, RESULT, Entry
+from tetractl.log.digest import CHECKSUM, DIGEST
+from tetractl.log.facts import seal
+from tetractl.log.salvage import Contents
+from tetractl.log.sink import Sink
+
+Place = tuple[str | int, ...]
+
+
+def places(message: Message, inside: Place = ()) -> Iterator[Place]:
+    """Yield where each number, truth value and word of a message is."""
+    for field, value in message.ListFields():
+        here = (*inside, field.name)
+        items = list(enumerate(value)) if field.is_repeated else [(None, value)]
+        for index, item in items:
+            at = here if index is None else (*here, index)
+            if isinstance(item, Message):
+                yield from places(item, at)
+            else:
+                yield at
+
+
+def changed(message: Message, place: Place) -> Message:
+    """Return a message with one number changed by as little as can be."""
+    copy = type(message)()
+    copy.CopyFrom(message)
+    *way, last = place
+    holder: Any = reduce(_step, way, copy)
+    if isinstance(last, int):
+        holder[last] = other(holder[last])
+    else:
+        setattr(holder, last, other(getattr(holder, last)))
+    return copy
+
+
+def other(value: Any) -> Any:
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int):
+        return value + 1 if value < 2**63 - 1 else value - 1
+    if isinstance(value, float):
+        return math.nextafter(value, math.inf)
+    return "criterion" if value != "criterion" else "iterations"
+
+
+def with_entry(contents: Contents, path: Path, index: int, place: Place) -> Path:
+    """Write a log in which one number of message `index` is changed."""
+    entry = contents.entries[index]
+    message = changed(CHANNELS[entry.topic].FromString(entry.data), place)
+    return rewrite(contents, path, {entry: entry._replace(data=message.SerializeToString())})
+
+
+def rewrite(
+    contents: Contents,
+    path: Path,
+    entries: Mapping[Entry, Entry],
+    facts: Callable[[str, dict[str, str]], dict[str, str]] = lambda name, facts: facts,
+) -> Path:
+    """Write a log again with some entries and facts replaced."""
+    sink = Sink(path)
+    for record in contents.records:
+        if isinstance(record, Entry):
+            sink.messages([entries.get(record, record)])
+        elif isinstance(record, Attachment):
+            sink.attachment(record.name, record.media_type, record.log_time, record.data)
+        elif isinstance(record, Metadata):
+            plain = {k: v for k, v in record.metadata.items() if k not in (CHECKSUM, DIGEST)}
+            plain = facts(record.name, plain)
+            if record.name == RESULT:
+                sink.last_metadata(record.name, plain)
+            else:
+                sink.copy_metadata(record.name, seal(plain))
+    sink.close(complete=True)
+    return path
+
+
+def _step(holder: Any, part: str | int) -> Any:
+    return holder[part] if isinstance(part, int) else getattr(holder, part)

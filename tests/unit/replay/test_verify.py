@@ -1,0 +1,237 @@
+"""`verify`: every kind of run comes out with the same bits, and no change goes unnoticed."""
+
+import random
+from pathlib import Path
+
+import pytest
+from support.mutate import places, rewrite, with_entry
+
+from tetractl.control.plan import Outcome
+from tetractl.errors import LogError
+from tetractl.log import provenance
+from tetractl.log.channels import CHANNELS, HOST, RESULT, RUN, STEP
+from tetractl.log.reader import read_trial
+from tetractl.log.salvage import Contents, scan
+from tetractl.replay import verify as module
+from tetractl.replay.recompute import recompute
+from tetractl.replay.verify import RECOMPUTED, REEVALUATED, verify
+from tetractl.run.batch import log_path, run_trial
+from tetractl.run.interrupt import Interrupt
+from tetractl.spec.load import parse_spec
+
+SPEC = """
+name: quick
+arena: {left: 0, bottom: 0, width: 1000, height: 1000}
+robots:
+  - {name: one, start: [100, 500], target: [300, 450], a: 6, speed: 200}
+  - {name: two, start: [100, 300], target: [300, 350], a: 3, speed: 150}
+obstacles: [{type: circle, center: [250, 400], radius: 20}]
+wheels: {radius: 40}
+controller: {horizon_max: 6, steps_max: 5, swarm: {particles: 6, iterations: 14}}
+plant: {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_noise: 0.1}
+trials: {count: 3, seed: 7}
+"""
+
+SETTINGS = {
+    "the paper's": [],
+    "multistart": ["controller.swarm={type: multistart}"],
+    "dead time, estimated": [
+        "controller.dead_time=0.15",
+        "plant.dead_time=0.15",
+        "controller.estimate=true",
+        "controller.model=exact",
+    ],
+    "held": ["controller.hold=2"],
+    "swept, with walls": [
+        "controller.collision={check: swept, margin: 5, walls: true}",
+        "controller.model=arc",
+    ],
+    "a budget": ["controller.evaluations_max=200"],
+    "arrives": ["controller.arrival_tolerance=60", "controller.steps_max=30"],
+    "a square first": ["controller.first_plan={type: square, side: 1.5}"],
+    "commands lost": ["plant.lost_commands=0.3"],
+    "target stop": ["controller.swarm.stop={type: target, cost: 40}"],
+}
+
+
+def run(folder: Path, sets: list[str], trial: int = 1, interrupt: Interrupt | None = None) -> Path:
+    spec = parse_spec(SPEC, "quick.yaml", sets)
+    run_trial(spec, folder, trial, (), interrupt or Interrupt())
+    return log_path(folder, trial)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run(tmp_path_factory.mktemp("log"), [])
+
+
+@pytest.fixture(scope="module")
+def contents(log: Path) -> Contents:
+    return scan(log)
+
+
+@pytest.mark.parametrize("sets", SETTINGS.values(), ids=SETTINGS.keys())
+def test_every_decision_comes_out_with_the_same_bits(tmp_path: Path, sets: list[str]) -> None:
+    found = verify(run(tmp_path, sets))
+    assert found.problems == ()
+    assert (found.method, found.elsewhere, found.notes) == (RECOMPUTED, (), ())
+    assert found.checked == found.steps > 0
+    log = read_trial(tmp_path / "trial-001.mcap")
+    assert recompute(log, again=False) is None
+
+
+class Late:
+    """A clock that is past every deadline after so many looks at it."""
+
+    def __init__(self, looks: int) -> None:
+        self.looks, self.time = looks, 0
+
+    def __call__(self) -> int:
+        self.time += 10**9 // self.looks
+        return self.time
+
+
+@pytest.mark.parametrize("swarm", ["{iterations: 60, stop: {type: budget}}", "{type: multistart}"])
+@pytest.mark.parametrize("looks", [1, 2, 4, 9, 20])
+def test_what_a_deadline_cut_short_comes_out_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swarm: str, looks: int
+) -> None:
+    from tetractl.control import mpc
+
+    monkeypatch.setattr(mpc.PsoMpc.__init__, "__defaults__", (mpc.pso, Late(looks)))
+    sets = [f"controller.swarm={swarm}", "controller.deadline=0.5", "controller.horizon_max=12"]
+    sets += ["controller.swarm.tolerance=1e-9"] if "multistart" in swarm else []
+    path = run(tmp_path, sets)
+    stopped = [s.stopped for step in read_trial(path).steps for s in step.plan.searches]
+    assert "deadline" in stopped or looks > 4 or len(read_trial(path).steps[1].plan.searches) < 3
+    assert verify(path).problems == ()
+
+
+def test_an_interrupted_trial_comes_out_as_far_as_it_went(tmp_path: Path) -> None:
+    interrupt = Interrupt()
+    interrupt.request()
+    path = run(tmp_path, [], interrupt=interrupt)
+    found = verify(path)
+    assert read_trial(path).start.trial == 1
+    assert (found.problems, found.checked) == ((), 1)
+
+
+def test_a_torn_log_is_checked_up_to_the_tear(tmp_path: Path, log: Path) -> None:
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(log.read_bytes()[:-6000])
+    found = verify(torn)
+    assert 0 < found.checked == found.steps
+    assert {problem.field for problem in found.problems} == {"damage"}
+
+
+def mutants(contents: Contents) -> list[tuple[int, tuple[str | int, ...]]]:
+    """Every number of every decision: (message, place)."""
+    return [
+        (i, place)
+        for i, entry in enumerate(contents.entries)
+        if entry.topic == STEP
+        for place in places(CHANNELS[STEP].FromString(entry.data))
+    ]
+
+
+def noticed(path: Path) -> bool:
+    try:
+        return not verify(path).ok
+    except LogError:  # it does not even fit together
+        return True
+
+
+def test_no_change_of_a_decision_goes_unnoticed(tmp_path: Path, contents: Contents) -> None:
+    """A sample here; all of them in benchmarks/log.py."""
+    everything = mutants(contents)
+    kinds = {
+        tuple(part for part in place if isinstance(part, str)): (i, place)
+        for i, place in random.Random(1).sample(everything, len(everything))
+    }
+    for number, (index, place) in enumerate(kinds.values()):
+        assert noticed(with_entry(contents, tmp_path / f"{number}.mcap", index, place)), place
+
+
+def test_the_first_step_and_field_that_differ_are_named(tmp_path: Path, contents: Contents) -> None:
+    steps = [i for i, entry in enumerate(contents.entries) if entry.topic == STEP]
+    place = ("searches", 1, "history", 3)
+    found = verify(with_entry(contents, tmp_path / "changed.mcap", steps[2], place))
+    assert found.checked == 2
+    assert (found.problems[0].step, found.problems[0].field) == (2, "searches.1.history.3")
+
+
+def elsewhere(name: str, facts: dict[str, str]) -> dict[str, str]:
+    return facts | ({"cpu": "another"} if name == HOST else {})
+
+
+def test_on_another_processor_equal_bits_still_count(tmp_path: Path, contents: Contents) -> None:
+    found = verify(rewrite(contents, tmp_path / "other.mcap", {}, elsewhere))
+    assert (found.method, found.problems) == (RECOMPUTED, ())
+    assert found.elsewhere == (f"cpu: another there, {provenance.host()['cpu']} here",)
+
+
+def test_on_another_processor_the_costs_have_to_agree(
+    tmp_path: Path, contents: Contents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A last bit that differs is arithmetic there; a cost that does not fit its plan is not."""
+    steps = [i for i, entry in enumerate(contents.entries) if entry.topic == STEP]
+    place = ("searches", 1, "history", 0)  # of no consequence to any cost
+    changed = scan(with_entry(contents, tmp_path / "changed.mcap", steps[1], place))
+    assert verify(tmp_path / "changed.mcap").problems
+    found = verify(rewrite(changed, tmp_path / "there.mcap", {}, elsewhere))
+    assert (found.method, found.problems) == (REEVALUATED, ())
+    monkeypatch.setattr("math.nextafter", lambda value, towards: value * (1 + 1e-8))
+    for place in (("searches", 1, "signals", 0), ("searches", 0, "cost"), ("path_x", 3), ("cost",)):
+        name = tmp_path / f"{'-'.join(map(str, place))}.mcap"
+        changed = scan(with_entry(contents, name, steps[1], place))
+        found = verify(rewrite(changed, name.with_suffix(".there.mcap"), {}, elsewhere))
+        assert found.method == REEVALUATED
+        assert found.problems[0].step == 1
+
+
+@pytest.mark.parametrize(
+    ("record", "key", "value", "field"),
+    [
+        (RUN, "spec_hash", "0" * 64, "run.spec_hash"),
+        (RUN, "seed", "8", "seed"),
+        (RUN, "trial", "2", "generator"),
+        (RESULT, "total_error", "1.0", "result.total_error"),
+        (RESULT, "robot_errors", "[1.0, 2.0]", "result.robot_errors"),
+        (RESULT, "final_x", "[1.0, 2.0]", "result.robot_errors"),
+        (RESULT, "steps", "3", "result.steps"),
+        (RESULT, "clearance", "[1e9, 1e9]", "result.clearance.0"),
+        (RESULT, "duration_s", "3.25", "result.duration_s"),
+        (RESULT, "outcome", "arrived", "outcome"),
+    ],
+)
+def test_facts_that_do_not_fit_are_noticed(
+    tmp_path: Path, contents: Contents, record: str, key: str, value: str, field: str
+) -> None:
+    def change(name: str, facts: dict[str, str]) -> dict[str, str]:
+        return facts | ({key: value} if name == record else {})
+
+    found = verify(rewrite(contents, tmp_path / "changed.mcap", {}, change))
+    assert any(field in problem.field for problem in found.problems), found.problems
+
+
+def test_a_trial_number_that_cannot_be_is_told(tmp_path: Path, contents: Contents) -> None:
+    def change(name: str, facts: dict[str, str]) -> dict[str, str]:
+        return facts | ({"trial": "-1"} if name == RUN else {})
+
+    found = verify(rewrite(contents, tmp_path / "changed.mcap", {}, change))
+    assert found.problems[0].field == "seed"
+
+
+def test_missing_frames_are_noticed(tmp_path: Path, contents: Contents) -> None:
+    frame = next(e for e in contents.entries if e.topic == "/mocap" and e.log_ns % 7)
+    left = [record for record in contents.records if record is not frame]
+    thinned = Contents(contents.path, records=left, channels=contents.channels)
+    found = verify(rewrite(thinned, tmp_path / "changed.mcap", {}))
+    assert any("missing: camera frame" in problem.message for problem in found.problems)
+
+
+def test_a_log_without_an_end_is_no_failed_decision(tmp_path: Path, log: Path) -> None:
+    assert module.differing_facts(read_trial(log)) == ()
+    result = read_trial(log).result
+    assert result is not None
+    assert result.outcome is not Outcome.ABORTED

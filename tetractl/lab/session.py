@@ -14,7 +14,6 @@ from tetractl.lab.snapshot import Snapshot
 from tetractl.lab.tap import NO_TAP, Tap
 from tetractl.lab.voice import Voice, build_voice
 from tetractl.lab.xbee.link import Link
-from tetractl.spec.controller import Square
 from tetractl.spec.experiment import METRES, Experiment
 from tetractl.spec.lab import LabRobot, LabSpec, LabWheel, Slave
 
@@ -85,8 +84,6 @@ def rules(experiment: Experiment, lab: LabSpec) -> Rules:
     edge = limits.edge_mm * per_mm
     control = experiment.controller
     silence = control.period * (limits.late_steps + 1)
-    if isinstance(control.first_plan, Square):
-        silence = max(silence, 2 * control.first_plan.side)
     return Rules(
         names=tuple(robot.name for robot in robots),
         speeds=tuple(robot.speed for robot in robots),

@@ -75,7 +75,7 @@ class LabPlant:
         self._newest: Observation | None = None
         self._fresh: deque[Sample] = deque(maxlen=KEPT)
         self._news: deque[Command | Note] = deque(maxlen=KEPT)
-        self._handed: Sent | None = None  # told by `steer` already
+        self._handed: set[int] = set()  # when what `steer` has told already was sent
         self._observed_ns: int | None = None
         self._stop: Command | None = None
 
@@ -112,8 +112,9 @@ class LabPlant:
             self.session.guard.late(late)
             self._observed_ns = None
         self._raise_abort()
-        self._handed = self.session.drive.steer(direction)
-        return self._command(self._handed)
+        sent = self.session.drive.steer(direction)
+        self._handed.add(sent.t_ns)
+        return self._command(sent)
 
     def samples(self) -> list[Sample]:
         """Return, once, every camera frame since the last call, oldest first."""
@@ -125,7 +126,8 @@ class LabPlant:
     def news(self) -> list[Command | Note]:
         """Return, once, every other transmission and every warning."""
         drive = self.session.drive
-        self._news.extend(self._command(s) for s in drive.sent() if s is not self._handed)
+        others = [sent for sent in drive.sent() if sent.t_ns not in self._handed]
+        self._news.extend(map(self._command, others))
         self._news.extend(Note(t_ns, "warning", text) for t_ns, text in drive.warnings())
         news, self._news = list(self._news), deque(maxlen=KEPT)
         return news

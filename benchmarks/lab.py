@@ -135,6 +135,7 @@ def misses(folder: Path, seconds: float) -> None:
             f"controller.period={1 / rate!r}",
             f"controller.horizon_max={min(length, 41)}",
             f"controller.steps_max={round(seconds * rate)}",
+            f"controller.deadline={0.7 / rate!r}",
             "controller.swarm={particles: 60, iterations: 20, stop: {type: paper}}",
         )
         (log,) = batch(folder / f"{rate}", sets, 1)

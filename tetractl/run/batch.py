@@ -1,5 +1,6 @@
 """A batch: many trials of one experiment, each in its own log, over one or more processes."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -130,6 +131,8 @@ def run_lab_batch(
     trial ends the batch, as does an interruption or an aborted trial.
     """
     report = Report()
+    gc.collect()
+    gc.freeze()  # so that no collection of all that was imported ever holds the inner loop up
     for trial in trials:
         if interrupt.requested or report.aborted:
             break

@@ -16,7 +16,8 @@ $(STAMP): pyproject.toml constraints.txt
 demo: $(STAMP)
 	rm -rf $(DEMO)
 	$(BIN)/tetractl run experiments/three_m3pi.yaml --out $(DEMO)
-	$(BIN)/tetractl plot $(DEMO)/trial-*.mcap -o $(DEMO)/figure-5.png
+	$(BIN)/tetractl plot $(DEMO)/trial-000.mcap -o $(DEMO)/figure-5.png
+	$(BIN)/tetractl plot $(DEMO)/trial-*.mcap -o $(DEMO)/all-trials.png
 	$(BIN)/tetractl plot $(DEMO)/trial-000.mcap --kind convergence -o $(DEMO)/figure-3.png
 	@echo "Look at $(DEMO)/figure-5.png, or play a trial: $(BIN)/tetractl replay $(DEMO)/trial-000.mcap"
 

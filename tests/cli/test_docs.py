@@ -1,0 +1,109 @@
+"""What README and docs/ say, against what the commands do."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.pages import ROOT, console, make_cli
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TETRACTL = Path(sys.executable).with_name("tetractl")
+MEND = "see the difference with: python docs/console.py {} --write; git diff"
+
+
+def _name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if "```console" in page.read_text("utf-8")], ids=_name
+)
+def test_every_example_prints_what_the_page_shows(page):
+    done = console.run(page.read_text("utf-8"))
+    for (example, printed, code), after in zip(done, [*done[1:], None], strict=True):
+        assert console.agrees(example.shown, printed), (
+            f"$ {example.command}\n{printed}\n{MEND.format(_name(page))}"
+        )
+        told = after is not None and after[0].command == "echo $?"
+        assert told or code == 0, f"$ {example.command}\nexit code {code}\n{printed}"
+
+
+def test_the_reference_of_commands_is_what_their_help_says():
+    page = make_cli.PAGE.read_text("utf-8")
+    assert make_cli.page(page) == page, "run: python docs/make_cli.py"
+
+
+def test_every_help_has_an_example_that_names_its_command():
+    for words in make_cli.commands():
+        text = " ".join(make_cli.help_text(words).split())
+        if "COMMAND [ARGS]" not in text:
+            assert f"Example: {' '.join(words)} " in text, words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_links_lead_somewhere(page):
+    text = re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+def test_the_index_leads_to_every_page():
+    index = (ROOT / "docs/README.md").read_text("utf-8")
+    decisions = (ROOT / "docs/decisions/README.md").read_text("utf-8")
+    for page in PAGES[1:]:
+        if page.parent.name == "decisions":
+            assert page.name == "README.md" or f"({page.name})" in decisions, page
+        elif page.name != "README.md":
+            assert f"({page.relative_to(ROOT / 'docs')})" in index, page
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_offered_for_each_shell(shell):
+    shown = _completion(f"source_{shell}", "")
+    assert "tetractl" in shown
+    assert "_TETRACTL_COMPLETE" in shown
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("tetractl re", {"replay"}),
+        ("tetractl stats --form", {"--format"}),
+        ("tetractl run --plant ", {"sim", "lab"}),
+        ("tetractl lab em", {"emulate"}),
+    ],
+)
+def test_completion_knows_commands_options_and_choices(typed, offered):
+    assert offered <= set(_completion("complete_bash", typed).split())
+
+
+def test_completion_is_installed_into_the_users_shell(tmp_path):
+    home = {
+        "HOME": str(tmp_path),
+        "SHELL": "/bin/bash",
+        "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1",
+    }
+    done = subprocess.run(
+        [TETRACTL, "--install-completion", "bash"],
+        env=os.environ | home,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "tetractl" in (tmp_path / ".bashrc").read_text("utf-8")
+
+
+def _completion(instruction: str, typed: str) -> str:
+    words = {"COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" "))}
+    done = subprocess.run(
+        [TETRACTL],
+        env=os.environ | words | {"_TETRACTL_COMPLETE": instruction},
+        capture_output=True,
+        text=True,
+    )
+    assert "Traceback" not in done.stderr
+    return done.stdout

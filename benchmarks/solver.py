@@ -1,0 +1,76 @@
+"""Measure the solver against its peers, and print the tables of docs/explanation/solver.md.
+
+    python benchmarks/solver.py                     everything, some 20 minutes
+    python benchmarks/solver.py --quick             every row once, in seconds; figures mean little
+    python benchmarks/solver.py --only a,e          some parts
+    python benchmarks/solver.py --plot growth.svg   draw part (d), too
+
+Peers come with `pip install 'tetractl[bench]'`; those that are missing are named and skipped.
+"""
+
+import argparse
+import importlib.metadata
+import platform
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numba
+from llvmlite import binding
+from solverbench import growth, loop, speed, success
+from solverbench.report import Report, Settings, bars_table, load, progress
+
+PEERS = ("pyswarms", "cma", "casadi")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="every row, hardly measured")
+    parser.add_argument("--only", default="a,b,c,d,e,f", help="parts, such as a,b")
+    parser.add_argument("--plot", type=Path, help="where to draw growth (.svg or .png)")
+    chosen = parser.parse_args()
+    warnings.simplefilter("ignore")  # of peers; figures are checked by their own J
+    settings = Settings.of(chosen.quick)
+    parts: dict[str, Callable[[], Report]] = {
+        "a": lambda: speed.iteration(settings),
+        "b": lambda: success.step_0(settings),
+        "c": lambda: loop.closed(settings),
+        "d": lambda: growth.growth(settings, chosen.plot),
+        "e": lambda: speed.floor(settings),
+        "f": lambda: loop.disturbed(settings),
+    }
+    wanted = [part.strip() for part in chosen.only.split(",")]
+    if unknown := [part for part in wanted if part not in parts]:
+        parser.error(f"--only: no part {unknown[0]}; there are {', '.join(parts)}")
+    began, reports = load(), []
+    for part in wanted:
+        progress(f"({part}) ...")
+        reports.append(parts[part]())
+    print("\n".join(_head(began, chosen.quick)))
+    bars = [bar for report in reports for bar in report.bars]
+    print("\n".join(["### What was promised", "", *bars_table(bars)]))
+    for report in reports:
+        print("\n".join([f"### {report.title}", "", *report.lines]))
+
+
+def _head(began: str, quick: bool) -> list[str]:
+    versions = [f"{name} {_version(name)}" for name in ("tetractl", "numba", "numpy", "scipy")]
+    versions += [f"{name} {_version(name)}" for name in PEERS]
+    lines = [
+        f"One process, {platform.python_implementation()} {platform.python_version()}, processor "
+        f"{binding.get_host_cpu_name()} ({numba.config.NUMBA_NUM_THREADS} cores); "
+        f"{', '.join(versions)}. {began} at the start, {load()} at the end.",
+        "",
+    ]
+    return [*lines, "**`--quick`: these figures mean little.**", ""] if quick else lines
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,250 @@
+"""(c) closed loop and the time of whole control steps; (f) what disturbances do to the error."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from tetractl.clock import VirtualClock
+from tetractl.control import compiled
+from tetractl.control.build import build_controller
+from tetractl.control.cost import Problem
+from tetractl.control.plan import Controller, Outcome, Plan
+from tetractl.log.records import EPOCH_NS, Result, Start
+from tetractl.model.state import Observation
+from tetractl.plant.build import build_plant
+from tetractl.plant.protocol import PlantInfo
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.seeds import trial_seeds
+from tetractl.run.trial import Trial
+from tetractl.spec.experiment import Experiment
+
+from . import shooting
+from .peers import available
+from .problems import (
+    ITERATIONS,
+    LENGTH,
+    LONGEST,
+    OURS,
+    PAPER,
+    PARTICLES,
+    SWARM,
+    experiment,
+    printed,
+    recommended,
+)
+from .report import Report, Settings, load, progress, spread
+
+FRAME_MS = 8.33
+DISTURBED = (
+    "plant.dead_time=0.14",
+    "plant.a_error=0.1",
+    "plant.speed_error=0.1",
+    "plant.heading_noise=0.1",
+    "plant.lost_commands=0.05",
+)
+COMPENSATED = "controller.dead_time=0.14"
+FAST = (
+    "controller.period=0.008333333333333333",
+    "controller.hold=24",
+    "controller.steps_max=2400",
+)
+Times = Sequence[float] | np.ndarray
+Build = Callable[[Experiment, int], Controller]
+
+
+@dataclass(slots=True)
+class Batch:
+    """The results of some trials, and the processor time of each plan, by trial [s]."""
+
+    results: list[Result] = field(default_factory=list)
+    processor: list[list[float]] = field(default_factory=list)
+
+    def later(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times of all plans but the first [s], by the clock and by the processor."""
+        clock = np.concatenate([r.solve_ns[1:] for r in self.results]) / 1e9
+        return clock, np.concatenate([times[1:] for times in self.processor])
+
+
+@dataclass(slots=True)
+class _Timed:
+    """A controller whose plans' processor time is noted."""
+
+    controller: Controller
+    times: list[float]
+
+    def plan(self, observation: Observation) -> Plan | Outcome:
+        begin = time.thread_time()
+        decision = self.controller.plan(observation)
+        self.times.append(time.thread_time() - begin)
+        return decision
+
+
+def run(experiment: Experiment, trials: int, build: Build = build_controller) -> Batch:
+    """Run trials in virtual time without any log."""
+    batch = Batch()
+    for trial in range(trials):
+        key, seed = trial_seeds(experiment.trials.seed, trial)
+        clock = VirtualClock()
+        times: list[float] = []
+        batch.processor.append(times)
+        nowhere = PlantInfo("", True, 0.0, {})
+        batch.results.append(
+            Trial(
+                start=Start(experiment, "", "", trial, nowhere, EPOCH_NS),
+                plant=build_plant(experiment, clock, seed),
+                controller=_Timed(build(experiment, key), times),
+                clock=clock,
+                observers=(),
+                interrupt=Interrupt(),
+            ).run()
+        )
+    return batch
+
+
+HEAD = ["controller", "total error [mm], mean +- std", "worst [mm]", "entered obstacle"]
+TIMES = ["first step [ms], median", "later steps, clock [ms]", "later steps, processor [ms]"]
+
+
+def _errors(name: str, results: list[Result]) -> list[str]:
+    errors = np.array([r.total_error for r in results])
+    std = errors.std(ddof=1) if len(errors) > 1 else 0.0
+    entered = sum(r.entered_obstacle for r in results)
+    mean = f"{errors.mean():.4g} +- {std:.3g}"
+    return [name, mean, f"{errors.max():.4g}", f"{entered} of {len(results)}"]
+
+
+def _times(batch: Batch) -> list[str]:
+    first = np.median([r.solve_ns[0] for r in batch.results]) / 1e6
+    return [f"{first:.1f}", *map(spread, batch.later())]
+
+
+def closed(settings: Settings) -> Report:
+    """Final error and step times on the undisturbed continuous plant; budgets of a step."""
+    report = Report("(c) Closed loop and control step")
+    ours = experiment(OURS)
+    contestants: list[tuple[str, Experiment, Build]] = [
+        ("paper, to the letter", experiment(PAPER), build_controller),
+        ("**ours**", ours, build_controller),
+    ]
+    if available("casadi"):
+        progress("(c) building the programmes of IPOPT")
+        shooting.build_all(recommended(), LENGTH - 2 if settings.quick else 1)
+        alone = replace_control(ours, steps_max=1) if settings.quick else ours
+        ipopt = lambda e, key: shooting.Shrinking(e, key, shooting.search)  # noqa: E731
+        contestants.append((f"CasADi + IPOPT, {LENGTH} signals, warm-started", alone, ipopt))
+    else:
+        report.say("casadi is not installed: skipped.")
+    rows = []
+    for name, spec, build in contestants:
+        progress(f"(c) closed loop: {name}")
+        run(replace_control(spec, steps_max=1), 1, build)  # warm up
+        batch = run(spec, settings.trials, build)
+        results = batch.results
+        rows.append([*_errors(name, results), *_times(batch)])
+        if "ours" in name:
+            mean = np.mean([r.total_error for r in results])
+            entered = sum(r.entered_obstacle for r in results)
+            figure = "closed loop, continuous plant, undisturbed: mean total error"
+            text = f"{mean:.2g} mm, {entered} of {len(results)} entered"
+            report.bar(figure, "<= 1 mm, none entered", text, mean <= 1 and not entered)
+            figure = "closed loop: control step of the default controller, p99"
+            _frame(report, figure, *batch.later())
+    report.say(
+        f"{settings.trials} trials, continuous plant, nothing disturbed; times of steps are p50 / "
+        f"p99 / max. {load()}."
+    )
+    report.table([*HEAD, *TIMES], rows)
+    _budgets(report, settings)
+    return report
+
+
+def replace_control(spec: Experiment, **fields: object) -> Experiment:
+    return spec.model_copy(update={"controller": spec.controller.model_copy(update=fields)})
+
+
+def _budgets(report: Report, settings: Settings) -> None:
+    """Whole control steps and whole sweeps of the compiled swarm, with the budget fully spent."""
+    rows = []
+    euler, count = printed(), settings.repeats * 5
+    models = [("Euler", euler), ("exact", replace(euler, model="exact"))]
+    models.append(("exact, swept, walls", recommended()))
+    for name, problem in models:
+        step = _timed(partial(_control_step, problem), count)
+        sweep = _timed(partial(_sweep, problem), max(2, settings.repeats // 4))
+        rows.append([name, spread(step[0]), spread(step[1]), spread(sweep[0]), spread(sweep[1])])
+        if name == "Euler":
+            middle = np.median(sweep[0]) * 1e3
+            figure = "whole control step, 3 lengths x 100 iterations x 128 particles, p99"
+            _frame(report, figure, *step)
+            figure = f"step-0 sweep of lengths 1 to {LONGEST}, 100 iterations each, median"
+            report.bar(figure, "<= 100 ms", f"{middle:.1f} ms", middle <= 100)
+    report.say(
+        f"**The whole budget of the compiled swarm, spent to the last evaluation**: a control "
+        f"step is {LENGTH - 1}, {LENGTH} and {LENGTH + 1} signals x {ITERATIONS} iterations x "
+        f"{PARTICLES} particles, a sweep all lengths from 1 to {LONGEST}; one thread, p50 / p99 / "
+        f"max in ms, by the clock and by the processor time of the thread. {load()}."
+    )
+    clocks = ["step, clock", "step, processor", "sweep, clock", "sweep, processor"]
+    report.table(["model", *clocks], rows)
+
+
+def _frame(report: Report, figure: str, clock: Times, processor: Times) -> None:
+    """Note whether the p99 of some steps, by the clock, fits into a frame of the camera."""
+    p99, used = np.quantile(clock, 0.99) * 1e3, np.quantile(processor, 0.99) * 1e3
+    text = f"{p99:.2f} ms by the clock, {used:.2f} ms of processor time"
+    report.bar(figure, f"<= {FRAME_MS} ms", text, p99 <= FRAME_MS)
+
+
+def _timed(work: Callable[[int], None], count: int) -> tuple[list[float], list[float]]:
+    """Times by the clock and by the thread's processor time [s]."""
+    work(0)
+    wall, used = [], []
+    for i in range(count):
+        begin, used_before = time.perf_counter(), time.thread_time()
+        work(i)
+        wall.append(time.perf_counter() - begin)
+        used.append(time.thread_time() - used_before)
+    return wall, used
+
+
+def _control_step(problem: Problem, key: int) -> None:
+    warm = np.zeros(LENGTH)
+    for start in (warm[1:], warm, np.append(warm, 0.0)):
+        compiled.pso(problem, len(start), start, SWARM, key)
+
+
+def _sweep(problem: Problem, key: int) -> None:
+    for length in range(1, LONGEST + 1):
+        compiled.pso(problem, length, None, SWARM, key)
+
+
+def disturbed(settings: Settings) -> Report:
+    """Dead time, model error, noise and lost commands, and what helps against them."""
+    report = Report("(f) Final error under disturbances")
+    no_learning = "controller.estimate=false"
+    rows = []
+    for name, spec in (
+        ("paper, to the letter", [PAPER]),
+        ("the same, dead time compensated", [PAPER, COMPENSATED]),
+        ("ours, neither compensated nor estimated", [OURS, no_learning]),
+        ("ours, estimated only", [OURS]),
+        ("ours, dead time compensated only", [OURS, no_learning, COMPENSATED]),
+        ("**ours, compensated and estimated**", [OURS, COMPENSATED]),
+        ("ours, compensated and estimated, 120 Hz", [OURS, COMPENSATED, *FAST]),
+    ):
+        progress(f"(f) {name}")
+        file, *sets = spec
+        cut = ["controller.steps_max=3"] if settings.quick else []
+        batch = run(experiment(file, *DISTURBED, *sets, *cut), settings.trials)
+        rows.append([*_errors(name, batch.results), *_times(batch)])
+    listed = ", ".join(f"`{setting}`" for setting in DISTURBED)
+    report.say(
+        f"{settings.trials} trials of the reference experiment with {listed}; 120 Hz is "
+        f"{', '.join(f'`{setting}`' for setting in FAST)}; times of steps are p50 / p99 / max. "
+        f"{load()}."
+    )
+    report.table([*HEAD, *TIMES], rows)
+    return report

@@ -1,0 +1,157 @@
+"""Other people's optimisers on our problems, each with the best settings we found for it.
+
+All but IPOPT evaluate J with our compiled kernel: what is compared is the search alone. Each runs,
+restarting where it gets stuck, until the meter says that J <= GOOD or that time is up.
+"""
+
+import importlib.util
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import NoReturn
+
+import numpy as np
+
+from tetractl.control import compiled, pso
+from tetractl.control.cost import Problem, evaluate
+from tetractl.control.draws import mix
+from tetractl.control.kernels.rollout import costs, lay_out
+from tetractl.control.multistart import multistart
+from tetractl.model.state import Floats
+from tetractl.spec.controller import MultistartSpec, SwarmSpec, TargetStop
+
+from .problems import PARTICLES
+
+GOOD = 1.0  # mm of total error
+Peer = Callable[["Meter", int], NoReturn]
+"""Searches, with a seed, until the meter raises Over."""
+
+
+def available(module: str) -> bool:
+    """Whether a peer is installed."""
+    return importlib.util.find_spec(module) is not None
+
+
+class Over(Exception):  # noqa: N818 - the end of a race is no error
+    """J <= GOOD, or time is up."""
+
+
+class Meter:
+    """Evaluates J of one problem and length, and ends the race."""
+
+    def __init__(self, problem: Problem, length: int, cap_s: float) -> None:
+        self.problem, self.length = problem, length
+        self.course = lay_out(problem, PARTICLES)
+        self.best = np.inf
+        self.begin = time.perf_counter()
+        self.end = self.begin + cap_s
+
+    def of_columns(self, signals: Floats) -> Floats:
+        """J of signals (L, P)."""
+        count = signals.shape[1]
+        if count != self.course.room.shape[1]:
+            self.course = lay_out(self.problem, count)
+        total = np.empty(count)
+        costs(self.course, np.ascontiguousarray(signals), total)
+        self.note(float(total.min()))
+        return total
+
+    def of_rows(self, signals: Floats) -> Floats:
+        """J of signals (P, L)."""
+        return self.of_columns(signals.T)
+
+    def note(self, cost: float) -> None:
+        self.best = min(self.best, cost)
+        if self.best <= GOOD or self.expired():
+            raise Over
+
+    def expired(self) -> bool:
+        return time.perf_counter() >= self.end
+
+    @property
+    def left_s(self) -> float:
+        return self.end - time.perf_counter()
+
+
+def race(peer: Peer, problem: Problem, length: int, seed: int, cap_s: float) -> tuple[float, float]:
+    """Run a peer; return (time [s], best J)."""
+    meter = Meter(problem, length, cap_s)
+    with suppress(Over):
+        peer(meter, seed)
+    return time.perf_counter() - meter.begin, meter.best
+
+
+def _ours(search: Callable, spec: MultistartSpec | SwarmSpec) -> Peer:
+    def run(meter: Meter, seed: int) -> NoReturn:
+        problem, length = meter.problem, meter.length
+        for again in range(10**9):
+            key = mix(seed, again)
+            found = search(problem, length, None, spec, key, None, meter.expired)
+            meter.note(float(evaluate(problem, found.signals[None]).total[0]))
+        raise AssertionError
+
+    return run
+
+
+_PSO = SwarmSpec(particles=PARTICLES, iterations=400, stop=TargetStop(type="target", cost=GOOD))
+ours = _ours(multistart, MultistartSpec(type="multistart", tolerance=GOOD))
+our_pso = _ours(compiled.pso, _PSO)
+reference = _ours(pso.pso, _PSO)
+
+
+def pyswarms(meter: Meter, seed: int) -> NoReturn:
+    from pyswarms.single import GlobalBestPSO
+
+    np.random.seed(seed)  # noqa: NPY002 - it draws from NumPy's global generator
+    bounds = (np.full(meter.length, -np.pi), np.full(meter.length, np.pi))
+    while True:
+        swarm = GlobalBestPSO(PARTICLES, meter.length, OPTIONS, bounds, bh_strategy="nearest")
+        swarm.optimize(meter.of_rows, 400, verbose=False)
+
+
+OPTIONS = {"w": 0.7, "c1": 1.5, "c2": 1.5}
+
+
+def pycma(meter: Meter, seed: int) -> NoReturn:
+    """Without bounds, since J is periodic in each direction; a diagonal covariance did best."""
+    import cma
+
+    rng = np.random.default_rng(seed)
+    for again in range(10**9):
+        options = {"seed": 1 + seed + 1000 * again, "verbose": -9, "popsize": 32}
+        options |= {"CMA_diagonal": True, "tolflatfitness": 20}
+        start = smooth_start(meter.problem, meter.length, rng)
+        search = cma.CMAEvolutionStrategy(start, 0.2, options)
+        while not search.stop():
+            asked = search.ask()
+            search.tell(asked, meter.of_rows(np.array(asked)).tolist())
+    raise AssertionError
+
+
+def scipy_de(meter: Meter, seed: int) -> NoReturn:
+    from scipy.optimize import differential_evolution
+
+    for again in range(10**9):
+        differential_evolution(
+            meter.of_columns,
+            [(-np.pi, np.pi)] * meter.length,
+            vectorized=True,
+            updating="deferred",
+            strategy="best1bin",
+            popsize=2,
+            mutation=(0.4, 0.9),
+            recombination=0.9,
+            maxiter=10**6,
+            tol=0,
+            polish=False,
+            rng=np.random.default_rng([seed, again]),
+        )
+    raise AssertionError
+
+
+def smooth_start(problem: Problem, length: int, rng: np.random.Generator) -> Floats:
+    """A random curve through a few directions around the bearing of the targets."""
+    gaps = problem.targets - problem.poses.xy
+    bearing = np.arctan2(gaps[:, 1].sum(), gaps[:, 0].sum())
+    knots = rng.uniform(-np.pi / 2, np.pi / 2, 6)
+    return bearing + np.interp(np.linspace(0, 5, length), np.arange(6), knots)

@@ -1,0 +1,97 @@
+"""The problems everybody has to solve, and the cost as a NumPy user would write it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.control.cost import Problem
+from tetractl.model.state import Floats, Poses
+from tetractl.spec.controller import BudgetStop, SwarmSpec
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import load_spec
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+PAPER, OURS = "three_m3pi_paper.yaml", "three_m3pi.yaml"
+PARTICLES, SIGNALS, ITERATIONS = 128, 41, 100
+LENGTH, LONGEST = 44, 51
+SWARM = SwarmSpec(particles=PARTICLES, iterations=ITERATIONS, stop=BudgetStop(type="budget"))
+
+
+def experiment(name: str, *settings: str) -> Experiment:
+    return load_spec(EXPERIMENTS / name, settings).experiment
+
+
+def printed() -> Problem:
+    """Step 0 of the reference experiment as printed: Euler, obstacle tested at the samples."""
+    return Problem.of(experiment(PAPER))
+
+
+def recommended() -> Problem:
+    """The same as we recommend it: exact motion, obstacle and walls swept, with a margin."""
+    return Problem.of(experiment(OURS))
+
+
+def crowd(robots: int) -> Problem:
+    """The printed problem for any number of robots, all different."""
+    rng, base = np.random.default_rng(robots), printed()
+    x, y = rng.uniform(600, 2000, robots), rng.uniform(400, 2100, robots)
+    return replace(
+        base,
+        poses=Poses(x, y, np.zeros(robots)),
+        targets=np.column_stack([rng.uniform(600, 2000, robots), rng.uniform(400, 2100, robots)]),
+        a=rng.uniform(3, 6, robots),
+        speed=rng.uniform(150, 200, robots),
+    )
+
+
+Cost = Callable[[Floats], Floats]
+"""J (P,) of sequences (P, L)."""
+
+
+def plain_cost(problem: Problem) -> Cost:
+    """J of the printed problem as one writes it in NumPy: arrays (P, N), one step after another."""
+    assert problem.model == "euler" and not problem.swept
+    t, a, v, weight = problem.period, problem.a, problem.speed, problem.obstacle_weight
+    left, bottom, right, top = problem.obstacles.rectangles[0]
+    poses, targets = problem.poses, problem.targets
+
+    def cost(signals: Floats) -> Floats:
+        shape = (len(signals), len(a))
+        x, y, heading = (np.broadcast_to(s, shape) for s in (poses.x, poses.y, poses.heading))
+        hits = np.zeros(shape)
+        for j in range(signals.shape[1]):
+            u = signals[:, j, None]
+            x = x + t * v * np.cos(heading)
+            y = y + t * v * np.sin(heading)
+            heading = heading + t * a * np.sin(u - heading)
+            hits = hits + ((left <= x) & (x <= right) & (bottom <= y) & (y <= top))
+        miss = np.hypot(x - targets[:, 0], y - targets[:, 1])
+        return (miss + weight * hits).sum(axis=1)
+
+    return cost
+
+
+def tuned_cost(problem: Problem) -> Cost:
+    """The same, tuned: particles contiguous, sums in place, constants taken out of the loop."""
+    assert problem.model == "euler" and not problem.swept
+    turn, step = problem.a[:, None] * problem.period, problem.speed[:, None] * problem.period
+    ((left, bottom, right, top),) = problem.obstacles.rectangles
+    start, target, weight = problem.poses, problem.targets[:, :, None], problem.obstacle_weight
+
+    def cost(signals: Floats) -> Floats:
+        shape = (len(step), len(signals))
+        x, y, heading = (
+            np.repeat(s[:, None], shape[1], 1) for s in (start.x, start.y, start.heading)
+        )
+        hits = np.zeros(shape)
+        for u in np.ascontiguousarray(signals.T):
+            x += step * np.cos(heading)
+            y += step * np.sin(heading)
+            heading += turn * np.sin(u - heading)
+            hits += (x >= left) & (x <= right) & (y >= bottom) & (y <= top)
+        miss = np.hypot(x - target[:, 0], y - target[:, 1])
+        return (miss + weight * hits).sum(0)
+
+    return cost

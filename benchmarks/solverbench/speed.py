@@ -1,0 +1,174 @@
+"""(a) time per PSO iteration at equal particles; (e) time per robot-step against a floor."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+
+from tetractl.control import compiled, pso
+from tetractl.control.cost import Problem, evaluate
+from tetractl.control.kernels import swarm as kernel
+from tetractl.control.kernels.numeric import KERNEL, horner
+from tetractl.control.kernels.rollout import costs, lay_out
+
+from .peers import OPTIONS, available
+from .problems import PARTICLES, SIGNALS, SWARM, plain_cost, printed, tuned_cost
+from .report import Pair, Report, Settings, in_pairs, load
+
+SHORT = 20
+"""Iterations timed at once: few, so that most repetitions run through without an interruption."""
+ROBOT_STEPS = 3 * PARTICLES * SIGNALS
+EULER_WORK = 46
+"""Vector instructions of one robot-step of (4)-(6), counted in the source: 28 for the motion, 10
+for one rectangle, and a third of the 24 that turn a signal into a direction for three robots."""
+
+
+def iteration(settings: Settings) -> Report:
+    """Ours against pyswarms and the readable reference, in interleaved pairs."""
+    report = Report("(a) Time per PSO iteration")
+    report.say(
+        f"{PARTICLES} particles, {SIGNALS} signals, 3 robots, one obstacle, Euler, one thread; "
+        f"ours and the peer timed in turn, {load()}."
+    )
+    problem, count = printed(), settings.repeats * 2
+    search, rows = _Iterations(problem), []
+
+    def add(name: str, peer: Callable[[int], object], bar: tuple[str, float] | None = None) -> None:
+        pair = in_pairs(lambda: search.run(SHORT), lambda: peer(2), count)
+        pair = Pair(pair.ours / SHORT * 1e6, pair.theirs / 2 * 1e6)
+        absolute = [f"{np.min(t):.1f} / {np.median(t):.1f}" for t in (pair.ours, pair.theirs)]
+        rows.append([name, *absolute, f"{pair.ratio:.0f}x", f"{pair.median:.0f}x"])
+        if bar:
+            figure, least = bar
+            text = f"{pair.ratio:.0f}x ({absolute[0]} against {absolute[1]} us, least / median)"
+            report.bar(figure, f">= {least:g}x less", text, pair.ratio >= least)
+
+    figure = "time per PSO iteration against our NumPy reference"
+    add("our readable NumPy reference", _reference(problem), (figure, 40))
+    if available("pyswarms"):
+        figure = "time per PSO iteration against pyswarms"
+        add("pyswarms, J in plain NumPy", _pyswarms(plain_cost(problem)), (figure, 80))
+        tuned = f"{figure}, J in tuned NumPy"
+        add("pyswarms, J in tuned NumPy", _pyswarms(tuned_cost(problem)), (tuned, 80))
+        add("pyswarms, J by our kernel", _pyswarms(_by_kernel(problem)))
+    else:
+        report.say("pyswarms is not installed: skipped.")
+    report.table(["peer", "ours [us]", "peer [us]", "ratio of the least", "median of pairs"], rows)
+    report.say("Times are least / median. Starting a search is not counted on either side.")
+    return report
+
+
+class _Iterations:
+    """Iterations of the compiled swarm, and nothing else."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.course = lay_out(problem, PARTICLES)
+        self.swarm, _ = compiled.scatter(problem, self.course, SIGNALS, None, SWARM, 1)
+        self.rules = compiled.make_rules(SWARM, 1, 0, None)
+
+    def run(self, count: int) -> None:
+        kernel.iterate(self.course, self.swarm, self.rules, 0, count)
+
+
+def _reference(problem: Problem) -> Callable[[int], None]:
+    swarm = pso.Swarm.scatter(SWARM, SIGNALS, 1)
+
+    def run(count: int) -> None:
+        for _ in range(count):
+            swarm.tell(evaluate(problem, swarm.ask()).total)
+
+    return run
+
+
+def _pyswarms(cost: Callable) -> Callable[[int], object]:
+    from pyswarms.single import GlobalBestPSO
+
+    bounds = (np.full(SIGNALS, -np.pi), np.full(SIGNALS, np.pi))
+    swarm = GlobalBestPSO(PARTICLES, SIGNALS, OPTIONS, bounds, bh_strategy="nearest")
+    return lambda count: swarm.optimize(cost, count, verbose=False)
+
+
+def _by_kernel(problem: Problem) -> Callable:
+    course, total = lay_out(problem, PARTICLES), np.empty(PARTICLES)
+
+    def cost(signals: np.ndarray) -> np.ndarray:
+        costs(course, np.ascontiguousarray(signals.T), total)
+        return total.copy()
+
+    return cost
+
+
+def floor(settings: Settings) -> Report:
+    """The rollout kernel against what the processor can do at all."""
+    report = Report("(e) Time per robot-step against a floor")
+    euler = printed()
+    exact = replace(euler, model="exact")
+    rows = np.zeros((11, PARTICLES * 3))
+    rng = np.random.default_rng(0)
+    signals = rng.uniform(-np.pi, np.pi, (SIGNALS, PARTICLES))
+    total = np.empty(PARTICLES)
+    course, other = lay_out(euler, PARTICLES), lay_out(exact, PARTICLES)
+    q = rng.uniform(0, 0.5, PARTICLES * 3)
+    count = settings.repeats * 20
+    roll = lambda: costs(course, signals, total)  # noqa: E731
+    work = in_pairs(roll, lambda: _arithmetic(q, rows, SIGNALS), count)
+    move = in_pairs(roll, lambda: _traffic(rows, SIGNALS), count)
+    models = in_pairs(roll, lambda: costs(other, signals, total), count)
+    one, two = _Iterations(euler), _Iterations(exact)
+    searches = in_pairs(lambda: one.run(SHORT), lambda: two.run(SHORT), settings.repeats * 5)
+    ns = 1e9 / ROBOT_STEPS
+    table = [
+        ["Euler rollout and obstacle, our kernel", np.min(models.ours) * ns, 1.0],
+        [
+            "exact rollout and obstacle, our kernel",
+            np.min(models.theirs) * ns,
+            models.ratio,
+        ],
+        [f"floor: {EULER_WORK} vector instructions", np.min(work.theirs) * ns, work.ratio],
+        ["floor: 6 loads and 5 stores in L1", np.min(move.theirs) * ns, move.ratio],
+    ]
+    report.say(
+        f"Reference size, one thread, {load()}. The floor is what this processor, in the same "
+        f"process and in turn with the kernel, takes for as many vector instructions as the "
+        f"source of one Euler step has ({EULER_WORK}, nearly all fused multiply-adds, in five "
+        f"independent polynomials), and for as many loads and stores as it makes."
+    )
+    head = ["work", "ns per robot-step, least", "against Euler"]
+    report.table(head, [[name, f"{t:.3f}", f"{r:.2f}x"] for name, t, r in table])
+    report.say(
+        f"A whole PSO iteration takes {np.min(searches.ours) / SHORT * 1e6:.1f} us with "
+        f"Euler and {np.min(searches.theirs) / SHORT * 1e6:.1f} us with the exact model: "
+        f"{searches.ratio:.2f}x."
+    )
+    for name, ratio in (("rollout", models.ratio), ("PSO iteration", searches.ratio)):
+        figure = f"exact model against Euler, {name}"
+        report.bar(figure, "<= 2x", f"{ratio:.2f}x", ratio <= 2)
+    return report
+
+
+_A, _B, _C, _D, _E = (tuple(1.0 / (k + i + 2) for k in range(9)) for i in range(5))
+_LOOP = {**KERNEL, "cache": False}
+
+
+@njit(**_LOOP)
+def _arithmetic(q, rows, times):
+    """EULER_WORK multiply-adds for each element, `times` over: five polynomials multiplied."""
+    out = rows[0]
+    for _ in range(times):
+        for n in range(q.size):
+            z = q[n]
+            left, right = horner(_A, z) * horner(_B, z), horner(_C, z) * horner(_D, z)
+            out[n] = left * right * horner(_E, z) + z
+        q[0] = 0.5 * out[0]  # so that no pass can be left out
+    return out[0]
+
+
+@njit(**_LOOP)
+def _traffic(rows, times):
+    """6 loads and 5 stores for each element, `times` over."""
+    a, b, c, d, e, f = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    for _ in range(times):
+        for n in range(a.size):
+            s = f[n]
+            a[n], b[n], c[n], d[n], e[n] = b[n] + s, a[n] + s, d[n] + s, c[n] + s, e[n] + s

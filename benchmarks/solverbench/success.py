@@ -1,0 +1,138 @@
+"""(b) share of seeds on which step 0 is solved to 1 mm, and how long that takes."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from tetractl.control.cost import Problem
+
+from . import peers, shooting
+from .peers import GOOD, Meter, Over, Peer, available
+from .problems import LENGTH, LONGEST, printed, recommended
+from .report import Report, Settings, load, progress
+
+SWEEP_CAP_S = 0.02  # for each of the lengths of a sweep
+
+
+def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
+    """Return who takes part, and who is not installed."""
+    found = [
+        ("**ours (multistart)**", peers.ours),
+        ("our compiled PSO, restarted", peers.our_pso),
+        ("our NumPy reference", peers.reference),
+        ("scipy differential evolution", peers.scipy_de),
+    ]
+    missing = []
+    for module, name, peer in (
+        ("pyswarms", "pyswarms", peers.pyswarms),
+        ("cma", "pycma", peers.pycma),
+        ("casadi", "CasADi + IPOPT", shooting.ipopt(cap_s)),
+    ):
+        if available(module):
+            found.append((name, peer))
+        else:
+            missing.append(module)
+    return found, missing
+
+
+def _row(name: str, times: Sequence[float], best: Sequence[float]) -> list[str]:
+    """Share solved, median and largest time, median of the best J; a cap counts as its time."""
+    solved = np.array(best) <= GOOD
+    t = np.array(times) * 1e3
+    return [
+        name,
+        f"{solved.sum()} of {len(solved)}",
+        f"{np.median(t):.2f}" if solved.mean() > 0.5 else f"> {np.median(t):.0f}",
+        f"{t.max():.1f}",
+        f"{np.median(best):.3g}",
+    ]
+
+
+HEAD = ["optimiser", "solved", "median [ms]", "longest [ms]", "median J [mm]"]
+
+
+def step_0(settings: Settings) -> Report:
+    """Every optimiser on the printed and on the recommended problem."""
+    report = Report("(b) Step 0 solved to a total error of 1 mm")
+    everybody, missing = _optimisers(settings.cap_s)
+    if missing:
+        report.say(f"Not installed, skipped: {', '.join(missing)}.")
+    report.say(
+        f"A search ends at J <= {GOOD:g} mm or after {settings.cap_s:g} s. All but IPOPT and the "
+        f"NumPy reference evaluate J by our compiled kernel. {load()}."
+    )
+    for problem, name in ((printed(), "as printed"), (recommended(), "as recommended")):
+        rows = []
+        for who, peer in everybody:
+            progress(f"(b) {LENGTH} signals, {name}: {who}")
+            if "reference" in who and name != "as printed":
+                continue
+            count = settings.seeds
+            if name != "as printed" and "ours" not in who:
+                count = settings.sweep_seeds
+            peers.race(peer, problem, LENGTH, settings.seeds, settings.cap_s)  # warm up
+            runs = [
+                peers.race(peer, problem, LENGTH, seed, settings.cap_s) for seed in range(count)
+            ]
+            times, best = zip(*runs, strict=True)
+            rows.append(_row(who, times, best))
+            if "ours" in who:
+                _promise(report, name, times, best)
+        report.say(f"**{LENGTH} signals, problem {name}**")
+        report.table(HEAD, rows)
+    _sweeps(report, settings)
+    return report
+
+
+def _promise(report: Report, name: str, times: Sequence[float], best: Sequence[float]) -> None:
+    share, median = np.mean(np.array(best) <= GOOD), np.median(times) * 1e3
+    figure = f"step 0 {name}, {LENGTH} signals: solved to 1 mm, median time"
+    text = f"{share:.0%}, {median:.2f} ms"
+    report.bar(figure, ">= 99 %, <= 5 ms", text, share >= 0.99 and median <= 5)
+
+
+def _sweeps(report: Report, settings: Settings) -> None:
+    """Every length from 1 to LONGEST, each until solved or capped: step 0 of Algorithm 2."""
+    problem, rows = printed(), []
+    everybody, _ = _optimisers(SWEEP_CAP_S)
+    lengths = range(LONGEST - 2, LONGEST + 1) if settings.quick else range(1, LONGEST + 1)
+    for who, peer in everybody:
+        progress(f"(b) sweep: {who}")
+        if who.startswith("CasADi"):
+            for length in lengths:
+                shooting.shooter(problem, length, SWEEP_CAP_S)
+        count = settings.seeds if "ours" in who else settings.sweep_seeds
+        runs = [_sweep(peer, problem, lengths, seed) for seed in range(count)]
+        times, best, firsts = zip(*runs, strict=True)
+        times_to_first = [t for t in firsts if np.isfinite(t)]
+        first = f"{np.median(times_to_first) * 1e3:.1f}" if times_to_first else "never"
+        rows.append([*_row(who, times, best), first])
+        if "ours" in who:
+            share, median = np.mean(np.array(best) <= GOOD), np.median(times) * 1e3
+            figure = "step-0 sweep by the default optimiser, all lengths"
+            text = f"{share:.0%} solved, median {median:.1f} ms"
+            report.bar(figure, ">= 99 %, <= 100 ms", text, share >= 0.99 and median <= 100)
+    report.say(
+        f"**All lengths {lengths[0]} to {lengths[-1]}, problem as printed**: each length until "
+        f"solved or for {SWEEP_CAP_S * 1e3:g} ms at most; solved where any length is. Short "
+        f"lengths cannot be solved by anybody; the last column is the time to the first that was. "
+        f"{load()}."
+    )
+    report.table([*HEAD[:2], "median, whole sweep [ms]", *HEAD[3:], "to the first [ms]"], rows)
+
+
+def _sweep(
+    peer: Peer, problem: Problem, lengths: Sequence[int], seed: int
+) -> tuple[float, float, float]:
+    """Return (time of the sweep, best J, time to the first J <= GOOD), in s and mm."""
+    spent, best, first = 0.0, np.inf, np.inf
+    for length in lengths:
+        meter = Meter(problem, length, SWEEP_CAP_S)
+        with suppress(Over):
+            peer(meter, seed)
+        spent += SWEEP_CAP_S - meter.left_s
+        best = min(best, meter.best)
+        if best <= GOOD:
+            first = min(first, spent)
+    return spent, best, first

@@ -118,9 +118,9 @@ def kill_at(path: Path, seconds: float) -> Killed:
     return trial.kill()
 
 
-def random_kill(path: Path, rng: random.Random) -> Killed:
+def random_kill(path: Path, rng: random.Random, most_s: float = 4.0) -> Killed:
     """Kill a trial within its first seconds."""
-    return kill_at(path, rng.uniform(0.3, 4.0))
+    return kill_at(path, rng.uniform(0.3, most_s))
 
 
 @contextmanager

@@ -17,6 +17,8 @@ from tetractl.log.sink import Sink
 
 Place = tuple[str | int, ...]
 
+CHANGE = 0.0  # relative, of a float; 0 for the least there is
+
 
 def places(message: Message, inside: Place = ()) -> Iterator[Place]:
     """Yield where each number, truth value and word of a message is."""
@@ -50,7 +52,7 @@ def other(value: Any) -> Any:
     if isinstance(value, int):
         return value + 1 if value < 2**63 - 1 else value - 1
     if isinstance(value, float):
-        return math.nextafter(value, math.inf)
+        return value + CHANGE * (abs(value) or 1) if CHANGE else math.nextafter(value, math.inf)
     return "criterion" if value != "criterion" else "iterations"
 
 

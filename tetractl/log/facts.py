@@ -122,6 +122,8 @@ def damage_facts(damage: Damage, source: str, size: int, sha256: str) -> dict[st
 def read_damage(facts: Mapping[str, str]) -> Damage | None:
     """Return what was lost before a log was recovered, None for nothing."""
     problems, lost = (json.loads(facts[key]) for key in ("problems", "lost"))
+    if not isinstance(problems, list) or not isinstance(lost, list):
+        raise TypeError("no lists")
     if not lost:
         return None
     whence = f"recovered from {facts['source']}, which was damaged"

@@ -4,6 +4,7 @@ import random
 from pathlib import Path
 
 import pytest
+from support import mutate
 from support.mutate import places, rewrite, with_entry
 
 from tetractl.control.plan import Outcome
@@ -180,7 +181,7 @@ def test_on_another_processor_the_costs_have_to_agree(
     assert verify(tmp_path / "changed.mcap").problems
     found = verify(rewrite(changed, tmp_path / "there.mcap", {}, elsewhere))
     assert (found.method, found.problems) == (REEVALUATED, ())
-    monkeypatch.setattr("math.nextafter", lambda value, towards: value * (1 + 1e-8))
+    monkeypatch.setattr(mutate, "CHANGE", 1e-8)
     for place in (("searches", 1, "signals", 0), ("searches", 0, "cost"), ("path_x", 3), ("cost",)):
         name = tmp_path / f"{'-'.join(map(str, place))}.mcap"
         changed = scan(with_entry(contents, name, steps[1], place))

@@ -1,0 +1,169 @@
+"""What a log promises, tested for real: signals, kills, full disks; and the commands that repair,
+verify and repeat."""
+
+import json
+import os
+import random
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.durable import RealTime, random_kill, small_disk
+
+from tetractl.errors import LogError
+from tetractl.log.reader import content_digest, read_trial
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+SPEC = """
+name: quick
+arena: {left: 0, bottom: 0, width: 1000, height: 1000}
+robots: [{name: r, start: [100, 500], target: [300, 500], a: 6, speed: 200}]
+controller: {horizon_max: 5, steps_max: 4, swarm: {particles: 4, iterations: 3}}
+plant: {type: sim, measurement_noise: {position: 1}, heading_noise: 0.1}
+trials: {count: 2, seed: 7}
+"""
+LOSS_S = 1.2
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a spec, and two trials of it in `logs`."""
+    folder = tmp_path_factory.mktemp("batch")
+    (folder / "quick.yaml").write_text(SPEC)
+    assert tetractl(folder, "run quick.yaml --out logs --quiet").returncode == 0
+    return folder
+
+
+@pytest.fixture
+def logs(batch: Path, tmp_path: Path) -> Path:
+    shutil.copytree(batch / "logs", tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def tetractl(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [TETRACTL, *shlex.split(command)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+    assert "Traceback" not in done.stderr
+    return done
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_kill_costs_little(tmp_path: Path, seed: int) -> None:
+    """A hundred kills in benchmarks/log.py. A host under load gets three tries."""
+    rng = random.Random(seed)
+    tries = (random_kill(tmp_path / f"{n}.mcap", rng, most_s=2.5) for n in range(3))
+    assert any(killed.lost_s <= LOSS_S for killed in tries)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_being_asked_to_stop_costs_nothing(tmp_path: Path, number: signal.Signals) -> None:
+    trial = RealTime(tmp_path / "trial.mcap")
+    said = trial.ask(number)
+    log = read_trial(tmp_path / "trial.mcap")
+    assert log.damage is None
+    assert log.result is not None
+    assert said == f"interrupted | {log.result.reason} | {log.result.steps}\n"
+    assert len(log.steps) == log.result.steps
+    assert log.frames.tolist() == list(range(len(log.frames)))
+    assert log.stop is not None
+    assert log.mocap_ns[-1] >= log.stop.sent_ns
+
+
+def frames(path: Path) -> int:
+    try:
+        return len(read_trial(path).frames)
+    except LogError:
+        return 0
+
+
+def check_cut_short(path: Path, said: str, why: str) -> None:
+    outcome, reason, _ = said.split(" | ")
+    assert outcome == "aborted"
+    assert reason == f"{path}: cannot write the log: {why}"
+    assert frames(path.with_name("trial.mcap.part")) > 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts file systems")
+def test_a_full_disk_ends_the_trial_and_leaves_a_log(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", "130k") as disk:
+        said = RealTime(disk / "trial.mcap").end()
+        check_cut_short(disk / "trial.mcap", said, "No space left on device")
+
+
+def test_a_removed_folder_ends_the_trial_and_leaves_a_log(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    trial = RealTime(folder / "trial.mcap")
+    part = folder / "trial.mcap.part"
+    while not frames(part):
+        assert trial.process.poll() is None
+    shutil.rmtree(folder)
+    why = "the file or its folder was removed during the trial"
+    check_cut_short(folder / "trial.mcap", trial.end(), why)
+
+
+def test_recover_repairs_a_torn_log(logs: Path) -> None:
+    whole = content_digest(logs / "trial-000.mcap")
+    data = (logs / "trial-000.mcap").read_bytes()
+    (logs / "trial-000.mcap").unlink()
+    (logs / "trial-000.mcap.part").write_bytes(data[:-1500])
+    done = tetractl(logs, "recover trial-000.mcap.part")
+    assert (done.returncode, "nothing is lost" in done.stdout) == (0, True)
+    assert content_digest(logs / "trial-000.recovered.mcap") == whole
+    stats = tetractl(logs, "stats . --format json")
+    assert json.loads(stats.stdout)["n_trials"] == 2
+
+
+def test_recover_says_what_is_lost(logs: Path) -> None:
+    data = (logs / "trial-000.mcap").read_bytes()
+    (logs / "torn.mcap").write_bytes(data[: data.index(b"\x04\0\0\0zstd") + 100])
+    done = tetractl(logs, "recover torn.mcap -o saved.mcap --json")
+    assert done.returncode == 3
+    found = json.loads(done.stdout)
+    assert (found["whole"], found["path"]) == (False, "saved.mcap")
+    assert any("the result and everything after" in lost for lost in found["damage"]["lost"])
+    for command in ("info", "verify", "replay", "stats", "plot -o x.svg"):
+        done = tetractl(logs, f"{command} saved.mcap")
+        assert done.returncode == 1, command
+        assert "recovered" in done.stdout + done.stderr or "damaged" in done.stdout + done.stderr
+
+
+def test_recover_of_nothing(logs: Path) -> None:
+    (logs / "text.mcap").write_text("no log\n")
+    assert tetractl(logs, "recover text.mcap").returncode == 1
+    assert tetractl(logs, "recover missing.mcap").returncode == 2
+    done = tetractl(logs, "recover trial-000.mcap")
+    assert (done.returncode, "nothing to recover" in done.stdout) == (0, True)
+
+
+def test_verify_says_which_of_the_two_it_did(logs: Path) -> None:
+    done = tetractl(logs, "verify .")
+    assert done.returncode == 0
+    assert done.stdout.count("ok: ") == done.stdout.count("re-computed, bit-identical") == 2
+    found = json.loads(tetractl(logs, "verify . --json").stdout)
+    assert [(log["ok"], log["problems"]) for log in found["logs"]] == [(True, [])] * 2
+
+
+def test_verify_fails_on_what_it_cannot_read(logs: Path) -> None:
+    (logs / "text.mcap").write_text("no log\n")
+    done = tetractl(logs, "verify trial-000.mcap text.mcap")
+    assert done.returncode == 1
+    assert "text.mcap: FAILED: not an MCAP file" in done.stdout
+
+
+def test_a_trial_is_repeated_from_its_log(logs: Path) -> None:
+    done = tetractl(logs, "run --from trial-001.mcap --out again --quiet")
+    assert done.returncode == 0
+    assert "the content digests agree: " in done.stderr
+    assert [path.name for path in (logs / "again").iterdir()] == ["trial-001.mcap"]
+    assert tetractl(logs, "run --from trial-001.mcap --seed 3").returncode == 2

@@ -1,0 +1,100 @@
+"""Damaged copies of a log, and what has to be true of each."""
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from tetractl.errors import LogError
+from tetractl.log.channels import Entry
+from tetractl.log.reader import trial_of
+from tetractl.log.salvage import MAGIC, scan
+
+
+@dataclass
+class Tally:
+    """What came of many damaged copies."""
+
+    copies: int = 0
+    unreadable: int = 0
+    chunks_complete: int = 0
+    chunks_recovered: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
+class Original:
+    """An intact log and where its chunks are, by the official reader."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.data = path, path.read_bytes()
+        self.contents = scan(path)
+        self.records = {_key(record) for record in self.contents.records}
+        self.chunks: list[tuple[int, int, int]] = []  # first byte, behind the last, messages
+        with path.open("rb") as file:
+            begin = len(MAGIC)
+            for record in StreamReader(file, emit_chunks=True).records:
+                if isinstance(record, Chunk):
+                    inside = breakup_chunk(record, True)
+                    count = sum(isinstance(item, Message) for item in inside)
+                    self.chunks.append((begin, file.tell(), count))
+                begin = file.tell()
+
+    def truncated(self, count: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
+        """Yield copies cut off anywhere, and how many chunks are complete in them."""
+        for _ in range(count):
+            cut = rng.randrange(len(self.data))
+            yield self.data[:cut], sum(end <= cut for _, end, _ in self.chunks)
+
+    def flipped(self, count: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
+        """Yield copies with one byte changed, and how many chunks are untouched in them."""
+        for _ in range(count):
+            at, mask = rng.randrange(len(self.data)), rng.randrange(1, 256)
+            data = bytearray(self.data)
+            data[at] ^= mask
+            yield bytes(data), sum(not begin <= at < end for begin, end, _ in self.chunks)
+
+
+def examine(original: Original, copy: Path, data: bytes, complete: int, tally: Tally) -> None:
+    """Read one damaged copy; note every promise it breaks."""
+    copy.write_bytes(data)
+    tally.copies += 1
+    tally.chunks_complete += complete
+    try:
+        contents = scan(copy)
+    except LogError:
+        tally.unreadable += 1
+        if complete:
+            tally.wrong.append("a good chunk in what is said to be no log")
+        return
+    tally.chunks_recovered += min(contents.chunks, complete)
+    if contents.chunks < complete:
+        tally.wrong.append(f"{complete - contents.chunks} good chunks not found")
+    if not {_key(record) for record in contents.records} <= original.records:
+        tally.wrong.append("a record that was never written")
+    whole = len(contents.records) == len(original.contents.records)
+    if not whole and not contents.problems:
+        tally.wrong.append("records are lost and nothing is said")
+    try:
+        trial = trial_of(contents)
+    except LogError:
+        tally.unreadable += 1
+        return
+    if trial.damage is None and not (whole and contents.digest() == trial.digest):
+        tally.wrong.append("a damaged trial is said to be whole")
+
+
+def fuzz(original: Original, copies: Iterator[tuple[bytes, int]], scratch: Path) -> Tally:
+    """Read many damaged copies."""
+    tally = Tally()
+    for data, complete in copies:
+        examine(original, scratch, data, complete, tally)
+    return tally
+
+
+def _key(record: object) -> object:
+    if isinstance(record, Entry):
+        return record
+    return repr(record)

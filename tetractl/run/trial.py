@@ -76,7 +76,7 @@ class Trial:
         if isinstance(control.first_plan, Square):
             decision = self._plan_driving(observation, info, control.first_plan)
         else:
-            decision = self._plan(observation)
+            decision = self._plan_standing(observation, info)
         began = self.clock.now()
         for k in itertools.count():
             if isinstance(decision, Outcome):
@@ -108,6 +108,21 @@ class Trial:
         decision = self.controller.plan(observation)
         self._solving_ns = time.perf_counter_ns() - before
         return decision
+
+    def _plan_standing(self, observation: Observation, info: PlantInfo) -> Decision:
+        """Compute the first plan while the robots stand; it may take long, and frames go on."""
+        if info.simulated:
+            return self._plan(observation)
+        pool = ThreadPoolExecutor(1)
+        try:
+            planning = pool.submit(self._timed_plan, observation)
+            while not planning.done():
+                with self.interrupt.breakable():
+                    wait([planning], timeout=self.start.experiment.controller.period)
+                self._tell_samples()
+            return planning.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
     def _plan_driving(self, observation: Observation, info: PlantInfo, square: Square) -> Decision:
         """Compute the first plan while the robots drive squares (IV-B.1)."""

@@ -289,3 +289,20 @@ def test_after_an_overrun_the_steps_keep_their_distance():
         PERIOD,
         PERIOD,
     ]
+
+
+def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():
+    """They are in the log then, should the program be killed before the first step."""
+    made = bench(steps=1, simulated=False)
+    told = threading.Event()
+    made.happenings.actions["log.samples", 1] = told.set
+    plan = made.controller.plan
+
+    def slow(observation):
+        assert told.wait(60), "nothing was told before the plan was there"
+        return plan(observation)
+
+    made.controller.plan = slow
+    assert made.run().outcome is Outcome.SEQUENCE_USED_UP
+    names = made.happenings.names
+    assert names.index("log.samples") < names.index("plan") < names.index("steer")

@@ -164,3 +164,10 @@ def test_mistakes_are_one_line_and_a_code(work, args, code, message):
     done = stats(*args, cwd=work)
     assert (done.returncode, done.stdout) == (code, "")
     assert message in done.stderr
+
+
+@pytest.mark.parametrize("form", ["table", "json"])
+def test_a_reader_that_goes_away_is_no_reason_to_complain(work, form):
+    command = f"{TETRACTL} stats ten --format {form} | true"
+    done = subprocess.run(["bash", "-c", command], cwd=work, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("", "")

@@ -61,6 +61,7 @@ def main() -> None:
 def _run() -> int:
     try:
         code = app(standalone_mode=False)
+        sys.stdout.flush()  # here, so that a reader gone by now is met below
     except TetractlError as error:
         complain(str(error), error.hint)
         return error.exit

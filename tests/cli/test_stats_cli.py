@@ -1,6 +1,7 @@
 import csv
 import io
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -166,8 +167,11 @@ def test_mistakes_are_one_line_and_a_code(work, args, code, message):
     assert message in done.stderr
 
 
-@pytest.mark.parametrize("form", ["table", "json"])
+@pytest.mark.parametrize("form", ["table", "json", "csv"])
 def test_a_reader_that_goes_away_is_no_reason_to_complain(work, form):
     command = f"{TETRACTL} stats ten --format {form} | true"
-    done = subprocess.run(["bash", "-c", command], cwd=work, capture_output=True, text=True)
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=work, env=env, capture_output=True, text=True
+    )
     assert (done.stdout, done.stderr) == ("", "")

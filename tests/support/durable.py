@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from tetractl.errors import LogError
 from tetractl.log.reader import read_trial
 
 ENDLESS = """
@@ -93,7 +94,10 @@ class RealTime:
         ran = self.now_s()
         self.process.kill()
         self.process.communicate()
-        log = read_trial(self.path.with_name(self.path.name + ".part"))
+        try:
+            log = read_trial(self.path.with_name(self.path.name + ".part"))
+        except LogError:  # killed before its head was written: nothing had moved
+            return Killed(ran, ran, 0)
         assert [step.k for step in log.steps] == list(range(len(log.steps)))
         assert log.frames.tolist() == list(range(len(log.frames)))
         last = max([0, *log.received_ns[-1:], *(c.sent_ns for c in log.commands[-1:])])

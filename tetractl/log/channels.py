@@ -51,6 +51,7 @@ HOST = "tetractl.host"
 TIMING = "tetractl.timing"
 RESULT = "tetractl.result"
 RECOVERED = "tetractl.recovered"
+METADATA = frozenset({RUN, HOST, TIMING, RESULT, RECOVERED})
 
 SPEC = "spec.yaml"
 RESOLVED_SPEC = "spec.resolved.yaml"

@@ -35,7 +35,7 @@ from mcap.records import (
 )
 
 from tetractl.errors import LogError
-from tetractl.log.channels import CHANNELS, RUN, Entry
+from tetractl.log.channels import CHANNELS, METADATA, RUN, Entry
 from tetractl.log.digest import ContentDigest
 from tetractl.log.facts import intact
 
@@ -301,6 +301,8 @@ class _Scan:
         if not self._topics and RUN in names:  # the first chunk and the index are lost
             self._topics = dict(enumerate(CHANNELS, start=1))
         for offset, record in sorted(self._found.items()):
+            if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
+                continue  # without a checksum of its own, or of its name, it proves nothing
             if isinstance(record, Chunk):
                 result.chunks += 1
                 result.records += [

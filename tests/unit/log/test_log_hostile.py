@@ -50,6 +50,15 @@ def test_a_damaged_log_is_read_as_far_as_it_is_good(log: Path, tmp_path: Path, k
     assert tally.chunks_recovered == tally.chunks_complete > 150
 
 
+def test_a_record_whose_name_is_damaged_is_not_believed(log: Path, tmp_path: Path) -> None:
+    """Regression: its checksum fits, for it does not cover the name."""
+    path = tmp_path / "trial.mcap"
+    path.write_bytes(log.read_bytes().replace(b"tetractl.timing", b"tetractl.tiling", 1))
+    found = scan(path)
+    assert found.problems
+    assert [r for r in found.records if getattr(r, "name", "") == "tetractl.tiling"] == []
+
+
 @given(st.binary(max_size=2000), st.booleans())
 @settings(max_examples=100)
 def test_any_bytes_are_a_log_or_one_line(tmp_path_factory, data: bytes, magic: bool) -> None:

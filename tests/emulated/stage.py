@@ -25,6 +25,9 @@ SMALL = (  # a small swarm and under two seconds of driving
     "lab.mocap.interface=127.0.0.1",
     "controller.swarm={particles: 20, iterations: 10, stop: {type: budget}}",
     "controller.horizon_max=20",
+    "controller.period=0.2",  # 5 Hz is enough to stop at, and light
+    "controller.hold=1",
+    "controller.deadline=0.15",
     "controller.steps_max=8",
     "trials.count=1",
 )

@@ -19,10 +19,12 @@ from tetractl.control.cost import Problem, evaluate
 from tetractl.control.mpc import PsoMpc
 from tetractl.control.plan import Outcome, Plan, Search
 from tetractl.control.pso import Searcher, never
+from tetractl.control.stop import stopped
 from tetractl.errors import TetractlError
 from tetractl.log.records import Step, TrialLog
 from tetractl.model.state import Floats, Observation, Poses
 from tetractl.run.seeds import trial_seeds
+from tetractl.spec.controller import PsoMpcSpec, SwarmSpec
 
 TOLERANCE = 1e-9
 """Relative, of what is re-evaluated."""
@@ -53,8 +55,8 @@ class Rerun:
     `again` False the logged searches are given back, and what differs in them is in `wrong`.
     """
 
-    def __init__(self, search: Searcher, again: bool) -> None:
-        self._search, self._again = search, again
+    def __init__(self, search: Searcher, again: bool, control: PsoMpcSpec) -> None:
+        self._search, self._again, self._control = search, again, control
         self._logged: Sequence[Search] = ()
         self._done = 0
         self.wrong: list[tuple[str, str]] = []
@@ -83,7 +85,7 @@ class Rerun:
         index, logged = self._done, self._logged[self._done]
         self._done += 1
         if not self._again:
-            self._evaluate(problem, length, index, logged)
+            self._evaluate(problem, length, index, logged, warm is not None)
             return logged
         if logged.stopped != "deadline":
             return self._search(problem, length, warm, spec, key, budget)
@@ -104,7 +106,9 @@ class Rerun:
                 many = middle
         return looks(few)
 
-    def _evaluate(self, problem: Problem, length: int, index: int, logged: Search) -> None:
+    def _evaluate(
+        self, problem: Problem, length: int, index: int, logged: Search, warm: bool
+    ) -> None:
         name = f"searches.{index}"
         if logged.length != length or len(logged.signals) != length:
             self.wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
@@ -115,8 +119,28 @@ class Rerun:
         history = logged.history
         if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
             self.wrong.append((f"{name}.history", "does not fall to the cost"))
-        if logged.evaluations < 1:
+        swarm = self._control.swarm
+        if isinstance(swarm, SwarmSpec) and len(history):
+            spent = swarm.particles * len(history) + warm
+            if logged.evaluations != spent:
+                text = f"logged {logged.evaluations}, its iterations take {spent}"
+                self.wrong.append((f"{name}.evaluations", text))
+            if logged.stopped not in self._reasons(history, swarm):
+                self.wrong.append((f"{name}.stopped", logged.stopped))
+        elif logged.evaluations < 1:
             self.wrong.append((f"{name}.evaluations", str(logged.evaluations)))
+
+    def _reasons(self, history: Floats, swarm: SwarmSpec) -> set[str | None]:
+        """Why a swarm may have stopped with this history."""
+        if len(history) > 1 and (why := stopped(history, swarm.stop)):
+            return {why}
+        if len(history) > swarm.iterations:
+            return {"iterations"}
+        limits = {
+            "evaluations": self._control.evaluations_max,
+            "deadline": self._control.deadline,
+        }
+        return {reason for reason, limit in limits.items() if limit is not None}
 
 
 class _Countdown:
@@ -140,7 +164,7 @@ def recompute(log: TrialLog, again: bool) -> Difference | None:
         key, _ = trial_seeds(log.seed, log.start.trial)
     except (ValueError, OverflowError):
         return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.seed}")
-    rerun = Rerun(searcher(log.start.experiment), again)
+    rerun = Rerun(searcher(log.start.experiment), again, log.start.experiment.controller)
     controller = PsoMpc(log.start.experiment, key, rerun, rerun.timer)
     for step in first_steps(log):
         rerun.begin(step.plan.searches)

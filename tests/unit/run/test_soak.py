@@ -1,0 +1,43 @@
+"""Many trials, and a long one: nothing piles up, and no camera sample is missing from a log.
+
+A thousand trials and two hours in benchmarks/log.py.
+"""
+
+import threading
+from pathlib import Path
+
+import pytest
+from support.durable import ENDLESS
+
+from tetractl.log.reader import read_trial
+from tetractl.run.batch import log_path, run_trial
+from tetractl.run.interrupt import Interrupt
+from tetractl.spec.load import parse_spec
+
+HANDLES = Path("/proc/self/fd")
+SHORT = ["controller.steps_max=5", "plant.camera_rate=30"]
+LONG = ["controller.steps_max=600", "plant.camera_rate=60", "controller.horizon_max=2"]
+
+
+def test_no_trial_leaves_a_thread_or_a_handle_behind(tmp_path: Path) -> None:
+    if not HANDLES.exists():
+        pytest.skip("no /proc here")
+    spec = parse_spec(ENDLESS, "short.yaml", SHORT)
+    run_trial(spec, tmp_path, 0, (), Interrupt())
+    before = len(list(HANDLES.iterdir())), threading.active_count()
+    for i in range(1, 40):
+        run_trial(spec, tmp_path, i, (), Interrupt())
+        log = read_trial(log_path(tmp_path, i))
+        assert log.damage is None
+        assert log.frames.tolist() == list(range(len(log.frames)))
+    assert (len(list(HANDLES.iterdir())), threading.active_count()) == before
+
+
+def test_two_minutes_of_camera_samples_are_all_in_the_log(tmp_path: Path) -> None:
+    run_trial(parse_spec(ENDLESS, "long.yaml", LONG), tmp_path, 0, (), Interrupt())
+    log = read_trial(log_path(tmp_path, 0))
+    assert log.damage is None
+    assert len(log.steps) == 601
+    assert log.frames.tolist() == list(range(len(log.frames)))
+    assert log.stop is not None
+    assert log.mocap_ns[-1] >= log.stop.sent_ns > 120 * 10**9

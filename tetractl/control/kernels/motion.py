@@ -20,6 +20,7 @@ from tetractl.control.kernels.numeric import (
     sincos_quarter,
     wrap,
 )
+from tetractl.control.kernels.world import in_rectangle
 from tetractl.model.state import Floats
 
 EULER, ARC, EXACT, GENTLE = range(4)
@@ -67,6 +68,20 @@ def gentle(x, y, cos, sin, cos_u, sin_u, i, step, turn):
         y[i, n] += step * s
         cos[i, n] = c * cw - s * sw
         sin[i, n] = s * cw + c * sw
+
+
+@njit(**PART)
+def gentle_past_one(x, y, cos, sin, cos_u, sin_u, i, step, turn, boxes, hits):
+    """`gentle`, counting who ends in the only rectangle: the paper's own case, in one loop."""
+    left, bottom, right, top = boxes[0, 0], boxes[0, 1], boxes[0, 2], boxes[0, 3]
+    for n in range(cos_u.size):
+        c, s = cos[i, n], sin[i, n]
+        sw, cw = sincos_quarter(turn * (sin_u[n] * c - cos_u[n] * s))
+        new_x, new_y = x[i, n] + step * c, y[i, n] + step * s
+        x[i, n], y[i, n] = new_x, new_y
+        cos[i, n] = c * cw - s * sw
+        sin[i, n] = s * cw + c * sw
+        hits[i, n] += 1.0 if in_rectangle(new_x, new_y, left, bottom, right, top) <= 0 else 0.0
 
 
 @njit(**PART)

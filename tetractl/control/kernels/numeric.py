@@ -41,6 +41,8 @@ def _atan_ratio(q: Floats) -> Floats:
 _STEEPEST = math.sinh(LARGEST_TURN / 2)  # of tan((phi - phi')/2), over all phi
 SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), (math.pi / 4) ** 2, 6)  # sin(t)/t, t = sqrt(q)
 COSINE = fit(lambda q: np.cos(np.sqrt(q)), (math.pi / 4) ** 2, 6)
+HALF_SINE = fit(lambda q: np.sinc(np.sqrt(q) / (2 * np.pi)), (math.pi / 2) ** 2, 6)  # 2 sin(x/2)/x
+HALF_COSINE = fit(lambda q: np.cos(np.sqrt(q) / 2), (math.pi / 2) ** 2, 6)
 ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 6)  # atanh(f)/f
 ATAN = fit(_atan_ratio, _STEEPEST**2, 13)  # atan(z)/z
 
@@ -67,10 +69,9 @@ def sincos(x):
 @njit(**INLINE)
 def sincos_quarter(x):
     """(sin x, cos x) for |x| <= pi/2, by one halving."""
-    t = 0.5 * x
-    q = t * t
-    s, c = t * horner(SINE, q), horner(COSINE, q)
-    return 2 * s * c, 1 - 2 * s * s
+    q = x * x
+    s, c = x * horner(HALF_SINE, q), horner(HALF_COSINE, q)
+    return s * c, 1 - 0.5 * s * s
 
 
 @njit(**INLINE)

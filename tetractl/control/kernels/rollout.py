@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from tetractl.control.cost import Problem
-from tetractl.control.kernels.motion import advance, constants, model_code
+from tetractl.control.kernels.motion import GENTLE, advance, constants, gentle_past_one, model_code
 from tetractl.control.kernels.numeric import KERNEL, PART, sincos
 from tetractl.control.kernels.world import count_hits, count_one
 from tetractl.model.state import Floats
@@ -80,6 +80,7 @@ def costs(course, signals, total):
     cos_u, sin_u, x0, y0, gap = room[0], room[1], room[2], room[3], room[4]
     model, swept, boxes, discs = course.model, course.swept, course.boxes, course.discs
     alone = boxes.shape[0] == 1 and discs.shape[0] == 0
+    printed = alone and not swept and model == GENTLE
     for n in range(gap.size):
         gap[n] = 1.0
     for i in range(x.shape[0]):
@@ -96,6 +97,9 @@ def costs(course, signals, total):
                 for n in range(gap.size):
                     x0[n], y0[n] = x[i, n], y[i, n]
             c0, c1, c2 = constant[0, i], constant[1, i], constant[2, i]
+            if printed:
+                gentle_past_one(x, y, cos, sin, cos_u, sin_u, i, c0, c1, boxes, hits)
+                continue
             advance(model, pieces, x, y, cos, sin, cos_u, sin_u, i, c0, c1, c2)
             if alone:
                 count_one(x0, y0, x, y, i, boxes, swept, hits)

@@ -6,7 +6,8 @@
     cost        what logging costs a message, and the loop's p99 with and without it
     verify      time a trial
     faults      each promised fault, done for real
-    soak        1000 trials, and one of two hours in virtual time: memory, handles, frames
+    soak        1000 trials: memory, handles, threads, frames
+    long        one trial of two hours in virtual time: the same
 
 Prints Markdown. `--scale 0.1` does a tenth of the work.
 """
@@ -430,16 +431,22 @@ def soak(folder: Path, scale: float) -> None:
             marks.append(f"{i + 1}: {memory_mb():.0f} MB, {handles()} handles")
     print(f"{count} trials, after trial {'; '.join(marks)}; {threading.active_count()} threads;")
     print(f"{missed} camera samples missing")
+
+
+def long(folder: Path, scale: float) -> None:
     hours = 2 * scale
     steps = round(hours * 3600 / 0.2)
-    long = parse_spec(ENDLESS, "endless.yaml", [f"controller.steps_max={steps}"])
+    far = ENDLESS.replace("100000,", "10000000,").replace("99000", "9900000")
+    spec = parse_spec(far, "far.yaml", [f"controller.steps_max={steps}"])
+    warm_up(spec.experiment, print)
     watch, began = Watch(max(1, steps // 4)), time.perf_counter()
-    run_trial(long, folder, 0, (watch,), Interrupt())
+    result = run_trial(spec, folder, 0, (watch,), Interrupt())
+    assert result.steps == steps + 1, result.reason
     seconds = time.perf_counter() - began
     path = log_path(folder, 0)
     marks = [f"{k * 0.2 / 60:.0f} min: {mb:.0f} MB, {n} handles" for k, mb, n in watch.seen]
     size = path.stat().st_size / 1e6
-    print(f"\n{hours:g} h in virtual time took {seconds:.0f} s and {size:.0f} MB of log;")
+    print(f"{hours:g} h in virtual time took {seconds:.0f} s and {size:.0f} MB of log;")
     print(f"at {'; '.join(marks)};")
     print(f"{missing_frames(path)} camera samples missing")
 
@@ -463,6 +470,7 @@ PARTS = {
     "verify": verify_time,
     "faults": faults,
     "soak": soak,
+    "long": long,
 }
 
 

@@ -132,7 +132,9 @@ class Rerun:
 
     def _reasons(self, history: Floats, swarm: SwarmSpec) -> set[str | None]:
         """Why a swarm may have stopped with this history."""
-        if len(history) > 1 and (why := stopped(history, swarm.stop)):
+        with np.errstate(invalid="ignore"):  # a history that rises has no logarithms
+            why = stopped(history, swarm.stop) if len(history) > 1 else None
+        if why:
             return {why}
         if len(history) > swarm.iterations:
             return {"iterations"}

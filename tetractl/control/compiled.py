@@ -21,7 +21,8 @@ from tetractl.spec.controller import (
 )
 
 NO_LIMIT = 2**62
-BETWEEN_LOOKS = 8  # iterations between two looks at the deadline
+BETWEEN_LOOKS = 130_000  # robot-steps between two looks at the deadline, some 0.1 ms
+BETWEEN_SIGNALS = 2_000_000  # and between two chances for Python to see a Ctrl-C
 
 
 def pso(
@@ -37,7 +38,8 @@ def pso(
     course = lay_out(problem, spec.particles)
     swarm, evaluations = scatter(problem, course, length, warm, spec, key)
     rules = make_rules(spec, key, evaluations, budget)
-    stride = NO_LIMIT if expired is never else BETWEEN_LOOKS
+    work = BETWEEN_SIGNALS if expired is never else BETWEEN_LOOKS
+    stride = max(1, work // (length * spec.particles * problem.a.size))
     reason, z = kernel.PAUSED, 0
     while reason == kernel.PAUSED and not expired():
         reason, z = kernel.iterate(course, swarm, rules, z, z + stride)

@@ -29,6 +29,8 @@ from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
 from tetractl.spec.load import LoadedSpec
 
+TELL_AGAIN_S = 1.0
+
 
 class Watcher(Protocol):
     """Is told of the trials of a batch; `index` counts from 0, trials may end in any order."""
@@ -193,6 +195,7 @@ def _run_processes(
     waiting = list(reversed(trials))
     running: dict[Future[Result], int] = {}
     count = min(jobs, len(trials))
+    again = 0.0  # when workers may be told once more to stop at once
     with ProcessPoolExecutor(count, context, _start_worker, (ending,)) as pool:
         while running or (waiting and not ending.is_set()):
             while waiting and len(running) < count and not ending.is_set():
@@ -213,11 +216,12 @@ def _run_processes(
                 watcher.trial_finished(trial, result)
             if interrupt.requested or report.aborted:
                 ending.set()
-            if interrupt.count > 1:
+            if interrupt.count > 1 and time.monotonic() >= again:
                 for process in multiprocessing.active_children():
                     if process.pid:
                         os.kill(process.pid, signal.SIGTERM)
-                interrupt.count = 1  # told once is enough; a third request tells again
+                # once is not always enough: an exception raised in a finaliser is lost
+                again = time.monotonic() + TELL_AGAIN_S
 
 
 @contextmanager

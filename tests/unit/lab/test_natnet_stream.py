@@ -121,6 +121,14 @@ def test_exposure_is_told_in_host_time():
     assert stream.latency_ns == 5_900_000
 
 
+def test_an_exposure_that_cannot_be_is_a_bad_datagram():
+    """Regression: such an age did not fit into a log."""
+    stream = connected()
+    stream.feed(pack(EchoResponse(0, 2**64 - 1)), 10)
+    stream.feed(frame(1, exposure=0), 20)
+    assert (stream.counts.bad, stream.counts.frames, stream.newest) == (1, 0, None)
+
+
 def test_the_server_answers_axis_and_rate():
     stream = connected(up=None)
     stream.feed(frame(1, body(11, 1.0, 1.0)), 0)

@@ -24,6 +24,7 @@ from tetractl.lab.natnet.sync import ClockSync
 from tetractl.lab.natnet.wire import parse
 from tetractl.lab.snapshot import Placement, Pose, Snapshot, fault_of
 
+AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
 REORDERED = 10  # a frame this little behind the newest was overtaken on its way
 UP_AXIS, FRAME_RATE = "UpAxis", "FrameRate"
 
@@ -146,6 +147,7 @@ class Stream:
             self.camera_rate_hz = rate if 1.0 <= rate <= 10_000.0 else None
 
     def _frame(self, frame: Frame, received_ns: int) -> None:
+        sampled_ns = self._exposed(frame, received_ns)
         before = self.newest
         if before is not None and frame.number <= before.number:
             if frame.number >= before.number - REORDERED:
@@ -159,13 +161,18 @@ class Stream:
         if before is not None and not self._fault:
             self.counts.missed += frame.number - before.number - 1
         self.models_changed |= frame.models_changed
-        self.newest = self._snapshot(frame, received_ns)
+        self.newest = self._snapshot(frame, sampled_ns, received_ns)
         self._on_snapshot(self.newest)
 
-    def _snapshot(self, frame: Frame, received_ns: int) -> Snapshot:
-        sampled_ns = received_ns
-        if frame.ticks is not None and self.sync is not None and self.sync.synced:
-            sampled_ns = min(received_ns, self.sync.to_host(frame.ticks.exposure))
+    def _exposed(self, frame: Frame, received_ns: int) -> int:
+        if frame.ticks is None or self.sync is None or not self.sync.synced:
+            return received_ns
+        sampled_ns = min(received_ns, self.sync.to_host(frame.ticks.exposure))
+        if received_ns - sampled_ns > AGE_MAX_NS:
+            raise WireError(f"a frame exposed {(received_ns - sampled_ns) / 1e9:.0f} s ago")
+        return sampled_ns
+
+    def _snapshot(self, frame: Frame, sampled_ns: int, received_ns: int) -> Snapshot:
         ids = self.model.ids() if self.model else {}
         by_id = {body.id: body for body in frame.bodies}
         poses: list[Pose | None] = []

@@ -13,10 +13,10 @@ from tetractl.clock import MonotonicClock
 from tetractl.lab.m3pi.broadcast import Flag, decode_command
 from tetractl.lab.m3pi.cobs import Splitter
 from tetractl.lab.recorded import replay_cameras
-from tetractl.log.wire import read_wire
 from tetractl.lab.session import Session
 from tetractl.lab.xbee.framing import Decoder
 from tetractl.log.reader import read_trial
+from tetractl.log.wire import read_wire
 from tetractl.spec.load import load_spec
 from tetractl.spec.plants import on_plant, parse_calibration
 

@@ -85,6 +85,16 @@ def gentle_past_one(x, y, cos, sin, cos_u, sin_u, i, step, turn, boxes, hits):
 
 
 @njit(**PART)
+def coast_past_one(x, y, cos, sin, i, step, boxes, hits):
+    """The last step of `gentle_past_one`: its signal cannot move the last position, (4)-(5)."""
+    left, bottom, right, top = boxes[0, 0], boxes[0, 1], boxes[0, 2], boxes[0, 3]
+    for n in range(x.shape[1]):
+        new_x, new_y = x[i, n] + step * cos[i, n], y[i, n] + step * sin[i, n]
+        x[i, n], y[i, n] = new_x, new_y
+        hits[i, n] += 1.0 if in_rectangle(new_x, new_y, left, bottom, right, top) <= 0 else 0.0
+
+
+@njit(**PART)
 def arc(x, y, cos, sin, cos_u, sin_u, i, step, turn):
     """Wheel speeds (24)-(25) held; step = T v and turn = T a."""
     for n in range(cos_u.size):

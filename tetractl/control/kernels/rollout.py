@@ -10,7 +10,14 @@ import numpy as np
 from numba import njit
 
 from tetractl.control.cost import Problem
-from tetractl.control.kernels.motion import GENTLE, advance, constants, gentle_past_one, model_code
+from tetractl.control.kernels.motion import (
+    GENTLE,
+    advance,
+    coast_past_one,
+    constants,
+    gentle_past_one,
+    model_code,
+)
 from tetractl.control.kernels.numeric import KERNEL, PART, sincos
 from tetractl.control.kernels.world import count_hits, count_one
 from tetractl.model.state import Floats
@@ -88,8 +95,10 @@ def costs(course, signals, total):
             x[i, n], y[i, n], hits[i, n] = start[0, i], start[1, i], 0.0
             cos[i, n], sin[i, n] = start[2, i], start[3, i]
     for j in range(signals.shape[0]):
-        for n in range(gap.size):
-            sin_u[n], cos_u[n] = sincos(signals[j, n])
+        last = printed and j == signals.shape[0] - 1
+        if not last:
+            for n in range(gap.size):
+                sin_u[n], cos_u[n] = sincos(signals[j, n])
         constant = first if j == 0 else rest
         pieces = course.first_pieces if j == 0 else course.rest_pieces
         for i in range(x.shape[0]):
@@ -97,6 +106,9 @@ def costs(course, signals, total):
                 for n in range(gap.size):
                     x0[n], y0[n] = x[i, n], y[i, n]
             c0, c1, c2 = constant[0, i], constant[1, i], constant[2, i]
+            if last:
+                coast_past_one(x, y, cos, sin, i, c0, boxes, hits)
+                continue
             if printed:
                 gentle_past_one(x, y, cos, sin, cos_u, sin_u, i, c0, c1, boxes, hits)
                 continue

@@ -148,7 +148,8 @@ class PsoMpcSpec(Model):
     """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
     `exact` is the closed form of (1)-(3) under a held direction."""
     estimate: bool = False
-    """Whether a and speed of each robot are estimated while it moves, starting from the spec's."""
+    """Whether a and speed of each robot are estimated while it moves, starting from the spec's.
+    The estimate trusts `dead_time`: where that is far off, it learns a wrong a."""
     horizon_max: int = Field(default=51, ge=1, le=2000)
     """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
     horizon h = length - 1."""

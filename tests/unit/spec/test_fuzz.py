@@ -1,13 +1,12 @@
 """Whatever a file holds, loading it gives an experiment or one line a problem."""
 
-import contextlib
 import copy
 from pathlib import Path
 
 from hypothesis import example, given
 from hypothesis import strategies as st
+from support.targets import spec_text
 
-from tetractl.errors import UsageError
 from tetractl.spec.core_yaml import dump
 from tetractl.spec.document import parse_document
 from tetractl.spec.experiment import Experiment
@@ -35,29 +34,19 @@ TREES = st.recursive(
 )
 
 
-def check(text, *sets):
-    """Parse; any error but a usage error escapes, and its message has no empty line."""
-    with contextlib.suppress(UsageError):
-        try:
-            assert isinstance(parse_spec(text, "s.yaml", sets).experiment, Experiment)
-        except UsageError as error:
-            assert all(line.isprintable() and line for line in str(error).split("\n"))
-            raise
-
-
 @given(st.text() | YAMLISH)
 def test_any_text(text):
-    check(text)
+    spec_text(text)
 
 
 @given(YAMLISH, st.integers(0, len(WRITTEN)), st.integers(0, 20))
 def test_any_damage_to_a_good_spec(noise, start, length):
-    check(WRITTEN[:start] + noise + WRITTEN[start + length :])
+    spec_text(WRITTEN[:start] + noise + WRITTEN[start + length :])
 
 
 @given(st.dictionaries(KEYS, TREES, max_size=6))
 def test_any_tree(tree):
-    check(dump(tree))
+    spec_text(dump(tree))
 
 
 @st.composite
@@ -85,12 +74,12 @@ def mutated(draw):
 
 @given(mutated())
 def test_any_change_to_a_good_spec(data):
-    check(dump(data))
+    spec_text(dump(data))
 
 
 @given(st.text(max_size=30) | st.builds("{}={}".format, KEYS, TREES), st.sampled_from(["", "0."]))
 def test_any_setting(setting, step):
-    check(WRITTEN, setting, f"robots.{step}{setting}")
+    spec_text(WRITTEN, setting, f"robots.{step}{setting}")
 
 
 NUMBERS = st.floats(-1e6, 1e6)

@@ -1,0 +1,149 @@
+"""Hostile input for as long as you like: `python benchmarks/fuzz.py [--target T]... [--seconds S]`.
+
+Feeds each parser of what comes from outside (see tests/support/targets.py) for S seconds, 30 by
+default: with atheris, which looks for inputs that reach new code (`pip install -e '.[dev,fuzz]'`),
+and without it with random mutations of real packets and files from a seed. Prints Markdown. A
+crash is any exception that the parser does not document, any number it must not give, or an input
+that takes more than 20 s; the input is kept in the folder `--keep`.
+"""
+
+import argparse
+import faulthandler
+import hashlib
+import json
+import os
+import random
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from contextlib import nullcontext
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+HANG_S = 20
+FUZZED = ["tetractl.spec", "tetractl.lab", "tetractl.log", "yaml", "support.targets"]
+
+
+class Fuzz:
+    """Runs one target on inputs until its time is over, and counts."""
+
+    def __init__(self, run: Any, seconds: float, keep: Path) -> None:
+        self.runs = 0
+        self.crashes: dict[str, str] = {}  # by place, so that one bug counts once
+        self.slowest = (0.0, 0)  # seconds, bytes
+        self._run, self._keep = run, keep
+        self._until = time.perf_counter() + seconds
+        self._armed = 0.0
+
+    def __call__(self, data: bytes) -> None:
+        began = time.perf_counter()
+        if began > self._until:
+            self.finish()
+        if began > self._armed + 1:
+            faulthandler.dump_traceback_later(HANG_S, exit=True)
+            self._armed = began
+        try:
+            self._run(data)
+        except Exception as error:
+            self._crashed(error, data)
+        self.runs += 1
+        self.slowest = max(self.slowest, (time.perf_counter() - began, len(data)))
+
+    def _crashed(self, error: Exception, data: bytes) -> None:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{type(error).__name__} at {Path(last.filename).name}:{last.lineno}"
+        if place not in self.crashes:
+            self.crashes[place] = str(error)[:200]
+            name = f"crash-{hashlib.sha256(data).hexdigest()[:12]}"
+            (self._keep / name).write_bytes(data)
+            traceback.print_exception(error)
+
+    def finish(self) -> None:
+        """Tell the parent and end at once, since libFuzzer would not let go."""
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        found = {"runs": self.runs, "crashes": self.crashes, "slowest": self.slowest}
+        print(json.dumps(found | {"memory": memory}), flush=True)
+        os._exit(0)
+
+
+def child(name: str, seconds: float, seed: int, keep: Path) -> None:
+    """Fuzz one target in this process."""
+    atheris: Any = None
+    if find_spec("atheris"):
+        import atheris
+    with atheris.instrument_imports(include=FUZZED) if atheris else nullcontext():
+        from support.seeds import mutant
+        from support.targets import TARGETS
+    target = TARGETS[name]
+    seeds = target.seeds()
+    for data in seeds:
+        target.run(data)
+    fuzz = Fuzz(target.run, seconds, keep)
+    if atheris:
+        corpus = Path(tempfile.mkdtemp())
+        for i, data in enumerate(seeds):
+            (corpus / str(i)).write_bytes(data)
+        longest = max(1024, 2 * max(map(len, seeds)))
+        options = [f"-seed={seed + 1}", f"-max_len={longest}", f"-timeout={HANG_S}", "-verbosity=0"]
+        atheris.Setup([sys.argv[0], *options, f"-artifact_prefix={keep}/", str(corpus)], fuzz)
+        atheris.Fuzz()
+    rng = random.Random(seed)
+    while True:
+        fuzz(mutant(seeds, rng))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--target", action="append", metavar="T")
+    parser.add_argument("--seconds", type=float, default=30)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, default=Path("crashes"))
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    keep = given.keep.absolute()
+    if given.child:
+        child(given.target[0], given.seconds, given.seed, keep)
+    from support.targets import TARGETS
+
+    if unknown := set(given.target or ()) - TARGETS.keys():
+        parser.error(f"no such target: {unknown.pop()}; there are {', '.join(TARGETS)}")
+    how = "atheris" if find_spec("atheris") else "seeded mutations, for atheris is not installed"
+    keep.mkdir(parents=True, exist_ok=True)
+    print(f"With {how}, {given.seconds:g} s a target:\n", flush=True)
+    print("| target | runs | crashes | slowest input | memory |\n|---|---|---|---|---|", flush=True)
+    failed = False
+    for name in given.target or TARGETS:
+        with tempfile.TemporaryDirectory() as scratch:
+            words = ["--target", name, "--seconds", str(given.seconds), "--seed", str(given.seed)]
+            done = subprocess.run(
+                [sys.executable, __file__, "--child", "--keep", str(keep), *words],
+                env=os.environ | {"TMPDIR": scratch},
+                capture_output=True,
+                text=True,
+            )
+        if done.returncode:
+            print(f"| {name} | died with {done.returncode} | | | |\n\n{done.stderr}", flush=True)
+            failed = True
+            continue
+        found = json.loads(done.stdout.splitlines()[-1])
+        seconds, size = found["slowest"]
+        slowest, memory = f"{seconds * 1e3:.0f} ms, {size} bytes", f"{found['memory'] / 1e3:.0f} MB"
+        print(f"| {name} | {found['runs']} | {len(found['crashes'])} | {slowest} | {memory} |")
+        for place, message in found["crashes"].items():
+            print(f"\n{place}: {message}\n\n{done.stderr}")
+        failed |= bool(found["crashes"])
+        sys.stdout.flush()
+    if not any(keep.iterdir()):
+        keep.rmdir()
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

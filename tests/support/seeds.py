@@ -1,0 +1,134 @@
+"""Good specs, packets and files for the fuzzer to start from, and how it spoils them."""
+
+import random
+import struct
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+from tetractl.lab.m3pi import broadcast, slave
+from tetractl.lab.natnet.messages import (
+    BodyName,
+    EchoResponse,
+    Frame,
+    ModelDef,
+    Request,
+    Response,
+    RigidBody,
+    ServerInfo,
+    Ticks,
+    Version,
+)
+from tetractl.lab.natnet.stream import UP_AXIS
+from tetractl.lab.natnet.wire import pack
+from tetractl.lab.recorded import WireRecorder
+from tetractl.lab.xbee import frames as xbee
+from tetractl.lab.xbee import framing
+from tetractl.spec.plants import Calibration, calibration_yaml
+
+ROOT = Path(__file__).parents[2]
+VERSIONS = [Version(*v) for v in [(2, 5), (2, 6), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]
+MS = 1_000_000  # ns
+HZ = 10_000_000  # of the server's clock
+
+
+def calibrations() -> list[bytes]:
+    wheel = {"gain_mm": 7.5, "dead_zone": 9, "invert": False}
+    robots = [
+        {"name": name, "heading_offset": 0.25, "radius_mm": 41.5}
+        | {"left": wheel, "right": wheel, "swap": False}
+        for name in ("green", "blue")
+    ]
+    found = Calibration.model_validate({"measured": "2026-01-01", "robots": robots})
+    return [calibration_yaml(found).encode()]
+
+
+def datagrams() -> list[bytes]:
+    """Conversations with a server of each version, a datagram every half second."""
+    found = []
+    for i, version in enumerate(VERSIONS):
+        group = (239, 255, 42, 99)
+        valid = True if version >= (2, 6) else None
+        body = RigidBody(7, (0.5, 0.25, -1.0), (0.0, 0.0, 0.6, 0.8), 0.001, valid)
+        since = {"latency": 0.01} if version < (3, 0) else {}
+        since |= {"timestamp_s": 1.0} if version >= (2, 6) else {}
+        since |= {"precision": (1, 2)} if version >= (4, 1) else {}
+        parts = [
+            pack(ServerInfo("Motive", (3, 1, 0, 0), (*version, 0, 0), HZ, 1511, True, group)),
+            pack(Response(struct.pack("<f", 120.0))),  # to the odd question
+            pack(Response(struct.pack("<i", 2))),  # to the even one
+            pack(ModelDef((BodyName("green", 7), BodyName("hand", 12))), version),
+            pack(EchoResponse(1990 * MS, HZ * 1995 // 1000)),
+        ]
+        for k, number in enumerate((1, 2, 4)):
+            exposed = HZ * (2490 + 500 * k) // 1000
+            ticks = Ticks(exposed, exposed + 1, exposed + 2) if version >= (3, 0) else None
+            parts.append(pack(Frame(number, (body,), ticks=ticks, **since), version))
+        found.append(bytes([i]) + b"".join(parts))
+        found += [bytes([i]) + part for part in parts[-2:]]
+    return found
+
+
+def serial_bytes() -> list[bytes]:
+    command = broadcast.encode_command(
+        broadcast.Command(7, broadcast.Flag.RUN, ((64, -64), (1, 0)))
+    )
+    reply = broadcast.encode_reply(broadcast.Reply(1, 7, broadcast.Status(0), 5100, 20, 3))
+    received = [
+        xbee.Receive16(0x1234, 0x5E, 1, reply),
+        xbee.AtResponse(1, b"BD", 0, b"\x06"),
+        xbee.TransmitStatus(1, 0),
+        xbee.Transmit16(0, 0xFFFF, 0, command),
+    ]
+    both = [b"".join(framing.encode(f, escaped) for f in received) for escaped in (False, True)]
+    wheels = slave.encode_wheels(64, -127) + slave.SIGNATURE_REQUEST + slave.BATTERY_REQUEST
+    heads = (b"\0\x3f", b"\1\7", b"\0\x20", b"\0\1")
+    return [a + b for a, b in zip(heads, (*both, command + reply, wheels), strict=True)]
+
+
+def logs() -> list[bytes]:
+    return [path.read_bytes() for path in sorted((ROOT / "tests" / "golden").glob("*.mcap"))]
+
+
+@cache
+def wires() -> list[bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "good.wire")
+        with WireRecorder(path) as recorder:
+            recorder.sent("natnet", 5, pack(Request(UP_AXIS)))
+            for i, data in enumerate(datagrams()[-3:]):
+                recorder.received("natnet", 10 * i, data[1:])
+            recorder.sent("radio", 30, serial_bytes()[0])
+        return [path.read_bytes()]
+
+
+def files(pattern: str) -> Callable[[], list[bytes]]:
+    return lambda: [path.read_bytes() for path in sorted((ROOT / "experiments").glob(pattern))]
+
+
+NUMBERS = [0, 1, 127, 128, 255, 65_535, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1]
+
+
+def mutant(seeds: Sequence[bytes], rng: random.Random) -> bytes:
+    """Return a seed with a few bytes changed, cut, repeated, or replaced by those of another."""
+    data = bytearray(rng.choice(seeds))
+    for _ in range(rng.randint(1, 4)):
+        at, size = rng.randint(0, len(data)), rng.randint(1, 16)
+        match rng.randrange(6):
+            case 0 if at < len(data):
+                data[at] = rng.randrange(256)
+            case 1:
+                del data[at : at + rng.choice([1, size, len(data)])]
+            case 2:
+                data[at:at] = rng.randbytes(size)
+            case 3:
+                data[at : at + size] = bytes(data[at : at + size]) * rng.choice([2, 3, 50])
+            case 4:
+                other = rng.choice(seeds)
+                start = rng.randint(0, len(other))
+                data[at:at] = other[start : start + rng.choice([size, 200])]
+            case _:
+                count = rng.choice(NUMBERS).to_bytes(8, "little")[: rng.choice([1, 2, 4, 8])]
+                data[at : at + len(count)] = count
+    return bytes(data)

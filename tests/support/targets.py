@@ -1,0 +1,242 @@
+"""Everything that reads bytes from outside, as functions of bytes that fail on a broken promise.
+
+The same functions are fuzzed by hypothesis in the tests and by atheris in benchmarks/fuzz.py.
+"""
+
+import contextlib
+import math
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from mcap.records import Metadata
+from support import seeds
+from support.mutate import rewrite
+from support.seeds import MS, ROOT, VERSIONS
+
+from tetractl.errors import LogError, SpecError, UsageError
+from tetractl.lab.emulate.script import parse_script
+from tetractl.lab.errors import WireError
+from tetractl.lab.m3pi import broadcast, cobs, slave
+from tetractl.lab.natnet.messages import (
+    Request,
+)
+from tetractl.lab.natnet.pose import UpAxis
+from tetractl.lab.natnet.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
+from tetractl.lab.natnet.wire import parse
+from tetractl.lab.recorded import replay_cameras
+from tetractl.lab.snapshot import Placement, Snapshot
+from tetractl.lab.xbee import framing
+from tetractl.log.overview import overview
+from tetractl.log.reader import read_result, read_trial
+from tetractl.log.recover import recover
+from tetractl.log.salvage import Contents, scan
+from tetractl.log.wire import read_wire
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import parse_spec
+from tetractl.spec.plants import apply, calibration_yaml, lab_of, parse_calibration
+
+LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
+LONGEST = 1 << 20
+
+
+class Target(NamedTuple):
+    """A parser: `run` takes any bytes, `seeds` are good ones to start from."""
+
+    run: Callable[[bytes], None]
+    seeds: Callable[[], Sequence[bytes]]
+
+
+@contextlib.contextmanager
+def only(*kinds: type[Exception], one_line: bool = True) -> Iterator[None]:
+    """Let these exceptions pass, as long as a terminal can show their message."""
+    try:
+        yield
+    except kinds as error:
+        lines = str(error).split("\n")
+        assert all(line and line.isprintable() for line in lines), str(error)
+        assert len(lines) == 1 or not one_line, str(error)
+
+
+@cache
+def scratch() -> Path:
+    return Path(tempfile.mkdtemp(prefix="tetractl-fuzz-"))
+
+
+def written(data: bytes, name: str) -> Path:
+    path = scratch() / name
+    path.write_bytes(data)
+    return path
+
+
+def text(data: bytes) -> str:
+    return data[:LONGEST].decode("utf-8", "replace")
+
+
+# specs, fault scripts, calibration files
+
+
+def spec_text(text: str, *sets: str) -> None:
+    with only(UsageError, one_line=False):
+        assert isinstance(parse_spec(text, "s.yaml", sets).experiment, Experiment)
+
+
+def spec(data: bytes) -> None:
+    spec_text(text(data))
+
+
+def script(data: bytes) -> None:
+    with only(SpecError, one_line=False):
+        found = parse_script(text(data), "s.yaml")
+        assert all(math.isfinite(fault.at) for fault in found.faults)
+
+
+def calibration(data: bytes) -> None:
+    with only(SpecError, one_line=False):
+        found = parse_calibration(text(data), "c.yaml")
+        assert parse_calibration(calibration_yaml(found), "again") == found
+        apply(_lab(), found, "c.yaml")
+
+
+@cache
+def _lab():
+    return lab_of(parse_spec(LAB_SPEC.read_text("utf-8"), "lab").experiment, "lab")
+
+
+# NatNet
+
+
+def sound(snapshot: Snapshot) -> None:
+    """No number reaches the controller or the log that they cannot hold."""
+    for pose in (*snapshot.poses, *snapshot.strangers):
+        assert pose is None or all(map(math.isfinite, (pose.x, pose.y, pose.heading)))
+    assert 0 <= snapshot.received_ns - snapshot.sampled_ns <= AGE_MAX_NS
+
+
+def stream(up: UpAxis | None = None) -> Stream:
+    robots = (Tracked("green"), Tracked(12, heading_offset=0.5))
+    return Stream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up, on_snapshot=sound)
+
+
+def natnet(data: bytes) -> None:
+    """One byte for a version, then datagrams, cut where their headers say."""
+    version, rest = VERSIONS[data[0] % len(VERSIONS)] if data else None, data[1:]
+    for known in (version, None):
+        with only(WireError):
+            parse(rest, known)
+    fed = stream()
+    at = count = 0
+    while at < len(rest):
+        size = 4 + int.from_bytes(rest[at + 2 : at + 4], "little")
+        fed.asked(Request((UP_AXIS, FRAME_RATE)[count % 2]))
+        fed.feed(rest[at : at + size], 500 * MS * count)
+        at, count = at + size, count + 1
+    seen = fed.counts
+    assert seen.frames + seen.overtaken + seen.bad + seen.early <= count
+    assert seen.missed >= 0
+    fed.missing()
+
+
+# serial bytes
+
+
+def serial(data: bytes) -> None:
+    """One byte for the mode, one for where reads are cut, then what comes from the port."""
+    mode, cut, stuff = data[:1] or b"\0", (data[1:2] or b"\1")[0] % 64 + 1, data[2:]
+    decoder, splitter, program = (
+        framing.Decoder(bool(mode[0] & 1)),
+        cobs.Splitter(),
+        slave.SlaveDecoder(),
+    )
+    for start, stop in pairwise([*range(0, len(stuff), cut), len(stuff)]):
+        piece = stuff[start:stop]
+        for frame in decoder.feed(piece):
+            assert framing.Decoder(False).feed(framing.encode(frame, False)) == [frame]
+        assert len(decoder._buffer) <= 2 * (framing.CONTENT_MAX + 3) + 1
+        for frame in splitter.feed(piece):
+            for decode in (broadcast.decode_reply, broadcast.decode_command):
+                with only(WireError):
+                    decode(frame)
+        assert len(splitter._buffer) <= cobs.FRAME_MAX + 1
+        program.feed(piece)
+        with only(WireError):
+            assert 0 <= slave.decode_battery(piece) <= 65535
+    assert decoder.dropped_bytes <= len(stuff)
+
+
+# logs and recorded wires
+
+
+def log(data: bytes) -> None:
+    """A file, whatever is in it."""
+    path = written(data, "any.mcap")
+    with only(LogError):
+        found = scan(path)
+        assert all(line.isprintable() for line in (*found.problems, *found.lost))
+    for read in (read_trial, read_result, overview):
+        with only(LogError):
+            read(path)
+    with only(LogError):
+        out = recover(path)
+        Path(str(out.path)).unlink(missing_ok=True)
+
+
+def inside(data: bytes) -> None:
+    """A whole log with right checksums, in which one message or fact holds anything.
+
+    Two bytes for which message; or, the second being 255, which fact.
+    """
+    which, stuff = int.from_bytes(data[:2], "little"), data[2:]
+    contents, entries, facts = _whole()
+    path = scratch() / "inside.mcap"
+    path.unlink(missing_ok=True)
+    if which >= 0xFF00:
+        record, key = facts[which % 256 % len(facts)]
+        put = {key: text(stuff)}
+        rewrite(contents, path, {}, lambda name, now: now | (put if name == record else {}))
+    else:
+        entry = entries[which % len(entries)]
+        rewrite(contents, path, {entry: entry._replace(data=stuff)})
+    for read in (read_trial, read_result, overview):
+        with only(LogError):
+            read(path)
+
+
+@cache
+def _whole() -> tuple[Contents, list, list[tuple[str, str]]]:
+    contents = scan(ROOT / "tests" / "golden" / "format-1-sim.mcap")
+    first = {entry.topic: entry for entry in reversed(contents.entries)}
+    records = [record for record in contents.records if isinstance(record, Metadata)]
+    return contents, list(first.values()), [(r.name, key) for r in records for key in r.metadata]
+
+
+def insides() -> list[bytes]:
+    contents, entries, facts = _whole()
+    found = [i.to_bytes(2, "little") + entry.data for i, entry in enumerate(entries)]
+    for i, (record, key) in enumerate(facts[:256]):
+        found.append(
+            (0xFF00 + i).to_bytes(2, "little") + (contents.facts(record) or {})[key].encode()
+        )
+    return found
+
+
+def wire(data: bytes) -> None:
+    """A file, and what its passages do to a stream."""
+    path = written(data, "any.wire")
+    with only(LogError):
+        replay_cameras(read_wire(path), stream(UpAxis.Z))
+
+
+TARGETS = {
+    "spec": Target(spec, seeds.files("*.yaml")),
+    "script": Target(script, seeds.files("faults/*.yaml")),
+    "calibration": Target(calibration, seeds.calibrations),
+    "log": Target(log, seeds.logs),
+    "inside": Target(inside, insides),
+    "natnet": Target(natnet, seeds.datagrams),
+    "serial": Target(serial, seeds.serial_bytes),
+    "wire": Target(wire, seeds.wires),
+}

@@ -1,0 +1,104 @@
+"""Whatever comes from outside, its parser keeps its promises; longer in benchmarks/fuzz.py."""
+
+import random
+import subprocess
+import sys
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support import targets
+from support.seeds import datagrams, mutant
+from support.targets import TARGETS
+from support.work import bounded
+
+LINES, MEGABYTES = 3_000_000, 40
+every_target = pytest.mark.parametrize("name", TARGETS)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def caches():
+    """What is made once is no work of an input's."""
+    for target in TARGETS.values():
+        for seed in target.seeds():
+            target.run(seed)
+
+
+@every_target
+@given(data=st.binary(max_size=400))
+@settings(max_examples=25)
+def test_any_bytes(name, data):
+    with bounded(LINES, MEGABYTES):
+        TARGETS[name].run(data)
+
+
+@every_target
+@given(rng=st.randoms(use_true_random=False))
+@settings(max_examples=25)
+def test_anything_like_what_is_right(name, rng):
+    data = mutant(TARGETS[name].seeds(), rng)
+    with bounded(LINES, MEGABYTES):
+        TARGETS[name].run(data)
+
+
+@every_target
+@pytest.mark.parametrize("pattern", [b"{a: ", b"a: &a [*a]\n", b"a\n", b"~\0\5", b"\1", b"\xff"])
+def test_the_same_again_and_again_is_bounded_too(name, pattern):
+    """A count that is believed or a quadratic search would show."""
+    with bounded(LINES, MEGABYTES):
+        TARGETS[name].run((pattern * 4096)[:4096])
+
+
+LAUGHS = "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in pairwise("abcdefghijklmnopqrstuvwxyz"))
+
+
+def test_aliases_cannot_multiply():
+    with bounded(4_000_000):
+        TARGETS["calibration"].run(("a: &a [x, x]\n" + LAUGHS).encode())
+
+
+def test_good_conversations_come_through():
+    """Else mutants of them would be refused at the door."""
+    fed = []
+    before = targets.stream
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(targets, "stream", lambda: fed.append(before()) or fed[-1])
+        for seed in datagrams():
+            targets.natnet(seed)
+    whole = [stream for stream in fed if stream.newest and stream.newest.poses[0]]
+    assert len(whole) == len(targets.VERSIONS) - 1  # 2.5 does not say whether a body is tracked
+    assert sum(stream.sync is not None and stream.sync.synced for stream in fed) == 4
+    assert all(stream.camera_rate_hz == 120 for stream in whole)
+
+
+def test_a_promise_that_is_broken_is_noticed(monkeypatch):
+    monkeypatch.setattr("tetractl.lab.natnet.stream.AGE_MAX_NS", float("inf"))
+    rng, seeds = random.Random(1), TARGETS["natnet"].seeds()
+    with pytest.raises(AssertionError):
+        for _ in range(20_000):
+            TARGETS["natnet"].run(mutant(seeds, rng))
+
+
+def test_the_long_run_prints_what_it_found(tmp_path):
+    script = targets.ROOT / "benchmarks" / "fuzz.py"
+    words = [sys.executable, str(script), "--target", "serial", "--seconds", "0.2"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    *_, row = done.stdout.splitlines()
+    name, runs, crashes = row.strip("| ").split(" | ")[:3]
+    assert (name, crashes) == ("serial", "0")
+    assert int(runs) > 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_work_and_memory_are_counted():
+    with pytest.raises(AssertionError, match="runs more than 100 lines"), bounded(100, 1):
+        spin()
+    with pytest.raises(AssertionError, match="takes 2 MB"), bounded(100, 1):
+        bytes(2_000_000)
+
+
+def spin():
+    while True:
+        pass

@@ -18,6 +18,7 @@ from tetractl.control.kernels.motion import (
     gentle_past_one,
     model_code,
 )
+from tetractl.control.kernels.moving import move
 from tetractl.control.kernels.numeric import KERNEL, PART, sincos
 from tetractl.control.kernels.world import count_hits, count_one
 from tetractl.model.state import Floats
@@ -76,6 +77,18 @@ def lay_out(problem: Problem, particles: int) -> Course:
 @njit(**KERNEL)
 def costs(course, signals, total):
     """Write J of each column of signals (L, P) to total (P,); return whether all are finite."""
+    key, none = np.uint64(0), 0.0
+    return roll(
+        course, signals, total, False, signals, signals, total, total, key, 0, none, none, none
+    )
+
+
+@njit(**PART)
+def roll(course, signals, total, moving, v, best, better, u_gb, key, drawn, w, g1, g2):
+    """`costs`, each row of signals moved just before it is followed, while it is at hand.
+
+    `moving` says whether; what comes after it is then what `move` needs, with draws from `drawn`.
+    """
     lanes, room, start, first, rest = (
         course.lanes,
         course.room,
@@ -95,6 +108,9 @@ def costs(course, signals, total):
             x[i, n], y[i, n], hits[i, n] = start[0, i], start[1, i], 0.0
             cos[i, n], sin[i, n] = start[2, i], start[3, i]
     for j in range(signals.shape[0]):
+        if moving:
+            at = drawn + j * gap.size
+            move(signals, v, best, better, j, u_gb[j], key, at, w, g1, g2)
         last = printed and j == signals.shape[0] - 1
         if not last:
             for n in range(gap.size):

@@ -7,15 +7,8 @@ import numpy as np
 from numba import njit
 
 from tetractl.control.kernels.numeric import KERNEL, PART
-from tetractl.control.kernels.rollout import costs
+from tetractl.control.kernels.rollout import roll
 from tetractl.model.state import Floats
-
-GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-S27, S30, S31, S33 = (np.uint64(s) for s in (27, 30, 31, 33))
-LOW_31 = np.uint64(0x7FFF_FFFF)
-UNIT_31 = 2.0**-31
-SPAN = 2 * math.pi  # |ub - lb|, (15)
 
 CRITERION, ITERATIONS, TARGET, EVALUATIONS, PAUSED, NOT_FINITE = range(6)
 REASONS = ("criterion", "iterations", "target", "evaluations", "deadline")
@@ -49,29 +42,6 @@ class Rules(NamedTuple):
     window: int
     decrease: float
     target: float
-
-
-@njit(**PART)
-def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
-    """(14)-(17) of signal j of every particle, with draws first, first + 1, ...
-
-    Before it moves, a particle that had just improved leaves its coordinate as its local best,
-    (18): done here, where the row is at hand anyway.
-    """
-    for n in range(u.shape[1]):
-        z = key + np.uint64(first + n + 1) * GOLDEN
-        z = (z ^ (z >> S30)) * MIX_1
-        z = (z ^ (z >> S27)) * MIX_2
-        z = z ^ (z >> S31)
-        r1 = np.float64(np.int32(z >> S33)) * UNIT_31
-        r2 = np.float64(np.int32(z & LOW_31)) * UNIT_31
-        at = u[j, n]
-        own = at if better[n] > 0.5 else best[j, n]
-        best[j, n] = own
-        velocity = inertia * v[j, n] + cognitive * r1 * (own - at) + social * r2 * (u_gb - at)
-        velocity = max(-SPAN, min(velocity, SPAN))
-        v[j, n] = velocity
-        u[j, n] = max(-math.pi, min(at + velocity, math.pi))
 
 
 @njit(**PART)
@@ -128,10 +98,8 @@ def iterate(course, swarm, rules, z, pause):
             return EVALUATIONS, z
         if z >= pause:
             return PAUSED, z
-        for j in range(length):
-            first = (z * length + j) * particles
-            move(u, v, best, better, j, u_gb[j], key, first, w, c1, c2)
-        if not costs(course, u, swarm.cost):
+        first = z * length * particles
+        if not roll(course, u, swarm.cost, True, v, best, better, u_gb, key, first, w, c1, c2):
             return NOT_FINITE, z
         z += 1
         lead(swarm, z)

@@ -73,38 +73,30 @@ def test_what_acted_is_forgotten_and_what_acts_is_kept():
     assert predictor.held(now, now + SECOND // 10) == [(now, now + SECOND // 10, 98.0)]
 
 
-@pytest.mark.parametrize("error", [0.0, 0.1, 0.25])
-def test_a_and_speed_are_found_while_the_robots_move(error):
-    problem = Problem.of(load_spec(EXPERIMENT).experiment)
-    estimator, predictor = Estimator(problem), Predictor(0.0)
-    last, truth = 0, {}
+def estimate(settings, steps):
+    """Drive with an estimator watching; return what it found and the plant."""
+    estimator, predictor = Estimator(Problem.of(load_spec(EXPERIMENT).experiment)), Predictor(0.0)
+    last, seen = 0, {}
 
     def after_step(k, plant, observation, direction):
         nonlocal last
         held = predictor.held(last, observation.sampled_ns)
-        truth["found"] = estimator.update(observation, held)
+        seen["found"], seen["plant"] = estimator.update(observation, held), plant
         predictor.sent(observation.sampled_ns, direction)
         last = observation.sampled_ns
-        truth["a"], truth["speed"] = plant.a, plant.speed
 
-    drive([f"plant.a_error={error}", f"plant.speed_error={error}"], 30, after_step)
-    found = truth["found"]
-    assert found.a == pytest.approx(truth["a"], rel=0.01)
-    assert found.speed == pytest.approx(truth["speed"], rel=0.01)
+    drive(settings, steps, after_step)
+    return seen["found"], seen["plant"]
+
+
+@pytest.mark.parametrize("error", [0.0, 0.1, 0.25])
+def test_a_and_speed_are_found_while_the_robots_move(error):
+    found, plant = estimate([f"plant.a_error={error}", f"plant.speed_error={error}"], 30)
+    assert found.a == pytest.approx(plant.a, rel=0.01)
+    assert found.speed == pytest.approx(plant.speed, rel=0.01)
 
 
 def test_lost_commands_do_not_lead_the_estimate_astray():
-    problem = Problem.of(load_spec(EXPERIMENT).experiment)
-    estimator, predictor = Estimator(problem), Predictor(0.0)
-    last, truth = 0, {}
-
-    def after_step(k, plant, observation, direction):
-        nonlocal last
-        held = predictor.held(last, observation.sampled_ns)
-        truth["found"] = estimator.update(observation, held)
-        predictor.sent(observation.sampled_ns, direction)
-        last = observation.sampled_ns
-
-    drive(["plant.lost_commands=0.1"], 60, after_step)
-    assert truth["found"].a == pytest.approx(problem.a, rel=0.1)
-    assert truth["found"].speed == pytest.approx(problem.speed, rel=0.02)
+    found, plant = estimate(["plant.lost_commands=0.1"], 60)
+    assert found.a == pytest.approx(plant.a, rel=0.1)
+    assert found.speed == pytest.approx(plant.speed, rel=0.02)

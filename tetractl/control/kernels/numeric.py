@@ -16,7 +16,10 @@ from tetractl.model.state import Floats
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 KERNEL = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "cache": True}
-PART = {**KERNEL, "forceinline": True}  # a loop in a kernel: a call would cost as much as the loop
+PART = {**KERNEL, "forceinline": True}
+"""Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
+been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
+the cache: two machine codes, and results that differ in the last bits from run to run."""
 
 LOG_2 = math.log(2.0)
 LARGEST_TURN = 1.25

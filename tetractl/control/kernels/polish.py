@@ -16,7 +16,7 @@ from numba import njit
 
 from tetractl.control.cost import Problem
 from tetractl.control.kernels.motion import MODELS
-from tetractl.control.kernels.numeric import KERNEL
+from tetractl.control.kernels.numeric import KERNEL, PART
 from tetractl.control.kernels.slope import backward, trace
 from tetractl.model.state import Floats
 
@@ -76,7 +76,7 @@ def lay_route(problem: Problem, length: int) -> Route:
     )
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _depth(boxes, discs, o, x, y):
     """(depth inside obstacle o, and the unit vector that leads out); depth <= 0 outside."""
     if o < boxes.shape[0]:
@@ -93,7 +93,7 @@ def _depth(boxes, discs, o, x, y):
     return discs[c, 2] - gap, dx / gap, dy / gap
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _merit(route):
     """f(u) + DEPTH_WEIGHT times the depth of the deepest position of each robot and obstacle."""
     merit = 0.0
@@ -111,7 +111,7 @@ def _merit(route):
     return merit
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _linearise(route, floor, slack):
     """Fill residuals and Jacobian; return how many rows are in use.
 
@@ -142,7 +142,7 @@ def _linearise(route, floor, slack):
     return r
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _gram(route, r):
     """J J' of the first r rows."""
     rows, gram = route.rows, route.gram
@@ -154,7 +154,7 @@ def _gram(route, r):
             gram[p, q] = total
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _solve(gram, residual, step, r, damping, factor):
     """Solve (gram + damping I) step = residual by Cholesky in `factor`; False if it fails."""
     for p in range(r):
@@ -181,7 +181,7 @@ def _solve(gram, residual, step, r, damping, factor):
     return True
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _propose(route, u, r):
     """Write to route.trial the sequence u - J' step, no signal moved by more than LARGEST_STEP."""
     largest = 0.0

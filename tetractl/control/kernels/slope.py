@@ -14,12 +14,12 @@ import math
 from numba import njit
 
 from tetractl.control.kernels.motion import ARC, EULER
-from tetractl.control.kernels.numeric import KERNEL
+from tetractl.control.kernels.numeric import PART
 
 EAST_H, NORTH_H, EAST_U, NORTH_U, KEEP = range(5)
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _euler(heading, u, a, v, t):
     """One step of (4)-(6): (dx, dy, turn) and the derivatives."""
     c, s = math.cos(heading), math.sin(heading)
@@ -28,7 +28,7 @@ def _euler(heading, u, a, v, t):
     return t * v * c, t * v * s, t * a * math.sin(phi), -t * v * s, t * v * c, 0.0, 0.0, keep
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _arc(heading, u, a, v, t):
     """One step with held wheels: the chord t v sin(h)/h at heading + h, h = t a sin(phi)/2."""
     phi = u - heading
@@ -45,7 +45,7 @@ def _arc(heading, u, a, v, t):
     return chord * c, chord * s, 2 * h, east_h, north_h, east_phi, north_phi, 1 - 2 * h_phi
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def _exact(heading, u, a, v, t):
     """One step of the closed form of (1)-(3); see `tetractl.model.cell.exact`."""
     e = math.exp(-a * t)
@@ -61,7 +61,7 @@ def _exact(heading, u, a, v, t):
     return east, north, turn, -east_phi, -north_phi, east_phi - north, north_phi + east, keep
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def trace(u, start, a, v, first_period, period, model, path, slopes):
     """Predict under signals u (L,): path (N, L, 2) of positions, slopes (N, L, 5)."""
     for i in range(a.size):
@@ -82,7 +82,7 @@ def trace(u, start, a, v, first_period, period, model, path, slopes):
                 slopes[i, j, k] = step[3 + k]
 
 
-@njit(**KERNEL)
+@njit(**PART)
 def backward(slopes, i, last, east, north, row):
     """Write to row (L,) how east * x + north * y of robot i after signal `last` depends on u."""
     by_heading = 0.0

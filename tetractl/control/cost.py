@@ -99,7 +99,11 @@ def evaluate(problem: Problem, signals: Floats) -> Costs:
 
     Raises ControlError where a cost is not finite: no comparison of the swarm could be trusted.
     """
-    path = predict(problem, signals)  # (L + 1, B, N, 3)
+    return costs_along(problem, predict(problem, signals))
+
+
+def costs_along(problem: Problem, path: Floats) -> Costs:
+    """Evaluate (7)-(9) along B predicted paths, shape (L + 1, B, N, 3); raises as `evaluate`."""
     x, y = path[..., 0], path[..., 1]
     miss = np.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])
     target = miss.sum(axis=-1)  # (8)

@@ -15,7 +15,7 @@ import numpy as np
 from tetractl.clock import SECOND
 from tetractl.control.cost import Problem
 from tetractl.control.predictor import Held, glide
-from tetractl.model.state import Floats, Observation
+from tetractl.model.state import Floats, Observation, wrap
 from tetractl.model.world import Bools
 
 PRIOR = 0.15  # relative standard deviation of a and v before anything is seen
@@ -44,8 +44,7 @@ class Estimator:
         moving = sum(until - since for since, until, _ in held) / SECOND >= 0.999 * t
         if moving:
             usable = last.valid & observation.valid
-            turned = observation.poses.heading - last.poses.heading
-            turned = turned - 2 * np.pi * np.round(turned / (2 * np.pi))
+            turned = wrap(observation.poses.heading - last.poses.heading)
             self._update_speed(last, observation, turned, t, usable)
             self._update_a(last, turned, t, held, usable)
         return self.problem
@@ -71,8 +70,7 @@ class Estimator:
         slope = (glide(nudged, last.poses, held).heading - last.poses.heading - predicted) / (
             STEP * a
         )
-        miss = turned - predicted
-        miss = miss - 2 * np.pi * np.round(miss / (2 * np.pi))
+        miss = wrap(turned - predicted)
         noise = 2 * HEADING_STD**2 + HEADING_WALK**2 * t
         gain = self._var_a * slope / (slope**2 * self._var_a + noise)
         gain = np.where(usable & (np.abs(miss) < OUTLIER), gain, 0.0)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from tetractl.clock import SECOND
-from tetractl.control.cost import Problem, evaluate, predict
+from tetractl.control.cost import Problem, costs_along, predict
 from tetractl.control.draws import mix
 from tetractl.control.estimator import Estimator
 from tetractl.control.plan import Outcome, Plan, Search
@@ -81,7 +81,7 @@ class PsoMpc:
         return replace(problem, poses=self.predictor.ahead(problem, now))
 
     def _arrived(self, problem: Problem) -> bool:
-        gaps = np.hypot(*(problem.poses.xy - problem.targets).T)
+        gaps = problem.poses.distances(problem.targets)
         tolerance = self.control.arrival_tolerance
         return tolerance > 0 and bool(np.all(gaps <= tolerance))
 
@@ -148,10 +148,11 @@ class PsoMpc:
 def make_plan(problem: Problem, searches: list[Search], chosen: int, step_key: int) -> Plan:
     """Assemble the decision from its searches, with the predicted path and the terms of (7)."""
     best = searches[chosen]
-    costs = evaluate(problem, best.signals[None])
+    path = predict(problem, best.signals)
+    costs = costs_along(problem, path[:, None])
     return Plan(
         signals=best.signals,
-        path=predict(problem, best.signals),
+        path=path,
         cost=best.cost,
         target_cost=float(costs.target[0]),
         obstacle_cost=float(costs.obstacle[0]),

@@ -19,7 +19,7 @@ from tetractl.control.kernels.polish import Route, lay_route, polish
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.plan import Search
 from tetractl.control.pso import never
-from tetractl.model.state import Floats
+from tetractl.model.state import Floats, wrap
 from tetractl.spec.controller import MultistartSpec
 
 SLACK = 0.01  # share of the fastest robot's step by which a path is pushed clear of an obstacle
@@ -63,7 +63,7 @@ def multistart(
 def _out_of_reach(problem: Problem, length: int, spec: MultistartSpec) -> bool:
     """Whether even straight lines at full speed leave a cost above the tolerance."""
     seconds = problem.first_period + (length - 1) * problem.period
-    gaps = np.hypot(*(problem.poses.xy - problem.targets).T)
+    gaps = problem.poses.distances(problem.targets)
     return float(np.maximum(gaps - problem.speed * seconds, 0.0).sum()) > spec.tolerance
 
 
@@ -87,12 +87,7 @@ def _scatter(
     starts = bearing + np.pi * curve
     if warm is not None:
         starts[:, ::2] = warm[:, None] + 0.5 * curve[:, ::2]
-    return wrap(starts)
-
-
-def wrap(signals: Floats) -> Floats:
-    """Bring directions into the bounds [-pi, pi] of (12)."""
-    return signals - 2 * np.pi * np.round(signals / (2 * np.pi))
+    return wrap(starts)  # into the bounds of (12)
 
 
 class _Hunt:

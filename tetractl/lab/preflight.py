@@ -10,7 +10,6 @@ from tetractl.lab.voice import Answer
 
 POLL_S = 1.0
 LATENCY_FRAMES = 60
-STILL_S = 0.3
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,7 +137,7 @@ def recompute(trial: TrialLog) -> Result:
     last = len(path) - 1 - known[::-1].argmax(axis=0)
     final = Poses.of(path[last, np.arange(path.shape[1])])
     targets = np.array([robot.target for robot in experiment.robots])
-    errors = np.hypot(*(final.xy - targets).T)
+    errors = final.distances(targets)
     distance = Obstacles.of(experiment.obstacles).distance(path[..., 0], path[..., 1])
     clearance = np.where(known, distance, np.inf).min(axis=0)
     return Result(

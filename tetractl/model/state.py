@@ -35,6 +35,15 @@ class Poses:
         """Positions, shape (N, 2)."""
         return np.column_stack([self.x, self.y])
 
+    def distances(self, points: Floats) -> Floats:
+        """Distance of each robot to its own point, points (N, 2); shape (N,)."""
+        return np.hypot(*(self.xy - points).T)
+
+
+def wrap(angles: Floats) -> Floats:
+    """Bring angles [rad] into [-pi, pi]."""
+    return angles - 2 * np.pi * np.round(angles / (2 * np.pi))
+
 
 @dataclass(frozen=True, slots=True)
 class Observation:

@@ -177,7 +177,7 @@ def _result(log: TrialLog, result: Result) -> Iterator[Difference]:
     """The result follows from the poses and the steps."""
     final, verdict = result.verdict.final, result.verdict
     targets = np.array([robot.target for robot in log.start.experiment.robots])
-    errors = np.hypot(*(final.xy - targets).T)
+    errors = final.distances(targets)
     for name, stated, found in (
         ("robot_errors", result.robot_errors, tuple(errors.tolist())),
         ("total_error", result.total_error, float(errors.sum())),

@@ -14,7 +14,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Protocol
 
-from tetractl.clock import MonotonicClock, VirtualClock
+from tetractl.clock import Clock, MonotonicClock, VirtualClock
 from tetractl.control.build import build_controller
 from tetractl.control.plan import Outcome
 from tetractl.errors import AbortError, TetractlError
@@ -79,43 +79,52 @@ def run_lab_trial(
     hands: Hands,
 ) -> Result:
     """Run one trial in real time and write its log; no observer can hold it up."""
-    experiment = spec.experiment
-    key, seed = trial_seeds(experiment.trials.seed, trial)
     clock, start_ns = MonotonicClock(), time.time_ns()
-    nothing_yet = PlantInfo("", False, 0.0, {})
-    start = Start(experiment, spec.text, spec.name, trial, nothing_yet, start_ns, spec.attached)
     with ExitStack() as stack:
         writer = stack.enter_context(LogWriter(log_path(folder, trial)))
         log = stack.enter_context(Relay(writer, lambda: writer.failure))
         relays = [log, *(stack.enter_context(Relay(observer)) for observer in observers)]
-        return Trial(
-            start=start,
-            plant=build_plant(experiment, clock, seed, hands),
-            controller=build_controller(experiment, key),
-            clock=clock,
-            observers=relays,
-            interrupt=interrupt,
-        ).run()
+        return _made(spec, trial, clock, start_ns, relays, interrupt, hands).run()
 
 
 def run_trial(
     spec: LoadedSpec, folder: Path, trial: int, observers: Sequence[Observer], interrupt: Interrupt
 ) -> Result:
     """Run one trial in virtual time and write its log."""
+    with LogWriter(log_path(folder, trial)) as writer:
+        watching = (writer, *observers)
+        return _made(spec, trial, VirtualClock(), EPOCH_NS, watching, interrupt).run()
+
+
+def _made(
+    spec: LoadedSpec,
+    trial: int,
+    clock: Clock,
+    start_unix_ns: int,
+    observers: Sequence[Observer],
+    interrupt: Interrupt,
+    hands: Hands | None = None,
+) -> Trial:
+    """Make a trial from its spec and its number; `hands` are for the lab."""
     experiment = spec.experiment
     key, seed = trial_seeds(experiment.trials.seed, trial)
-    clock = VirtualClock()
-    nothing_yet = PlantInfo("", True, 0.0, {})
-    start = Start(experiment, spec.text, spec.name, trial, nothing_yet, EPOCH_NS)
-    with LogWriter(log_path(folder, trial)) as writer:
-        return Trial(
-            start=start,
-            plant=build_plant(experiment, clock, seed),
-            controller=build_controller(experiment, key),
-            clock=clock,
-            observers=(writer, *observers),
-            interrupt=interrupt,
-        ).run()
+    not_open_yet = PlantInfo("", hands is None, 0.0, {})
+    return Trial(
+        start=Start(
+            experiment,
+            spec.text,
+            spec.name,
+            trial,
+            not_open_yet,
+            start_unix_ns,
+            spec.attached,
+        ),
+        plant=build_plant(experiment, clock, seed, hands),
+        controller=build_controller(experiment, key),
+        clock=clock,
+        observers=observers,
+        interrupt=interrupt,
+    )
 
 
 def run_lab_batch(

@@ -179,7 +179,7 @@ class Trial:
         if verdict.unrest and outcome is not Outcome.ABORTED:
             outcome, reason = Outcome.ABORTED, verdict.unrest
         targets = np.array([robot.target for robot in self.start.experiment.robots])
-        errors = np.hypot(*(verdict.final.xy - targets).T)
+        errors = verdict.final.distances(targets)
         result = Result(
             outcome=outcome,
             reason=reason,

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tetractl.control.plan import Outcome
 from tetractl.errors import LogError, UsageError
 from tetractl.log.find import find_logs
 from tetractl.log.reader import read_result
 from tetractl.log.records import ResultSummary
 from tetractl.spec.experiment import Experiment
 
-COMPLETE = (Outcome.ARRIVED, Outcome.SEQUENCE_USED_UP, Outcome.STEPS_MAX)
 """Outcomes decided by the controller: only these trials ran to their end."""
 
 _BOOKKEEPING = {"trials", "description"}  # do not change what a trial does
@@ -49,7 +47,7 @@ def load_trials(
 def counts(trial: ResultSummary) -> bool:
     """Whether a trial's errors enter the means: it is complete and its errors are known."""
     errors = (trial.result.total_error, *trial.result.robot_errors)
-    return trial.outcome in COMPLETE and all(map(math.isfinite, errors))
+    return trial.outcome.complete and all(map(math.isfinite, errors))
 
 
 def one_batch(trials: Sequence[ResultSummary]) -> Experiment:

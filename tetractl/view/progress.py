@@ -2,7 +2,7 @@
 
 from contextlib import ExitStack
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 from rich.console import Console
 from rich.progress import (
@@ -16,18 +16,6 @@ from rich.progress import (
 from rich.text import Text
 
 from tetractl.log.records import Result
-
-
-class BatchWatcher(Protocol):
-    """What a batch tells of its trials; `index` counts from 0, trials may end in any order."""
-
-    def trial_started(self, index: int, n: int) -> None:
-        """Trial `index` of `n` starts."""
-        ...
-
-    def trial_finished(self, index: int, result: Result) -> None:
-        """Trial `index` has ended."""
-        ...
 
 
 class Tally:
@@ -56,7 +44,7 @@ class Tally:
 
 
 class BatchProgress:
-    """A `BatchWatcher` that reports to a console, best one on stderr; a context manager.
+    """A `Watcher` of a batch that reports to a console, best one on stderr; a context manager.
 
     `total` is the number of trials to be run, `unit` the experiment's length unit.
     """

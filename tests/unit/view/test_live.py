@@ -8,8 +8,9 @@ from support.trials import samples, three_robots
 
 from tetractl.control.plan import Outcome
 from tetractl.log.records import Observer
+from tetractl.run.batch import Watcher
 from tetractl.view.live import LiveView
-from tetractl.view.progress import BatchProgress, BatchWatcher, duration
+from tetractl.view.progress import BatchProgress, duration
 
 
 class Wall:
@@ -62,7 +63,7 @@ def drive(view: Observer) -> None:
 def run(tick: float) -> Console:
     console = terminal()
     with LiveView(console, wall=Wall(tick)) as view:
-        watcher: BatchWatcher = view
+        watcher: Watcher = view
         watcher.trial_started(2, 20)
         drive(view)
         result = three_robots().result

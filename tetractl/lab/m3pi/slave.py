@@ -11,7 +11,6 @@ from tetractl.lab.errors import WireError
 
 SIGNATURE_REQUEST = b"\x81"  # answered by 6 characters; stops the motors
 BATTERY_REQUEST = b"\xb1"  # answered by 2 bytes, little-endian mV
-SIGNATURE_SIZE = 6
 STOP = b"\xc1\x00\xc5\x00"
 COUNT_MAX = 127  # sent counts are 7 bits; the PWM is twice that, and 255 for 127
 _M1, _M2 = 0xC1, 0xC5  # forward; one more is backward

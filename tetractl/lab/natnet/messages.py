@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-COMMAND_PORT = 1510
-DATA_PORT = 1511
 MULTICAST_GROUP = "239.255.42.99"
 
 Quad = tuple[int, int, int, int]

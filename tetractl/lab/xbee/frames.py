@@ -12,7 +12,6 @@ from tetractl.lab.errors import WireError
 
 BROADCAST_16 = 0xFFFF
 BROADCAST_64 = 0x000000000000FFFF
-UNKNOWN_16 = 0xFFFE  # "look the short address up", in frame 0x10
 
 
 @dataclass(frozen=True, slots=True)

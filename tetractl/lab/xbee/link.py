@@ -54,7 +54,6 @@ class LinkCounts:
     """What passed; every number only grows."""
 
     frames_sent: int = 0
-    bytes_sent: int = 0
     received: int = 0
     undelivered: int = 0  # unicasts that no module acknowledged
 
@@ -175,7 +174,6 @@ class Link:
                 raise self._failed(f"holds {waiting} bytes back: the radio is stuck")
             now = self._clock.now()
             self.counts.frames_sent += 1
-            self.counts.bytes_sent += len(data)
         self._tap.sent("radio", now, data)
         return now
 

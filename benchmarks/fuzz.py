@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 HANG_S = 20
-FUZZED = ["tetractl.spec", "tetractl.lab", "tetractl.log", "yaml", "support.targets"]
+FUZZED = ["tetractl.experiment", "tetractl.lab", "tetractl.log", "yaml", "support.targets"]
 
 
 class Fuzz:

@@ -23,10 +23,10 @@ sys.path.insert(0, str(ROOT / "tests" / "emulated"))
 
 from stage import SPEC, TETRACTL, Emulator, flags  # noqa: E402
 
-from tetractl.lab.natnet.messages import Frame, RigidBody, Ticks, Version  # noqa: E402
-from tetractl.lab.natnet.wire import HEADER, pack, parse  # noqa: E402
-from tetractl.log.reader import read_trial  # noqa: E402
-from tetractl.log.records import TrialLog  # noqa: E402
+from tetractl.lab.cameras.optitrack.messages import Frame, RigidBody, Ticks, Version  # noqa: E402
+from tetractl.lab.cameras.optitrack.wire import HEADER, pack, parse  # noqa: E402
+from tetractl.log.read.reader import read_trial  # noqa: E402
+from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 
 LOCAL = (
     "lab.mocap.transport=unicast",

@@ -41,25 +41,26 @@ from support.durable import ENDLESS, RealTime, random_kill, small_disk  # noqa: 
 from support.fuzz import Original, fuzz  # noqa: E402
 from support.mutate import places, rewrite, with_entry  # noqa: E402
 
-from tetractl.clock import MonotonicClock  # noqa: E402
 from tetractl.control.build import build_controller, warm_up  # noqa: E402
-from tetractl.errors import LogError  # noqa: E402
-from tetractl.log import sink  # noqa: E402
-from tetractl.log.channels import CHANNELS, HOST, MOCAP, STEP  # noqa: E402
-from tetractl.log.reader import read_trial  # noqa: E402
-from tetractl.log.records import EPOCH_NS, Observer, Start  # noqa: E402
-from tetractl.log.salvage import scan  # noqa: E402
-from tetractl.log.tetractl_pb2 import MocapSample  # noqa: E402
-from tetractl.log.writer import LogWriter  # noqa: E402
+from tetractl.core.clock import MonotonicClock  # noqa: E402
+from tetractl.core.commands import PlantInfo  # noqa: E402
+from tetractl.core.errors import LogError  # noqa: E402
+from tetractl.core.protocols import Observer  # noqa: E402
+from tetractl.core.trial import EPOCH_NS  # noqa: E402
+from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec, start_of  # noqa: E402
+from tetractl.log.format.channels import CHANNELS, HOST, MOCAP, STEP  # noqa: E402
+from tetractl.log.format.tetractl_pb2 import MocapSample  # noqa: E402
+from tetractl.log.read.reader import read_trial  # noqa: E402
+from tetractl.log.read.salvage import scan  # noqa: E402
+from tetractl.log.write import sink  # noqa: E402
+from tetractl.log.write.writer import LogWriter  # noqa: E402
 from tetractl.plant.build import build_plant  # noqa: E402
-from tetractl.plant.protocol import PlantInfo  # noqa: E402
 from tetractl.replay.verify import REEVALUATED, verify  # noqa: E402
 from tetractl.run.batch import log_path, run_trial  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.relay import Relay  # noqa: E402
 from tetractl.run.seeds import trial_seeds  # noqa: E402
 from tetractl.run.trial import Trial  # noqa: E402
-from tetractl.spec.load import LoadedSpec, load_spec, parse_spec  # noqa: E402
 
 SMALL = """
 name: small
@@ -168,9 +169,10 @@ def real_time(spec: LoadedSpec, observers: Sequence[Observer]) -> tuple[np.ndarr
     """Run a trial on the wall clock; ns the loop worked a step without planning, and its steps."""
     key, seed = trial_seeds(1, 0)
     clock, planning = Busy(), Planning(build_controller(spec.experiment, key))
-    start = Start(spec.experiment, spec.text, spec.name, 0, PlantInfo("", True, 0, {}), EPOCH_NS)
+    start = start_of(spec, 0, PlantInfo("", True, 0, {}), EPOCH_NS)
     plant = build_plant(spec.experiment, clock, seed)
-    result = Trial(start, plant, planning, clock, observers, Interrupt()).run()
+    stand = spec.experiment.controller.first_plan
+    result = Trial(start, plant, planning, stand, clock, observers, Interrupt()).run()
     busy = np.array(clock.busy_ns[1 : result.steps]) - np.array(planning.ns[1 : result.steps])
     return busy, result.steps
 

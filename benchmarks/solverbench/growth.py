@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tetractl.control import compiled
 from tetractl.control.cost import Problem
+from tetractl.control.optimizers import compiled
 from tetractl.view.style import BLUE, GREEN, GREY, RED, figure, panel, save, styled
 
 from .problems import PARTICLES, SIGNALS, SWARM, crowd, printed

@@ -7,19 +7,21 @@ from functools import partial
 
 import numpy as np
 
-from tetractl.clock import VirtualClock
-from tetractl.control import compiled
 from tetractl.control.build import build_controller
 from tetractl.control.cost import Problem
-from tetractl.control.plan import Controller, Outcome, Plan
-from tetractl.log.records import EPOCH_NS, Result, Start
-from tetractl.model.state import Observation
+from tetractl.control.optimizers import compiled
+from tetractl.core.clock import VirtualClock
+from tetractl.core.commands import PlantInfo
+from tetractl.core.plan import Outcome, Plan
+from tetractl.core.poses import Observation
+from tetractl.core.protocols import Controller
+from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.plant.build import build_plant
-from tetractl.plant.protocol import PlantInfo
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
-from tetractl.spec.experiment import Experiment
 
 from . import shooting
 from .peers import available
@@ -93,9 +95,10 @@ def run(experiment: Experiment, trials: int, build: Build = build_controller) ->
         nowhere = PlantInfo("", True, 0.0, {})
         batch.results.append(
             Trial(
-                start=Start(experiment, "", "", trial, nowhere, EPOCH_NS),
+                start=start_of(LoadedSpec(experiment, "", ""), trial, nowhere, EPOCH_NS),
                 plant=build_plant(experiment, clock, seed),
                 controller=_Timed(build(experiment, key), times),
+                first_plan=experiment.controller.first_plan,
                 clock=clock,
                 observers=(),
                 interrupt=Interrupt(),

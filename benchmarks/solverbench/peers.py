@@ -12,13 +12,13 @@ from typing import NoReturn
 
 import numpy as np
 
-from tetractl.control import compiled, pso
 from tetractl.control.cost import Problem, evaluate
-from tetractl.control.draws import mix
 from tetractl.control.kernels.rollout import costs, lay_out
-from tetractl.control.multistart import multistart
-from tetractl.model.state import Floats
-from tetractl.spec.controller import MultistartSpec, SwarmSpec, TargetStop
+from tetractl.control.optimizers import compiled, pso
+from tetractl.control.optimizers.multistart import multistart
+from tetractl.control.rng import mix
+from tetractl.core.poses import Floats
+from tetractl.experiment.controller import MultistartSpec, SwarmSpec, TargetStop
 
 from .problems import PARTICLES
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.control.cost import Problem
-from tetractl.model.state import Floats, Poses
-from tetractl.spec.controller import BudgetStop, SwarmSpec
-from tetractl.spec.experiment import Experiment
-from tetractl.spec.load import load_spec
+from tetractl.core.poses import Floats, Poses
+from tetractl.experiment.controller import BudgetStop, SwarmSpec
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import load_spec
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 PAPER, OURS = "three_m3pi_paper.yaml", "three_m3pi.yaml"

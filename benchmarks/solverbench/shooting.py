@@ -12,9 +12,9 @@ import numpy as np
 
 from tetractl.control.cost import Problem, evaluate, predict
 from tetractl.control.mpc import Candidate, PsoMpc
-from tetractl.control.plan import Search
-from tetractl.control.pso import never
-from tetractl.model.state import Floats
+from tetractl.control.optimizers.pso import never
+from tetractl.core.plan import Search
+from tetractl.core.poses import Floats
 
 from .peers import Meter, smooth_start
 from .problems import LENGTH

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from tetractl.control import compiled, pso
 from tetractl.control.cost import Problem, evaluate
-from tetractl.control.kernels import swarm as kernel
-from tetractl.control.kernels.numeric import KERNEL, horner
+from tetractl.control.kernels import pso as kernel
+from tetractl.control.kernels.math import KERNEL, horner
 from tetractl.control.kernels.rollout import costs, lay_out
+from tetractl.control.optimizers import compiled, pso
 
 from .peers import OPTIONS, available
 from .problems import PARTICLES, SIGNALS, SWARM, plain_cost, printed, recommended, tuned_cost

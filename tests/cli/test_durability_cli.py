@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from support.durable import RealTime, random_kill, small_disk
 
-from tetractl.errors import LogError
-from tetractl.log.reader import content_digest, read_trial
+from tetractl.core.errors import LogError
+from tetractl.log.read.reader import content_digest, read_trial
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 SPEC = """

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tetractl.control.plan import Outcome
-from tetractl.log.reader import content_digest, read_result, read_trial
+from tetractl.core.plan import Outcome
+from tetractl.log.read.reader import content_digest, read_result, read_trial
 
 BIN = Path(sys.executable).parent
 TETRACTL = BIN / "tetractl"
@@ -107,7 +107,7 @@ def test_a_run_writes_a_log_a_trial_and_says_where(batch):
     assert "\x1b" not in done.stderr + done.stdout
     for i in range(3):
         log = read_trial(folder / "logs" / f"trial-00{i}.mcap")
-        assert (log.start.trial, log.seed, log.damage) == (i, 7, None)
+        assert (log.start.trial, log.start.seed, log.damage) == (i, 7, None)
         assert log.start.spec_text == QUICK
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from unit.log import made
 
-from tetractl.control.plan import Outcome
+from tetractl.core.plan import Outcome
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 REFERENCE = {"source": "section V", "n": 20, "mean": 648.6, "std": 225.1}

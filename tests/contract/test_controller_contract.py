@@ -1,4 +1,4 @@
-"""What every controller promises, whatever is inside; see `tetractl.control.plan`."""
+"""What every controller promises, whatever is inside; see `tetractl.core.plan`."""
 
 import math
 
@@ -8,12 +8,12 @@ from support.controllers import CONTROLLERS
 from support.plants import sim
 from support.trials import experiment
 
-from tetractl.clock import SECOND
 from tetractl.control.build import build_controller
 from tetractl.control.cost import Problem, evaluate
-from tetractl.control.plan import Outcome, Plan
-from tetractl.errors import ControlError
-from tetractl.model.state import Observation, Poses
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import ControlError
+from tetractl.core.plan import Outcome, Plan
+from tetractl.core.poses import Observation, Poses
 
 HORIZON = 14
 STOPPED = {"criterion", "iterations", "target", "evaluations", "deadline"}

@@ -1,4 +1,4 @@
-"""What every plant promises, whatever is behind it; see `tetractl.plant.protocol`."""
+"""What every plant promises, whatever is behind it; see `tetractl.core.plant`."""
 
 import itertools
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ import pytest
 from support.plants import RIGS
 from unit.model.geometry import gap
 
-from tetractl.clock import SECOND
+from tetractl.core.clock import SECOND
 
 PERIOD = SECOND // 5
 

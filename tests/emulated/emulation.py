@@ -3,10 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.plants import lab_of
 from tetractl.lab.emulate.lab import EmulatedLab, Options
 from tetractl.lab.emulate.script import NOTHING, parse_script
-from tetractl.spec.load import parse_spec
-from tetractl.spec.plants import lab_of
 
 SPEC = """
 name: emulated

@@ -10,11 +10,11 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from stage import ROOT, play
 
+from tetractl.experiment.load import load_spec
 from tetractl.lab.emulate.script import load_script
-from tetractl.log.channels import LOG
-from tetractl.log.reader import read_trial
-from tetractl.log.salvage import scan
-from tetractl.spec.load import load_spec
+from tetractl.log.format.channels import LOG
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.salvage import scan
 
 SCRIPTS = sorted((ROOT / "experiments" / "faults").glob("*.yaml"))
 REACTION_S = 0.1  # on top of a fault's own tolerance, until the stop frame is on the wire

@@ -7,7 +7,7 @@ import pytest
 from stage import play
 
 from tetractl.lab.emulate.script import load_script
-from tetractl.log.reader import read_trial
+from tetractl.log.read.reader import read_trial
 
 SLAVES = tuple(f"lab.robots.{i}.address={i + 1}" for i in range(3))
 UNEVEN = """

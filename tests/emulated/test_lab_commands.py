@@ -9,16 +9,16 @@ import pytest
 from stage import PATIENCE_S, ROOT, SMALL, SPEC, TETRACTL, Emulator, flags
 from support.terminal import Terminal
 
-from tetractl.clock import MonotonicClock
-from tetractl.lab.m3pi.broadcast import Flag, decode_command
-from tetractl.lab.m3pi.cobs import Splitter
-from tetractl.lab.recorded import replay_cameras
-from tetractl.lab.session import Session
-from tetractl.lab.xbee.framing import Decoder
-from tetractl.log.reader import read_trial
-from tetractl.log.wire import read_wire
-from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant, parse_calibration
+from tetractl.core.clock import MonotonicClock
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import on_plant, parse_calibration
+from tetractl.lab.actuators.m3pi.broadcast import Flag, decode_command
+from tetractl.lab.actuators.m3pi.cobs import Splitter
+from tetractl.lab.actuators.xbee.framing import Decoder
+from tetractl.lab.recorder import replay_cameras
+from tetractl.lab.rig import Session
+from tetractl.log.format.wire import read_wire
+from tetractl.log.read.reader import read_trial
 
 UNEVEN = """
 about: robots that differ from their spec
@@ -171,7 +171,7 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
     done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--out", "logs", *sets)
     assert done.returncode == 0, done.stderr
     trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
-    assert trial.start.experiment.plant.robots[0].radius_mm == green.radius_mm
+    assert trial.experiment.plant.robots[0].radius_mm == green.radius_mm
     assert attachment(tmp_path / "logs" / "trial-000.mcap", "calibration.yaml") == text
 
 

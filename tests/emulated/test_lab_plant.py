@@ -1,4 +1,4 @@
-"""What `tetractl.plant.protocol` promises, kept by the plant of real robots, in real time.
+"""What `tetractl.core.plant` promises, kept by the plant of real robots, in real time.
 
 The suite in tests/contract turns a virtual clock; this one cannot, so it says the same promises of
 one emulated run.
@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from stage import SMALL, SPEC, Emulator
 
-from tetractl.clock import SECOND, MonotonicClock
-from tetractl.errors import AbortError
+from tetractl.core.clock import SECOND, MonotonicClock
+from tetractl.core.commands import Command
+from tetractl.core.errors import AbortError
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import on_plant
 from tetractl.plant.build import build_plant
 from tetractl.plant.lab import Hands, LabPlant
-from tetractl.plant.protocol import Command
-from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
 
 DIRECTIONS = (0.5, -0.4, 0.6)
 PERIOD = SECOND // 5

@@ -10,13 +10,9 @@ from itertools import pairwise
 import pytest
 from emulation import emulated, turn_until
 
-from tetractl.errors import TetractlError
-from tetractl.lab.emulate.desk import ticks
-from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.motive import Motive
-from tetractl.lab.emulate.streaming import Streaming
-from tetractl.lab.natnet.handshake import response_float, response_int
-from tetractl.lab.natnet.messages import (
+from tetractl.core.errors import TetractlError
+from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
+from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     Connect,
     EchoRequest,
@@ -29,8 +25,12 @@ from tetractl.lab.natnet.messages import (
     ServerInfo,
     Version,
 )
-from tetractl.lab.natnet.pose import UpAxis, planar_pose
-from tetractl.lab.natnet.wire import pack, parse
+from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.wire import pack, parse
+from tetractl.lab.emulate.loop import Timeline
+from tetractl.lab.emulate.motive import Motive
+from tetractl.lab.emulate.motive_server import ticks
+from tetractl.lab.emulate.streaming import Streaming
 
 MULTICAST = ("lab.mocap.transport=multicast", "lab.mocap.group=239.255.42.98")
 

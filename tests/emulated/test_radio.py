@@ -4,8 +4,8 @@ import pytest
 import serial
 from emulation import emulated, turn_until
 
-from tetractl.errors import UsageError
-from tetractl.lab.m3pi.broadcast import (
+from tetractl.core.errors import UsageError
+from tetractl.lab.actuators.m3pi.broadcast import (
     Command,
     Flag,
     Reply,
@@ -13,8 +13,8 @@ from tetractl.lab.m3pi.broadcast import (
     decode_reply,
     encode_command,
 )
-from tetractl.lab.m3pi.slave import encode_wheels
-from tetractl.lab.xbee.frames import (
+from tetractl.lab.actuators.m3pi.slave import encode_wheels
+from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
     AtResponse,
     Receive16,
@@ -24,7 +24,7 @@ from tetractl.lab.xbee.frames import (
     TransmitStatus,
     TransmitStatusLong,
 )
-from tetractl.lab.xbee.framing import Decoder, encode
+from tetractl.lab.actuators.xbee.framing import Decoder, encode
 
 POLL = encode_command(Command(9, Flag.POLL))
 

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tetractl.lab.actuators.m3pi.broadcast import Command, Flag, encode_command
+from tetractl.lab.actuators.m3pi.command import Drivetrain, Wheel
+from tetractl.lab.actuators.m3pi.slave import encode_wheels
 from tetractl.lab.emulate.robot import Battery, Firmware, Robot, Slave
-from tetractl.lab.m3pi.broadcast import Command, Flag, encode_command
-from tetractl.lab.m3pi.command import Drivetrain, Wheel
-from tetractl.lab.m3pi.slave import encode_wheels
 
 MS = 1_000_000
 LAG = 0.04

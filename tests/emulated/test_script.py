@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tetractl.errors import SpecError
+from tetractl.core.errors import SpecError
 from tetractl.lab.emulate.script import FAULTS, load_script, parse_script
 
 FOLDER = Path(__file__).parents[2] / "experiments" / "faults"

@@ -9,14 +9,14 @@ import serial
 from emulation import emulated, turn_until
 from test_motive import Client
 
+from tetractl.lab.actuators.m3pi.broadcast import Command, Flag, decode_reply, encode_command
+from tetractl.lab.actuators.xbee.frames import AtCommand, Receive16, Transmit16
+from tetractl.lab.actuators.xbee.framing import Decoder, encode
+from tetractl.lab.cameras.optitrack.messages import Connect, Frame, ServerInfo
+from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.emulate.faults import ACTS
 from tetractl.lab.emulate.script import FAULTS
 from tetractl.lab.errors import WireError
-from tetractl.lab.m3pi.broadcast import Command, Flag, decode_reply, encode_command
-from tetractl.lab.natnet.messages import Connect, Frame, ServerInfo
-from tetractl.lab.natnet.wire import parse
-from tetractl.lab.xbee.frames import AtCommand, Receive16, Transmit16
-from tetractl.lab.xbee.framing import Decoder, encode
 
 RUN = ((60, 60), (60, 60))
 

@@ -15,12 +15,13 @@ sys.path[:0] = [str(FOLDER.parent), str(FOLDER.parent / "unit" / "log")]
 
 from made import trial, write  # noqa: E402
 
+from tetractl.experiment.load import parse_spec  # noqa: E402
 from tetractl.log import provenance  # noqa: E402
-from tetractl.log.reader import read_trial  # noqa: E402
-from tetractl.log.records import FORMAT_VERSION, TrialLog  # noqa: E402
+from tetractl.log.format.channels import FORMAT_VERSION  # noqa: E402
+from tetractl.log.read.reader import read_trial  # noqa: E402
+from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 from tetractl.run.batch import log_path, run_trial  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
-from tetractl.spec.load import parse_spec  # noqa: E402
 
 SPEC = """
 name: golden
@@ -40,7 +41,7 @@ def values(log: TrialLog) -> dict[str, object]:
     """What every later reader must give, as JSON keeps it: floats by their shortest digits."""
     result = log.result
     return {
-        "run": [log.start.experiment.name, log.start.trial, log.seed, log.start.plant.simulated],
+        "run": [log.experiment.name, log.start.trial, log.start.seed, log.start.plant.simulated],
         "frames": log.frames.tolist(),
         "mocap_ns": log.mocap_ns.tolist(),
         "mocap": log.mocap.tolist(),

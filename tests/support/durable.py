@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from tetractl.errors import LogError
-from tetractl.log.reader import read_trial
+from tetractl.core.errors import LogError
+from tetractl.log.read.reader import read_trial
 
 ENDLESS = """
 name: endless
@@ -28,17 +28,17 @@ CHILD = """
 import sys, time
 from contextlib import ExitStack
 from pathlib import Path
-from tetractl.clock import MonotonicClock
+from tetractl.core.clock import MonotonicClock
 from tetractl.control.build import build_controller, warm_up
-from tetractl.log.records import EPOCH_NS, Start
-from tetractl.log.writer import LogWriter
+from tetractl.core.trial import EPOCH_NS, Start
+from tetractl.log.write.writer import LogWriter
 from tetractl.plant.build import build_plant
-from tetractl.plant.protocol import PlantInfo
+from tetractl.core.plant import PlantInfo
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.relay import Relay
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
-from tetractl.spec.load import parse_spec
+from tetractl.experiment.load import parse_spec, start_of
 
 spec = parse_spec(sys.argv[1], "spec.yaml")
 warm_up(spec.experiment, print)
@@ -48,10 +48,11 @@ writer = LogWriter(Path(sys.argv[2]))
 with interrupt.watch(), writer, Relay(writer, lambda: writer.failure) as relay:
     clock = MonotonicClock()
     print(time.monotonic_ns(), flush=True)
-    start = Start(spec.experiment, spec.text, spec.name, 0, PlantInfo("", True, 0.0, {}), EPOCH_NS)
+    start = start_of(spec, 0, PlantInfo("", True, 0.0, {}), EPOCH_NS)
     plant = build_plant(spec.experiment, clock, seed)
     controller = build_controller(spec.experiment, key)
-    result = Trial(start, plant, controller, clock, [relay], interrupt).run()
+    stand = spec.experiment.controller.first_plan
+    result = Trial(start, plant, controller, stand, clock, [relay], interrupt).run()
 print(result.outcome.value, "|", result.reason, "|", result.steps, flush=True)
 """
 """A trial as in the lab, its log behind a relay, but of simulated robots: in real time."""

@@ -8,10 +8,10 @@ from pathlib import Path
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from tetractl.errors import LogError
-from tetractl.log.channels import Entry
-from tetractl.log.reader import trial_of
-from tetractl.log.salvage import MAGIC, scan
+from tetractl.core.errors import LogError
+from tetractl.log.format.channels import Entry
+from tetractl.log.read.reader import trial_of
+from tetractl.log.read.salvage import MAGIC, scan
 
 
 @dataclass

@@ -9,11 +9,11 @@ from typing import Any
 from google.protobuf.message import Message
 from mcap.records import Attachment, Metadata
 
-from tetractl.log.channels import CHANNELS, RESULT, Entry
-from tetractl.log.digest import CHECKSUM, DIGEST
-from tetractl.log.facts import seal
-from tetractl.log.salvage import Contents
-from tetractl.log.sink import Sink
+from tetractl.log.format.channels import CHANNELS, RESULT, Entry
+from tetractl.log.format.digest import CHECKSUM, DIGEST
+from tetractl.log.format.metadata import seal
+from tetractl.log.read.salvage import Contents
+from tetractl.log.write.sink import Sink
 
 Place = tuple[str | int, ...]
 

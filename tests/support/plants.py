@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from support.trials import experiment
 
-from tetractl.clock import Clock, VirtualClock
-from tetractl.plant.protocol import Plant
+from tetractl.core.clock import Clock, VirtualClock
+from tetractl.core.protocols import Plant
+from tetractl.experiment.experiment import Experiment
 from tetractl.plant.simulation import SimPlant
-from tetractl.spec.experiment import Experiment
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,11 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
-from tetractl.lab.m3pi import broadcast, slave
-from tetractl.lab.natnet.messages import (
+from tetractl.experiment.plants import Calibration, calibration_yaml
+from tetractl.lab.actuators.m3pi import broadcast, slave
+from tetractl.lab.actuators.xbee import frames as xbee
+from tetractl.lab.actuators.xbee import framing
+from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
     EchoResponse,
     Frame,
@@ -20,12 +23,9 @@ from tetractl.lab.natnet.messages import (
     Ticks,
     Version,
 )
-from tetractl.lab.natnet.stream import UP_AXIS
-from tetractl.lab.natnet.wire import pack
-from tetractl.lab.recorded import WireRecorder
-from tetractl.lab.xbee import frames as xbee
-from tetractl.lab.xbee import framing
-from tetractl.spec.plants import Calibration, calibration_yaml
+from tetractl.lab.cameras.optitrack.stream import UP_AXIS
+from tetractl.lab.cameras.optitrack.wire import pack
+from tetractl.lab.recorder import WireRecorder
 
 ROOT = Path(__file__).parents[2]
 VERSIONS = [Version(*v) for v in [(2, 5), (2, 6), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]

@@ -17,27 +17,28 @@ from support import seeds
 from support.mutate import rewrite
 from support.seeds import MS, ROOT, VERSIONS
 
-from tetractl.errors import LogError, SpecError, UsageError
-from tetractl.lab.emulate.script import parse_script
-from tetractl.lab.errors import WireError
-from tetractl.lab.m3pi import broadcast, cobs, slave
-from tetractl.lab.natnet.messages import (
+from tetractl.core.errors import LogError, SpecError, UsageError
+from tetractl.core.poses import CameraFrame
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.plants import apply, calibration_yaml, lab_of, parse_calibration
+from tetractl.lab.actuators.m3pi import broadcast, cobs, slave
+from tetractl.lab.actuators.xbee import framing
+from tetractl.lab.cameras.optitrack.messages import (
     Request,
 )
-from tetractl.lab.natnet.pose import UpAxis
-from tetractl.lab.natnet.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
-from tetractl.lab.natnet.wire import parse
-from tetractl.lab.recorded import replay_cameras
-from tetractl.lab.snapshot import Placement, Snapshot
-from tetractl.lab.xbee import framing
-from tetractl.log.overview import overview
-from tetractl.log.reader import read_result, read_trial
-from tetractl.log.recover import recover
-from tetractl.log.salvage import Contents, scan
-from tetractl.log.wire import read_wire
-from tetractl.spec.experiment import Experiment
-from tetractl.spec.load import parse_spec
-from tetractl.spec.plants import apply, calibration_yaml, lab_of, parse_calibration
+from tetractl.lab.cameras.optitrack.placement import Placement
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
+from tetractl.lab.cameras.optitrack.wire import parse
+from tetractl.lab.emulate.script import parse_script
+from tetractl.lab.errors import WireError
+from tetractl.lab.recorder import replay_cameras
+from tetractl.log.format.wire import read_wire
+from tetractl.log.read.overview import overview
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.recover import recover
+from tetractl.log.read.salvage import Contents, scan
 
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
@@ -109,7 +110,7 @@ def _lab():
 # NatNet
 
 
-def sound(snapshot: Snapshot) -> None:
+def sound(snapshot: CameraFrame) -> None:
     """No number reaches the controller or the log that they cannot hold."""
     for pose in (*snapshot.poses, *snapshot.strangers):
         assert pose is None or all(map(math.isfinite, (pose.x, pose.y, pose.heading)))

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tetractl.control.plan import Outcome, Plan, Search
-from tetractl.log.records import EPOCH_NS, Damage, Result, Start, Step, TrialLog
-from tetractl.log.writer import LogWriter
-from tetractl.model.state import Floats, Observation, Poses
-from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
-from tetractl.spec.experiment import Experiment
+from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
+from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.trial import EPOCH_NS, Result, Step
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.log.read.trial_log import Damage, TrialLog
+from tetractl.log.write.writer import LogWriter
 
 PERIOD_S = 0.2
 PERIOD_NS = 200_000_000
@@ -145,15 +147,16 @@ def three_robots(seed: int = 1) -> TrialLog:
         solve_ns=tuple(step.solve_ns for step in steps),
         deadline_misses=sum(step.deadline_missed for step in steps),
     )
+    trials = spec.trials.model_copy(update={"seed": seed})
+    with_seed = spec.model_copy(update={"trials": trials})
     return TrialLog(
         path=f"trial-{seed:03d}.mcap",
-        start=Start(
-            experiment=spec,
-            spec_text="",
-            spec_name="three-m3pi.yaml",
-            trial=0,
-            plant=PlantInfo("sim", True, CAMERA_HZ, {}),
-            start_unix_ns=EPOCH_NS,
+        experiment=spec,
+        start=start_of(
+            LoadedSpec(with_seed, "", "three-m3pi.yaml"),
+            0,
+            PlantInfo("sim", True, CAMERA_HZ, {}),
+            EPOCH_NS,
         ),
         mocap_ns=mocap_ns,
         mocap=mocap,
@@ -165,7 +168,6 @@ def three_robots(seed: int = 1) -> TrialLog:
         damage=None,
         host={},
         provenance={},
-        seed=seed,
     )
 
 
@@ -203,7 +205,7 @@ def cut_short(log: TrialLog, steps: int) -> TrialLog:
 
 def write_trial(log: TrialLog, path: Path) -> Path:
     """Store a trial as the trial loop would; without a result it stays a .part, as in a crash."""
-    spec_text = json.dumps(log.start.experiment.model_dump(mode="json"))
+    spec_text = json.dumps(log.experiment.model_dump(mode="json"))
     with LogWriter(path) as writer:
         writer.on_start(replace(log.start, spec_text=spec_text))
         frame = 0

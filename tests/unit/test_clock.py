@@ -2,7 +2,7 @@ import time
 
 import pytest
 
-from tetractl.clock import MonotonicClock, VirtualClock
+from tetractl.core.clock import MonotonicClock, VirtualClock
 
 
 def test_virtual_time_passes_only_by_sleeping():

@@ -73,7 +73,7 @@ def test_good_conversations_come_through():
 
 
 def test_a_promise_that_is_broken_is_noticed(monkeypatch):
-    monkeypatch.setattr("tetractl.lab.natnet.stream.AGE_MAX_NS", float("inf"))
+    monkeypatch.setattr("tetractl.lab.cameras.optitrack.stream.AGE_MAX_NS", float("inf"))
     rng, seeds = random.Random(1), TARGETS["natnet"].seeds()
     with pytest.raises(AssertionError):
         for _ in range(20_000):

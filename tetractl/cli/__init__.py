@@ -12,7 +12,7 @@ from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.cli import info, lab, plot, recover, replay, run, schema, stats, validate, verify
-from tetractl.errors import Exit, TetractlError
+from tetractl.core.errors import Exit, TetractlError
 
 app = typer.Typer(
     name="tetractl",

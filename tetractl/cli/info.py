@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.errors import Exit, UsageError
+from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from tetractl.log.overview import Overview
+    from tetractl.log.read.overview import Overview
 
 
 def info(
@@ -23,8 +23,8 @@ def info(
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
     """
-    from tetractl.log.overview import overview
-    from tetractl.spec.problems import printable
+    from tetractl.experiment.yaml.problems import printable
+    from tetractl.log.read.overview import overview
 
     if not log.exists():
         raise UsageError(f"{log}: no such file")

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli import lab_emulate
-from tetractl.errors import Exit, TetractlError, UsageError
+from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
+    from tetractl.experiment.experiment import Experiment
+    from tetractl.experiment.lab import LabSpec
     from tetractl.lab.preflight import Findings
-    from tetractl.spec.experiment import Experiment
-    from tetractl.spec.lab import LabSpec
 
 app = typer.Typer(
     name="lab",
@@ -43,9 +43,9 @@ def check(
     """
     from threading import Event
 
-    from tetractl.clock import MonotonicClock
+    from tetractl.core.clock import MonotonicClock
     from tetractl.lab import preflight
-    from tetractl.lab.session import Session
+    from tetractl.lab.rig import Session
 
     experiment, lab = _lab(spec, sets)
     session = Session(experiment, lab, MonotonicClock(), Event())
@@ -89,7 +89,7 @@ def stop(
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """
-    from tetractl.lab.stop import stop_all
+    from tetractl.lab.actuators.m3pi.stop import stop_all
 
     if (spec is None) == (port is None):
         raise UsageError("name a SPEC or a --port")
@@ -131,9 +131,9 @@ def calibrate(
     import sys
     from threading import Event
 
-    from tetractl.lab.calibrate import calibrate_robots
-    from tetractl.spec.plants import calibration_yaml
-    from tetractl.view.stopkey import SAYS, StopKey
+    from tetractl.experiment.plants import calibration_yaml
+    from tetractl.lab.actuators.m3pi.calibrate import calibrate_robots
+    from tetractl.view.terminal.stopkey import SAYS, StopKey
 
     if output.exists():
         raise UsageError(f"{output}: exists already", "name another with --output")
@@ -169,9 +169,9 @@ def calibrate(
 
 
 def _lab(spec: Path, sets: list[str] | None) -> "tuple[Experiment, LabSpec]":
-    from tetractl.spec.lab import LabSpec
-    from tetractl.spec.load import load_spec
-    from tetractl.spec.plants import on_plant
+    from tetractl.experiment.lab import LabSpec
+    from tetractl.experiment.load import load_spec
+    from tetractl.experiment.plants import on_plant
 
     experiment = on_plant(load_spec(spec, sets or []), "lab").experiment
     assert isinstance(experiment.plant, LabSpec)
@@ -181,7 +181,7 @@ def _lab(spec: Path, sets: list[str] | None) -> "tuple[Experiment, LabSpec]":
 def _radio(port: str, baud: int, mode: str):
     from pydantic import ValidationError
 
-    from tetractl.spec.lab import Radio
+    from tetractl.experiment.lab import Radio
 
     try:
         return Radio.model_validate({"port": port, "baud": baud, "mode": mode})

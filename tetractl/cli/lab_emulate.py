@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tetractl.errors import Exit
+from tetractl.core.errors import Exit
 
 
 def emulate(
@@ -65,10 +65,10 @@ def emulate(
     import gc
     import signal
 
+    from tetractl.experiment.load import load_spec
+    from tetractl.experiment.plants import lab_of
     from tetractl.lab.emulate.lab import EmulatedLab, Options
     from tetractl.lab.emulate.script import NOTHING, load_script
-    from tetractl.spec.load import load_spec
-    from tetractl.spec.plants import lab_of
 
     loaded = load_spec(spec, sets or [])
     lab = lab_of(loaded.experiment, loaded.name)

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tetractl.lab.tap import Tap
-    from tetractl.log.records import Result, Start, Step
+    from tetractl.core.commands import Command, Note, Sample
+    from tetractl.core.trial import Result, Start, Step
+    from tetractl.experiment.experiment import Experiment
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.lab.wire_tap import Tap
     from tetractl.plant.lab import Hands
-    from tetractl.plant.protocol import Command, Note, Sample
     from tetractl.run.batch import Report
     from tetractl.run.interrupt import Interrupt
-    from tetractl.spec.experiment import Experiment
-    from tetractl.spec.load import LoadedSpec
-    from tetractl.view.live import LiveView
+    from tetractl.view.terminal.live import LiveView
 
 
 def run_in_lab(
@@ -32,10 +32,10 @@ def run_in_lab(
     """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time."""
     from rich.console import Console
 
-    from tetractl.lab.recorded import WireRecorder
+    from tetractl.lab.recorder import WireRecorder
     from tetractl.plant.lab import Hands
     from tetractl.run.batch import run_lab_batch
-    from tetractl.view.stopkey import SAYS, StopKey
+    from tetractl.view.terminal.stopkey import SAYS, StopKey
 
     quiet, console = console, Console(stderr=True)  # what concerns safety is always said
     operator, entered = threading.Event(), threading.Event()
@@ -59,8 +59,8 @@ def run_in_lab(
 
 
 def _recorder(stack: ExitStack, folder: Path | None, trial: int) -> "Tap":
-    from tetractl.lab.recorded import WireRecorder
-    from tetractl.lab.tap import NO_TAP
+    from tetractl.lab.recorder import WireRecorder
+    from tetractl.lab.wire_tap import NO_TAP
 
     if folder is None:
         return NO_TAP
@@ -115,7 +115,7 @@ class LabWatch:
 
     def trial_finished(self, index: int, result: "Result") -> None:
         """Print the trial's line."""
-        from tetractl.view.progress import trial_line
+        from tetractl.view.terminal.progress import trial_line
 
         self._close()
         text = trial_line(index, self._count, result, self._unit)
@@ -124,7 +124,7 @@ class LabWatch:
     def on_start(self, start: "Start") -> None:
         """Open the live view."""
         if self._live:
-            from tetractl.view.live import LiveView
+            from tetractl.view.terminal.live import LiveView
 
             self._view = LiveView(self._console)
             self._view.__enter__()

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from tetractl.errors import Exit
+from tetractl.core.errors import Exit
 
 Kind = Literal["trajectory", "convergence", "error", "timing"]
 
@@ -36,10 +36,10 @@ def plot(
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
     """
-    from tetractl.log.reader import read_trial
-    from tetractl.view.damage import warn_of_damage
-    from tetractl.view.figures import draw
+    from tetractl.log.read.reader import read_trial
+    from tetractl.view.figures.figures import draw
     from tetractl.view.style import file_format, save
+    from tetractl.view.terminal.damage import warn_of_damage
 
     path = output or _default_name(logs, kind)
     file_format(path)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.errors import Exit, UsageError
+from tetractl.core.errors import Exit, UsageError
 
 
 def recover(
@@ -25,8 +25,8 @@ def recover(
 
     Example: tetractl recover logs/batch/trial-003.mcap.part
     """
-    from tetractl.log.recover import recover as save
-    from tetractl.spec.problems import printable
+    from tetractl.experiment.yaml.problems import printable
+    from tetractl.log.read.recover import recover as save
 
     if not log.exists():
         raise UsageError(f"{log}: no such file")

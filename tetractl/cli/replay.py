@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.errors import Exit, UsageError
+from tetractl.core.errors import Exit, UsageError
 
 
 def replay(
@@ -37,11 +37,11 @@ def replay(
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
-    from tetractl.clock import MonotonicClock
-    from tetractl.log.reader import read_trial
+    from tetractl.core.clock import MonotonicClock
+    from tetractl.log.read.reader import read_trial
     from tetractl.replay.frame import Recording
     from tetractl.replay.player import Player, span
-    from tetractl.view.damage import warn_of_damage
+    from tetractl.view.terminal.damage import warn_of_damage
 
     if rate is not None and not 0 < rate < float("inf"):
         raise UsageError(f"--rate must be above 0, and is {rate:g}")
@@ -53,12 +53,12 @@ def replay(
     if _is_terminal():
         from rich.console import Console
 
-        from tetractl.view.theatre import perform
+        from tetractl.view.terminal.replay_screen import perform
 
         player = Player(recording, wall, played, rate=rate or 1.0, loop=loop, paused=paused)
         perform(Console(), recording, player)
     else:
-        from tetractl.view.recital import recite
+        from tetractl.view.terminal.replay_text import recite
 
         if paused:
             raise UsageError("--paused needs a terminal: there are no keys to go on with")

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.errors import Exit, UsageError
+from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
+    from tetractl.experiment.load import LoadedSpec
     from tetractl.run.batch import Report
-    from tetractl.spec.load import LoadedSpec
 
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
@@ -86,12 +86,12 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.cli.again import compare, recorded
+    from tetractl.experiment.load import load_spec
+    from tetractl.experiment.plants import on_plant
+    from tetractl.replay.rerun import compare, recorded
     from tetractl.run.batch import log_path
     from tetractl.run.folder import default_folder, trials_to_run
     from tetractl.run.limits import check
-    from tetractl.spec.load import load_spec
-    from tetractl.spec.plants import on_plant
 
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to go on with")
@@ -125,9 +125,9 @@ def run(
 
 def _describe(loaded: "LoadedSpec", folder: Path, todo: list[int]) -> None:
     """Print what a run would do; as YAML throughout, so that it can be kept as a spec."""
+    from tetractl.experiment.load import resolved_yaml
     from tetractl.run.batch import log_path
     from tetractl.run.limits import limits
-    from tetractl.spec.load import resolved_yaml
 
     print(f"# {loaded.name} as it would be run; nothing is run or written")
     print(resolved_yaml(loaded.experiment), end="")
@@ -141,7 +141,7 @@ def _describe(loaded: "LoadedSpec", folder: Path, todo: list[int]) -> None:
 
 
 def _check_lab_options(loaded: "LoadedSpec", jobs: int, record_wire: Path | None) -> None:
-    from tetractl.spec.lab import LabSpec
+    from tetractl.experiment.lab import LabSpec
 
     in_lab = isinstance(loaded.experiment.plant, LabSpec)
     if in_lab and jobs > 1:
@@ -161,10 +161,10 @@ def _run(
     from rich.console import Console
 
     from tetractl.control.build import warm_up
+    from tetractl.experiment.lab import LabSpec
     from tetractl.run.batch import run_batch
     from tetractl.run.folder import make_folder, set_aside
     from tetractl.run.interrupt import Interrupt
-    from tetractl.spec.lab import LabSpec
 
     make_folder(folder)
     for trial in todo:
@@ -181,11 +181,11 @@ def _run(
 
             return run_in_lab(loaded, folder, todo, console, interrupt, live, record_wire)
         if live:
-            from tetractl.view.live import LiveView
+            from tetractl.view.terminal.live import LiveView
 
             view = stack.enter_context(LiveView(console))
             return run_batch(loaded, folder, todo, jobs, interrupt, view, [view])
-        from tetractl.view.progress import BatchProgress
+        from tetractl.view.terminal.progress import BatchProgress
 
         unit = loaded.experiment.units.length
         progress = stack.enter_context(BatchProgress(console, len(todo), unit))

@@ -15,7 +15,7 @@ def schema(
 
     Example: tetractl schema -o experiment.schema.json
     """
-    from tetractl.spec.schema import schema_json
+    from tetractl.experiment.yaml.schema import schema_json
 
     if out is None:
         print(schema_json(), end="")

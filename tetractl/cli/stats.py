@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from tetractl.errors import Exit
+from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
     from tetractl.stats.summary import Comparison, Summary
@@ -59,8 +59,8 @@ def stats(
 
 
 def _summary(paths: list[str]) -> "Summary":
-    from tetractl.errors import LogError
-    from tetractl.spec.problems import printable
+    from tetractl.core.errors import LogError
+    from tetractl.experiment.yaml.problems import printable
     from tetractl.stats.summary import summarise
     from tetractl.stats.trials import load_trials
 

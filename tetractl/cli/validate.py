@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tetractl.errors import Exit
+from tetractl.core.errors import Exit
 
 
 def validate(
@@ -32,8 +32,8 @@ def validate(
 
 
 def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
-    from tetractl.spec.load import load_spec, spec_hash
-    from tetractl.spec.problems import InvalidSpecError, printable
+    from tetractl.experiment.load import load_spec, spec_hash
+    from tetractl.experiment.yaml.problems import InvalidSpecError, printable
 
     shown = printable(str(path))
     try:

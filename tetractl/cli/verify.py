@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tetractl.errors import Exit
+from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
     from tetractl.replay.verify import Verification
@@ -27,10 +27,10 @@ def verify(
 
     Example: tetractl verify logs/batch
     """
-    from tetractl.errors import LogError
-    from tetractl.log.find import find_logs
+    from tetractl.core.errors import LogError
+    from tetractl.experiment.yaml.problems import printable
+    from tetractl.log.read.find import find_logs
     from tetractl.replay.verify import verify as check
-    from tetractl.spec.problems import printable
 
     done: list[dict[str, Any]] = []
     good = True

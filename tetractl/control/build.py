@@ -5,14 +5,14 @@ from threading import Timer
 
 import numpy as np
 
-from tetractl.control.compiled import pso
 from tetractl.control.cost import Problem
 from tetractl.control.mpc import PsoMpc
-from tetractl.control.multistart import multistart
-from tetractl.control.plan import Controller
-from tetractl.control.pso import Searcher
-from tetractl.spec.controller import MultistartSpec
-from tetractl.spec.experiment import Experiment
+from tetractl.control.optimizers.compiled import pso
+from tetractl.control.optimizers.multistart import multistart
+from tetractl.control.optimizers.pso import Searcher
+from tetractl.core.protocols import Controller
+from tetractl.experiment.controller import MultistartSpec
+from tetractl.experiment.experiment import Experiment
 
 ANNOUNCE_AFTER_S = 1.0
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tetractl.errors import ControlError
+from tetractl.core.errors import ControlError
+from tetractl.core.poses import Floats, Poses
+from tetractl.experiment.experiment import Experiment
 from tetractl.model.cell import MOTIONS
-from tetractl.model.state import Floats, Poses
-from tetractl.model.world import Obstacles
-from tetractl.spec.experiment import Experiment
+from tetractl.model.obstacles import Obstacles
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,10 @@ and is passed over.
 
 import numpy as np
 
-from tetractl.clock import SECOND
 from tetractl.control.cost import Problem
-from tetractl.control.predictor import Held, glide
-from tetractl.model.state import Floats, Observation, wrap
-from tetractl.model.world import Bools
+from tetractl.control.delay import Held, glide
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Bools, Floats, Observation, wrap
 
 PRIOR = 0.15  # relative standard deviation of a and v before anything is seen
 HEADING_STD = 0.02  # of a measured heading [rad] ...

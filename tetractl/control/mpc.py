@@ -11,16 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.clock import SECOND
 from tetractl.control.cost import Problem, costs_along, predict
-from tetractl.control.draws import mix
+from tetractl.control.delay import Predictor
 from tetractl.control.estimator import Estimator
-from tetractl.control.plan import Outcome, Plan, Search
-from tetractl.control.predictor import Predictor
-from tetractl.control.pso import Searcher, never, pso
-from tetractl.model.state import Floats, Observation
-from tetractl.spec.controller import MultistartSpec
-from tetractl.spec.experiment import Experiment
+from tetractl.control.optimizers.pso import Searcher, never, pso
+from tetractl.control.rng import mix
+from tetractl.core.clock import SECOND
+from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.poses import Floats, Observation
+from tetractl.experiment.controller import MultistartSpec
+from tetractl.experiment.experiment import Experiment
 
 SHARE = 4
 Candidate = tuple[int, Floats | None]

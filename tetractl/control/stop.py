@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from tetractl.model.state import Floats
-from tetractl.spec.controller import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
+from tetractl.core.poses import Floats
+from tetractl.experiment.controller import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
 
 
 def stopped(history: Floats, stop: Stop) -> str | None:

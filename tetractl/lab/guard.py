@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from tetractl.clock import SECOND
-from tetractl.lab.conduct import Conduct
-from tetractl.lab.snapshot import Pose, Snapshot
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.compliance import Conduct
 
 FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
 
@@ -142,14 +142,14 @@ class Guard:
         assert self._conduct is not None
         self._conduct.told(now_ns, speed, turning)
 
-    def believed(self, snapshot: Snapshot) -> tuple[tuple[Pose | None, bool], ...]:
+    def believed(self, snapshot: CameraFrame) -> tuple[tuple[Pose | None, bool], ...]:
         """Return each robot's last believed pose and whether it is of this snapshot."""
         return tuple(
             (track.pose, track.pose is not None and track.seen_ns == snapshot.sampled_ns)
             for track in self._tracks
         )
 
-    def see(self, snapshot: Snapshot) -> None:
+    def see(self, snapshot: CameraFrame) -> None:
         """Take one camera frame."""
         if snapshot.fault:
             self.abort(snapshot.fault)

@@ -3,10 +3,10 @@
 import math
 from dataclasses import dataclass, field
 
-from tetractl.clock import SECOND
-from tetractl.lab.session import Session, heading_gap
-from tetractl.lab.snapshot import Snapshot
-from tetractl.lab.voice import Answer
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import CameraFrame
+from tetractl.lab.actuators.m3pi.protocols import Answer
+from tetractl.lab.rig import Session, heading_gap
 
 POLL_S = 1.0
 LATENCY_FRAMES = 60
@@ -88,7 +88,7 @@ def poll(session: Session) -> list[Answer | None]:
     return session.voice.poll(POLL_S)
 
 
-def unplaced(session: Session, snapshot: Snapshot | None) -> list[str]:
+def unplaced(session: Session, snapshot: CameraFrame | None) -> list[str]:
     """Return, a line a robot, who does not stand on its start and how far off it is."""
     found: list[str] = []
     limits = session.lab.limits
@@ -104,7 +104,7 @@ def unplaced(session: Session, snapshot: Snapshot | None) -> list[str]:
 
 
 def _robot(
-    session: Session, i: int, snapshot: Snapshot | None, answer: Answer | None
+    session: Session, i: int, snapshot: CameraFrame | None, answer: Answer | None
 ) -> RobotFinding:
     name, limits = session.experiment.robots[i].name, session.lab.limits
     off_mm, off_heading = _off(session, i, snapshot)
@@ -129,7 +129,9 @@ def _robot(
     return RobotFinding(name, off_mm, off_heading, placed, answer, tuple(problems), tuple(warnings))
 
 
-def _off(session: Session, i: int, snapshot: Snapshot | None) -> tuple[float | None, float | None]:
+def _off(
+    session: Session, i: int, snapshot: CameraFrame | None
+) -> tuple[float | None, float | None]:
     pose = snapshot.poses[i] if snapshot is not None else None
     if pose is None:
         return None, None
@@ -138,13 +140,13 @@ def _off(session: Session, i: int, snapshot: Snapshot | None) -> tuple[float | N
     return off * session.mm, heading_gap(pose.heading, robot.heading)
 
 
-def _strangers(session: Session, snapshot: Snapshot) -> list[str]:
+def _strangers(session: Session, snapshot: CameraFrame) -> list[str]:
     arena = session.experiment.arena
     inside = [pose for pose in snapshot.strangers if arena.contains(pose.x, pose.y)]
     return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f}" for p in inside]
 
 
-def _watch(session: Session) -> tuple[list[int], float | None, Snapshot | None]:
+def _watch(session: Session) -> tuple[list[int], float | None, CameraFrame | None]:
     """Look at some frames: sorted ages [ns], frame rate [Hz], the newest."""
     client, clock = session.client, session.clock
     first = newest = client.newest

@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 
 from tetractl import __version__
-from tetractl.cache import digest as cache_name
+from tetractl.core.cache import digest as cache_name
 
 PACKAGES = (
     "numpy",

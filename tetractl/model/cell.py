@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tetractl.model.state import Floats
+from tetractl.core.poses import Floats
 
 Time = float | Floats
 State = tuple[Floats, Floats, Floats]

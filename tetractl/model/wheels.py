@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tetractl.model.state import Floats
+from tetractl.core.poses import Floats
 
 
 def wheel_speeds(

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from tetractl.clock import Clock
+from tetractl.core.clock import Clock
+from tetractl.core.protocols import Plant
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.lab import LabSpec
 from tetractl.plant.lab import Hands, LabPlant
-from tetractl.plant.protocol import Plant
 from tetractl.plant.simulation import SimPlant
-from tetractl.spec.experiment import Experiment
-from tetractl.spec.lab import LabSpec
 
 
 def build_plant(

@@ -9,21 +9,20 @@ from typing import Protocol
 
 import numpy as np
 
-from tetractl.clock import SECOND, Clock
-from tetractl.errors import AbortError
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import CameraFrame, Observation, Poses
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.lab import LabSpec
 from tetractl.lab import preflight
-from tetractl.lab.drive import Sent
 from tetractl.lab.guard import Guard, State
+from tetractl.lab.inner_loop import Sent
 from tetractl.lab.preflight import Findings
-from tetractl.lab.session import Session
-from tetractl.lab.snapshot import Snapshot
-from tetractl.lab.tap import NO_TAP, Tap
-from tetractl.model.judge import PathJudge
-from tetractl.model.state import Observation, Poses
-from tetractl.model.world import Obstacles
-from tetractl.plant.protocol import Command, Note, PlantInfo, Sample, Verdict
-from tetractl.spec.experiment import Experiment
-from tetractl.spec.lab import LabSpec
+from tetractl.lab.rig import Session
+from tetractl.lab.wire_tap import NO_TAP, Tap
+from tetractl.model.obstacles import Obstacles
+from tetractl.model.path_check import PathJudge
 
 KEPT = 100_000
 LOOK_NS = SECOND // 5  # how often placing is looked at
@@ -160,7 +159,7 @@ class LabPlant:
         if self.session.guard.state is State.ABORT:
             raise AbortError(self.session.guard.reason)
 
-    def _see(self, snapshot: Snapshot, guard: Guard) -> None:
+    def _see(self, snapshot: CameraFrame, guard: Guard) -> None:
         """Take one frame, in the drive's thread, after the guard judged it."""
         believed = guard.believed(snapshot)
         robots = self.experiment.robots

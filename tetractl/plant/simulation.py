@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.clock import SECOND, Clock
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
+from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.plant import SimSpec
 from tetractl.model.cell import exact
-from tetractl.model.judge import PathJudge
-from tetractl.model.state import Floats, Observation, Poses
+from tetractl.model.obstacles import Obstacles
+from tetractl.model.path_check import PathJudge
 from tetractl.model.wheels import wheel_speeds
-from tetractl.model.world import Obstacles
-from tetractl.plant.protocol import Command, Note, PlantInfo, Sample, Verdict
-from tetractl.spec.experiment import Experiment
-from tetractl.spec.plant import SimSpec
 
 
 @dataclass(slots=True)

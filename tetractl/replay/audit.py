@@ -1,23 +1,23 @@
 """A log checked against itself: what it says twice, or what follows from something else it says."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tetractl.clock import SECOND
-from tetractl.control.plan import Outcome
-from tetractl.log import channels
-from tetractl.log.digest import CHECKSUM
-from tetractl.log.facts import run_facts
-from tetractl.log.gaps import frame_gaps, step_gaps
-from tetractl.log.records import Result, Step, TrialLog
-from tetractl.log.salvage import Contents
-from tetractl.model.state import Observation, Poses
-from tetractl.model.world import Obstacles
-from tetractl.plant.protocol import Command
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Observation, Poses
+from tetractl.core.trial import Result, Step
+from tetractl.log.format import channels
+from tetractl.log.format.digest import CHECKSUM
+from tetractl.log.format.metadata import run_metadata
+from tetractl.log.read.gaps import frame_gaps, step_gaps
+from tetractl.log.read.salvage import Contents
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.model.obstacles import Obstacles
 from tetractl.replay.recompute import Difference
-from tetractl.spec.load import spec_hash
 
 REST = 1e-6  # of a coordinate: how far a robot at rest may be from where it stopped
 LAST_FRAMES = 120  # among which a lab's final poses are
@@ -59,7 +59,7 @@ def audit(log: TrialLog, contents: Contents) -> Findings:
 
 
 def _run(log: TrialLog, stated: dict[str, str]) -> Iterator[Difference]:
-    ours = run_facts(log.start, spec_hash(log.start.experiment))
+    ours = run_metadata(replace(log.start, seed=log.experiment.trials.seed))
     for key in sorted((ours.keys() | stated.keys()) - {CHECKSUM}):
         if ours.get(key) != stated.get(key):
             text = f"states {stated.get(key)!r}, but the resolved spec and the run make it "
@@ -95,7 +95,7 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
     sent: dict[int, list[Command]] = {}
     for command in log.commands:  # an interrupted trial's stop may go with its last step
         sent.setdefault(command.sent_ns, []).append(command)
-    control, simulated = log.start.experiment.controller, log.start.plant.simulated
+    control, simulated = log.experiment.controller, log.start.plant.simulated
     before: Step | None = None
     for step in log.steps:
         at, k = step.observation, step.k
@@ -176,7 +176,7 @@ def _stamps(log: TrialLog, contents: Contents) -> Iterator[Difference]:
 def _result(log: TrialLog, result: Result) -> Iterator[Difference]:
     """The result follows from the poses and the steps."""
     final, verdict = result.verdict.final, result.verdict
-    targets = np.array([robot.target for robot in log.start.experiment.robots])
+    targets = np.array([robot.target for robot in log.experiment.robots])
     errors = final.distances(targets)
     for name, stated, found in (
         ("robot_errors", result.robot_errors, tuple(errors.tolist())),
@@ -194,7 +194,7 @@ def _result(log: TrialLog, result: Result) -> Iterator[Difference]:
         yield Difference(None, "result.final", "is not where the robots were seen last")
     path = log.mocap if log.truth is None else log.truth
     if len(path) and log.start.plant.simulated:  # sampled more finely than the frames
-        obstacles = Obstacles.of(log.start.experiment.obstacles)
+        obstacles = Obstacles.of(log.experiment.obstacles)
         seen = np.nanmin(obstacles.distance(path[..., 0], path[..., 1]), axis=0, initial=np.inf)
         for i, (stated, least) in enumerate(zip(verdict.clearance, seen, strict=True)):
             if stated > least + REST * max(1.0, abs(least)):

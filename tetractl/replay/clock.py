@@ -2,7 +2,7 @@
 
 import math
 
-from tetractl.clock import Clock
+from tetractl.core.clock import Clock
 
 
 class PlayerClock:

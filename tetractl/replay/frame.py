@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.log.records import Result, Step, TrialLog
-from tetractl.model.state import Floats
-from tetractl.spec.experiment import Experiment
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
+from tetractl.core.trial import Result, Step
+from tetractl.log.read.trial_log import TrialLog
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +21,7 @@ class Frame:
     its control steps or the most there can be.
     """
 
-    experiment: Experiment
+    setup: Setup
     time_s: float
     end_s: float | None
     poses: Floats
@@ -33,22 +34,7 @@ class Frame:
     @property
     def distances(self) -> Floats:
         """Each robot's distance to its target, shape (N,)."""
-        return distances(self.experiment, self.poses[:, :2])
-
-
-def targets(experiment: Experiment) -> Floats:
-    """Target positions, shape (N, 2)."""
-    return np.array([robot.target for robot in experiment.robots], dtype=float)
-
-
-def starts(experiment: Experiment) -> Floats:
-    """Start poses, shape (N, 3)."""
-    return np.array([(*robot.start, robot.heading) for robot in experiment.robots], dtype=float)
-
-
-def distances(experiment: Experiment, xy: Floats) -> Floats:
-    """Distances (..., N) from positions (..., N, 2) to the targets."""
-    return np.linalg.norm(xy - targets(experiment), axis=-1)
+        return self.setup.distances(self.poses[:, :2])
 
 
 def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
@@ -72,10 +58,10 @@ class Recording:
             ends.append(log.result.duration_s * 1e9)
         self.end_ns = int(max(ends, default=0))
         self.totals = np.array(
-            [distances(log.start.experiment, step.observation.poses.xy).sum() for step in log.steps]
+            [log.start.setup.distances(step.observation.poses.xy).sum() for step in log.steps]
         )
         self._trail = tracked(log.mocap, log.valid)
-        self._poses = _held(log.mocap, log.valid, starts(log.start.experiment))
+        self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
 
     def at(self, time_ns: int) -> Frame:
         """Return what was to be seen at a time of the trial [ns]."""
@@ -83,7 +69,7 @@ class Recording:
         seen = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
         done = int(np.searchsorted(self.step_ns, time_ns, side="right"))
         return Frame(
-            experiment=log.start.experiment,
+            setup=log.start.setup,
             time_s=time_ns / 1e9,
             end_s=self.end_ns / 1e9,
             poses=self._poses[seen],

@@ -4,8 +4,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from tetractl.clock import Clock
-from tetractl.errors import UsageError
+from tetractl.core.clock import Clock
+from tetractl.core.errors import UsageError
 from tetractl.replay.clock import PlayerClock
 from tetractl.replay.frame import Recording
 

@@ -17,14 +17,15 @@ import numpy as np
 from tetractl.control.build import searcher
 from tetractl.control.cost import Problem, evaluate
 from tetractl.control.mpc import PsoMpc
-from tetractl.control.plan import Outcome, Plan, Search
-from tetractl.control.pso import Searcher, never
+from tetractl.control.optimizers.pso import Searcher, never
 from tetractl.control.stop import stopped
-from tetractl.errors import TetractlError
-from tetractl.log.records import Step, TrialLog
-from tetractl.model.state import Floats, Observation, Poses
+from tetractl.core.errors import TetractlError
+from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.trial import Step
+from tetractl.experiment.controller import PsoMpcSpec, SwarmSpec
+from tetractl.log.read.trial_log import TrialLog
 from tetractl.run.seeds import trial_seeds
-from tetractl.spec.controller import PsoMpcSpec, SwarmSpec
 
 TOLERANCE = 1e-9
 """Relative, of what is re-evaluated."""
@@ -163,11 +164,11 @@ def recompute(log: TrialLog, again: bool) -> Difference | None:
     a gap are not looked at: what the controller knew by then is lost.
     """
     try:
-        key, _ = trial_seeds(log.seed, log.start.trial)
+        key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
-        return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.seed}")
-    rerun = Rerun(searcher(log.start.experiment), again, log.start.experiment.controller)
-    controller = PsoMpc(log.start.experiment, key, rerun, rerun.timer)
+        return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.start.seed}")
+    rerun = Rerun(searcher(log.experiment), again, log.experiment.controller)
+    controller = PsoMpc(log.experiment, key, rerun, rerun.timer)
     for step in first_steps(log):
         rerun.begin(step.plan.searches)
         room = 0.0 if again else ROUNDING * _extent(controller.problem)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tetractl.log import provenance
-from tetractl.log.reader import trial_of
-from tetractl.log.records import TrialLog
-from tetractl.log.salvage import scan
+from tetractl.log.read.reader import trial_of
+from tetractl.log.read.salvage import scan
+from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.audit import audit
 from tetractl.replay.recompute import TOLERANCE, Difference, first_steps, recompute
 

@@ -14,20 +14,21 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Protocol
 
-from tetractl.clock import Clock, MonotonicClock, VirtualClock
 from tetractl.control.build import build_controller
-from tetractl.control.plan import Outcome
-from tetractl.errors import AbortError, TetractlError
-from tetractl.log.records import EPOCH_NS, Observer, Result, Start
-from tetractl.log.writer import LogWriter
+from tetractl.core.clock import Clock, MonotonicClock, VirtualClock
+from tetractl.core.commands import PlantInfo
+from tetractl.core.errors import AbortError, TetractlError
+from tetractl.core.plan import Outcome
+from tetractl.core.protocols import Observer
+from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.log.write.writer import LogWriter
 from tetractl.plant.build import build_plant
 from tetractl.plant.lab import Hands
-from tetractl.plant.protocol import PlantInfo
 from tetractl.run.interrupt import SIGNALS, Interrupt
 from tetractl.run.relay import Relay
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
-from tetractl.spec.load import LoadedSpec
 
 TELL_AGAIN_S = 1.0
 
@@ -108,19 +109,11 @@ def _made(
     """Make a trial from its spec and its number; `hands` are for the lab."""
     experiment = spec.experiment
     key, seed = trial_seeds(experiment.trials.seed, trial)
-    not_open_yet = PlantInfo("", hands is None, 0.0, {})
     return Trial(
-        start=Start(
-            experiment,
-            spec.text,
-            spec.name,
-            trial,
-            not_open_yet,
-            start_unix_ns,
-            spec.attached,
-        ),
+        start=start_of(spec, trial, PlantInfo("", hands is None, 0.0, {}), start_unix_ns),
         plant=build_plant(experiment, clock, seed, hands),
         controller=build_controller(experiment, key),
+        first_plan=experiment.controller.first_plan,
         clock=clock,
         observers=observers,
         interrupt=interrupt,

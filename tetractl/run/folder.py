@@ -4,12 +4,12 @@ import itertools
 from datetime import datetime
 from pathlib import Path
 
-from tetractl.errors import LogError, UsageError
-from tetractl.log.find import PART, SUFFIX
-from tetractl.log.reader import read_result
+from tetractl.core.errors import LogError, UsageError
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import spec_hash
+from tetractl.log.read.find import PART, SUFFIX
+from tetractl.log.read.reader import read_result
 from tetractl.run.batch import log_path
-from tetractl.spec.experiment import Experiment
-from tetractl.spec.load import spec_hash
 
 
 def default_folder(name: str, now: datetime) -> Path:

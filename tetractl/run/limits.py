@@ -1,9 +1,9 @@
 """What an experiment can do at most, and the checks before it is run."""
 
+from tetractl.experiment.controller import Square, SwarmSpec
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.lab import LabSpec, Slave
 from tetractl.run.square import check_square
-from tetractl.spec.controller import Square, SwarmSpec
-from tetractl.spec.experiment import Experiment
-from tetractl.spec.lab import LabSpec, Slave
 
 
 def limits(experiment: Experiment) -> dict[str, str]:

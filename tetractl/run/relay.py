@@ -6,9 +6,10 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from tetractl.errors import LogError, TetractlError
-from tetractl.log.records import Observer, Result, Start, Step
-from tetractl.plant.protocol import Command, Note, Sample
+from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.errors import LogError, TetractlError
+from tetractl.core.protocols import Observer
+from tetractl.core.trial import Result, Start, Step
 
 Call = Callable[[], None] | threading.Event  # an event is set when its turn has come
 

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tetractl.errors import SpecError
+from tetractl.core.errors import SpecError
+from tetractl.core.poses import Floats
+from tetractl.experiment.controller import Square
+from tetractl.experiment.experiment import Experiment
 from tetractl.model.cell import exact
-from tetractl.model.state import Floats
-from tetractl.model.world import Obstacles
-from tetractl.spec.controller import Square
-from tetractl.spec.experiment import Experiment
+from tetractl.model.obstacles import Obstacles
 
 SAMPLES = 64  # of a side, when a square is checked against the arena
 

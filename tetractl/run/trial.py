@@ -6,17 +6,16 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from tetractl.clock import SECOND, Clock
-from tetractl.control.plan import Controller, Outcome, Plan
-from tetractl.errors import TetractlError
-from tetractl.log.records import Observer, Result, Start, Step
-from tetractl.model.state import Observation
-from tetractl.plant.protocol import Command, Note, Plant, PlantInfo
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Command, Note, PlantInfo
+from tetractl.core.errors import TetractlError
+from tetractl.core.plan import Outcome, Plan
+from tetractl.core.poses import Observation
+from tetractl.core.protocols import Controller, Observer, Plant
+from tetractl.core.trial import Result, Start, Step
+from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.square import directions
-from tetractl.spec.controller import Square
 
 Decision = Plan | Outcome
 
@@ -31,6 +30,7 @@ class Trial:
     start: Start
     plant: Plant
     controller: Controller
+    first_plan: FirstPlan
     clock: Clock
     observers: Sequence[Observer]
     interrupt: Interrupt
@@ -70,11 +70,11 @@ class Trial:
 
     def _steps(self, info: PlantInfo) -> tuple[Outcome, str]:
         """Run the control loop of Algorithm 2 until something ends it."""
-        control = self.start.experiment.controller
-        period = round(control.period * SECOND)
+        period_s = self.start.setup.period_s
+        period = round(period_s * SECOND)
         observation = self.plant.observe()
-        if isinstance(control.first_plan, Square):
-            decision = self._plan_driving(observation, info, control.first_plan)
+        if isinstance(self.first_plan, Square):
+            decision = self._plan_driving(observation, info, self.first_plan)
         else:
             decision = self._plan_standing(observation, info)
         began = self.clock.now()
@@ -91,10 +91,10 @@ class Trial:
                 observer.on_step(step)
             if self.interrupt.requested:
                 return Outcome.INTERRUPTED, "interrupted; the step was finished"
-            late = self.clock.now() - (began + round(k * control.period * SECOND))
+            late = self.clock.now() - (began + round(k * period_s * SECOND))
             if late > period:  # an overrun is not made up for by a burst of steps
                 began += late
-            self._sleep_until(began + round((k + 1) * control.period * SECOND))
+            self._sleep_until(began + round((k + 1) * period_s * SECOND))
             observation = self.plant.observe()
             decision = self._plan(observation)
         raise AssertionError("unreachable: the loop ends by returning")
@@ -118,7 +118,7 @@ class Trial:
             planning = pool.submit(self._timed_plan, observation)
             while not planning.done():
                 with self.interrupt.breakable():
-                    wait([planning], timeout=self.start.experiment.controller.period)
+                    wait([planning], timeout=self.start.setup.period_s)
                 self._tell_samples()
             return planning.result()
         finally:
@@ -144,7 +144,7 @@ class Trial:
 
     def _drive_side(self, direction: float, end: int) -> None:
         """Hold a direction until `end`, sent once a control period as in the control loop."""
-        period = round(self.start.experiment.controller.period * SECOND)
+        period = round(self.start.setup.period_s * SECOND)
         while (now := self.clock.now()) < end:
             command = self.plant.steer(direction)
             for observer in self.observers:
@@ -178,8 +178,7 @@ class Trial:
             self.plant.close()
         if verdict.unrest and outcome is not Outcome.ABORTED:
             outcome, reason = Outcome.ABORTED, verdict.unrest
-        targets = np.array([robot.target for robot in self.start.experiment.robots])
-        errors = verdict.final.distances(targets)
+        errors = verdict.final.distances(self.start.setup.targets)
         result = Result(
             outcome=outcome,
             reason=reason,

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from scipy import optimize, stats
 
-from tetractl.model.state import Floats
+from tetractl.core.poses import Floats
 
 CONFIDENCE = 0.95
 RESAMPLES = 9999

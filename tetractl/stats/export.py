@@ -5,7 +5,7 @@ import io
 import math
 from typing import Any
 
-from tetractl.log.records import ResultSummary
+from tetractl.log.read.trial_log import ResultSummary
 from tetractl.stats.estimate import SEED, Difference, Distribution, Interval
 from tetractl.stats.summary import Comparison, Scaled, Summary
 from tetractl.stats.trials import counts

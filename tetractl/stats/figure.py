@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tetractl.errors import LogError, UsageError
-from tetractl.model.state import Floats
+from tetractl.core.errors import LogError, UsageError
+from tetractl.core.poses import Floats
 from tetractl.stats.estimate import Distribution, describe_published
 from tetractl.stats.summary import Comparison, Summary
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from tetractl.log.records import ResultSummary
-from tetractl.spec.experiment import Experiment
+from tetractl.experiment.experiment import Experiment
+from tetractl.log.read.trial_log import ResultSummary
 from tetractl.stats.estimate import Distribution, Interval
 from tetractl.stats.summary import Comparison, Summary
 from tetractl.stats.trials import counts, listing

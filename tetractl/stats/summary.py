@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.control.plan import Outcome
-from tetractl.errors import UsageError
-from tetractl.log.records import ResultSummary
-from tetractl.model.state import Floats
-from tetractl.spec.experiment import Experiment, Reference, Scale
+from tetractl.core.errors import UsageError
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Floats
+from tetractl.experiment.experiment import Experiment, Reference, Scale
+from tetractl.log.read.trial_log import ResultSummary
 from tetractl.stats.estimate import (
     ENOUGH,
     Difference,

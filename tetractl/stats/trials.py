@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tetractl.errors import LogError, UsageError
-from tetractl.log.find import find_logs
-from tetractl.log.reader import read_result
-from tetractl.log.records import ResultSummary
-from tetractl.spec.experiment import Experiment
+from tetractl.core.errors import LogError, UsageError
+from tetractl.experiment.experiment import Experiment
+from tetractl.log.read.find import find_logs
+from tetractl.log.read.reader import read_result
+from tetractl.log.read.trial_log import ResultSummary
 
 """Outcomes decided by the controller: only these trials ran to their end."""
 

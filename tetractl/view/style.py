@@ -1,23 +1,15 @@
 """One look for every picture: colours, type sizes, sizes on paper, and how a file is saved."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from matplotlib import style
 from matplotlib.axes import Axes
-from matplotlib.colors import is_color_like, to_hex
 from matplotlib.figure import Figure
 
-from tetractl.errors import UsageError
-from tetractl.spec.experiment import Experiment, Robot
-
-GREEN, BLUE, RED = "#009E73", "#0072B2", "#D55E00"
-PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
-"""The colour-blind safe colours of Okabe and Ito (2008) without yellow and black, and two more."""
-NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
-"""What the paper's colours are drawn as, so that no two look alike to anyone."""
+from tetractl.core.errors import UsageError
 
 INK, GREY, FAINT = "#222222", "#8A8A8A", "#D0D0D0"
 OBSTACLE, OBSTACLE_EDGE = "#F6DF8B", "#B8960C"
@@ -63,25 +55,9 @@ _METADATA: dict[str, dict[str, Any]] = {
 }
 
 
-def unit_of(experiment: Experiment) -> str:
+def unit_of(unit: str) -> str:
     """Return the length unit as papers write it."""
-    return experiment.units.length.replace("um", "µm")
-
-
-def robot_colors(robots: Sequence[Robot]) -> list[str]:
-    """One colour (#rrggbb) a robot: its own, else by its name, else the next of the palette."""
-    chosen = [_own_color(robot) for robot in robots]
-    free = [color for color in PALETTE if color not in chosen] or list(PALETTE)
-    unnamed = iter(range(len(robots)))
-    return [color or free[next(unnamed) % len(free)] for color in chosen]
-
-
-def _own_color(robot: Robot) -> str | None:
-    if robot.color is None:
-        return NAMED.get(robot.name.lower())
-    if robot.color in NAMED:
-        return NAMED[robot.color]
-    return to_hex(robot.color) if is_color_like(robot.color) else None
+    return unit.replace("um", "µm")
 
 
 @contextmanager

@@ -4,11 +4,11 @@ import numpy as np
 from unit.control.oracle import World
 
 from tetractl.control.cost import Problem, evaluate
-from tetractl.control.pso import Swarm
-from tetractl.model.state import Poses
-from tetractl.model.world import Obstacles
-from tetractl.spec.controller import SwarmSpec
-from tetractl.spec.experiment import Circle, Rectangle
+from tetractl.control.optimizers.pso import Swarm
+from tetractl.core.poses import Poses
+from tetractl.experiment.controller import SwarmSpec
+from tetractl.experiment.experiment import Circle, Rectangle
+from tetractl.model.obstacles import Obstacles
 
 
 def world(

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from tetractl.control.build import build_controller, warm_up
-from tetractl.control.plan import Plan
-from tetractl.model.state import Observation, Poses
-from tetractl.spec.load import load_spec
+from tetractl.core.plan import Plan
+from tetractl.core.poses import Observation, Poses
+from tetractl.experiment.load import load_spec
 
 small = ["controller.horizon_max=4"]
 spec = load_spec(Path("experiments/{name}.yaml"), small).experiment

@@ -7,10 +7,10 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 from unit.control import problems
 
-from tetractl.control import compiled, pso
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels.rollout import costs, lay_out
-from tetractl.spec.controller import SwarmSpec
+from tetractl.control.optimizers import compiled, pso
+from tetractl.experiment.controller import SwarmSpec
 
 MODELS = st.sampled_from(["euler", "arc", "exact"])
 STOPS = st.sampled_from(

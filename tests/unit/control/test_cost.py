@@ -9,9 +9,9 @@ from support.trials import experiment
 from unit.control import oracle, problems
 
 from tetractl.control.cost import Problem, evaluate, predict
-from tetractl.errors import ControlError
-from tetractl.model.state import Poses
-from tetractl.spec.experiment import Rectangle
+from tetractl.core.errors import ControlError
+from tetractl.core.poses import Poses
+from tetractl.experiment.experiment import Rectangle
 
 
 def robot_at(x, y, heading=0.0, a=6.0, speed=100.0, target=(0.0, 0.0)):

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from unit.control.oracle import split_mix
 
-from tetractl.control.draws import bits, mix, uniform, uniform_pair
+from tetractl.control.rng import bits, mix, uniform, uniform_pair
 
 KEYS = st.integers(0, 2**64 - 1)
 PUBLISHED = {  # of the generator's reference implementation

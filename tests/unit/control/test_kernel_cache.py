@@ -8,11 +8,11 @@ from pathlib import Path
 SEARCH = """
 import hashlib, sys
 from pathlib import Path
-from tetractl.control import compiled, multistart
+from tetractl.control.optimizers import compiled, multistart
 from tetractl.control.cost import Problem
-from tetractl.control.kernels.polish import polish
-from tetractl.spec.controller import MultistartSpec, SwarmSpec
-from tetractl.spec.load import load_spec
+from tetractl.control.kernels.levenberg import polish
+from tetractl.experiment.controller import MultistartSpec, SwarmSpec
+from tetractl.experiment.load import load_spec
 
 digest = hashlib.sha256()
 for name in ("three_m3pi", "three_m3pi_paper"):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from support.trials import experiment
 
-from tetractl.control import compiled
 from tetractl.control.cost import Problem, evaluate, predict
-from tetractl.control.draws import mix
 from tetractl.control.mpc import PsoMpc
-from tetractl.control.plan import Outcome, Plan, Search
-from tetractl.errors import ControlError
-from tetractl.model.state import Observation, Poses
+from tetractl.control.optimizers import compiled
+from tetractl.control.rng import mix
+from tetractl.core.errors import ControlError
+from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.poses import Observation, Poses
 
 STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
 TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])

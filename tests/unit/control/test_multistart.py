@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from unit.control import problems
 
 from tetractl.control.cost import Problem, evaluate
-from tetractl.control.multistart import multistart, wrap
-from tetractl.errors import ControlError
-from tetractl.model.state import Poses
-from tetractl.spec.controller import MultistartSpec
-from tetractl.spec.load import load_spec
+from tetractl.control.optimizers.multistart import multistart, wrap
+from tetractl.core.errors import ControlError
+from tetractl.core.poses import Poses
+from tetractl.experiment.controller import MultistartSpec
+from tetractl.experiment.load import load_spec
 
 EXPERIMENT = Path(__file__).parents[3] / "experiments" / "three_m3pi.yaml"
 SMALL = MultistartSpec(type="multistart", particles=20, polished=2, rounds=2, polish_steps=15)

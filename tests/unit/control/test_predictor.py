@@ -3,12 +3,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tetractl.clock import SECOND, VirtualClock
 from tetractl.control.cost import Problem
+from tetractl.control.delay import Predictor
 from tetractl.control.estimator import Estimator
-from tetractl.control.predictor import Predictor
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
-from tetractl.spec.load import load_spec
 
 EXPERIMENT = Path(__file__).parents[3] / "experiments" / "three_m3pi.yaml"
 

@@ -6,10 +6,10 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from unit.control import oracle, problems
 
-from tetractl.control import compiled, pso
 from tetractl.control.cost import evaluate
-from tetractl.errors import ControlError
-from tetractl.spec.controller import SwarmSpec
+from tetractl.control.optimizers import compiled, pso
+from tetractl.core.errors import ControlError
+from tetractl.experiment.controller import SwarmSpec
 
 SEARCHERS = pytest.mark.parametrize("search", [pso.pso, compiled.pso], ids=["numpy", "compiled"])
 NO_STOP = {"type": "budget"}

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from unit.control import problems
 
 from tetractl.control.cost import predict
-from tetractl.control.kernels.polish import lay_route
-from tetractl.control.kernels.slope import backward, trace
+from tetractl.control.kernels.gradient import backward, trace
+from tetractl.control.kernels.levenberg import lay_route
 
 MODELS = st.sampled_from(["euler", "arc", "exact"])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tetractl.control.stop import paper_criterion, stopped
-from tetractl.spec.controller import BudgetStop, PaperStop, RelativeStop, TargetStop
+from tetractl.experiment.controller import BudgetStop, PaperStop, RelativeStop, TargetStop
 
 PAPER = PaperStop(type="paper")
 

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from tetractl.lab.natnet.messages import (
+from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
     Channels,
     Clutter,
@@ -14,8 +14,8 @@ from tetractl.lab.natnet.messages import (
     RigidBody,
     Version,
 )
-from tetractl.lab.natnet.modeldef import pack_modeldef
-from tetractl.lab.natnet.wire import datagram, pack_full_frame
+from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
+from tetractl.lab.cameras.optitrack.wire import datagram, pack_full_frame
 
 NUMBERS = "2.5 2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
 VERSIONS = [Version(*map(int, number.split("."))) for number in NUMBERS.split(" ")]

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tetractl.errors import TetractlError
-from tetractl.lab.errors import WireError
-from tetractl.lab.m3pi import core as firmware
-from tetractl.lab.m3pi.broadcast import (
+from tetractl.core.errors import TetractlError
+from tetractl.lab.actuators.m3pi import core as firmware
+from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
     ROBOTS_MAX,
     WATCHDOG_MS,
@@ -24,8 +23,9 @@ from tetractl.lab.m3pi.broadcast import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.m3pi.cobs import decode, encode, seal
-from tetractl.lab.m3pi.core import Core, Event
+from tetractl.lab.actuators.m3pi.cobs import decode, encode, seal
+from tetractl.lab.actuators.m3pi.core import Core, Event
+from tetractl.lab.errors import WireError
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 FOLDER = Path(__file__).parents[3] / "firmware"

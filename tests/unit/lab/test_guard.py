@@ -5,8 +5,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.guard import Guard, Rules, State
-from tetractl.lab.snapshot import Pose, Snapshot
 
 MS = 1_000_000
 FRAME = 8 * MS
@@ -36,7 +36,7 @@ class Course:
     def frame(self, poses=PLACES, fault="", step=FRAME):
         self.at += step
         self.number += 1
-        self.guard.see(Snapshot(self.number, self.at, self.at, tuple(poses), fault=fault))
+        self.guard.see(CameraFrame(self.number, self.at, self.at, tuple(poses), fault=fault))
         return self.tick()
 
     def tick(self, after=0, failure=None):
@@ -92,7 +92,7 @@ def test_old_frames_that_come_late_are_no_new_frames():
     now = course.at + 200 * MS
     course.guard.tick(now - 80 * MS)
     for i in range(5):  # a burst from a socket's buffer, exposed long ago
-        course.guard.see(Snapshot(99 + i, course.at + (i + 1) * FRAME, now, PLACES))
+        course.guard.see(CameraFrame(99 + i, course.at + (i + 1) * FRAME, now, PLACES))
     assert course.guard.tick(now).moving == (False, False)
 
 
@@ -308,7 +308,7 @@ class GuardMachine(RuleBasedStateMachine):
     def see(self, a, b, age, fault):
         self.number += 1
         sampled = max(0, self.now - age)
-        self.guard.see(Snapshot(self.number, sampled, self.now, (a, b), fault=fault))
+        self.guard.see(CameraFrame(self.number, sampled, self.now, (a, b), fault=fault))
         self.exposed = max(self.exposed or 0, sampled)
         for i, pose in enumerate((a, b)):
             if pose is not None:

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.errors import WireError
-from tetractl.lab.m3pi import cobs
-from tetractl.lab.m3pi.broadcast import (
+from tetractl.lab.actuators.m3pi import cobs
+from tetractl.lab.actuators.m3pi.broadcast import (
     ROBOTS_MAX,
     Command,
     Flag,
@@ -18,6 +17,7 @@ from tetractl.lab.m3pi.broadcast import (
     encode_command,
     encode_reply,
 )
+from tetractl.lab.errors import WireError
 
 u8, u16 = st.integers(0, 255), st.integers(0, 65535)
 counts = st.integers(-127, 127)

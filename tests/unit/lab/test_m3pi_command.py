@@ -4,8 +4,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tetractl.lab.errors import WireError
-from tetractl.lab.m3pi.command import (
+from tetractl.lab.actuators.m3pi.command import (
     STOP,
     Drivetrain,
     Residue,
@@ -13,6 +12,7 @@ from tetractl.lab.m3pi.command import (
     wheel_counts,
     wheel_speeds,
 )
+from tetractl.lab.errors import WireError
 
 wheels = st.builds(Wheel, st.floats(4.0, 12.0), st.integers(0, 20), st.booleans())
 drivetrains = st.builds(Drivetrain, wheels, wheels, st.booleans(), st.integers(21, 127))

@@ -2,8 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.errors import WireError
-from tetractl.lab.m3pi.slave import (
+from tetractl.lab.actuators.m3pi.slave import (
     BATTERY_REQUEST,
     SIGNATURE_REQUEST,
     STOP,
@@ -14,6 +13,7 @@ from tetractl.lab.m3pi.slave import (
     decode_battery,
     encode_wheels,
 )
+from tetractl.lab.errors import WireError
 
 counts = st.integers(-127, 127)
 

@@ -3,7 +3,7 @@
 import pytest
 from natnet_samples import every_version, full_frame, full_modeldef
 
-from tetractl.lab.natnet.wire import HEADER, parse
+from tetractl.lab.cameras.optitrack.wire import HEADER, parse
 
 pytest.importorskip("natnet", reason="the PyPI package natnet is not installed")
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.natnet.messages import RigidBody
-from tetractl.lab.natnet.pose import UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.messages import RigidBody
+from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 
 angles = st.floats(-math.pi, math.pi)
 

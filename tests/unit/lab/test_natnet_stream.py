@@ -3,7 +3,7 @@ import struct
 
 import pytest
 
-from tetractl.lab.natnet.messages import (
+from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
     EchoResponse,
     Frame,
@@ -15,10 +15,10 @@ from tetractl.lab.natnet.messages import (
     Ticks,
     Version,
 )
-from tetractl.lab.natnet.pose import UpAxis
-from tetractl.lab.natnet.stream import FRAME_RATE, UP_AXIS, Stream, Tracked
-from tetractl.lab.natnet.wire import pack
-from tetractl.lab.snapshot import Placement
+from tetractl.lab.cameras.optitrack.placement import Placement
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UP_AXIS, Stream, Tracked
+from tetractl.lab.cameras.optitrack.wire import pack
 
 V41 = Version(4, 1)
 HZ = 10_000_000

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from natnet_samples import every_version, full_frame, full_modeldef
 
-from tetractl.lab.errors import WireError
-from tetractl.lab.natnet import handshake
-from tetractl.lab.natnet.messages import (
+from tetractl.lab.cameras.optitrack import handshake
+from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     BodyName,
     Channels,
@@ -29,8 +28,9 @@ from tetractl.lab.natnet.messages import (
     Ticks,
     Version,
 )
-from tetractl.lab.natnet.modeldef import pack_modeldef
-from tetractl.lab.natnet.wire import datagram, pack, pack_full_frame, parse
+from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
+from tetractl.lab.cameras.optitrack.wire import datagram, pack, pack_full_frame, parse
+from tetractl.lab.errors import WireError
 
 f32 = st.floats(width=32, allow_nan=False)
 f64 = st.floats(allow_nan=False)

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.errors import LogError
-from tetractl.lab.natnet.messages import Request
-from tetractl.lab.natnet.stream import FRAME_RATE, Stream
-from tetractl.lab.natnet.wire import pack
-from tetractl.lab.recorded import Passage, WireRecorder, replay_cameras
-from tetractl.lab.snapshot import Placement
-from tetractl.log import salvage
-from tetractl.log.wire import read_wire
+from tetractl.core.errors import LogError
+from tetractl.lab.cameras.optitrack.messages import Request
+from tetractl.lab.cameras.optitrack.placement import Placement
+from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, Stream
+from tetractl.lab.cameras.optitrack.wire import pack
+from tetractl.lab.recorder import Passage, WireRecorder, replay_cameras
+from tetractl.log.format.wire import read_wire
+from tetractl.log.read import salvage
 
 passages = st.lists(
     st.builds(

@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.errors import WireError
-from tetractl.lab.xbee.frames import (
+from tetractl.lab.actuators.xbee.frames import (
     FRAME_TYPES,
     AtCommand,
     AtResponse,
@@ -23,7 +22,8 @@ from tetractl.lab.xbee.frames import (
     pack_content,
     parse_content,
 )
-from tetractl.lab.xbee.framing import CONTENT_MAX, Decoder, encode
+from tetractl.lab.actuators.xbee.framing import CONTENT_MAX, Decoder, encode
+from tetractl.lab.errors import WireError
 
 FAR = 0x0013A20012345678
 NEAR = 0x0013A200400A0127

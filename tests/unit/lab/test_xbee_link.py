@@ -7,22 +7,22 @@ import tty
 
 import pytest
 
-from tetractl.clock import MonotonicClock
-from tetractl.errors import AbortError
-from tetractl.lab.m3pi.broadcast import Reply, Status, decode_command, encode_reply
-from tetractl.lab.m3pi.cobs import Splitter
-from tetractl.lab.voice import BroadcastVoice, SlaveVoice
-from tetractl.lab.xbee.check import BAUDS, firmware
-from tetractl.lab.xbee.frames import (
+from tetractl.core.clock import MonotonicClock
+from tetractl.core.errors import AbortError
+from tetractl.experiment.lab import Radio
+from tetractl.lab.actuators.m3pi.broadcast import Reply, Status, decode_command, encode_reply
+from tetractl.lab.actuators.m3pi.cobs import Splitter
+from tetractl.lab.actuators.m3pi.protocols import BroadcastVoice, SlaveVoice
+from tetractl.lab.actuators.xbee.check import BAUDS, firmware
+from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
     AtResponse,
     Receive16,
     Transmit16,
     TransmitStatus,
 )
-from tetractl.lab.xbee.framing import Decoder, encode
-from tetractl.lab.xbee.link import Link
-from tetractl.spec.lab import Radio
+from tetractl.lab.actuators.xbee.framing import Decoder, encode
+from tetractl.lab.actuators.xbee.link import Link
 
 SERIES_1 = {b"HV": b"\x17\x44", b"VR": b"\x10\xed", b"BD": b"\x00\x00\x00\x06", b"AP": b"\x02"}
 

@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.control.plan import Outcome, Plan, Search
-from tetractl.log.records import EPOCH_NS, Result, Start, Step
-from tetractl.log.writer import LogWriter
-from tetractl.model.state import Observation, Poses
-from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
-from tetractl.spec.experiment import Experiment
+from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
+from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.poses import Observation, Poses
+from tetractl.core.trial import EPOCH_NS, Result, Start, Step
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.log.write.writer import LogWriter
 
 SPEC_TEXT = "# as somebody wrote it\nname: made-up   # with a comment, and an ü\n"
 OBSTACLES = [
@@ -24,6 +25,7 @@ OBSTACLES = [
 class Made:
     """A trial as its loop would emit it: per control step the frames before it, and the step."""
 
+    experiment: Experiment
     start: Start
     rounds: list[tuple[list[Sample], Step]]
     stop: Command
@@ -103,18 +105,16 @@ def trial(
         solve_ns=tuple(int(n) + host_ns for n in rng.integers(0, 10**9, steps)),
         deadline_misses=host_ns % 7,
     )
-    start = Start(
-        experiment=spec,
-        spec_text=SPEC_TEXT,
-        spec_name="made-up.yaml",
-        trial=index,
-        plant=PlantInfo(
+    start = start_of(
+        LoadedSpec(spec, SPEC_TEXT, "made-up.yaml"),
+        index,
+        PlantInfo(
             "sim" if simulated else "lab", simulated, 120.0, {"a": repr(rng.random()), "fw": "ü=1"}
         ),
-        start_unix_ns=EPOCH_NS if simulated else 1_790_000_000_123_456_789,
+        EPOCH_NS if simulated else 1_790_000_000_123_456_789,
     )
     stop = Command(None, steps * period, tuple((rng.random(robots) < 0.5).tolist()))
-    return Made(start, rounds, stop, result)
+    return Made(spec, start, rounds, stop, result)
 
 
 def write(made: Made, path: Path) -> Path:

@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 from made import trial, write
 
-from tetractl.errors import LogError
-from tetractl.log import desk, sink
-from tetractl.log.reader import content_digest, read_trial
-from tetractl.log.writer import LogWriter
+from tetractl.core.errors import LogError
+from tetractl.log.read.reader import content_digest, read_trial
+from tetractl.log.write import sink
+from tetractl.log.write import spool as desk
+from tetractl.log.write.writer import LogWriter
 from tetractl.run.relay import Relay
 
 

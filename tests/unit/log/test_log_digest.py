@@ -7,9 +7,9 @@ from made import trial, write
 from mcap.records import Attachment, Metadata
 
 from tetractl.log import provenance
-from tetractl.log.channels import HOST_RECORDS, Entry
-from tetractl.log.reader import content_digest, read_result, read_trial
-from tetractl.log.salvage import scan
+from tetractl.log.format.channels import HOST_RECORDS, Entry
+from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.log.read.salvage import scan
 
 
 def _repeating(path: Path) -> list[Entry | Metadata | Attachment]:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tetractl.errors import UsageError
-from tetractl.log.find import find_logs
+from tetractl.core.errors import UsageError
+from tetractl.log.read.find import find_logs
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tetractl.log.reader import content_digest, read_result, read_trial
-from tetractl.log.records import FORMAT_VERSION
+from tetractl.log.format.channels import FORMAT_VERSION
+from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.replay.verify import verify
 
 FOLDER = Path(__file__).parents[2] / "golden"

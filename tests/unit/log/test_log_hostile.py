@@ -16,14 +16,14 @@ from mcap.opcode import Opcode
 from support.fuzz import Original, fuzz
 from support.mutate import rewrite
 
-from tetractl.errors import LogError, TetractlError
-from tetractl.log import salvage
-from tetractl.log.channels import MOCAP, RECOVERED, RESULT, RUN, STEP, TIMING, TRUTH
-from tetractl.log.overview import overview
-from tetractl.log.reader import read_result, read_trial
-from tetractl.log.recover import recover
-from tetractl.log.salvage import MAGIC, Contents, scan
-from tetractl.log.tetractl_pb2 import ControllerStep, MocapSample, Truth
+from tetractl.core.errors import LogError, TetractlError
+from tetractl.log.format.channels import MOCAP, RECOVERED, RESULT, RUN, STEP, TIMING, TRUTH
+from tetractl.log.format.tetractl_pb2 import ControllerStep, MocapSample, Truth
+from tetractl.log.read import salvage
+from tetractl.log.read.overview import overview
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.recover import recover
+from tetractl.log.read.salvage import MAGIC, Contents, scan
 from tetractl.replay.verify import verify
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from made import Made, trial, write
 
-from tetractl.log.reader import content_digest
+from tetractl.log.read.reader import content_digest
 
 SOURCE = Path(__file__).parents[2] / "js"
 INSTALL = (

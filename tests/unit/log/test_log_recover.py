@@ -7,11 +7,11 @@ import pytest
 from made import trial, write
 from sameness import same
 
-from tetractl.errors import LogError
-from tetractl.log.find import find_logs
-from tetractl.log.reader import content_digest, read_result, read_trial
-from tetractl.log.recover import recover, recovered_path
-from tetractl.log.salvage import MAGIC, scan
+from tetractl.core.errors import LogError
+from tetractl.log.read.find import find_logs
+from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.log.read.recover import recover, recovered_path
+from tetractl.log.read.salvage import MAGIC, scan
 from tetractl.stats.trials import load_trials, one_batch
 
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from made import Made, trial, write
 from sameness import same
 
-from tetractl.log.reader import read_result, read_trial
-from tetractl.log.records import TrialLog
-from tetractl.log.writer import LogWriter
-from tetractl.model.state import Poses
-from tetractl.plant.protocol import Command
+from tetractl.core.commands import Command
+from tetractl.core.poses import Poses
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.write.writer import LogWriter
 
 
 def assert_same_trial(log: TrialLog, made: Made) -> None:
@@ -24,7 +24,7 @@ def assert_same_trial(log: TrialLog, made: Made) -> None:
     assert same(log.steps, tuple(made.steps))
     assert same(log.stop, made.stop)
     assert same(log.result, made.result)
-    assert log.seed == made.start.experiment.trials.seed
+    assert log.start.seed == made.experiment.trials.seed
     assert same(log.frames, np.array([item.frame for item in seen], dtype=np.int64))
     assert same(log.mocap_ns, np.array([item.sampled_ns for item in seen], dtype=np.int64))
     assert same(log.received_ns, np.array([item.received_ns for item in seen], dtype=np.int64))
@@ -109,6 +109,6 @@ def test_the_result_is_read_without_the_course(tmp_path: Path) -> None:
     summary = read_result(path)
     assert same(summary.result, made.result)
     assert (summary.trial, summary.seed) == (2, 2**64 - 1)
-    assert (summary.experiment, summary.simulated) == (made.start.experiment, True)
+    assert (summary.experiment, summary.simulated) == (made.experiment, True)
     assert summary.digest == read_trial(path).digest
     assert not summary.recovered

@@ -14,14 +14,14 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 from sameness import same
 
-from tetractl.control.plan import Outcome
-from tetractl.errors import LogError
-from tetractl.log import salvage
-from tetractl.log.digest import CHECKSUM
-from tetractl.log.facts import seal
-from tetractl.log.reader import content_digest, read_result, read_trial
-from tetractl.log.records import TrialLog
-from tetractl.log.salvage import MAGIC, scan
+from tetractl.core.errors import LogError
+from tetractl.core.plan import Outcome
+from tetractl.log.format.digest import CHECKSUM
+from tetractl.log.format.metadata import seal
+from tetractl.log.read import salvage
+from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.log.read.salvage import MAGIC, scan
+from tetractl.log.read.trial_log import TrialLog
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def chunks(log: Path) -> list[tuple[int, int, int]]:
 
 def assert_part_of(damaged: TrialLog, whole: TrialLog) -> None:
     """Every number of a damaged log is one of the whole log's."""
-    assert same(damaged.start.experiment, whole.start.experiment)
+    assert same(damaged.experiment, whole.experiment)
     assert damaged.start.spec_text in ("", whole.start.spec_text)
     assert damaged.seed == whole.seed
     steps = {step.k: step for step in whole.steps}
@@ -199,15 +199,15 @@ def test_a_lost_result_is_computed_from_the_last_true_poses(
     assert result.recovered
     assert found.truth is not None
     final = found.truth[-1]
-    targets = np.array([robot.target for robot in whole.start.experiment.robots])
+    targets = np.array([robot.target for robot in whole.experiment.robots])
     errors = np.hypot(*(final[:, :2] - targets).T)
     assert result.result.robot_errors == tuple(errors)
     assert result.result.total_error == pytest.approx(errors.sum(), rel=1e-15)
     assert same(result.result.verdict.final.array(), final)
     assert result.result.outcome is Outcome.ABORTED
     assert result.result.steps == len(found.steps)
-    box = whole.start.experiment.obstacles[0]
-    circle = whole.start.experiment.obstacles[1]
+    box = whole.experiment.obstacles[0]
+    circle = whole.experiment.obstacles[1]
     inside = [
         any(box.contains(x, y) or circle.contains(x, y) for x, y, _ in found.truth[:, i].tolist())
         for i in range(3)

@@ -12,9 +12,9 @@ from made import Made, experiment, trial, write
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from tetractl.log.records import EPOCH_NS
-from tetractl.log.scene import Scene
-from tetractl.model.state import Observation, Poses
+from tetractl.core.poses import Observation, Poses
+from tetractl.core.trial import EPOCH_NS
+from tetractl.log.format.scene import Scene
 
 
 @pytest.fixture(scope="module")

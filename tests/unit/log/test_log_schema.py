@@ -8,12 +8,12 @@ import pytest
 from made import trial, write
 from mcap.records import Attachment, Metadata
 
-import tetractl.log
-from tetractl.log import tetractl_pb2
-from tetractl.log.channels import CHANNELS
-from tetractl.log.salvage import scan
+import tetractl.log.format
+from tetractl.log.format import tetractl_pb2
+from tetractl.log.format.channels import CHANNELS
+from tetractl.log.read.salvage import scan
 
-FOLDER = Path(tetractl.log.__file__).parent
+FOLDER = Path(tetractl.log.format.__file__).parent
 
 
 def _unversioned(text: str) -> str:
@@ -29,17 +29,17 @@ def test_the_generated_code_is_up_to_date(tmp_path: Path, name: str) -> None:
     code = protoc.main(
         [
             "protoc",
-            f"-I{FOLDER.parents[1]}",
+            f"-I{FOLDER.parents[2]}",
             f"--python_out={tmp_path}",
             f"--pyi_out={tmp_path}",
             str(source),
         ]
     )
     assert code == 0
-    fresh = (tmp_path / "tetractl/log" / name).read_text()
+    fresh = (tmp_path / "tetractl/log/format" / name).read_text()
     assert _unversioned(fresh) == _unversioned((FOLDER / name).read_text()), (
         f"run: {Path(sys.executable).name} -m grpc_tools.protoc -I. --python_out=. --pyi_out=. "
-        "tetractl/log/tetractl.proto"
+        "tetractl/log/format/tetractl.proto"
     )
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from made import trial, write
 
-from tetractl.errors import LogError
-from tetractl.log.reader import read_trial
-from tetractl.log.salvage import scan
-from tetractl.log.writer import LogWriter
+from tetractl.core.errors import LogError
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.salvage import scan
+from tetractl.log.write.writer import LogWriter
 
 
 def test_a_log_is_a_part_until_its_trial_has_ended(tmp_path: Path) -> None:
@@ -125,9 +125,9 @@ FULL_DISK = """
 import resource, sys
 from pathlib import Path
 from made import trial
-from tetractl.errors import LogError
+from tetractl.core.errors import LogError
 from tetractl.log import provenance
-from tetractl.log.writer import LogWriter
+from tetractl.log.write.writer import LogWriter
 
 provenance.environment = lambda: "{}"  # for a size that does not depend on where this runs
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)

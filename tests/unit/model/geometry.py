@@ -2,7 +2,7 @@
 
 import math
 
-from tetractl.spec.experiment import Circle, Rectangle
+from tetractl.experiment.experiment import Circle, Rectangle
 
 
 def gap(thing: Rectangle | Circle, x: float, y: float) -> float:

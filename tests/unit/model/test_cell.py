@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
+from tetractl.core.poses import Poses
 from tetractl.model.cell import MOTIONS, arc, euler, exact
-from tetractl.model.state import Poses
 
 ANGLES = st.floats(-10, 10)
 TURNS = st.floats(0.01, 12)  # a [rad/s]

@@ -6,9 +6,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from unit.model.geometry import gap, meets
 
-from tetractl.model.judge import PathJudge
-from tetractl.model.world import Obstacles
-from tetractl.spec.experiment import Circle, Rectangle
+from tetractl.experiment.experiment import Circle, Rectangle
+from tetractl.model.obstacles import Obstacles
+from tetractl.model.path_check import PathJudge
 
 BOX = Rectangle(type="rectangle", left=1200, bottom=1100, width=200, height=200)
 DISC = Circle(type="circle", center=(750, 900), radius=120)

@@ -8,12 +8,12 @@ from scipy.integrate import solve_ivp
 from support.plants import sim
 from support.trials import experiment
 
-from tetractl.clock import SECOND, VirtualClock
-from tetractl.control import compiled
 from tetractl.control.cost import Problem, predict
 from tetractl.control.mpc import PsoMpc
-from tetractl.control.plan import Outcome
-from tetractl.model.state import Poses
+from tetractl.control.optimizers import compiled
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Poses
 from tetractl.model.wheels import body_velocity
 
 PERIOD = SECOND // 5

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.trials import PERIOD_NS, cut_short, three_robots
 
-from tetractl.errors import UsageError
+from tetractl.core.errors import UsageError
 from tetractl.replay.clock import PlayerClock
 from tetractl.replay.frame import Recording
 from tetractl.replay.player import Player, State, span

@@ -7,18 +7,18 @@ import pytest
 from support import mutate
 from support.mutate import places, rewrite, with_entry
 
-from tetractl.control.plan import Outcome
-from tetractl.errors import LogError
+from tetractl.core.errors import LogError
+from tetractl.core.plan import Outcome
+from tetractl.experiment.load import parse_spec
 from tetractl.log import provenance
-from tetractl.log.channels import CHANNELS, HOST, RESULT, RUN, STEP
-from tetractl.log.reader import read_trial
-from tetractl.log.salvage import Contents, scan
+from tetractl.log.format.channels import CHANNELS, HOST, RESULT, RUN, STEP
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.salvage import Contents, scan
 from tetractl.replay import verify as module
 from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import RECOMPUTED, REEVALUATED, verify
 from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.spec.load import parse_spec
 
 SPEC = """
 name: quick

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from support.trials import experiment
 
-from tetractl.clock import SECOND, VirtualClock
-from tetractl.control.plan import Outcome, Plan, Search
-from tetractl.log.records import EPOCH_NS, Start
-from tetractl.model.state import Observation, Poses
-from tetractl.plant.protocol import Command, PlantInfo, Sample, Verdict
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
+from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.poses import Observation, Poses
+from tetractl.core.trial import EPOCH_NS, Start
+from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.trial import Trial
 
@@ -156,6 +157,7 @@ def bench(
     controller = FakeController(happenings, steps, outcome)
     watchers = [FakeObserver(happenings, name) for name in observers]
     nothing_yet = PlantInfo("", simulated, 0.0, {})
-    start = Start(spec, "", "spec.yaml", 4, nothing_yet, EPOCH_NS)
-    trial = Trial(start, plant, controller, clock, watchers, interrupt)
+    start = start_of(LoadedSpec(spec, "", "spec.yaml"), 4, nothing_yet, EPOCH_NS)
+    first_plan = spec.controller.first_plan
+    trial = Trial(start, plant, controller, first_plan, clock, watchers, interrupt)
     return Bench(trial, happenings, plant, controller, watchers, interrupt)

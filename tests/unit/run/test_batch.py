@@ -3,14 +3,14 @@ from dataclasses import replace
 import pytest
 from unit.log import made
 
-from tetractl.control.draws import mix
-from tetractl.control.plan import Outcome
-from tetractl.log.reader import read_result, read_trial
+from tetractl.control.rng import mix
+from tetractl.core.plan import Outcome
+from tetractl.experiment.load import parse_spec
+from tetractl.log.read.reader import read_result, read_trial
 from tetractl.run import batch
 from tetractl.run.batch import log_path, run_batch, run_trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
-from tetractl.spec.load import parse_spec
 
 QUICK = """
 name: quick
@@ -103,7 +103,7 @@ def test_a_trial_is_logged_under_its_number_with_its_seeds(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["trial-002.mcap"]
     log = read_trial(log_path(tmp_path, 2))
     assert log.result == replace(result, verdict=log.result.verdict)
-    assert (log.start.trial, log.seed, log.damage) == (2, 7, None)
+    assert (log.start.trial, log.start.seed, log.damage) == (2, 7, None)
     assert log.steps[0].plan.generator == mix(trial_seeds(7, 2)[0], 0)
     assert len(set(log.frames.tolist())) == len(log.frames) > 10
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from unit.log import made
 
-from tetractl.control.plan import Outcome
-from tetractl.errors import LogError, UsageError
+from tetractl.core.errors import LogError, UsageError
+from tetractl.core.plan import Outcome
 from tetractl.run.batch import log_path
 from tetractl.run.folder import default_folder, make_folder, set_aside, trials_to_run
 
@@ -18,7 +18,7 @@ def log(folder, index, outcome=Outcome.ARRIVED, **fields):
 
 
 def spec(count=4, seed=None, **fields):
-    found = made.trial(1, steps=2, frames=2, **fields).start.experiment
+    found = made.trial(1, steps=2, frames=2, **fields).experiment
     trials = found.trials.model_copy(update={"count": count} | ({"seed": seed} if seed else {}))
     return found.model_copy(update={"trials": trials})
 

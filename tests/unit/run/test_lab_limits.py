@@ -1,8 +1,8 @@
 from pathlib import Path
 
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import on_plant
 from tetractl.run.limits import limits
-from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
 
 SPEC = Path(__file__).parents[3] / "experiments" / "three_m3pi_lab.yaml"
 

@@ -2,7 +2,7 @@ import threading
 
 import pytest
 
-from tetractl.errors import LogError
+from tetractl.core.errors import LogError
 from tetractl.run import relay
 from tetractl.run.relay import Relay
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from support.durable import ENDLESS
 
-from tetractl.log.reader import read_trial
+from tetractl.experiment.load import parse_spec
+from tetractl.log.read.reader import read_trial
 from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.spec.load import parse_spec
 
 HANDLES = Path("/proc/self/fd")
 SHORT = ["controller.steps_max=5", "plant.camera_rate=30"]

@@ -6,8 +6,8 @@ import pytest
 from support.plants import sim
 from support.trials import experiment
 
-from tetractl.clock import SECOND
-from tetractl.errors import SpecError
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import SpecError
 from tetractl.run.limits import check, limits
 from tetractl.run.square import directions
 

@@ -5,9 +5,9 @@ from itertools import pairwise
 import pytest
 from unit.run.fakes import bench
 
-from tetractl.clock import SECOND
-from tetractl.control.plan import Outcome
-from tetractl.errors import AbortError, ControlError, LogError, TetractlError
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import AbortError, ControlError, LogError, TetractlError
+from tetractl.core.plan import Outcome
 
 PERIOD = SECOND // 5
 DECIDED = [Outcome.ARRIVED, Outcome.SEQUENCE_USED_UP, Outcome.STEPS_MAX]

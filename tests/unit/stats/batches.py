@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.control.plan import Outcome
-from tetractl.log.records import Result, ResultSummary
-from tetractl.model.state import Poses
-from tetractl.plant.protocol import Verdict
-from tetractl.spec.experiment import Experiment
+from tetractl.core.commands import Verdict
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Poses
+from tetractl.core.trial import Result
+from tetractl.experiment.experiment import Experiment
+from tetractl.log.read.trial_log import ResultSummary
 
 REFERENCE = {"source": "Figure 5", "n": 20, "mean": 648.6, "std": 225.1}
 SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from batches import REFERENCE, SCALE, batch, experiment
 
-from tetractl.control.plan import Outcome
+from tetractl.core.plan import Outcome
 from tetractl.stats.export import as_csv, as_json
 from tetractl.stats.summary import compare, summarise
 from tetractl.stats.trials import Damaged

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from batches import REFERENCE, batch, experiment
 
-from tetractl.control.plan import Outcome
-from tetractl.errors import LogError, UsageError
+from tetractl.core.errors import LogError, UsageError
+from tetractl.core.plan import Outcome
 from tetractl.stats.figure import batch_figure, check_plot_path, save_figure
 from tetractl.stats.summary import compare, summarise
 

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from tetractl.control.plan import Outcome
-from tetractl.errors import UsageError
-from tetractl.model.state import Poses
-from tetractl.plant.protocol import Verdict
+from tetractl.core.commands import Verdict
+from tetractl.core.errors import UsageError
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Poses
 from tetractl.stats.summary import compare, summarise
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))

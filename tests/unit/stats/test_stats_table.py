@@ -6,7 +6,7 @@ import pytest
 from batches import REFERENCE, SCALE, batch, experiment, result
 from rich.console import Console
 
-from tetractl.control.plan import Outcome
+from tetractl.core.plan import Outcome
 from tetractl.stats.summary import compare, summarise
 from tetractl.stats.table import as_latex, as_markdown, print_table
 

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from rich.style import Style
 from support.trials import experiment, three_robots
 
+from tetractl.core.setup import Bounds
 from tetractl.replay.frame import Frame, Recording
-from tetractl.spec.experiment import Arena
-from tetractl.view.arena import ACROSS, DOWN, Canvas, Projection, draw
-from tetractl.view.glyphs import ASCII, UNICODE, arrow, bar, sparkline
+from tetractl.view.terminal.arena import ACROSS, DOWN, Canvas, Projection, draw
+from tetractl.view.terminal.glyphs import ASCII, UNICODE, arrow, bar, sparkline
 
 COLORS = ["#009E73", "#0072B2", "#D55E00"]
 lengths = st.floats(1e-3, 1e5)
@@ -42,7 +42,7 @@ def test_right_is_right_and_up_is_up(arena, width, height, ax, ay, bx, by):
 
 
 def test_a_square_stays_square_in_dots():
-    view = Projection.fit(Arena(left=0, bottom=0, width=1000, height=1000), 80, 20)
+    view = Projection.fit(Bounds(0, 0, 1000, 1000), 80, 20)
     columns, rows = view.dots(np.array([[0.0, 0.0], [1000.0, 1000.0]]))
     assert columns[1] - columns[0] == rows[0] - rows[1] == DOWN * 20 - 1
 
@@ -56,7 +56,7 @@ def test_a_square_stays_square_in_dots():
 def test_any_pose_whatever_can_be_drawn(pose, width, height, glyphs):
     spec = experiment()
     frame = Frame(
-        spec,
+        spec.setup,
         0.0,
         None,
         np.array([pose] * 3),
@@ -77,7 +77,7 @@ def test_the_robots_stand_where_they_are_and_look_where_they_head():
     recording = Recording(three_robots())
     frame = recording.at(3_000_000_000)
     canvas = draw(frame, COLORS, UNICODE, 60, 30)
-    view = Projection.fit(frame.experiment.arena, 60, 30)
+    view = Projection.fit(frame.setup.arena, 60, 30)
     text = canvas.text()
     for robot in range(3):
         x, y, heading = frame.poses[robot]

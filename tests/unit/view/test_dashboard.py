@@ -7,13 +7,13 @@ import pytest
 from rich.console import Console
 from support.trials import cut_short, experiment, three_robots
 
+from tetractl.core.colors import robot_colors
 from tetractl.replay.frame import Recording
 from tetractl.replay.player import Player, span
-from tetractl.view.dashboard import Footer
-from tetractl.view.glyphs import ASCII, UNICODE, glyphs_for
-from tetractl.view.recital import line
-from tetractl.view.style import robot_colors
-from tetractl.view.theatre import dashboard
+from tetractl.view.terminal.dashboard import Footer
+from tetractl.view.terminal.glyphs import ASCII, UNICODE, glyphs_for
+from tetractl.view.terminal.replay_screen import dashboard
+from tetractl.view.terminal.replay_text import line
 
 
 class StillWall:
@@ -36,7 +36,7 @@ def screen(recording: Recording, width: int, height: int, seconds: float, **opti
         **options,
     )
     player = Player(recording, StillWall(), span(recording, seconds, None), paused=True)
-    colors = robot_colors(recording.log.start.experiment.robots)
+    colors = robot_colors(recording.log.start.setup.names, recording.log.start.setup.colors)
     shown = dashboard(recording, player, colors, glyphs_for(console))
     with console.capture() as captured:
         console.print(shown, height=height, end="")
@@ -117,7 +117,7 @@ def test_many_robots_are_summed_up():
     log = cut_short(three_robots(), 0)
     many = replace(
         log,
-        start=replace(log.start, experiment=experiment(robots=robots)),
+        start=replace(log.start, setup=experiment(robots=robots).setup),
         mocap=np.empty((0, 40, 3)),
         valid=np.empty((0, 40), dtype=bool),
         truth=None,

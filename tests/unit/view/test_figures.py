@@ -8,11 +8,12 @@ import pytest
 from matplotlib.figure import Figure
 from support.trials import cut_short, experiment, three_robots
 
-from tetractl.errors import LogError, UsageError
-from tetractl.log.records import TrialLog
+from tetractl.core.colors import BLUE, GREEN, RED, robot_colors
+from tetractl.core.errors import LogError, UsageError
+from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures import KINDS, draw
-from tetractl.view.trajectory import trajectory_figure
+from tetractl.view.figures.figures import KINDS, draw
+from tetractl.view.figures.trajectory import trajectory_figure
 
 
 @pytest.fixture
@@ -38,12 +39,12 @@ def test_the_trajectory_shows_arena_trails_and_errors(log):
         seen = log.valid[:, robot]
         assert np.array_equal(trail.get_xydata()[seen], log.mocap[seen, robot, :2])
         assert np.isnan(trail.get_xydata()[~seen]).all()
-        assert trail.get_color() == [style.GREEN, style.BLUE, style.RED][robot]
+        assert trail.get_color() == [GREEN, BLUE, RED][robot]
     text = words(figure)
     assert log.result
     for part in ("x [mm]", "y [mm]", f"total {log.result.total_error:.1f}", "start", "target"):
         assert part in text
-    for robot, error in zip(log.start.experiment.robots, log.result.robot_errors, strict=True):
+    for robot, error in zip(log.experiment.robots, log.result.robot_errors, strict=True):
         assert f"{robot.name}: {error:.1f}" in text
     assert "true path" not in text
 
@@ -67,7 +68,7 @@ def test_several_trials_lie_over_one_another(log):
 
 
 def test_trials_of_different_experiments_do_not_mix(log):
-    other = replace(log, start=replace(log.start, experiment=experiment(obstacles=[])))
+    other = replace(log, experiment=experiment(obstacles=[]))
     with pytest.raises(UsageError, match="different experiments"):
         trajectory_figure([log, other])
 
@@ -82,7 +83,7 @@ def test_robots_that_leave_the_arena_stay_in_the_picture(log):
 
 def test_micrometres_are_written_as_papers_do(log):
     spec = experiment(units={"length": "um"})
-    text = words(trajectory_figure([replace(log, start=replace(log.start, experiment=spec))]))
+    text = words(trajectory_figure([replace(log, start=replace(log.start, setup=spec.setup))]))
     assert "x [µm]" in text
 
 
@@ -197,8 +198,8 @@ def test_colours_follow_own_choice_then_name_then_palette():
         replace_robot(robots[2], name="r2"),
         replace_robot(robots[2], name="r3", color="notacolour"),
     ]
-    colors = style.robot_colors(made)
-    assert colors[:2] == [style.GREEN, "#000000"]
+    colors = robot_colors([r.name for r in made], [r.color for r in made])
+    assert colors[:2] == [GREEN, "#000000"]
     assert len(set(colors)) == 4
 
 

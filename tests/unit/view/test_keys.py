@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.view.keys import decode
+from tetractl.view.terminal.keys import decode
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,11 @@ import pytest
 from rich.console import Console
 from support.trials import samples, three_robots
 
-from tetractl.control.plan import Outcome
-from tetractl.log.records import Observer
+from tetractl.core.plan import Outcome
+from tetractl.core.protocols import Observer
 from tetractl.run.batch import Watcher
-from tetractl.view.live import LiveView
-from tetractl.view.progress import BatchProgress, duration
+from tetractl.view.terminal.live import LiveView
+from tetractl.view.terminal.progress import BatchProgress, duration
 
 
 class Wall:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from numba import config
 
-from tetractl.cache import cache_folder, digest
+from tetractl.core.cache import cache_folder, digest
 
 if "NUMBA_CACHE_DIR" not in os.environ:
     folder = cache_folder() / f"kernels-{digest(Path(__file__).parent.glob('*.py'))}"

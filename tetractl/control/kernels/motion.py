@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tetractl.control.kernels.numeric import (
+from tetractl.control.kernels.math import (
     LARGEST_TURN,
     PART,
     arctan,
@@ -20,8 +20,8 @@ from tetractl.control.kernels.numeric import (
     sincos_quarter,
     wrap,
 )
-from tetractl.control.kernels.world import in_rectangle
-from tetractl.model.state import Floats
+from tetractl.control.kernels.obstacles import in_rectangle
+from tetractl.core.poses import Floats
 
 EULER, ARC, EXACT, GENTLE = range(4)
 MODELS = {"euler": EULER, "arc": ARC, "exact": EXACT}

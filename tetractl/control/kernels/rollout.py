@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from tetractl.control.cost import Problem
+from tetractl.control.kernels.math import KERNEL, PART, sincos
 from tetractl.control.kernels.motion import (
     GENTLE,
     advance,
@@ -18,10 +19,9 @@ from tetractl.control.kernels.motion import (
     gentle_past_one,
     model_code,
 )
-from tetractl.control.kernels.moving import move
-from tetractl.control.kernels.numeric import KERNEL, PART, sincos
-from tetractl.control.kernels.world import count_hits, count_one
-from tetractl.model.state import Floats
+from tetractl.control.kernels.obstacles import count_hits, count_one
+from tetractl.control.kernels.update import move
+from tetractl.core.poses import Floats
 
 LINE = 8  # numbers in a cache line
 

@@ -3,17 +3,18 @@
 from collections.abc import Callable
 from functools import partial
 
-from tetractl.errors import SpecError
+from tetractl.core.errors import SpecError
+from tetractl.core.setup import METRES
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.lab import LabRobot, LabSpec, LabWheel
+from tetractl.experiment.lab import Slave as SlaveSpec
+from tetractl.lab.actuators.m3pi.command import Drivetrain, Wheel
+from tetractl.lab.cameras.optitrack.messages import BodyName, Version
+from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.emulate.module import Settings
 from tetractl.lab.emulate.robot import Battery, Firmware, Program, Robot, Slave
 from tetractl.lab.emulate.script import Script, TrueRobot
-from tetractl.lab.emulate.sight import Sight, View
-from tetractl.lab.m3pi.command import Drivetrain, Wheel
-from tetractl.lab.natnet.messages import BodyName, Version
-from tetractl.lab.natnet.pose import UpAxis
-from tetractl.spec.experiment import METRES, Experiment
-from tetractl.spec.lab import LabRobot, LabSpec, LabWheel
-from tetractl.spec.lab import Slave as SlaveSpec
+from tetractl.lab.emulate.tracked_body import Sight, View
 
 MODES = {"transparent": 0, "api1": 1, "api2": 2}
 SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zigbee

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import TYPE_CHECKING
 
+from tetractl.lab.cameras.optitrack.messages import Version
 from tetractl.lab.emulate.robot import Firmware
 from tetractl.lab.emulate.script import Fault
-from tetractl.lab.natnet.messages import Version
 
 if TYPE_CHECKING:
     from tetractl.lab.emulate.lab import EmulatedLab

@@ -6,7 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.lab import LabSpec
+from tetractl.experiment.lab import Slave as SlaveSpec
 from tetractl.lab.emulate import build
+from tetractl.lab.emulate.command_log import Witness
 from tetractl.lab.emulate.faults import Injector
 from tetractl.lab.emulate.loop import Loop, Timeline
 from tetractl.lab.emulate.motive import Motive, Streaming
@@ -15,11 +19,7 @@ from tetractl.lab.emulate.radio import Radio
 from tetractl.lab.emulate.record import Record
 from tetractl.lab.emulate.robot import Robot
 from tetractl.lab.emulate.script import Fault, Script
-from tetractl.lab.emulate.sight import Sight, expose
-from tetractl.lab.emulate.witness import Witness
-from tetractl.spec.experiment import Experiment
-from tetractl.spec.lab import LabSpec
-from tetractl.spec.lab import Slave as SlaveSpec
+from tetractl.lab.emulate.tracked_body import Sight, expose
 
 TICK_NS = 2_000_000  # how often robots are asked for answers and looked at
 FLUSH_NS = 200_000_000

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from tetractl.lab.xbee.frames import (
+from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
     BROADCAST_64,
     AtCommand,
@@ -24,7 +24,7 @@ from tetractl.lab.xbee.frames import (
     TransmitStatus,
     TransmitStatusLong,
 )
-from tetractl.lab.xbee.framing import Decoder, encode
+from tetractl.lab.actuators.xbee.framing import Decoder, encode
 
 SECOND = 1_000_000_000
 GUARD_NS = SECOND

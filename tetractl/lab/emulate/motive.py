@@ -7,14 +7,14 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
-from tetractl.errors import TetractlError
-from tetractl.lab.emulate.desk import SECOND, Address, Desk, ticks
+from tetractl.core.errors import TetractlError
+from tetractl.lab.cameras.optitrack.messages import BodyName, Frame, RigidBody, Ticks, Version
+from tetractl.lab.cameras.optitrack.wire import pack, parse
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.mangle import mangle
+from tetractl.lab.emulate.motive_server import SECOND, Address, Desk, ticks
 from tetractl.lab.emulate.streaming import Counts, Streaming, Trouble
 from tetractl.lab.errors import WireError
-from tetractl.lab.natnet.messages import BodyName, Frame, RigidBody, Ticks, Version
-from tetractl.lab.natnet.wire import pack, parse
 
 EDIT_MODE = 4
 DATAGRAMS_A_TURN = 100

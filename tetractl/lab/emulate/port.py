@@ -7,7 +7,7 @@ import tty
 from contextlib import suppress
 from pathlib import Path
 
-from tetractl.errors import UsageError
+from tetractl.core.errors import UsageError
 
 _BAUDS = {
     getattr(termios, f"B{baud}"): baud for baud in (1200, 2400, 4800, 9600, 19200, 38400, 57600)

@@ -7,11 +7,11 @@ its bytes on the robot's UART. Broadcasts are not acknowledged; a unicast is tri
 import random
 from collections.abc import Callable, Sequence
 
+from tetractl.lab.actuators.xbee.frames import BROADCAST_16
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.module import Delivery, Done, Module, Settings
 from tetractl.lab.emulate.port import PseudoPort
 from tetractl.lab.emulate.robot import Robot
-from tetractl.lab.xbee.frames import BROADCAST_16
 
 AIR_NS_A_BYTE = 32_000
 AIR_OVERHEAD = 17  # bytes: preamble, header, checksum

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any, TextIO
 
-from tetractl.errors import TetractlError
+from tetractl.core.errors import TetractlError
 
 
 class Record:

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from tetractl.lab.m3pi.broadcast import Counts
-from tetractl.lab.m3pi.command import Drivetrain, wheel_speeds
-from tetractl.lab.m3pi.core import Core
-from tetractl.lab.m3pi.slave import Drive, Motor, Query, SlaveDecoder
+from tetractl.lab.actuators.m3pi.broadcast import Counts
+from tetractl.lab.actuators.m3pi.command import Drivetrain, wheel_speeds
+from tetractl.lab.actuators.m3pi.core import Core
+from tetractl.lab.actuators.m3pi.slave import Drive, Motor, Query, SlaveDecoder
 
 STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
 STANDING_MM_S = 1.0

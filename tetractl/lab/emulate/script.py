@@ -7,11 +7,11 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from tetractl.spec.base import Finite, Model, Name, NonNegative, Point, Positive
-from tetractl.spec.document import Document, parse_document, read_text
-from tetractl.spec.lab import LabWheel
-from tetractl.spec.load import frozen
-from tetractl.spec.problems import InvalidSpecError, Problem
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
+from tetractl.experiment.lab import LabWheel
+from tetractl.experiment.load import frozen
+from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.problems import InvalidSpecError, Problem
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=-127, le=127)]

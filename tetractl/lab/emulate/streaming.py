@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from tetractl.lab.natnet.messages import MULTICAST_GROUP, Version
-from tetractl.lab.natnet.pose import UpAxis
+from tetractl.lab.cameras.optitrack.messages import MULTICAST_GROUP, Version
+from tetractl.lab.cameras.optitrack.pose import UpAxis
 
 EMULATED_VERSION = Version(4, 1)
 

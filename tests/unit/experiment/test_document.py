@@ -1,0 +1,158 @@
+import pytest
+
+from tetractl.experiment.yaml.document import MAX_BYTES, parse_document, parse_value, read_text
+from tetractl.experiment.yaml.problems import InvalidSpecError
+
+TEXT = """\
+name: x
+robots:
+  - {name: one, start: [900, 800]}
+  - name: two
+    start:
+      - 1.5
+      - "2"
+note: >
+  folded
+  text
+"""
+
+
+def place(document, *loc):
+    found = document.values[loc]
+    return found.line, found.column, found.text
+
+
+def test_every_value_has_its_place_and_text():
+    document = parse_document(TEXT, "s.yaml")
+    assert document.data["robots"][1] == {"name": "two", "start": [1.5, "2"]}
+    assert place(document, "name") == (1, 7, "x")
+    assert place(document, "robots", 0, "start") == (3, 24, "[900, 800]")
+    assert place(document, "robots", 0, "start", 1) == (3, 30, "800")
+    assert place(document, "robots", 1) == (4, 5, None)
+    assert place(document, "robots", 1, "start", 1) == (7, 9, '"2"')
+    assert place(document, "note") == (8, 7, None)
+    assert document.keys["robots", 0, "start"].column == 17
+
+
+def test_what_is_missing_is_placed_at_what_is_around_it():
+    document = parse_document(TEXT, "s.yaml")
+    assert document.place(("robots", 0, "target", 1)) == document.values["robots", 0]
+    assert document.place(("arena",)) == document.values[()]
+
+
+def test_a_byte_order_mark_and_windows_line_ends_do_not_shift_places():
+    document = parse_document("\ufeff" + TEXT.replace("\n", "\r\n"), "s.yaml")
+    assert place(document, "robots", 0, "start") == (3, 24, "[900, 800]")
+
+
+def lines(text):
+    document = parse_document(text, "s.yaml")
+    return [str(problem) for problem in document.found]
+
+
+def test_duplicate_keys_are_reported_with_both_lines():
+    assert lines("a: 1\nb: {c: 1, c: 2}\na: 3\n") == [
+        "s.yaml:2:11: b.c: is given twice, first in line 2; keep one",
+        "s.yaml:3:1: a: is given twice, first in line 1; keep one",
+    ]
+
+
+@pytest.mark.parametrize("key", ["1", "true", "~", "[a]", "{a: b}", "1.5"])
+def test_keys_are_text(key):
+    (line,) = lines(f"a: 1\n{key}: 2\n")
+    assert line.startswith("s.yaml:2:")
+    assert "a key must be text" in line
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "!!python/object/apply:os.system [ls]",
+        "!!binary aGVsbG8=",
+        "!!timestamp 2020-01-01",
+        "!!set {a, b}",
+        "!mine 5",
+        "!!int five",
+        "!!seq text",
+        "!!map [1]",
+        "!!omap [a: 1]",
+    ],
+)
+def test_tags_that_are_not_core_or_do_not_fit_are_refused(value):
+    (line,) = lines(f"a: {value}\n")
+    assert line.startswith("s.yaml:1:4: a: the tag !")
+
+
+def test_a_number_may_not_have_thousands_of_digits():
+    (line,) = lines(f"a: {'9' * 5000}\n")
+    assert line == "s.yaml:1:4: a: a number has at most 300 digits"
+
+
+def test_aliases_are_expanded():
+    text = "a: &x {start: [1, 2]}\nb: [*x, *x]\n"
+    assert parse_document(text, "s").data["b"] == [{"start": [1, 2]}] * 2
+
+
+def bomb(levels):
+    rungs = [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, levels)]
+    return "\n".join(["a0: &a0 [x, x]", *rungs])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty"),
+        ("# only this\n", "is empty"),
+        ("- a\n- b\n", "s.yaml:1:1: the top level must be a mapping"),
+        ("hello", "s.yaml:1:1: the top level must be a mapping"),
+        ("!!set {a: null}", "s.yaml:1:1: the tag !!set does not fit"),
+        (bomb(9), "more than 100000 values, counting every use of an alias"),
+        ("a: &a [*a]", "nested deeper than 32 levels"),
+        ("a: &a {b: *a}", "nested deeper than 32 levels"),
+    ],
+)
+def test_texts_that_are_no_spec_at_all(text, words):
+    with pytest.raises(InvalidSpecError) as caught:
+        document = parse_document(text, "s.yaml")
+        raise InvalidSpecError(document.found)
+    assert words in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_bad_value_on_the_command_line_has_no_line_number():
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_value("{a: 1, a: !x 2}", "--set b={a: 1, a: !x 2}")
+    assert "--set b={a: 1, a: !x 2}: a: is given twice" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("raw", "words"),
+    [
+        (b"name: \xff\n", ":1:7: is not UTF-8 text"),
+        (b"a: 1\nb: caf\xe9", ":2:7: is not UTF-8 text"),
+        (b"\x7fELF\0\0", "is a binary file"),
+        ("name: x".encode("utf-16"), "is a binary file"),
+        (b"#" * (MAX_BYTES + 1), "is larger than 1 MiB"),
+    ],
+)
+def test_files_that_are_no_text(tmp_path, raw, words):
+    path = tmp_path / "s.yaml"
+    path.write_bytes(raw)
+    with pytest.raises(InvalidSpecError) as caught:
+        read_text(path)
+    assert words in str(caught.value)
+
+
+def test_a_file_of_the_largest_size_is_read(tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_bytes(b"#" * MAX_BYTES)
+    assert len(read_text(path)) == MAX_BYTES
+
+
+def test_missing_files_and_folders(tmp_path):
+    with pytest.raises(InvalidSpecError, match="there is no such file"):
+        read_text(tmp_path / "none.yaml")
+    with pytest.raises(InvalidSpecError, match="is a folder"):
+        read_text(tmp_path)
+    with pytest.raises(InvalidSpecError, match="cannot be read"):
+        read_text(tmp_path / "a\0b")

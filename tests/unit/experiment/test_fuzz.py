@@ -1,0 +1,130 @@
+"""Whatever a file holds, loading it gives an experiment or one line a problem."""
+
+import copy
+from pathlib import Path
+
+from hypothesis import example, given
+from hypothesis import strategies as st
+from support.targets import spec_text
+
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import parse_spec, resolved_yaml, spec_hash
+from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.experiment.yaml.document import parse_document
+
+WRITTEN = (Path(__file__).parents[3] / "experiments" / "three_m3pi.yaml").read_text("utf-8")
+DATA = parse_document(WRITTEN, "three_m3pi.yaml").data
+
+YAMLISH = st.text(st.sampled_from("[]{}:,-&*!|>'\"#%@`?~<= \n\t\r01.eEaxtn\\\x00\ufeffé"))
+SCALARS = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=8)
+    | st.sampled_from(["paper", "relative", "circle", "sim", "pso-mpc", "stand", "mm", "green"])
+)
+KEYS = st.text(max_size=8) | st.sampled_from(
+    ["type", "name", "robots", "arena", "start", "target", "a", "controller", "swarm", "stop", "0"]
+)
+TREES = st.recursive(
+    SCALARS,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=5),
+    max_leaves=15,
+)
+
+
+@given(st.text() | YAMLISH)
+def test_any_text(text):
+    spec_text(text)
+
+
+@given(YAMLISH, st.integers(0, len(WRITTEN)), st.integers(0, 20))
+def test_any_damage_to_a_good_spec(noise, start, length):
+    spec_text(WRITTEN[:start] + noise + WRITTEN[start + length :])
+
+
+@given(st.dictionaries(KEYS, TREES, max_size=6))
+def test_any_tree(tree):
+    spec_text(dump(tree))
+
+
+@st.composite
+def mutated(draw):
+    """Return the data of a good spec with some values replaced or dropped."""
+    data = copy.deepcopy(DATA)
+    for _ in range(draw(st.integers(1, 3))):
+        holder = data
+        while True:
+            keys = list(holder) if isinstance(holder, dict) else list(range(len(holder)))
+            if not keys:
+                break
+            key = draw(st.sampled_from(keys))
+            inner = holder[key]
+            if isinstance(inner, dict | list) and draw(st.booleans()):
+                holder = inner
+                continue
+            if draw(st.booleans()):
+                holder[key] = draw(TREES)
+            else:
+                del holder[key]
+            break
+    return data
+
+
+@given(mutated())
+def test_any_change_to_a_good_spec(data):
+    spec_text(dump(data))
+
+
+@given(st.text(max_size=30) | st.builds("{}={}".format, KEYS, TREES), st.sampled_from(["", "0."]))
+def test_any_setting(setting, step):
+    spec_text(WRITTEN, setting, f"robots.{step}{setting}")
+
+
+NUMBERS = st.floats(-1e6, 1e6)
+POSITIVE = st.floats(1e-6, 1e6)
+INSIDE = st.tuples(st.floats(0, 100), st.floats(0, 100))
+STOPS = st.sampled_from(
+    [{"type": "paper"}, {"type": "relative", "window": 3}, {"type": "target", "cost": 1e-5}]
+)
+
+
+@st.composite
+def experiments(draw):
+    names = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,9}", fullmatch=True)
+    robots = [
+        {
+            "name": name,
+            "start": draw(INSIDE),
+            "heading": draw(NUMBERS),
+            "target": draw(INSIDE),
+            "a": draw(POSITIVE),
+            "speed": draw(POSITIVE),
+        }
+        for name in draw(st.lists(names, min_size=1, max_size=4, unique=True))
+    ]
+    return Experiment.model_validate(
+        {
+            "name": draw(st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,9}", fullmatch=True)),
+            "description": draw(st.text() | st.sampled_from(["1e3", "on", "0o7", "12:30", "~"])),
+            "arena": {"left": 0, "bottom": 0, "width": 100, "height": 100},
+            "robots": robots,
+            "controller": {"period": draw(POSITIVE), "swarm": {"stop": draw(STOPS)}},
+            "trials": {"seed": draw(st.integers(0, 2**64 - 1))},
+        }
+    )
+
+
+GOOD = parse_spec(WRITTEN, "s.yaml").experiment
+NEGATIVE_ZERO = GOOD.model_copy(
+    update={"robots": (GOOD.robots[0].model_copy(update={"heading": -0.0}),)}
+)
+
+
+@given(experiments())
+@example(NEGATIVE_ZERO)
+def test_a_resolved_spec_loads_as_the_same_experiment(experiment):
+    loaded = parse_spec(resolved_yaml(experiment), "resolved").experiment
+    assert loaded == experiment
+    assert spec_hash(loaded) == spec_hash(experiment)

@@ -1,0 +1,364 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tetractl.core.errors import Exit, SpecError
+from tetractl.experiment.load import load_spec, parse_spec, resolved_yaml, spec_hash
+from tetractl.experiment.yaml.problems import InvalidSpecError
+
+EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+GOOD = """\
+name: good
+arena: {left: 0, bottom: 0, width: 100, height: 100}
+robots:
+  - {name: one, start: [10, 10], target: [90, 90], a: 3, speed: 20}
+  - {name: two, start: [10, 20], target: [90, 80], a: 4, speed: 20}
+obstacles:
+  - {type: rectangle, left: 40, bottom: 40, width: 10, height: 10}
+  - {type: circle, center: [60, 20], radius: 5}
+controller:
+  swarm:
+    stop: {type: relative, window: 5}
+"""
+
+
+def problems(text, *sets):
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(text, "s.yaml", sets)
+    assert caught.value.exit == Exit.USAGE
+    return str(caught.value).splitlines()
+
+
+def changed(old, new):
+    assert old in GOOD
+    return GOOD.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        (
+            "start: [10, 10]",
+            "headng: 0, start: [10, 10]",
+            "s.yaml:4:17: robots.0.headng: unknown key; did you mean 'heading'?",
+        ),
+        (
+            "controller:\n",
+            "controller:\n  modle: exact\n",
+            "s.yaml:10:3: controller.modle: unknown key; did you mean 'model'?",
+        ),
+        (
+            "controller:\n",
+            "controller:\n  particles: 3\n",
+            "s.yaml:10:3: controller.particles: unknown key here; "
+            "did you mean 'controller.swarm.particles'?",
+        ),
+        (
+            "window: 5",
+            "frobnicate: 5",
+            "s.yaml:11:28: controller.swarm.stop.frobnicate: unknown key; "
+            "known here: type, window, decrease",
+        ),
+        (
+            "type: circle,",
+            "type: circle, circle: 3,",
+            "s.yaml:8:20: obstacles.1.circle: unknown key; known here: type, center, radius",
+        ),
+        ("a: 3", "a: -3", "s.yaml:4:55: robots.0.a: -3: must be greater than 0"),
+        ("speed: 20", "speed: -20", "s.yaml:4:65: robots.0.speed: -20: must be at least 0"),
+        ("a: 3", "a: .nan", "s.yaml:4:55: robots.0.a: .nan: must be a finite number"),
+        ("a: 3", "a: 1e999", "s.yaml:4:55: robots.0.a: 1e999: must be a finite number"),
+        ("a: 3", "a: on", "s.yaml:4:55: robots.0.a: on: must be a number"),
+        ("a: 3", "a: true", "s.yaml:4:55: robots.0.a: true: must be a number"),
+        ("a: 3", "a: '3'", "s.yaml:4:55: robots.0.a: '3': must be a number; take the quotes away"),
+        ("a: 3", "a:", "s.yaml:4:54: robots.0.a: has no value; must be a number"),
+        ("a: 3", "a: [3]", "s.yaml:4:55: robots.0.a: [3]: must be a number"),
+        ("window: 5", "window: 5.5", "stop.window: 5.5: must be a whole number"),
+        ("window: 5", "window: 0", "stop.window: 0: must be at least 1"),
+        ("[10, 10]", "[10]", "s.yaml:4:24: robots.0.start: [10]: must have 2 entries"),
+        ("[10, 10]", "[1, 2, 3]", "robots.0.start: [1, 2, 3]: must have at most 2 entries, not 3"),
+        ("[10, 10]", "10", "s.yaml:4:24: robots.0.start: 10: must be a list"),
+        ("[10, 10]", "[10, ten]", "s.yaml:4:29: robots.0.start.1: ten: must be a number"),
+        ("name: good", "name: 5", "s.yaml:1:7: name: 5: must be text; put it in quotes"),
+        (
+            "name: good",
+            "name: a/b",
+            "s.yaml:1:7: name: a/b: must be letters, digits, dots, underscores and hyphens, "
+            "starting with a letter or digit",
+        ),
+        (
+            "controller:\n",
+            "controller:\n  model: exactt\n",
+            "s.yaml:10:10: controller.model: exactt: must be one of euler, arc, exact; "
+            "did you mean 'exact'?",
+        ),
+        (
+            "type: rectangle",
+            "type: rectangel",
+            "s.yaml:7:12: obstacles.0.type: rectangel: must be one of rectangle, circle; "
+            "did you mean 'rectangle'?",
+        ),
+        (
+            "type: rectangle, ",
+            "",
+            "s.yaml:7:5: obstacles.0.type: is missing; must be one of rectangle, circle",
+        ),
+        (
+            ", a: 3",
+            "",
+            "s.yaml:4:5: robots.0.a: is missing; add it: turning rate a towards the common "
+            "direction [rad/s], (3)",
+        ),
+        (
+            "obstacles:\n",
+            "plant: {camera_rate: 120, truth_rate: 60}\nobstacles:\n",
+            "s.yaml:6:39: plant.truth_rate: 60: must be at least camera_rate, 120",
+        ),
+        (
+            "obstacles:\n",
+            "plant: {type: sim, truth_rate: 60}\nobstacles:\n",
+            "s.yaml:6:32: plant.truth_rate: 60: must be at least camera_rate, 120",
+        ),
+        (
+            "start: [10, 10]",
+            "start: [45, 50]",
+            "s.yaml:4:24: robots.0.start: [45, 50]: is inside obstacles.0, a rectangle; "
+            "move one of them",
+        ),
+        (
+            "target: [90, 80]",
+            "target: [63, 22]",
+            "s.yaml:5:42: robots.1.target: [63, 22]: is inside obstacles.1, a circle; "
+            "move one of them",
+        ),
+        (
+            "target: [90, 80]",
+            "target: [190, 80]",
+            "s.yaml:5:42: robots.1.target: [190, 80]: is outside the arena; "
+            "must be within x 0 to 100, y 0 to 100",
+        ),
+        (
+            "left: 40",
+            "left: 140",
+            "s.yaml:7:5: obstacles.0: is entirely outside the arena, "
+            "which is x 0 to 100, y 0 to 100",
+        ),
+        (
+            "center: [60, 20]",
+            "center: [104, 104]",
+            "s.yaml:8:5: obstacles.1: is entirely outside the arena, "
+            "which is x 0 to 100, y 0 to 100",
+        ),
+        (
+            "name: two",
+            "name: one",
+            "s.yaml:5:12: robots.1.name: one: robots.0 has this name already; names must differ",
+        ),
+        ("type: relative, window: 5", "type: 3", "stop.type: 3: must be one of paper, relative"),
+        ("{type: relative, window: 5}", "paper", "stop: paper: must be a mapping of keys"),
+    ],
+)
+def test_each_problem_is_one_line_at_its_place(old, new, line):
+    (found,) = problems(changed(old, new))
+    assert line in found
+
+
+def test_obstacles_that_reach_into_the_arena_are_fine():
+    parse_spec(changed("left: 40", "left: -5"), "s.yaml")
+    parse_spec(changed("center: [60, 20]", "center: [103, 103]"), "s.yaml")
+
+
+def test_all_problems_are_reported_at_once_in_the_order_of_lines():
+    text = """\
+name: good
+name: twice
+units: {length: mn}
+arena: {left: 0, bottom: 0, width: 100, height: 100}
+robots:
+  - {name: one, start: [10, 10], target: [90, 190], a: 3, speed: 20}
+  - {name: one, start: [10, 20], target: [90, 80], a: !!set {}, speed: 20}
+  - {name: one, start: [10, 20], target: [90, 80], a: 3, sped: 20}
+trials: {count: 2.5}
+controler: {}
+"""
+    found = problems(text)
+    assert [line.split(": ")[:2] for line in found] == [
+        ["s.yaml:2:1", "name"],
+        ["s.yaml:3:17", "units.length"],
+        ["s.yaml:6:42", "robots.0.target"],
+        ["s.yaml:7:55", "robots.1.a"],
+        ["s.yaml:8:5", "robots.2.speed"],
+        ["s.yaml:8:58", "robots.2.sped"],
+        ["s.yaml:9:17", "trials.count"],
+        ["s.yaml:10:1", "controler"],
+    ]
+
+
+def test_a_list_of_bad_entries_is_not_called_too_short():
+    found = problems("name: x\narena: {left: 0, bottom: 0, width: 9, height: 9}\nrobots: [3]\n")
+    assert found == ["s.yaml:3:10: robots.0: 3: must be a mapping of keys"]
+    (empty,) = problems("name: x\narena: {left: 0, bottom: 0, width: 9, height: 9}\nrobots: []\n")
+    assert empty == "s.yaml:3:9: robots: []: must have at least 1 entries"
+
+
+def test_thousands_of_problems_are_cut_short():
+    text = GOOD + "".join(f"key{i}: 1\n" for i in range(500))
+    found = problems(text)
+    assert len(found) == 101
+    assert found[-1] == "s.yaml: and more; mend these first"
+
+
+def test_control_characters_are_not_printed():
+    (found,) = problems(GOOD + '"\\e[31m\\n": 1\n')
+    assert "\\x1b[31m\\n: unknown key" in found
+
+
+@pytest.mark.parametrize(
+    ("setting", "line"),
+    [
+        (
+            "controller.swarm.particle=200",
+            "controller.swarm.particle: unknown key; did you mean 'particles'?",
+        ),
+        ("controler.period=1", "controler: unknown key; did you mean 'controller'?"),
+        ("particles=3", "did you mean 'controller.swarm.particles'?"),
+        ("robots.0.a=-5", "robots.0.a: -5: must be greater than 0"),
+        ("robots.two.start=[200, 1]", "robots.1.start: [200, 1]: is outside the arena"),
+        (
+            "robots.2.a=5",
+            "robots: has no entry '2'; its entries are 0 to 1 or one, two",
+        ),
+        ("robots.0.start.7=5", "robots.0.start: has no entry '7'; its entries are 0 to 1"),
+        ("name.x=5", "name: has no 'x'; it is a single value"),
+        ("robots", "must be PATH=VALUE"),
+        ("=5", "must be PATH=VALUE"),
+        ("controller..period=5", "controller: a step of the path is empty"),
+        ("trials={count: 1", "not valid YAML"),
+        ("trials.count=", "trials.count: has no value; must be a whole number"),
+        ("trials.count=!!set {}", "trials.count: the tag !!set does not fit"),
+        ("trials={cnt: 3}", "trials.cnt: unknown key; did you mean 'count'?"),
+        (
+            "controller.first_plan.side=3",
+            "controller.first_plan.type: is missing; must be one of stand, square",
+        ),
+    ],
+)
+def test_problems_of_settings_name_the_setting(setting, line):
+    (found,) = problems(GOOD, setting)
+    assert found.startswith(f"--set {setting}: ")
+    assert line in found
+
+
+def test_settings_replace_values():
+    sets = [
+        "controller.swarm.particles=200",
+        "robots.0.a=5",
+        "robots.two.a=1e1",
+        "controller.swarm.stop={type: budget}",
+        "plant.measurement_noise.position=2",
+        "robots.0.start.1=12",
+        "obstacles=[]",
+        "description='a: b'",
+    ]
+    experiment = parse_spec(GOOD, "s.yaml", sets).experiment
+    assert experiment.controller.swarm.particles == 200
+    assert [robot.a for robot in experiment.robots] == [5, 10]
+    assert experiment.controller.swarm.stop.type == "budget"
+    assert experiment.plant.measurement_noise.position == 2
+    assert experiment.robots[0].start == (10, 12)
+    assert experiment.obstacles == ()
+    assert experiment.description == "a: b"
+
+
+def test_a_setting_mends_a_bad_value_of_the_file():
+    text = changed("a: 3", "a: !!set {x}")
+    assert parse_spec(text, "s.yaml", ["robots.0.a=7"]).experiment.robots[0].a == 7
+
+
+def test_problems_of_the_file_and_of_settings_come_together():
+    found = problems(changed("a: 3", "a: -3"), "trials.count=x", "nonsense")
+    assert [line.split(": ")[0] for line in found] == [
+        "s.yaml:4:55",
+        "--set nonsense",
+        "--set trials.count=x",
+    ]
+
+
+def test_a_loaded_spec_keeps_the_text_as_written(tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_bytes(GOOD.replace("\n", "\r\n").encode())
+    loaded = load_spec(path, ["trials.count=3"])
+    assert loaded.text == GOOD.replace("\n", "\r\n")
+    assert (loaded.name, loaded.path) == ("s.yaml", path)
+    assert loaded.experiment == parse_spec(GOOD, "s.yaml", ["trials.count=3"]).experiment
+
+
+@pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_shipped_experiments_load_and_round_trip(path):
+    experiment = load_spec(path).experiment
+    assert parse_spec(resolved_yaml(experiment), "resolved").experiment == experiment
+    assert path.read_text().startswith("# yaml-language-server: $schema=experiment.schema.json\n")
+    assert experiment.name == path.stem.replace("_", "-")
+
+
+@pytest.mark.parametrize("name", ["three_m3pi.yaml", "three_m3pi_paper.yaml"])
+def test_the_reference_experiment_is_that_of_section_v(name):
+    experiment = load_spec(EXPERIMENTS / name).experiment
+    assert [robot.start for robot in experiment.robots] == [(900, 800), (900, 1200), (900, 1600)]
+    assert [robot.target for robot in experiment.robots] == [
+        (1700, 500),
+        (1700, 1500),
+        (1700, 2000),
+    ]
+    assert [(robot.a, robot.speed) for robot in experiment.robots] == [(6, 180), (4, 200), (3, 150)]
+    (obstacle,) = experiment.obstacles
+    assert obstacle.model_dump(exclude={"type"}) == {
+        "left": 1200,
+        "bottom": 1100,
+        "width": 200,
+        "height": 200,
+    }
+    assert (experiment.arena.width, experiment.arena.height) == (1600, 1800)
+    assert experiment.controller.period == 0.2
+    assert experiment.reference is not None
+    assert (experiment.reference.n, experiment.reference.mean, experiment.reference.std) == (
+        20,
+        648.6,
+        225.1,
+    )
+
+
+def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_the_controller_alone():
+    paper = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment
+    ours = load_spec(EXPERIMENTS / "three_m3pi.yaml").experiment
+    assert paper.controller.swarm.stop.type == "paper"
+    assert paper.controller.model == "euler"
+    assert paper.controller.collision.check == "samples"
+    same = {"name": paper.name, "controller": paper.controller}
+    assert ours.model_copy(update=same) == paper
+
+
+def test_the_hash_follows_the_experiment_and_not_its_text():
+    base = spec_hash(parse_spec(GOOD, "s.yaml").experiment)
+    assert len(base) == 64
+    same = "# a comment\n" + GOOD.replace("a: 3", "a: 3.0") + "trials: {seed: 1, count: 20}\n"
+    assert spec_hash(parse_spec(same, "other.yaml").experiment) == base
+    for setting in ("trials.seed=2", "robots.0.a=3.0000001", "controller.swarm.stop.window=6"):
+        assert spec_hash(parse_spec(GOOD, "s.yaml", [setting]).experiment) != base
+
+
+def test_loading_a_spec_does_not_load_numpy():
+    path = EXPERIMENTS / "three_m3pi.yaml"
+    code = (
+        "import sys; from pathlib import Path; from tetractl.experiment.load import load_spec; "
+        f"load_spec(Path({str(path)!r})); print('numpy' in sys.modules)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout == "False\n"
+
+
+def test_an_invalid_spec_is_a_spec_error():
+    with pytest.raises(SpecError):
+        parse_spec("name: x", "s.yaml")

@@ -1,0 +1,108 @@
+"""Algorithm 1 as one kernel: the twin of `tetractl.control.optimizers.pso`."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from tetractl.control.kernels.math import KERNEL, PART
+from tetractl.control.kernels.rollout import roll
+from tetractl.core.poses import Floats
+
+CRITERION, ITERATIONS, TARGET, EVALUATIONS, PAUSED, NOT_FINITE = range(6)
+REASONS = ("criterion", "iterations", "target", "evaluations", "deadline")
+BUDGET_STOP, PAPER_STOP, RELATIVE_STOP, TARGET_STOP = range(4)
+
+
+class Swarm(NamedTuple):
+    """The swarm's state between calls; arrays are updated in place."""
+
+    u: Floats  # (L, P) coordinates
+    v: Floats  # (L, P) velocities
+    best: Floats  # (L, P) local bests, one move behind: see `move`
+    cost: Floats  # (P,) J(u_n)
+    best_cost: Floats  # (P,) J(u_lb,n)
+    better: Floats  # (P,) 1 where u_n has just become the local best
+    u_gb: Floats  # (L,)
+    history: Floats  # (z_max + 1,) J(u_gb)
+
+
+class Rules(NamedTuple):
+    """Parameters of (14)-(20); see `SwarmSpec`."""
+
+    key: np.uint64
+    inertia: float
+    cognitive: float
+    social: float
+    iterations: int
+    budget: int  # evaluations, of which `spent` were used before the first iteration
+    spent: int
+    stop: int
+    window: int
+    decrease: float
+    target: float
+
+
+@njit(**PART)
+def lead(swarm, z):
+    """(18)-(19): note who improved, and let the best become u_gb."""
+    leader, least = -1, swarm.history[z - 1]
+    for n in range(swarm.cost.size):
+        improved = swarm.cost[n] < swarm.best_cost[n]
+        swarm.better[n] = 1.0 if improved else 0.0
+        swarm.best_cost[n] = min(swarm.cost[n], swarm.best_cost[n])
+    for n in range(swarm.cost.size):
+        if swarm.best_cost[n] < least:
+            leader, least = n, swarm.best_cost[n]
+    swarm.history[z] = least
+    if leader >= 0:  # its best is its coordinate now, or the one it started with
+        for j in range(swarm.u_gb.size):
+            fresh = swarm.better[leader] > 0.5
+            swarm.u_gb[j] = swarm.u[j, leader] if fresh else swarm.best[j, leader]
+
+
+@njit(**PART)
+def stop_reason(history, z, rules):
+    """Why to stop after iteration z, or PAUSED: the twin of `tetractl.control.stop`."""
+    if rules.stop == TARGET_STOP and history[z] <= rules.target:
+        return TARGET
+    if rules.stop == RELATIVE_STOP and z > max(rules.window, 10):
+        before = history[z - rules.window]
+        if before - history[z] <= rules.decrease * abs(before):
+            return CRITERION
+    if rules.stop == PAPER_STOP and z > 10:  # (20)
+        c = math.log(history[z - 10])
+        delta = 0.0
+        for m in range(z - 9, z + 1):
+            c += math.log(history[m])
+            delta += math.log(history[m - 1] - history[m])
+        if delta < c / 2:
+            return CRITERION
+    return PAUSED
+
+
+@njit(**KERNEL)
+def iterate(course, swarm, rules, z, pause):
+    """Run iterations z + 1, ... until something stops the search or iteration `pause` is done.
+
+    Returns (reason, iterations done).
+    """
+    u, v, best, better, u_gb = swarm.u, swarm.v, swarm.best, swarm.better, swarm.u_gb
+    length, particles = u.shape
+    key, w, c1, c2 = rules.key, rules.inertia, rules.cognitive, rules.social
+    while True:
+        if z >= rules.iterations:
+            return ITERATIONS, z
+        if rules.spent + (z + 1) * particles > rules.budget:
+            return EVALUATIONS, z
+        if z >= pause:
+            return PAUSED, z
+        first = z * length * particles
+        if not roll(course, u, swarm.cost, True, v, best, better, u_gb, key, first, w, c1, c2):
+            return NOT_FINITE, z
+        z += 1
+        lead(swarm, z)
+        reason = stop_reason(swarm.history, z, rules)
+        if reason != PAUSED:
+            return reason, z

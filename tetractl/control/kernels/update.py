@@ -1,0 +1,40 @@
+"""Particles that move, (14)-(18), with random numbers made where they are used."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tetractl.control.kernels.math import PART
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+S27, S30, S31, S33 = (np.uint64(s) for s in (27, 30, 31, 33))
+LOW_31 = np.uint64(0x7FFF_FFFF)
+UNIT_31 = 2.0**-31
+SPAN = 2 * math.pi  # |ub - lb|, (15)
+
+
+@njit(**PART)
+def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
+    """(14)-(17) of signal j of every particle, with draws first, first + 1, ...
+
+    Before it moves, a particle that had just improved leaves its coordinate as its local best,
+    (18): done here, where the row is at hand anyway.
+    """
+    c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1 and r2 are integers here, of 31 bits
+    base = key + np.uint64(first + 1) * GOLDEN
+    for n in range(u.shape[1]):
+        z = base + np.uint64(n) * GOLDEN
+        z = (z ^ (z >> S30)) * MIX_1
+        z = (z ^ (z >> S27)) * MIX_2
+        z = z ^ (z >> S31)
+        r1 = np.float64(np.int32(z >> S33))
+        r2 = np.float64(np.int32(z & LOW_31))
+        at = u[j, n]
+        own = at if better[n] > 0.5 else best[j, n]
+        best[j, n] = own
+        velocity = inertia * v[j, n] + c1 * r1 * (own - at) + c2 * r2 * (u_gb - at)
+        velocity = max(-SPAN, min(velocity, SPAN))
+        v[j, n] = velocity
+        u[j, n] = max(-math.pi, min(at + velocity, math.pi))

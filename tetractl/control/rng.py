@@ -1,0 +1,46 @@
+"""Random numbers by counting: a draw depends on its key and its index alone.
+
+The generator is SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): draw i of a key is a 64-bit
+mixing of key + (i + 1) * golden ratio. Plans therefore depend on neither threads nor the order
+in which particles are computed, and the compiled kernels draw the very same numbers.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.poses import Floats
+
+Bits = NDArray[np.uint64]
+
+GOLDEN = 0x9E3779B97F4A7C15
+MASK = 0xFFFF_FFFF_FFFF_FFFF
+
+
+def mix(key: int, index: int) -> int:
+    """Return draw `index` of `key`: 64 random bits. Also derives a new key from a key."""
+    z = (key + (index + 1) * GOLDEN) & MASK
+    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & MASK
+    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & MASK
+    return z ^ (z >> 31)
+
+
+def bits(key: int, first: int, count: int) -> Bits:
+    """Return draws first, ..., first + count - 1 of `key`, shape (count,)."""
+    with np.errstate(over="ignore"):
+        z = np.arange(first + 1, first + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
+        z += np.uint64(key)
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+def uniform(key: int, first: int, count: int) -> Floats:
+    """Return numbers uniform in [0, 1) with 53 random bits each, shape (count,)."""
+    return (bits(key, first, count) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+
+def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
+    """Return two independent numbers uniform in [0, 1) from each draw, 31 random bits each."""
+    z = bits(key, first, count)
+    high, low = z >> np.uint64(33), z & np.uint64(0x7FFF_FFFF)
+    return high.astype(np.float64) * 2.0**-31, low.astype(np.float64) * 2.0**-31

@@ -1,0 +1,1 @@
+"""The vocabulary of all packages: poses, commands, plans, trials, protocols, clock, errors."""

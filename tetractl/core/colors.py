@@ -1,0 +1,29 @@
+"""The colours of robots, the same in every picture, page and viewer."""
+
+from collections.abc import Sequence
+
+GREEN, BLUE, RED = "#009E73", "#0072B2", "#D55E00"
+PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
+"""The colour-blind safe colours of Okabe and Ito (2008) without yellow and black, and two more."""
+NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
+"""What the paper's colours are drawn as, so that no two look alike to anyone."""
+
+
+def robot_colors(names: Sequence[str], colors: Sequence[str | None]) -> list[str]:
+    """Return one colour (#rrggbb) a robot: its own, else by its name, else the palette's next."""
+    chosen = [_own_color(name, color) for name, color in zip(names, colors, strict=True)]
+    free = [color for color in PALETTE if color not in chosen] or list(PALETTE)
+    unnamed = iter(range(len(chosen)))
+    return [color or free[next(unnamed) % len(free)] for color in chosen]
+
+
+def _own_color(name: str, color: str | None) -> str | None:
+    if color is None:
+        return NAMED.get(name.lower())
+    if color in NAMED:
+        return NAMED[color]
+    if color.startswith("#"):
+        return color.lower()
+    from matplotlib.colors import is_color_like, to_hex  # slow to import; only names need it
+
+    return to_hex(color) if is_color_like(color) else None

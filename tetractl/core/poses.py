@@ -1,0 +1,89 @@
+"""Where the robots are: poses, camera frames and observations."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """One robot's planar pose: x, y in the spec's length unit, heading in rad from +x."""
+
+    x: float
+    y: float
+    heading: float
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Planar poses of N robots.
+
+    x, y in the spec's length unit, heading in rad anticlockwise from +x and not wrapped; each of
+    shape (N,).
+    """
+
+    x: Floats
+    y: Floats
+    heading: Floats
+
+    @classmethod
+    def of(cls, array: Floats) -> Self:
+        """Return poses from an array of shape (N, 3): x, y, heading."""
+        return cls(*(np.ascontiguousarray(column) for column in array.T))
+
+    def array(self) -> Floats:
+        """Return shape (N, 3): x, y, heading."""
+        return np.column_stack([self.x, self.y, self.heading])
+
+    @property
+    def xy(self) -> Floats:
+        """Positions, shape (N, 2)."""
+        return np.column_stack([self.x, self.y])
+
+    def distances(self, points: Floats) -> Floats:
+        """Distance of each robot to its own point, points (N, 2); shape (N,)."""
+        return np.hypot(*(self.xy - points).T)
+
+
+def wrap(angles: Floats) -> Floats:
+    """Return angles [rad] brought into [-pi, pi]."""
+    return angles - 2 * np.pi * np.round(angles / (2 * np.pi))
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFrame:
+    """What a camera system saw of N robots at one instant, in the spec's coordinates.
+
+    `poses` has one entry a robot, None where a robot is not tracked. `sampled_ns` is the time of
+    exposure and `received_ns` the time of arrival at the host, both on the run's clock. `strangers`
+    are tracked bodies that are no robot. `fault` says why the stream must not be trusted, "" where
+    it may be.
+    """
+
+    number: int
+    sampled_ns: int
+    received_ns: int
+    poses: tuple[Pose | None, ...]
+    strangers: tuple[Pose, ...] = ()
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """The newest camera frame at one instant, as the controller is given it.
+
+    `sampled_ns` is the time of exposure and `received_ns` the time of arrival at the host, both on
+    the trial's clock; `valid` (N,) tells which robots were tracked in that frame. A robot that was
+    not keeps its last pose.
+    """
+
+    frame: int
+    sampled_ns: int
+    received_ns: int
+    poses: Poses
+    valid: Bools

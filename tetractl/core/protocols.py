@@ -1,0 +1,181 @@
+"""The seams: what a plant, a controller, an observer and the lab's devices must offer."""
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Protocol, Self
+
+from tetractl.core.commands import (
+    Command,
+    Health,
+    Note,
+    PlantInfo,
+    RobotStatus,
+    Sample,
+    Transmission,
+    Verdict,
+)
+from tetractl.core.plan import Outcome, Plan
+from tetractl.core.poses import CameraFrame, Observation, Pose
+from tetractl.core.trial import Result, Start, Step
+
+
+class Plant(Protocol):
+    """N robots under one control signal, simulated or real.
+
+    Calls come in this order: open, then any of observe, steer, samples and news, then stop, settle,
+    close.
+    Times are nanoseconds on the clock the plant was made with, 0 at the trial's start.
+    """
+
+    def open(self) -> PlantInfo:
+        """Make ready; raise AbortError where the plant cannot run."""
+        ...
+
+    def observe(self) -> Observation:
+        """Return the newest camera frame."""
+        ...
+
+    def steer(self, direction: float) -> Command:
+        """Send the common direction u [rad] and return what was really sent."""
+        ...
+
+    def samples(self) -> list[Sample]:
+        """Return, once, every camera frame since the last call, oldest first."""
+        ...
+
+    def news(self) -> list[Command | Note]:
+        """Return, once, what was sent outside `steer` and what was noted, oldest first."""
+        ...
+
+    def stop(self) -> Command:
+        """Stop every robot; idempotent, never raises."""
+        ...
+
+    def settle(self) -> Verdict:
+        """After stop: wait until the robots stand still, and judge the path."""
+        ...
+
+    def close(self) -> None:
+        """Release what open took; idempotent, never raises."""
+        ...
+
+
+class Device(Protocol):
+    """Something of the lab that is opened, looked at and closed; a context manager.
+
+    Entering connects and raises AbortError where that cannot be; leaving releases everything, is
+    idempotent and never raises.
+    """
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+    def check(self) -> Health:
+        """Return what is wrong and what is worth knowing; only looks, moves nothing."""
+        ...
+
+
+class Camera(Device, Protocol):
+    """Tracks N robots in the spec's coordinates.
+
+    Frames come in by themselves once the camera is entered; a camera calls the `wake` it was made
+    with after each. Times are ns on the clock it was made with.
+    """
+
+    @property
+    def newest(self) -> CameraFrame | None:
+        """The newest frame, None before the first."""
+        ...
+
+    @property
+    def damaged(self) -> int:
+        """Deliveries dropped so far because they could not be read; only grows."""
+        ...
+
+    def frames(self) -> list[CameraFrame]:
+        """Return, once, every frame since the last call, oldest first."""
+        ...
+
+
+class Actuator(Device, Protocol):
+    """Turns the common direction into motion of N robots.
+
+    `individual` tells whether one robot can be held still while the others move. Sending raises
+    AbortError where the device does not take it; `failure` says why from then on.
+    """
+
+    individual: bool
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two transmissions under a held direction [ns]."""
+        ...
+
+    @property
+    def failure(self) -> str | None:
+        """Why nothing can be sent any more, None while all is well."""
+        ...
+
+    def steer(
+        self,
+        direction: float,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        """Send the common direction u [rad] and return what was really sent.
+
+        `poses` are the newest of each robot, exposed at `exposed_ns`; None where a robot is not
+        tracked. Robots that may not be `moving` are held still where that is possible.
+        """
+        ...
+
+    def stop(self, emergency: bool = False) -> Transmission:
+        """Stop every robot; an emergency stop latches where the device can."""
+        ...
+
+    def poll(self, timeout_s: float) -> list[RobotStatus]:
+        """Ask every robot for its status; only before a run."""
+        ...
+
+
+class Controller(Protocol):
+    """Chooses the common direction at each control step; one object lasts one trial."""
+
+    def plan(self, observation: Observation) -> Plan | Outcome:
+        """Decide the next direction, `signals[0]` of the plan, or that the trial is over."""
+        ...
+
+
+class Observer(Protocol):
+    """Watches a trial: the log writer, the live view and the progress are observers."""
+
+    def on_start(self, start: Start) -> None:
+        """Before the first step."""
+        ...
+
+    def on_samples(self, samples: list[Sample]) -> None:
+        """Camera frames, oldest first, each once."""
+        ...
+
+    def on_step(self, step: Step) -> None:
+        """After each control step; `step.command` is not told again by `on_command`."""
+        ...
+
+    def on_command(self, command: Command) -> None:
+        """A command sent outside the control steps, as in the square before the first plan."""
+        ...
+
+    def on_note(self, note: Note) -> None:
+        """Something a person should know of, such as a robot that does not move as told."""
+        ...
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """After the robots were stopped, whatever the reason."""
+        ...

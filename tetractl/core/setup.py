@@ -1,0 +1,93 @@
+"""The numbers of an experiment as arrays, computed once and handed to whoever needs them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tetractl.core.poses import Bools, Floats, Poses
+
+METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
+"""Metres in each length unit a spec may declare."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """An axis-aligned rectangle, its edge included [length unit]."""
+
+    left: float
+    bottom: float
+    right: float
+    top: float
+
+    @property
+    def width(self) -> float:
+        """Extent in x."""
+        return self.right - self.left
+
+    @property
+    def height(self) -> float:
+        """Extent in y."""
+        return self.top - self.bottom
+
+    def contains(self, x: float, y: float) -> bool:
+        """Return whether a point lies in the rectangle."""
+        return self.left <= x <= self.right and self.bottom <= y <= self.top
+
+
+class Shape(Protocol):
+    """The shape of an obstacle in the plane; its edge belongs to it. Lengths in the spec's unit."""
+
+    type: str
+
+    def contain(self, x: Floats, y: Floats) -> Bools:
+        """Return whether each point lies in the shape, p(s) of (13)."""
+        ...
+
+    def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
+        """Return whether each straight segment from (x0, y0) to (x1, y1) touches the shape."""
+        ...
+
+    def distance(self, x: Floats, y: Floats) -> Floats:
+        """Return the signed distance of each point to the edge, negative inside."""
+        ...
+
+    def grown(self, margin: float) -> "Shape":
+        """Return the shape grown by a margin on every side."""
+        ...
+
+    def outline(self) -> Floats:
+        """Return the corners of a closed polygon that draws the shape, (M, 2), anticlockwise."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What is fixed in an experiment of N robots before anything moves.
+
+    `unit` is the length unit of every number and `metres` its length. `targets` (N, 2); `a` (N,)
+    rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the largest
+    number of control steps and `iterations_max` that of an optimiser's iterations in one search.
+    `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without wheels.
+    """
+
+    name: str
+    unit: str
+    metres: float
+    names: tuple[str, ...]
+    colors: tuple[str | None, ...]
+    starts: Poses
+    targets: Floats
+    a: Floats
+    speed: Floats
+    arena: Bounds
+    obstacles: Sequence[Shape]
+    period_s: float
+    steps_max: int
+    iterations_max: int
+    wheel_radius: float | None
+
+    def distances(self, xy: Floats) -> Floats:
+        """Return the distances (..., N) of positions (..., N, 2) to the targets."""
+        return np.linalg.norm(xy - self.targets, axis=-1)

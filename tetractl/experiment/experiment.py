@@ -1,0 +1,204 @@
+"""The experiment: everything a batch of trials depends on."""
+
+import math
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag
+
+from tetractl.core.poses import Poses
+from tetractl.core.setup import METRES, Bounds, Setup
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
+from tetractl.experiment.controller import PsoMpcSpec
+from tetractl.experiment.lab import LabSpec
+from tetractl.experiment.plant import SimSpec, Wheels
+
+
+class Units(Model):
+    """Units of the numbers in the spec. Angles are radians and times seconds."""
+
+    length: Literal["um", "mm", "cm", "m"] = "mm"
+    """Of every position, distance, speed and cost."""
+
+
+class Rectangle(Model):
+    """An axis-aligned rectangle, given as the paper gives it: [left, bottom, width, height]."""
+
+    type: Literal["rectangle"]
+    left: Finite
+    """Least x [length unit]."""
+    bottom: Finite
+    """Least y [length unit]."""
+    width: Positive
+    """Extent in x [length unit]."""
+    height: Positive
+    """Extent in y [length unit]."""
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a point lies in the rectangle, its edge included."""
+        inside_x = self.left <= x <= self.left + self.width
+        return inside_x and self.bottom <= y <= self.bottom + self.height
+
+
+class Circle(Model):
+    """A round obstacle."""
+
+    type: Literal["circle"]
+    center: Point
+    """Centre [x, y]."""
+    radius: Positive
+    """Radius [length unit]."""
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a point lies in the disc, its edge included."""
+        return math.hypot(x - self.center[0], y - self.center[1]) <= self.radius
+
+
+Obstacle = Annotated[Rectangle | Circle, Field(discriminator="type")]
+
+
+class Arena(Model):
+    """The field of view: the rectangle in which robots and obstacles stand."""
+
+    left: Finite
+    """Least x [length unit]."""
+    bottom: Finite
+    """Least y [length unit]."""
+    width: Positive
+    """Extent in x [length unit]."""
+    height: Positive
+    """Extent in y [length unit]."""
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a point lies in the arena, its edge included."""
+        inside_x = self.left <= x <= self.left + self.width
+        return inside_x and self.bottom <= y <= self.bottom + self.height
+
+
+class Robot(Model):
+    """One robot: where it starts, where it is to go, and how it moves, (1)-(3)."""
+
+    name: Name
+    """Name, unique in the experiment: letters, digits, spaces, dots, underscores and hyphens,
+    starting with a letter or digit."""
+    start: Point
+    """Start position [x, y]."""
+    heading: Finite = 0.0
+    """Start heading theta, anticlockwise from +x [rad]."""
+    target: Point
+    """Target position [x, y]."""
+    a: Positive
+    """Turning rate a towards the common direction [rad/s], (3)."""
+    speed: NonNegative
+    """Speed v [length unit/s]."""
+    color: str | None = Field(default=None, pattern=r"^(#[0-9a-fA-F]{6}|[a-z]{3,20})$")
+    """Colour in pictures: a matplotlib name or #rrggbb; by default from a colour-blind safe
+    list."""
+
+
+class Trials(Model):
+    """How often the experiment is repeated, and the seed all randomness comes from."""
+
+    count: int = Field(default=20, ge=1, le=1_000_000)
+    """Number of trials."""
+    seed: int = Field(default=1, ge=0, lt=2**64)
+    """Root of every trial's random numbers: the same seed gives the same trials."""
+
+
+class Reference(Model):
+    """A published result that the statistics are compared with, in the spec's length unit."""
+
+    source: str = Field(min_length=1, max_length=500)
+    """Where the result was published."""
+    n: int = Field(ge=2)
+    """Number of trials."""
+    mean: NonNegative
+    """Mean total error."""
+    std: NonNegative
+    """Standard deviation (n - 1) of the total error."""
+
+
+class Scale(Model):
+    """The paper's scaling of an error to another kind of robot by the ratio of speeds (page 6)."""
+
+    name: str = Field(min_length=1, max_length=100)
+    """What the error is scaled to, for instance `T. pyriformis`."""
+    unit: Literal["um", "mm", "cm", "m"] = "um"
+    """Length unit of the numbers here."""
+    speed: Positive
+    """Speed of the robots scaled to [unit/s]."""
+    body_length: Positive
+    """Their body length [unit]."""
+
+
+def _kind_of_plant(value: Any) -> Any:
+    """Return the tag of a plant; without one it is a simulation."""
+    if isinstance(value, dict):
+        return value.get("type", "sim")
+    return getattr(value, "type", "sim")
+
+
+Plant = Annotated[
+    Annotated[SimSpec, Tag("sim")] | Annotated[LabSpec, Tag("lab")], Discriminator(_kind_of_plant)
+]
+
+
+class Experiment(Model):
+    """One experiment, as read from a YAML spec."""
+
+    name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    """Name of the experiment, which log folders are called after: letters, digits, dots,
+    underscores and hyphens, starting with a letter or digit."""
+    description: str = ""
+    """One or two sentences for people."""
+    units: Units = Units()
+    """Units of all numbers."""
+    arena: Arena
+    """The field of view; starts and targets must lie in it."""
+    robots: tuple[Robot, ...] = Field(min_length=1, max_length=1000)
+    """The robots, all steered by the one direction u."""
+    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
+    """Where no robot may go."""
+    wheels: Wheels | None = None
+    """Wheel geometry; given, the log holds the wheel speeds of (24)-(25) of every command."""
+    controller: PsoMpcSpec = PsoMpcSpec()
+    """What chooses the direction."""
+    plant: Plant = SimSpec()
+    """What the direction steers; a simulation where no `type` is given."""
+    lab: LabSpec | None = None
+    """The lab that `--plant lab` takes in place of `plant`."""
+    trials: Trials = Trials()
+    """How often the experiment is repeated."""
+    reference: Reference | None = None
+    """A published result to compare with."""
+    scale: Scale | None = None
+    """Another kind of robot to scale the error to."""
+
+    @cached_property
+    def setup(self) -> Setup:
+        """The experiment's numbers as arrays."""
+        starts = [(*robot.start, robot.heading) for robot in self.robots]
+        arena, control = self.arena, self.controller
+        return Setup(
+            name=self.name,
+            unit=self.units.length,
+            metres=METRES[self.units.length],
+            names=tuple(robot.name for robot in self.robots),
+            colors=tuple(robot.color for robot in self.robots),
+            starts=Poses.of(np.array(starts, dtype=np.float64)),
+            targets=np.array([robot.target for robot in self.robots], dtype=np.float64),
+            a=np.array([robot.a for robot in self.robots], dtype=np.float64),
+            speed=np.array([robot.speed for robot in self.robots], dtype=np.float64),
+            arena=Bounds(
+                arena.left,
+                arena.bottom,
+                arena.left + arena.width,
+                arena.bottom + arena.height,
+            ),
+            obstacles=self.obstacles,
+            period_s=control.period,
+            steps_max=control.steps_max,
+            iterations_max=control.swarm.iterations,
+            wheel_radius=self.wheels.radius if self.wheels else None,
+        )

@@ -1,0 +1,131 @@
+"""From a spec's text to an Experiment and back, all problems reported at once."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from tetractl.core.commands import PlantInfo
+from tetractl.core.trial import Start
+from tetractl.experiment.consistency import contradictions, lab_contradictions
+from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
+from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.experiment.yaml.document import parse_document, read_text
+from tetractl.experiment.yaml.explain import explain
+from tetractl.experiment.yaml.overrides import override
+from tetractl.experiment.yaml.problems import InvalidSpecError
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedSpec:
+    """A valid spec: the experiment with `--set` applied, and the text as it was written."""
+
+    experiment: Experiment
+    text: str
+    name: str  # file name, without its folder
+    path: Path | None = None
+    attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
+
+
+def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
+    """Read and check a spec file, with `path=value` settings that replace values of it.
+
+    Raises InvalidSpecError, one line a problem: `file:line:column: field: value: what is wrong;
+    what would be right`.
+    """
+    text = read_text(path)
+    return LoadedSpec(_experiment(text, str(path), sets), text, path.name, path)
+
+
+def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:
+    """Check the text of a spec, as `load_spec` does; `name` is what problems call it."""
+    return LoadedSpec(_experiment(text, name, sets), text, name)
+
+
+def resolved_yaml(experiment: Experiment) -> str:
+    """Return a spec with every field, defaults too, that loads as the same experiment."""
+    return dump(experiment.model_dump(mode="json"))
+
+
+def spec_hash(experiment: Experiment) -> str:
+    """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count."""
+    return _hash(experiment.model_dump_json())
+
+
+def resolved_hash(text: str) -> str:
+    """Return the `spec_hash` of the experiment that a resolved spec was written from.
+
+    The text decides, not today's fields: a log keeps its hash when a later version adds one.
+    """
+    return _hash(json.dumps(parse_document(text, "resolved spec").data, allow_nan=False))
+
+
+def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
+    """Return the start of a trial of a spec; `plant` may be replaced once it is opened."""
+    experiment = spec.experiment
+    return Start(
+        setup=experiment.setup,
+        spec_text=spec.text,
+        spec_name=spec.name,
+        resolved=resolved_yaml(experiment),
+        spec_hash=spec_hash(experiment),
+        seed=experiment.trials.seed,
+        trial=trial,
+        plant=plant,
+        start_unix_ns=start_unix_ns,
+        attached=spec.attached,
+    )
+
+
+def _hash(fields: str) -> str:
+    # -0.0 equals 0.0 but is written otherwise; adding 0.0 makes one of the two
+    values = json.loads(fields, parse_float=lambda text: float(text) + 0.0)
+    canonical = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:
+    document = parse_document(text, origin)
+    for setting in sets:
+        override(document, setting)
+    experiment = None
+    try:
+        experiment = Experiment.model_validate(frozen(document.data), strict=True)
+    except ValidationError as error:
+        document.problems.extend(explain(error, document))
+    found = list(contradictions(*_valid_parts(document.data)))
+    if experiment is not None:
+        found += lab_contradictions(experiment)
+    for loc, message in found:
+        place = document.place(loc)
+        document.problems.append(place.problem(loc, message, place.text))
+    if document.found or experiment is None:
+        raise InvalidSpecError(document.found)
+    return experiment
+
+
+def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:
+    """Return the arena, robots and obstacles that are valid by themselves."""
+
+    def valid(kind: Any, values: Any) -> Iterator[tuple[int, Any]]:
+        adapter = TypeAdapter(kind)
+        for i, value in enumerate(values if isinstance(values, list) else ()):
+            try:
+                yield i, adapter.validate_python(frozen(value), strict=True)
+            except ValidationError:
+                continue
+
+    arena = dict(valid(Arena, [data.get("arena")])).get(0)
+    robots = dict(valid(Robot, data.get("robots")))
+    return arena, robots, dict(valid(Obstacle, data.get("obstacles")))
+
+
+def frozen(value: Any) -> Any:
+    """Return a document's data with tuples for lists, which is what strict validation wants."""
+    if isinstance(value, dict):
+        return {key: frozen(item) for key, item in value.items()}
+    return tuple(map(frozen, value)) if isinstance(value, list) else value

@@ -1,0 +1,197 @@
+"""A spec's text as plain data that remembers where each value was written."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from tetractl.experiment.yaml.core_yaml import (
+    CORE,
+    STR,
+    NotYamlError,
+    compose,
+    scalar,
+    short_tag,
+    within_limits,
+)
+from tetractl.experiment.yaml.problems import (
+    SHOWN_LENGTH,
+    InvalidSpecError,
+    Loc,
+    Problem,
+    dotted,
+    printable,
+)
+
+MAX_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a value or a key was written: origin, line and column from 1, and its text."""
+
+    origin: str
+    line: int | None = None
+    column: int | None = None
+    text: str | None = None
+
+    def problem(self, loc: Loc, message: str, value: str | None = None) -> Problem:
+        """Return a problem at this place."""
+        return Problem(self.origin, message, self.line, self.column, dotted(loc), value)
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A parsed spec: data, the place of every value and every key, and what was refused.
+
+    `refused` says what is wrong with a value; None stands for it in `data`.
+    """
+
+    origin: str
+    data: dict[str, Any] = field(default_factory=dict)
+    values: dict[Loc, Place] = field(default_factory=dict)
+    keys: dict[Loc, Place] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    refused: dict[Loc, Problem] = field(default_factory=dict)
+
+    @property
+    def found(self) -> list[Problem]:
+        """All problems so far."""
+        return [*self.problems, *self.refused.values()]
+
+    def place(self, loc: Loc) -> Place:
+        """Return the place of a value, or of the nearest thing written around it."""
+        while loc and loc not in self.values:
+            loc = loc[:-1]
+        return self.values.get(loc) or Place(self.origin)
+
+
+def read_text(path: Path) -> str:
+    """Read a spec file; InvalidSpecError names what is wrong with the file itself."""
+    origin = printable(str(path))
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise InvalidSpecError([Problem(origin, "there is no such file")]) from None
+    except IsADirectoryError:
+        raise InvalidSpecError([Problem(origin, "is a folder; name a YAML file in it")]) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InvalidSpecError([Problem(origin, f"cannot be read: {reason}")]) from None
+    if len(raw) > MAX_BYTES:
+        message = f"is larger than {MAX_BYTES >> 20} MiB; a spec is a few kilobytes of YAML"
+        raise InvalidSpecError([Problem(origin, message)])
+    if b"\0" in raw:
+        raise InvalidSpecError([Problem(origin, "is a binary file; a spec is YAML text")])
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
+        message = "is not UTF-8 text; save the file as UTF-8"
+        raise InvalidSpecError([Problem(origin, message, line, column)]) from None
+
+
+def parse_document(text: str, origin: str) -> Document:
+    """Parse a spec's text; raise InvalidSpecError where nothing can be made of it.
+
+    What is wrong but leaves the rest readable is in the document's `problems` and `refused`.
+    """
+    text = text.removeprefix("\ufeff")
+    document = Document(printable(origin))
+    root = _compose(text, document.origin)
+    if root is None:
+        message = "is empty; a spec starts with 'name:'"
+        raise InvalidSpecError([Problem(document.origin, message)])
+    builder = _Builder(text, document)
+    if not isinstance(root, MappingNode):
+        message = "the top level must be a mapping of keys such as 'name:' and 'robots:'"
+        raise InvalidSpecError([builder.place(root).problem((), message)])
+    data = builder.build(root, (), 0)
+    document.data.update(data or {})
+    return document
+
+
+def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
+    """Parse one value, as `--set` takes it, that will stand at `loc`.
+
+    Problems have `origin` as their place, and no line.
+    """
+    document = Document(printable(origin))
+    value, found = None, ()
+    try:
+        root = _compose(text, origin)
+        value = None if root is None else _Builder(text, document).build(root, loc, 0)
+    except InvalidSpecError as error:
+        found = error.problems
+    if found := [*found, *document.found]:
+        raise InvalidSpecError(Problem(p.origin, p.message, field=p.field) for p in found)
+    return value
+
+
+def _compose(text: str, origin: str) -> Node | None:
+    try:
+        return compose(text)
+    except NotYamlError as error:
+        raise InvalidSpecError([_syntax_problem(error, origin)]) from None
+
+
+def _syntax_problem(error: NotYamlError, origin: str) -> Problem:
+    return Problem(origin, printable(str(error), 300), error.line, error.column)
+
+
+class _Builder:
+    """Turns nodes into plain data, expanding aliases within the limits, and fills a document."""
+
+    def __init__(self, text: str, document: Document) -> None:
+        self.text = text
+        self.document = document
+        self.count = 0
+
+    def build(self, node: Node, loc: Loc, depth: int) -> Any:
+        """Return the plain data of a node, noting the place of each value on the way."""
+        self.count += 1
+        try:
+            within_limits(depth, self.count, node.start_mark)
+        except NotYamlError as error:
+            raise InvalidSpecError([_syntax_problem(error, self.document.origin)]) from None
+        self.document.values[loc] = self.place(node)
+        if isinstance(node, MappingNode) and node.tag == CORE + "map":
+            items = self._items(node, loc)
+            return {key: self.build(value, (*loc, key), depth + 1) for key, value in items}
+        if isinstance(node, SequenceNode) and node.tag == CORE + "seq":
+            return [self.build(child, (*loc, i), depth + 1) for i, child in enumerate(node.value)]
+        try:
+            if isinstance(node, ScalarNode):
+                return scalar(node.tag, node.value)
+            raise ValueError(f"the tag {short_tag(node.tag)} does not fit here; leave it out")
+        except ValueError as error:
+            problem = self.document.values[loc].problem(loc, printable(str(error), 200))
+            self.document.refused[loc] = problem
+            return None
+
+    def _items(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Node]]:
+        keys = self.document.keys
+        for key, value in node.value:
+            place = self.place(key)
+            if not isinstance(key, ScalarNode) or key.tag != STR:
+                problem = place.problem(loc, "a key must be text, or in quotes", place.text)
+                self.document.problems.append(problem)
+            elif (*loc, key.value) in keys:
+                first = keys[*loc, key.value].line
+                message = f"is given twice, first in line {first}; keep one"
+                self.document.problems.append(place.problem((*loc, key.value), message))
+            else:
+                keys[*loc, key.value] = place
+                yield key.value, value
+
+    def place(self, node: Node) -> Place:
+        """Return where a node was written, and its text where that is a single line."""
+        start, end = node.start_mark, node.end_mark
+        text = self.text[start.index : end.index].strip()
+        one_line = "\n" not in text and not isinstance(node, MappingNode)
+        shown = printable(text, SHOWN_LENGTH) if one_line and text else None
+        return Place(self.document.origin, start.line + 1, start.column + 1, shown)

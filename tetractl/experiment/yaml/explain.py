@@ -1,0 +1,150 @@
+"""What pydantic found wrong with a spec, in plain words and at its place in the YAML."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from tetractl.experiment.yaml.document import Document
+from tetractl.experiment.yaml.problems import Loc, Problem, did_you_mean
+from tetractl.experiment.yaml.schema import alternatives, child, describe, homes, tag
+
+MAX_EXPLAINED = 1000
+KINDS = {
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "float_type": "must be a number",
+    "finite_number": "must be a finite number",
+    "bool_type": "must be true or false",
+    "string_type": "must be text",
+    "string_unicode": "must be valid Unicode text",
+    "tuple_type": "must be a list",
+    "model_type": "must be a mapping of keys",
+    "model_attributes_type": "must be a mapping of keys",
+    "dict_type": "must be a mapping of keys",
+}
+LIMITS = {
+    "greater_than": "must be greater than {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be less than {lt}",
+    "less_than_equal": "must be at most {le}",
+    "string_too_short": "must have at least {min_length} characters",
+    "string_too_long": "must have at most {max_length} characters",
+    "too_short": "must have at least {min_length} entries",
+    "too_long": "must have at most {max_length} entries, not {actual_length}",
+}
+
+
+def explain(error: ValidationError, document: Document) -> Iterator[Problem]:
+    """Yield the errors as problems, without those the document speaks of already."""
+    every = error.errors(include_url=False, include_input=False)
+    for details in every[:MAX_EXPLAINED]:
+        loc = data_loc(details, document.data)
+        value = _at(document.data, loc)
+        context = details.get("ctx", {})
+        if details["type"] == "too_short" and len(value or ()) >= context["min_length"]:
+            continue  # pydantic counts only the valid entries; those that are not are reported
+        if any(loc[:depth] in document.refused for depth in range(len(loc) + 1)):
+            continue
+        yield _problem(details, loc, value, document)
+
+
+def data_loc(details: ErrorDetails, data: Any) -> Loc:
+    """Return where an error is in the data: pydantic's loc without the tags of unions.
+
+    A validator may point at a field of its model by the context's `field`, see
+    `base.inconsistent`.
+    """
+    steps: list[str | int] = []
+    last = len(details["loc"]) - 1
+    names_a_key = details["type"] in ("missing", "extra_forbidden")
+    for i, step in enumerate(details["loc"]):
+        if not (i == last and names_a_key):
+            is_tag = isinstance(data, dict) and (data.get("type") == step or step not in data)
+            if is_tag or not isinstance(data, dict | list):
+                continue
+        data = child(data, step)
+        steps.append(step)
+    field = details.get("ctx", {}).get("field")
+    return (*steps, field) if isinstance(field, str) else tuple(steps)
+
+
+def _problem(details: ErrorDetails, loc: Loc, value: Any, document: Document) -> Problem:
+    kind, context = details["type"], details.get("ctx", {})
+    if kind == "extra_forbidden":
+        place = document.keys.get(loc) or document.place(loc)
+        return place.problem(loc, _unknown_key(str(loc[-1]), loc[:-1], document.data))
+    if kind == "missing":
+        place = document.place(loc)
+        if isinstance(loc[-1], int):
+            length = len(describe(loc[:-1], document.data).get("prefixItems", ()))
+            return place.problem(loc[:-1], f"must have {length} entries", place.text)
+        about = describe(loc, document.data).get("description")
+        return place.problem(loc, f"is missing; add it{f': {_sentence(about)}' if about else ''}")
+    if kind.startswith("union_tag"):
+        options = [t for t in map(tag, alternatives(describe(loc, document.data))) if t]
+        known = f"must be one of {', '.join(options)}"
+        if kind == "union_tag_not_found":
+            return document.place(loc).problem((*loc, "type"), f"is missing; {known}")
+        wrong = child(value, "type")
+        place = document.place((*loc, "type"))
+        return place.problem((*loc, "type"), known + did_you_mean(str(wrong), options), place.text)
+    place = document.place(loc)
+    message = _words(details, loc, value, document.data)
+    if value is None and loc in document.values and kind != "inconsistent":
+        return place.problem(loc, f"has no value; {message}")
+    text = place.text if loc in document.values else None
+    return place.problem(loc, message, context.get("value", text))
+
+
+def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any) -> str:
+    kind, context = details["type"], details.get("ctx", {})
+    if kind in KINDS:
+        return KINDS[kind] + _quotes(kind, value)
+    if kind in LIMITS:
+        numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
+        return LIMITS[kind].format(**numbers)
+    about = describe(loc, data)
+    if kind == "literal_error":
+        options = [str(option) for option in about.get("enum") or [about.get("const")]]
+        return f"must be one of {', '.join(options)}{did_you_mean(str(value), options)}"
+    if kind == "string_pattern_mismatch":
+        words = about.get("description", context["pattern"])
+        return f"must be {_sentence(words.partition(': ')[2] or words)}"
+    message = details["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    return message[:1].lower() + message[1:]
+
+
+def _unknown_key(key: str, parent: Loc, data: Any) -> str:
+    known = list(describe(parent, data).get("properties", ()))
+    if guess := did_you_mean(key, known):
+        return f"unknown key{guess}"
+    inside = "".join(f"{step}." for step in parent)
+    for home in homes(key):
+        if home.startswith(inside):
+            return f"unknown key here; did you mean '{home}'?"
+    return f"unknown key; known here: {', '.join(known)}"
+
+
+def _quotes(kind: str, value: Any) -> str:
+    if kind == "string_type" and isinstance(value, int | float):
+        return "; put it in quotes"
+    if kind in ("int_type", "float_type") and isinstance(value, str):
+        try:
+            float(value)
+        except ValueError:
+            return ""
+        return "; take the quotes away"
+    return ""
+
+
+def _sentence(text: str) -> str:
+    first = text.split(". ")[0].rstrip(".")
+    return first[:1].lower() + first[1:] if not first[:2].isupper() else first
+
+
+def _at(data: Any, loc: Loc) -> Any:
+    for step in loc:
+        data = child(data, step)
+    return data

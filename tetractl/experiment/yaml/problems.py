@@ -1,0 +1,71 @@
+"""What is wrong with a spec: one line a problem, each with its place."""
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from tetractl.core.errors import SpecError
+
+Loc = tuple[str | int, ...]
+"""Where something is in a spec, as keys and list indices: ("robots", 0, "start")."""
+
+SHOWN_PROBLEMS = 100
+SHOWN_LENGTH = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing to mend.
+
+    `origin` is the spec's file name, or `--set PATH=VALUE` for a value given there; `line` and
+    `column` count from 1 and are None where there are none.
+    """
+
+    origin: str
+    message: str
+    line: int | None = None
+    column: int | None = None
+    field: str = ""
+    value: str | None = None
+
+    @property
+    def where(self) -> str:
+        """`origin:line:column`, as editors and terminals follow it."""
+        return self.origin if self.line is None else f"{self.origin}:{self.line}:{self.column}"
+
+    def __str__(self) -> str:
+        return ": ".join(filter(None, [self.where, self.field, self.value, self.message]))
+
+
+class InvalidSpecError(SpecError):
+    """A spec with problems; the message lists them one a line, and `problems` holds them."""
+
+    def __init__(self, problems: Iterable[Problem], hint: str | None = None) -> None:
+        self.problems = tuple(sorted(problems, key=lambda p: (p.line is None, p.line, p.column)))
+        super().__init__("\n".join(self.lines()), hint)
+
+    def lines(self) -> list[str]:
+        """One line a problem; very many are cut short."""
+        lines = [str(problem) for problem in self.problems[:SHOWN_PROBLEMS]]
+        if len(self.problems) > SHOWN_PROBLEMS:
+            lines.append(f"{self.problems[0].origin}: and more; mend these first")
+        return lines
+
+
+def printable(text: str, length: int | None = None) -> str:
+    """Text safe to print on one line: control characters escaped, cut to `length`."""
+    if length is not None and len(text) > length:
+        text = text[: length - 3] + "..."
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def dotted(loc: Loc) -> str:
+    """`robots.0.start`, as `--set` takes it."""
+    return printable(".".join(map(str, loc)), 200)
+
+
+def did_you_mean(word: str, known: Sequence[str]) -> str:
+    """`; did you mean 'heading'?`, or nothing where no known word is close."""
+    lower = {k.lower(): k for k in known}
+    close = difflib.get_close_matches(word[:SHOWN_LENGTH].lower(), lower, n=1)
+    return f"; did you mean '{lower[close[0]]}'?" if close else ""

@@ -1,0 +1,112 @@
+"""The JSON schema of a spec, and what it says of a place in one."""
+
+import json
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.yaml.problems import Loc
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+
+
+@cache
+def experiment_schema() -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of an experiment; not to be changed."""
+    schema = {"$schema": DRAFT, **Experiment.model_json_schema()}
+    return _unwrapped(schema)
+
+
+def schema_json() -> str:
+    """Return the schema as text, as committed in `experiments/experiment.schema.json`."""
+    return json.dumps(experiment_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def describe(loc: Loc, data: Any) -> dict[str, Any]:
+    """Return the schema of the value at `loc` of a spec's data, {} where there is none.
+
+    `data` decides between the alternatives of a union, by its `type`.
+    """
+    node = _resolved(experiment_schema(), data)
+    for step in loc:
+        data = child(data, step)
+        if isinstance(step, str):
+            node = node.get("properties", {}).get(step, {})
+        else:
+            prefix = node.get("prefixItems", [])
+            node = prefix[step] if step < len(prefix) else node.get("items") or {}
+        node = _resolved(node, data)
+    return node
+
+
+def child(data: Any, step: str | int) -> Any:
+    """Return the value of a key or at an index, None where there is none."""
+    if isinstance(data, dict):
+        return data.get(step)
+    if isinstance(data, list) and isinstance(step, int) and step < len(data):
+        return data[step]
+    return None
+
+
+def alternatives(node: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the schemas a union chooses from, null left out; [] for anything else."""
+    listed = node.get("anyOf") or node.get("oneOf") or []
+    return [_resolved(option, None) for option in listed if option.get("type") != "null"]
+
+
+def tag(node: dict[str, Any]) -> str | None:
+    """Return the `type` that chooses this alternative."""
+    return node.get("properties", {}).get("type", {}).get("const")
+
+
+def homes(key: str) -> Iterator[str]:
+    """Yield the dotted paths of all fields called `key`, as `--set` takes them."""
+
+    def walk(node: dict[str, Any], path: str) -> Iterator[str]:
+        node = dereferenced(node)
+        for option in node.get("anyOf") or node.get("oneOf") or []:
+            yield from walk(option, path)
+        if isinstance(node.get("items"), dict):
+            yield from walk(node["items"], f"{path}0.")
+        for name, field in node.get("properties", {}).items():
+            if name == key:
+                yield path + name
+            yield from walk(field, f"{path}{name}.")
+
+    yield from dict.fromkeys(walk(experiment_schema(), ""))
+
+
+def _resolved(node: dict[str, Any], data: Any) -> dict[str, Any]:
+    node = dereferenced(node)
+    options = alternatives(node)
+    if len(options) == 1:
+        return {**options[0], **node}
+    wanted = data.get("type") if isinstance(data, dict) else None
+    if wanted is None and isinstance(node.get("default"), dict):
+        wanted = node["default"].get("type")
+        options = [option for option in options if "type" not in option.get("required", ())]
+    for option in options:
+        if tag(option) is not None and tag(option) == wanted:
+            return option
+    return node
+
+
+def dereferenced(node: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema a `$ref` stands for, with what is written beside it."""
+    if "$ref" not in node:
+        return node
+    target = experiment_schema()["$defs"][node["$ref"].rpartition("/")[2]]
+    return {**target, **{key: value for key, value in node.items() if key != "$ref"}}
+
+
+def _unwrapped(value: Any) -> Any:
+    """Take the line breaks of docstrings out of the descriptions."""
+    if isinstance(value, dict):
+        return {
+            key: " ".join(item.split())
+            if key == "description" and isinstance(item, str)
+            else _unwrapped(item)
+            for key, item in value.items()
+        }
+    return [_unwrapped(item) for item in value] if isinstance(value, list) else value

@@ -1,0 +1,122 @@
+"""The broadcast to all robots and their replies, way (b): mbed firmware with a watchdog.
+
+Command: 51 sequence flags n {i8 left, i8 right} * n, CRC. Reply, only when polled:
+52 id sequence flags, u16 battery [mV], u16 frames received, u16 frames rejected, CRC; all
+little-endian, sealed by `cobs.seal`. `firmware/m3pi_core.c` is the robot's side.
+"""
+
+import struct
+from dataclasses import dataclass
+from enum import IntFlag
+
+from tetractl.lab.actuators.m3pi.cobs import seal, unseal
+from tetractl.lab.errors import WireError
+
+COMMAND, REPLY = 0x51, 0x52
+ROBOTS_MAX = 32
+COUNT_MAX = 127
+WATCHDOG_MS = 250  # the robot stops after this long without a valid new frame
+REPLY_SLOT_MS = 10  # robot i answers a poll i slots later, so that replies do not collide
+_REPLY = struct.Struct("<BBBBHHH")
+
+Counts = tuple[int, int]  # left, right; each in -127..127
+
+
+class Flag(IntFlag):
+    """What a command asks for."""
+
+    RUN = 1  # without it every robot stops
+    EMERGENCY_STOP = 2  # stop, and stay so until the robot is switched off
+    POLL = 4  # every robot answers
+
+
+class Status(IntFlag):
+    """What a robot says of itself."""
+
+    RUNNING = 1  # the last frame let it run
+    EMERGENCY_STOPPED = 2
+    SILENT = 4  # the watchdog has stopped it
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One frame for all robots: robot i obeys `wheels[i]`, and stops where there is none."""
+
+    sequence: int
+    flags: Flag
+    wheels: tuple[Counts, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What a polled robot answers; `sequence` is that of the poll, 0 mV means not known.
+
+    `received` and `rejected` count frames that did and did not check, modulo 65536.
+    """
+
+    id: int
+    sequence: int
+    status: Status
+    battery_mv: int
+    received: int
+    rejected: int
+
+
+def encode_command(command: Command) -> bytes:
+    """Pack a command, with its closing 00."""
+    if not 0 <= command.sequence <= 255:
+        raise WireError(f"sequence {command.sequence} is not one byte")
+    if len(command.wheels) > ROBOTS_MAX:
+        raise WireError(f"{len(command.wheels)} robots; a frame holds {ROBOTS_MAX}")
+    counts = [count for pair in command.wheels for count in pair]
+    if len(counts) != 2 * len(command.wheels) or any(abs(count) > COUNT_MAX for count in counts):
+        raise WireError(f"wheel counts outside -{COUNT_MAX}..{COUNT_MAX}: {command.wheels}")
+    head = bytes([COMMAND, command.sequence, _flags(command.flags), len(command.wheels)])
+    return seal(head + struct.pack(f"{len(counts)}b", *counts))
+
+
+def decode_command(frame: bytes) -> Command:
+    """Read a command, given without its closing 00."""
+    payload = unseal(frame)
+    if len(payload) < 4 or payload[0] != COMMAND:
+        raise WireError("not a command")
+    sequence, flags, robots = payload[1:4]
+    if robots > ROBOTS_MAX or len(payload) != 4 + 2 * robots:
+        raise WireError(f"{robots} robots in {len(payload)} bytes")
+    counts = struct.unpack_from(f"{2 * robots}b", payload, 4)
+    if min(counts, default=0) < -COUNT_MAX:
+        raise WireError("a wheel count of -128")
+    return Command(sequence, _flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True)))
+
+
+def encode_reply(reply: Reply) -> bytes:
+    """Pack a reply, with its closing 00."""
+    try:
+        return seal(
+            _REPLY.pack(
+                REPLY,
+                reply.id,
+                reply.sequence,
+                reply.status,
+                reply.battery_mv,
+                reply.received,
+                reply.rejected,
+            )
+        )
+    except struct.error as error:
+        raise WireError(f"cannot pack a reply: {error}") from None
+
+
+def decode_reply(frame: bytes) -> Reply:
+    """Read a reply, given without its closing 00."""
+    payload = unseal(frame)
+    if len(payload) != _REPLY.size or payload[0] != REPLY:
+        raise WireError("not a reply")
+    _, robot, sequence, status, *counters = _REPLY.unpack(payload)
+    return Reply(robot, sequence, Status(status & 7), *counters)
+
+
+def _flags(flags: int) -> Flag:
+    if flags & ~7:
+        raise WireError(f"unknown flags 0x{flags:02X}")
+    return Flag(flags)

@@ -1,0 +1,170 @@
+"""How robots are spoken to over a link: one broadcast for all, or a message each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.experiment.lab import LabSpec, Slave
+from tetractl.lab.actuators.m3pi import slave
+from tetractl.lab.actuators.m3pi.broadcast import (
+    REPLY_SLOT_MS,
+    Command,
+    Counts,
+    Flag,
+    Status,
+    decode_reply,
+    encode_command,
+)
+from tetractl.lab.actuators.m3pi.cobs import Splitter
+from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.errors import WireError
+
+STOP: Counts = (0, 0)
+TRIES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a polled robot answered; `battery_mv` 0 where it does not know."""
+
+    battery_mv: int
+    emergency_stopped: bool = False
+    received: int = 0
+    rejected: int = 0
+
+
+class Voice(Protocol):
+    """Speaks to N robots, in the order of the lab's list; sending returns the time [ns]."""
+
+    def drive(self, counts: Sequence[Counts]) -> int:
+        """Send every robot its wheel counts."""
+        ...
+
+    def stop(self) -> int:
+        """Stop every robot."""
+        ...
+
+    def emergency(self) -> int:
+        """Stop every robot for good: until it is switched off, where its firmware can."""
+        ...
+
+    def poll(self, timeout_s: float) -> list[Answer | None]:
+        """Ask every robot for an answer, None where none came."""
+        ...
+
+
+def build_voice(lab: LabSpec, link: Link, clock: Clock) -> Voice:
+    """Return the voice of a lab."""
+    if isinstance(lab.protocol, Slave):
+        addresses = [robot.address or 0 for robot in lab.robots]
+        return SlaveVoice(link, clock, addresses)
+    return BroadcastVoice(link, clock, [lab.index(robot) for robot in lab.robots])
+
+
+class BroadcastVoice:
+    """One sealed frame for all; robot i of the list has the number `indices[i]`."""
+
+    def __init__(self, link: Link, clock: Clock, indices: Sequence[int]) -> None:
+        self._link, self._clock = link, clock
+        self._indices = tuple(indices)
+        self._sequence = 0
+
+    def drive(self, counts: Sequence[Counts]) -> int:
+        """Send every robot its wheel counts in one frame."""
+        wheels = [STOP] * (max(self._indices) + 1)
+        for index, pair in zip(self._indices, counts, strict=True):
+            wheels[index] = pair
+        return self._send(Flag.RUN, tuple(wheels))
+
+    def stop(self) -> int:
+        """Send a frame without the run flag."""
+        return self._send(Flag(0))
+
+    def emergency(self) -> int:
+        """Send a frame that latches every robot's emergency stop."""
+        return self._send(Flag.EMERGENCY_STOP)
+
+    def poll(self, timeout_s: float) -> list[Answer | None]:
+        """Poll, several times where somebody does not answer: broadcasts may be lost."""
+        found: dict[int, Answer] = {}
+        wanted = set(self._indices)
+        slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000
+        deadline = self._clock.now() + round(timeout_s * SECOND)
+        for _ in range(TRIES):
+            splitter = Splitter()
+            self._link.fetch()
+            until = min(deadline, self._send(Flag.POLL) + slots + SECOND // 10)
+            while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
+                self._link.wait(left / SECOND)
+                for received in self._link.fetch():
+                    for frame in splitter.feed(received.data):
+                        _keep_reply(frame, found)
+            if wanted <= found.keys() or self._clock.now() >= deadline:
+                break
+        return [found.get(index) for index in self._indices]
+
+    def _send(self, flags: Flag, wheels: tuple[Counts, ...] = ()) -> int:
+        self._sequence = (self._sequence + 1) % 256
+        return self._link.send(encode_command(Command(self._sequence, flags, wheels)))
+
+
+class SlaveVoice:
+    """A unicast to each robot's module. There is no watchdog and no latched emergency stop."""
+
+    def __init__(self, link: Link, clock: Clock, addresses: Sequence[int]) -> None:
+        self._link, self._clock = link, clock
+        self._addresses = tuple(addresses)
+
+    def drive(self, counts: Sequence[Counts]) -> int:
+        """Send each robot its wheel counts; return when the last left."""
+        messages = [slave.encode_wheels(*pair) for pair in counts]
+        return self._each(messages)
+
+    def stop(self) -> int:
+        """Send each robot a stop."""
+        return self._each([slave.STOP] * len(self._addresses))
+
+    def emergency(self) -> int:
+        """Send each robot the signature request, which stops it, and a stop."""
+        message = slave.SIGNATURE_REQUEST + slave.STOP
+        return self._each([message] * len(self._addresses))
+
+    def poll(self, timeout_s: float) -> list[Answer | None]:
+        """Ask each robot for its battery."""
+        return [self._battery(address, timeout_s) for address in self._addresses]
+
+    def _battery(self, address: int, timeout_s: float) -> Answer | None:
+        share = round(timeout_s * SECOND / TRIES)
+        for _ in range(TRIES):
+            self._link.fetch()
+            until = self._link.send(slave.BATTERY_REQUEST, address) + share
+            answer = b""
+            while (left := until - self._clock.now()) > 0:
+                self._link.wait(left / SECOND)
+                answer += b"".join(r.data for r in self._link.fetch() if r.source == address)
+                if len(answer) == 2:
+                    return Answer(slave.decode_battery(answer))
+        return None
+
+    def _each(self, messages: Sequence[bytes]) -> int:
+        """Send to every robot, past failures; the first failure is raised after the last try."""
+        failure: Exception | None = None
+        sent = self._clock.now()
+        for address, message in zip(self._addresses, messages, strict=True):
+            try:
+                sent = self._link.send(message, address)
+            except Exception as error:
+                failure = failure or error
+        if failure is not None:
+            raise failure
+        return sent
+
+
+def _keep_reply(frame: bytes, found: dict[int, Answer]) -> None:
+    try:
+        reply = decode_reply(frame)
+    except WireError:
+        return
+    latched = bool(reply.status & Status.EMERGENCY_STOPPED)
+    found[reply.id] = Answer(reply.battery_mv, latched, reply.received, reply.rejected)

@@ -1,0 +1,262 @@
+"""The sockets of a NatNet connection, and the thread that reads them.
+
+The thread outlives whatever the network sends: bad datagrams are counted, errors of the sockets
+are kept as `error`. Nothing it does waits for the reader of its snapshots.
+"""
+
+import select
+import socket
+import struct
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import CameraFrame
+from tetractl.experiment.lab import Mocap
+from tetractl.lab.cameras.optitrack.messages import (
+    NEWEST,
+    Bare,
+    Connect,
+    EchoRequest,
+    Kind,
+    Message,
+    Request,
+    Version,
+)
+from tetractl.lab.cameras.optitrack.placement import Placement
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UP_AXIS, Stream, Tracked
+from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
+from tetractl.lab.wire_tap import NO_TAP, Tap
+
+ASK_NS = SECOND // 4  # an unanswered question is asked again after this long
+KEEPALIVE_NS = SECOND
+ECHO_NS = SECOND // 2
+FIRST_ECHOES = 20  # these follow each other at once, so that the clock is known early
+FIRST_ECHO_NS = SECOND // 50
+KEPT = 4096  # snapshots not fetched yet
+WAIT_S = 0.02
+BUFFER = 1 << 18
+
+
+class NatNetClient:
+    """A connection to the server of a spec; times are ns on `clock`.
+
+    `wake` is called, in the receiver's thread, after every new snapshot.
+    """
+
+    def __init__(
+        self,
+        mocap: Mocap,
+        robots: Sequence[Tracked],
+        metres: float,
+        clock: Clock,
+        tap: Tap = NO_TAP,
+        wake: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.mocap = mocap
+        self.error: OSError | None = None
+        self.foreign = 0  # datagrams from other hosts
+        self._clock, self._tap, self._wake = clock, tap, wake
+        self._unicast = mocap.transport == "unicast"
+        self._pinned = _version(mocap.version) if mocap.version and self._unicast else None
+        up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[mocap.up_axis]
+        placement = Placement.of(mocap, metres)
+        self.stream = Stream(robots, placement, self._pinned, up, self._keep)
+        self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
+        self._changed = threading.Condition()
+        self._closing = threading.Event()
+        self._sockets: list[socket.socket] = []
+        self._due: dict[str, int] = {}
+        self._echoes = 0
+        self._thread = threading.Thread(target=self._receive, name="natnet", daemon=True)
+
+    @property
+    def newest(self) -> CameraFrame | None:
+        """The newest frame, None before the first."""
+        return self.stream.newest
+
+    def open(self) -> None:
+        """Connect: return once frames stream and the clocks, axes and names are known.
+
+        AbortError tells a server that does not answer from one that answers but does not stream.
+        """
+        try:
+            self._open_sockets()
+        except OSError as error:
+            raise AbortError(
+                f"cannot listen for cameras on {self.mocap.interface}: {error.strerror or error}",
+                "mocap.interface must be an address of this computer",
+            ) from error
+        self._thread.start()
+
+    def wait_connected(self, timeout_s: float) -> None:
+        """Wait for SERVERINFO, then for frames, each at most `timeout_s`."""
+        at, port = self.mocap.server, self.mocap.command_port
+        if not self._wait(lambda: self.stream.info is not None, timeout_s):
+            raise AbortError(
+                f"no camera server answers at {at}:{port} ({timeout_s:g} s)",
+                "is Motive running and streaming, is mocap.server its address, "
+                "does a firewall block UDP?",
+            )
+        if not self._wait(lambda: self.newest is not None, timeout_s):
+            hint = (
+                f"does Motive stream in {self.mocap.transport}? multicast frames come from "
+                f"{self.mocap.group}:{self.mocap.data_port} by the card of mocap.interface"
+            )
+            raise AbortError(
+                f"the camera server at {at}:{port} answers, but no frames come ({timeout_s:g} s)",
+                hint,
+            )
+        wanted = self._wait(
+            lambda: self.stream.model is not None and self.stream.up is not None, timeout_s
+        )
+        if not wanted and self.stream.up is None:
+            raise AbortError(
+                "the camera server does not tell its up axis", "set mocap.up_axis to y or z"
+            )
+        if self.stream.sync is not None:
+            self._wait(lambda: self._echoes >= FIRST_ECHOES, timeout_s)
+        newest = self.newest
+        assert newest is not None
+        self.wait_newer(newest.number, timeout_s)
+
+    def wait_newer(self, number: int, timeout_s: float) -> CameraFrame | None:
+        """Wait for a frame newer than `number`; return the newest, or None in vain."""
+
+        def newer() -> bool:
+            return self.newest is not None and self.newest.number > number
+
+        return self.newest if self._wait(newer, timeout_s) else None
+
+    def drain(self) -> list[CameraFrame]:
+        """Return, once, every frame since the last call, oldest first."""
+        fresh: list[CameraFrame] = []
+        while self._fresh:
+            fresh.append(self._fresh.popleft())
+        return fresh
+
+    def close(self) -> None:
+        """Say goodbye and end the thread; idempotent, never raises."""
+        if self._sockets and not self._closing.is_set():
+            self._send(Bare(Kind.DISCONNECT))
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+        for each in self._sockets:
+            each.close()
+        self._sockets = []
+
+    def _open_sockets(self) -> None:
+        mocap = self.mocap
+        command = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sockets.append(command)
+        command.bind((mocap.interface, 0))
+        if not self._unicast:
+            data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._sockets.append(data)
+            data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            # bound to the group, Linux gives this socket nothing else; other systems refuse that
+            data.bind((mocap.group if sys.platform == "linux" else "", mocap.data_port))
+            membership = struct.pack(
+                "4s4s", socket.inet_aton(mocap.group), socket.inet_aton(mocap.interface)
+            )
+            data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+        for each in self._sockets:
+            each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+            each.setblocking(False)
+
+    def _receive(self) -> None:
+        while not self._closing.is_set():
+            try:
+                self._chores()
+                ready, _, _ = select.select(self._sockets, [], [], WAIT_S)
+                for each in ready:
+                    self._read(each)
+            except (OSError, ValueError) as error:
+                if self._closing.is_set():
+                    return
+                self.error = error if isinstance(error, OSError) else OSError(str(error))
+                self._closing.wait(WAIT_S)  # a card that went down may come back
+
+    def _read(self, ready: socket.socket) -> None:
+        while True:
+            try:
+                datagram, (host, _) = ready.recvfrom(DATAGRAM_MAX)
+            except BlockingIOError:
+                return
+            except ConnectionError:  # an ICMP "port unreachable" of an earlier send
+                continue
+            if host != self.mocap.server:
+                self.foreign += 1
+                continue
+            now = self._clock.now()
+            self._tap.received("natnet", now, datagram)
+            message = self.stream.feed(datagram, now)
+            if message is not None:
+                with self._changed:
+                    self._changed.notify_all()
+
+    def _keep(self, snapshot: CameraFrame) -> None:
+        self._fresh.append(snapshot)
+        self.error = None
+        self._wake()
+
+    def _chores(self) -> None:
+        """Ask what is not known yet, ask the time, keep the stream alive."""
+        stream = self.stream
+        if stream.info is None:
+            self._every("connect", ASK_NS, lambda: self._connect())
+            return
+        if stream.up is None:
+            self._every("ask", ASK_NS, lambda: Request(UP_AXIS))
+        elif stream.camera_rate_hz is None and self._due.get("rates", 0) < 4:
+            self._every("ask", ASK_NS, lambda: Request(FRAME_RATE))
+        if stream.model is None or stream.models_changed:
+            self._every("models", ASK_NS, lambda: Bare(Kind.REQUEST_MODELDEF))
+        if self._unicast:
+            self._every("alive", KEEPALIVE_NS, lambda: Bare(Kind.KEEPALIVE))
+        if stream.sync is not None:
+            burst = self._echoes < FIRST_ECHOES
+            every = FIRST_ECHO_NS if burst else ECHO_NS
+            if self._every("echo", every, lambda: EchoRequest(self._clock.now())):
+                self._echoes += 1
+
+    def _connect(self) -> Connect:
+        pinned = (self._pinned.major, self._pinned.minor, 0, 0) if self._pinned else None
+        natnet = pinned or (NEWEST.major, NEWEST.minor, 0, 0)
+        return Connect("tetractl", (0, 1, 0, 0), natnet, False, pinned)
+
+    def _every(self, what: str, period_ns: int, message: Callable[[], Message]) -> bool:
+        now = self._clock.now()
+        if now < self._due.get(what, -1):
+            return False
+        self._due[what] = now + period_ns
+        made = message()
+        if isinstance(made, Request):
+            self.stream.asked(made)
+            if made.text == FRAME_RATE:
+                self._due["rates"] = self._due.get("rates", 0) + 1
+        self._send(made)
+        return True
+
+    def _send(self, message: Message) -> None:
+        data = pack(message)
+        try:
+            self._sockets[0].sendto(data, (self.mocap.server, self.mocap.command_port))
+        except OSError as error:
+            self.error = error
+            return
+        self._tap.sent("natnet", self._clock.now(), data)
+
+    def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        with self._changed:
+            return self._changed.wait_for(done, timeout_s)
+
+
+def _version(text: str) -> Version:
+    major, minor = text.split(".")
+    return Version(int(major), int(minor))

@@ -1,0 +1,108 @@
+"""MODELDEF: which rigid body has which id; other data sets are stepped over.
+
+Before 4.1 a data set does not tell its size and has to be measured; one of a type whose layout is
+not known ends the reading, and `ModelDef.complete` says so.
+"""
+
+from collections.abc import Sequence
+
+from tetractl.lab.cameras.optitrack.cursor import Cursor, packed, packed_name
+from tetractl.lab.cameras.optitrack.frame import SIZED
+from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, ModelDef, Version
+from tetractl.lab.errors import WireError
+
+MARKER_SET, RIGID_BODY, SKELETON, FORCE_PLATE, DEVICE, CAMERA = range(6)
+_PLATE = (2 + 3 + 12 * 12 + 4 * 3) * 4 + 8  # width, length, origin, matrix, corners, two types
+
+
+def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
+    """Read the rigid bodies' names and ids; those inside skeletons are not listed."""
+    if version < OLDEST:
+        raise WireError(f"protocol {version} is older than {OLDEST}")
+    cursor = Cursor(payload)
+    bodies: list[BodyName] = []
+    for _ in range(cursor.count(5)):
+        kind = cursor.i32()
+        if version >= SIZED:
+            stop = cursor.at + cursor.size(0, 0) + 4
+            if kind == RIGID_BODY:
+                bodies.append(_body(cursor, version))
+                if cursor.at != stop:
+                    raise WireError("a rigid body's description is not of the size it tells")
+            else:
+                cursor.skip(stop - cursor.at)
+        elif kind == RIGID_BODY:
+            bodies.append(_body(cursor, version))
+        elif not _step_over(cursor, kind, version):
+            return ModelDef(tuple(bodies), complete=False)
+    return ModelDef(tuple(bodies))
+
+
+def _body(cursor: Cursor, version: Version) -> BodyName:
+    body = BodyName(cursor.name(), cursor.i32(), cursor.i32())
+    cursor.skip(12 if version < (4, 2) else 28)
+    if version >= (3, 0):
+        count = cursor.count(16)
+        cursor.skip(count * 16)
+        if version >= (4, 0):
+            for _ in range(count):
+                cursor.name()
+    return body
+
+
+def _step_over(cursor: Cursor, kind: int, version: Version) -> bool:
+    if kind == MARKER_SET:
+        cursor.name()
+    elif kind == SKELETON:
+        cursor.name()
+        cursor.skip(4)
+        for _ in range(cursor.count(21)):
+            _body(cursor, version)
+        return True
+    elif kind == FORCE_PLATE and version >= (3, 0):
+        cursor.skip(4)
+        cursor.name()
+        cursor.skip(_PLATE)
+    elif kind == DEVICE and version >= (3, 0):
+        cursor.skip(4)
+        cursor.name()
+        cursor.name()
+        cursor.skip(8)
+    elif kind == CAMERA:
+        cursor.name()
+        cursor.skip(28)
+        return True
+    else:
+        return False
+    for _ in range(cursor.count(1)):  # names of markers or channels
+        cursor.name()
+    return True
+
+
+def pack_modeldef(
+    model: ModelDef,
+    version: Version,
+    others: Sequence[tuple[int, bytes]] = (),
+    markers: int = 0,
+) -> bytes:
+    """Pack the payload: `others` (type, bytes) first, then every body with `markers` markers."""
+    if not version.known:
+        raise WireError(f"protocol {version} cannot be packed")
+    sets = [*others, *((RIGID_BODY, _packed_body(body, version, markers)) for body in model.bodies)]
+    parts = [packed("i", len(sets))]
+    for kind, data in sets:
+        parts.append(packed("ii", kind, len(data)) if version >= SIZED else packed("i", kind))
+        parts.append(data)
+    return b"".join(parts)
+
+
+def _packed_body(body: BodyName, version: Version, markers: int) -> bytes:
+    parts = [packed_name(body.name), packed("ii3f", body.id, body.parent, 0.0, 0.0, 0.0)]
+    if version >= (4, 2):
+        parts.append(packed("4f", 0.0, 0.0, 0.0, 1.0))
+    if version >= (3, 0):
+        parts.append(packed(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
+        parts.append(packed(f"{markers}i", *range(1, markers + 1)))
+    if version >= (4, 0):
+        parts.extend(packed_name(f"Marker{index + 1}") for index in range(markers))
+    return b"".join(parts)

@@ -1,0 +1,41 @@
+"""Where the cameras' axes lie: rigid bodies as poses in the spec's coordinates."""
+
+import math
+from dataclasses import dataclass
+
+from tetractl.core.poses import Pose
+from tetractl.experiment.lab import Mocap
+from tetractl.lab.cameras.optitrack.messages import Frame, RigidBody
+from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where the cameras' axes lie in the spec's coordinates; `scale` length units to a metre."""
+
+    x: float
+    y: float
+    rotation: float
+    scale: float
+
+    @classmethod
+    def of(cls, mocap: Mocap, metres: float) -> "Placement":
+        """Take it from a spec; `metres` in its length unit."""
+        return cls(*mocap.origin, mocap.rotation, 1.0 / metres)
+
+    def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
+        """Return a body's pose, None where it cannot be trusted."""
+        seen = planar_pose(body, up, heading_offset)
+        if seen is None:
+            return None
+        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        return Pose(
+            self.x + self.scale * (cos * seen.x - sin * seen.y),
+            self.y + self.scale * (sin * seen.x + cos * seen.y),
+            math.remainder(seen.heading + self.rotation, math.tau),
+        )
+
+
+def fault_of(frame: Frame) -> str:
+    """Return why a frame is none of the robots as they are now, "" if it is."""
+    return "Motive is in edit mode: it streams a recording" if frame.edit_mode else ""

@@ -1,0 +1,72 @@
+"""The records of a log by name: channels and their schemas, metadata, attachments.
+
+What is called a host record here tells about the machine and the hour and differs between two runs
+of the same trial; everything else in a simulated trial's log repeats byte for byte.
+"""
+
+from typing import NamedTuple
+
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import Message
+
+from tetractl.log.format.tetractl_pb2 import (
+    ControllerStep,
+    MocapSample,
+    StepTiming,
+    Truth,
+    WheelCommand,
+)
+
+FORMAT_VERSION = 1
+
+MOCAP = "/mocap"
+TRUTH = "/truth"
+TRANSFORMS = "/tf"
+STEP = "/controller/step"
+PLAN = "/controller/plan"
+COMMANDS = "/commands"
+SCENE = "/scene/static"
+SCENE_PLAN = "/scene/plan"
+LOG = "/log"
+HOST_TIMING = "/host/timing"
+
+CHANNELS: dict[str, type[Message]] = {
+    MOCAP: MocapSample,
+    TRUTH: Truth,
+    TRANSFORMS: FrameTransforms,
+    STEP: ControllerStep,
+    PLAN: PosesInFrame,
+    COMMANDS: WheelCommand,
+    SCENE: SceneUpdate,
+    SCENE_PLAN: SceneUpdate,
+    LOG: Log,
+    HOST_TIMING: StepTiming,
+}
+"""Topic and message of each channel. The order is part of format version 1: it makes the channel
+ids 1, 2, ..., by which a log is read whose channel records are all lost."""
+
+RUN = "tetractl.run"
+HOST = "tetractl.host"
+TIMING = "tetractl.timing"
+RESULT = "tetractl.result"
+RECOVERED = "tetractl.recovered"
+METADATA = frozenset({RUN, HOST, TIMING, RESULT, RECOVERED})
+
+SPEC = "spec.yaml"
+RESOLVED_SPEC = "spec.resolved.yaml"
+ENVIRONMENT = "environment.json"
+
+HOST_RECORDS = frozenset({HOST_TIMING, HOST, TIMING, ENVIRONMENT, RECOVERED})
+"""Topics, metadata and attachments that differ between two runs of the same trial."""
+
+
+class Entry(NamedTuple):
+    """One message as stored: times are Unix ns, received (log) and sampled (publish)."""
+
+    topic: str
+    log_ns: int
+    publish_ns: int
+    data: bytes

@@ -1,0 +1,163 @@
+"""Our own messages: from the dataclasses of a trial to protobuf and back, bit for bit."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from tetractl.core.commands import Command
+from tetractl.core.plan import Plan, Search
+from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.trial import Step
+from tetractl.log.format import tetractl_pb2 as pb
+
+
+def encode_observation(observation: Observation) -> pb.MocapSample:
+    """Encode one camera frame."""
+    poses = observation.poses
+    return pb.MocapSample(
+        frame=observation.frame,
+        sampled_ns=observation.sampled_ns,
+        received_ns=observation.received_ns,
+        x=poses.x.tolist(),
+        y=poses.y.tolist(),
+        heading=poses.heading.tolist(),
+        valid=observation.valid.tolist(),
+    )
+
+
+def decode_observation(message: pb.MocapSample, robots: int | None = None) -> Observation:
+    """Decode one camera frame; ValueError where it is not of so many robots."""
+    if robots is not None and len(message.valid) != robots:
+        raise ValueError(f"a frame of {len(message.valid)} robots, not {robots}")
+    return Observation(
+        frame=message.frame,
+        sampled_ns=message.sampled_ns,
+        received_ns=message.received_ns,
+        poses=decode_poses(message, robots),
+        valid=np.array(message.valid, dtype=np.bool_),
+    )
+
+
+def encode_truth(observation: Observation, truth: Poses) -> pb.Truth:
+    """Encode the true poses at a camera frame."""
+    return pb.Truth(
+        frame=observation.frame,
+        sampled_ns=observation.sampled_ns,
+        x=truth.x.tolist(),
+        y=truth.y.tolist(),
+        heading=truth.heading.tolist(),
+    )
+
+
+def decode_poses(message: pb.MocapSample | pb.Truth, robots: int | None = None) -> Poses:
+    """Decode the poses of a camera frame, measured or true; ValueError as above."""
+    found = {len(message.x), len(message.y), len(message.heading)}
+    if len(found) > 1 or (robots is not None and found != {robots}):
+        raise ValueError(f"poses of {sorted(found)} robots, not {robots}")
+    return Poses(_floats(message.x), _floats(message.y), _floats(message.heading))
+
+
+def encode_command(command: Command) -> pb.WheelCommand:
+    """Encode what was sent."""
+    return pb.WheelCommand(
+        direction=command.direction,
+        stop=command.direction is None,
+        sent_ns=command.sent_ns,
+        delivered=command.delivered,
+        left=None if command.left is None else command.left.tolist(),
+        right=None if command.right is None else command.right.tolist(),
+    )
+
+
+def decode_command(message: pb.WheelCommand) -> Command:
+    """Decode what was sent."""
+    return Command(
+        direction=message.direction if message.HasField("direction") else None,
+        sent_ns=message.sent_ns,
+        delivered=tuple(message.delivered),
+        left=_floats(message.left) if message.left else None,
+        right=_floats(message.right) if message.right else None,
+    )
+
+
+def encode_step(step: Step) -> pb.ControllerStep:
+    """Encode one decision; how long it took goes into its own message."""
+    plan = step.plan
+    return pb.ControllerStep(
+        k=step.k,
+        observation=encode_observation(step.observation),
+        command=encode_command(step.command),
+        signals=plan.signals.tolist(),
+        cost=plan.cost,
+        target_cost=plan.target_cost,
+        obstacle_cost=plan.obstacle_cost,
+        searches=[_encode_search(search) for search in plan.searches],
+        chosen=plan.chosen,
+        generator=plan.generator,
+        path_x=plan.path[..., 0].ravel().tolist(),
+        path_y=plan.path[..., 1].ravel().tolist(),
+        path_heading=plan.path[..., 2].ravel().tolist(),
+    )
+
+
+def decode_step(
+    message: pb.ControllerStep, timing: pb.StepTiming | None, robots: int | None = None
+) -> Step:
+    """Decode one decision; without its timing, solve_ns is 0.
+
+    Raises ValueError where the arrays do not fit each other or so many robots.
+    """
+    observation = decode_observation(message.observation, robots)
+    robots = len(observation.poses.x)
+    if not 0 <= message.chosen < len(message.searches) or not message.signals:
+        raise ValueError(f"step {message.k} chooses a search that is not there")
+    flat = [_floats(column) for column in (message.path_x, message.path_y, message.path_heading)]
+    plan = Plan(
+        signals=_floats(message.signals),
+        path=np.stack(flat, axis=-1).reshape(-1, robots, 3),
+        cost=message.cost,
+        target_cost=message.target_cost,
+        obstacle_cost=message.obstacle_cost,
+        searches=tuple(_decode_search(search) for search in message.searches),
+        chosen=message.chosen,
+        generator=message.generator,
+    )
+    return Step(
+        k=message.k,
+        observation=observation,
+        plan=plan,
+        command=decode_command(message.command),
+        solve_ns=timing.solve_ns if timing else 0,
+        deadline_missed=bool(timing and timing.deadline_missed),
+    )
+
+
+def encode_timing(step: Step) -> pb.StepTiming:
+    """Encode how long a decision took."""
+    return pb.StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
+
+
+def _encode_search(search: Search) -> pb.Search:
+    return pb.Search(
+        length=search.length,
+        signals=search.signals.tolist(),
+        cost=search.cost,
+        history=search.history.tolist(),
+        evaluations=search.evaluations,
+        stopped=search.stopped,
+    )
+
+
+def _decode_search(message: pb.Search) -> Search:
+    return Search(
+        length=message.length,
+        signals=_floats(message.signals),
+        cost=message.cost,
+        history=_floats(message.history),
+        evaluations=message.evaluations,
+        stopped=message.stopped,
+    )
+
+
+def _floats(values: Iterable[float]) -> Floats:
+    return np.array(values, dtype=np.float64)

@@ -1,0 +1,50 @@
+"""The content digest: one number for all that repeats when a trial is run again."""
+
+import hashlib
+from collections.abc import Mapping
+
+from tetractl.log.format.channels import HOST_RECORDS, Entry
+
+CHECKSUM = "checksum"
+DIGEST = "content_digest"
+
+
+class ContentDigest:
+    """SHA-256 over the records of a log, in file order, host records left out.
+
+    A record is preceded by its number of fields and a field by its length in bytes, so that no two
+    different logs read alike. Of a message the fields are topic, both times and data; of metadata
+    its name and its items by key, without the checksum and the digest itself; of an attachment
+    name, media type and data.
+    """
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+
+    def message(self, entry: Entry) -> None:
+        """Add one message."""
+        if entry.topic not in HOST_RECORDS:
+            times = b"%d %d" % (entry.log_ns, entry.publish_ns)
+            self._add(b"message", entry.topic.encode(), times, entry.data)
+
+    def metadata(self, name: str, facts: Mapping[str, str]) -> None:
+        """Add one metadata record."""
+        if name not in HOST_RECORDS:
+            keys = sorted(facts.keys() - {CHECKSUM, DIGEST})
+            items = [text.encode() for key in keys for text in (key, facts[key])]
+            self._add(b"metadata", name.encode(), *items)
+
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Add one attachment."""
+        if name not in HOST_RECORDS:
+            self._add(b"attachment", name.encode(), media_type.encode(), data)
+
+    def hexdigest(self) -> str:
+        """Return the digest of all records so far."""
+        return self._hash.hexdigest()
+
+    def _add(self, *fields: bytes) -> None:
+        self._hash.update(b"%d;" % len(fields))
+        for field in fields:
+            self._hash.update(b"%d:" % len(field))
+            self._hash.update(field)

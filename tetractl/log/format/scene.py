@@ -1,0 +1,200 @@
+"""What Foxglove, Lichtblick and Rerun draw of a trial: Foxglove's messages, in metres.
+
+Positions go from the spec's unit to metres here and nowhere else. Nothing that is not finite is
+drawn: viewers drop a whole message for one NaN.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
+from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from tetractl.core.colors import robot_colors
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.setup import Setup, Shape
+from tetractl.experiment.experiment import Circle, Rectangle
+
+WORLD = "world"
+GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
+
+_UPRIGHT = Quaternion(w=1.0)  # must be given: without it viewers see a zero quaternion
+
+
+def frame_of(name: str) -> str:
+    """Return the name of a robot's coordinate frame."""
+    return f"robot/{name}"
+
+
+def stamp(unix_ns: int) -> Timestamp:
+    """Return Unix ns as a protobuf time stamp."""
+    return Timestamp(seconds=unix_ns // 1_000_000_000, nanos=unix_ns % 1_000_000_000)
+
+
+def note(unix_ns: int, level: Log.Level.ValueType, text: str) -> Log:
+    """Return one line of the /log channel."""
+    return Log(timestamp=stamp(unix_ns), level=level, message=text, name="tetractl")
+
+
+class Scene:
+    """Draws one experiment; lengths that come in are in its unit."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._metres = setup.metres
+        self._frames = [frame_of(name) for name in setup.names]
+        self._colors = [_color(text) for text in robot_colors(setup.names, setup.colors)]
+        radius, arena = setup.wheel_radius, setup.arena
+        body = 2 * radius if radius else 0.03 * min(arena.width, arena.height)
+        self._body = body * self._metres
+
+    def transforms(self, observation: Observation, unix_ns: int) -> FrameTransforms:
+        """Return world to each robot; a robot that is not tracked is left out."""
+        message = FrameTransforms()
+        poses = observation.poses
+        seconds, nanos = divmod(unix_ns, 1_000_000_000)
+        columns = (poses.x.tolist(), poses.y.tolist(), poses.heading.tolist())
+        for frame, x, y, heading, valid in zip(
+            self._frames, *columns, observation.valid.tolist(), strict=True
+        ):
+            if not (valid and math.isfinite(x + y + heading)):
+                continue
+            transform = message.transforms.add()
+            transform.timestamp.seconds, transform.timestamp.nanos = seconds, nanos
+            transform.parent_frame_id, transform.child_frame_id = WORLD, frame
+            transform.translation.x = x * self._metres
+            transform.translation.y = y * self._metres
+            transform.rotation.z = math.sin(heading / 2)
+            transform.rotation.w = math.cos(heading / 2)
+        return message
+
+    def plan_poses(self, path: Floats, unix_ns: int) -> PosesInFrame:
+        """Return the predicted poses, (length + 1, N, 3), robot after robot."""
+        message = PosesInFrame(timestamp=stamp(unix_ns), frame_id=WORLD)
+        for x, y, heading in path.swapaxes(0, 1).reshape(-1, 3).tolist():
+            if math.isfinite(x + y + heading):
+                pose = message.poses.add()
+                pose.position.x, pose.position.y = x * self._metres, y * self._metres
+                pose.orientation.z = math.sin(heading / 2)
+                pose.orientation.w = math.cos(heading / 2)
+        return message
+
+    def plan_lines(self, path: Floats, unix_ns: int) -> SceneUpdate:
+        """Return one line a robot along its predicted path; the next one replaces it."""
+        return SceneUpdate(
+            entities=[
+                self._entity(
+                    f"plan/{name}",
+                    unix_ns,
+                    lines=[self._line(path[:, i, :2], self._colors[i], LinePrimitive.LINE_STRIP)],
+                )
+                for i, name in enumerate(self._setup.names)
+            ]
+        )
+
+    def static(self, unix_ns: int) -> SceneUpdate:
+        """Return what never changes: arena, obstacles, targets, a body in each robot's frame."""
+        arena = self._setup.arena
+        corners = [
+            (arena.left, arena.bottom),
+            (arena.right, arena.bottom),
+            (arena.right, arena.top),
+            (arena.left, arena.top),
+        ]
+        border = self._line(np.array(corners), GREY, LinePrimitive.LINE_LOOP)
+        entities = [self._entity("arena", unix_ns, lines=[border])]
+        for i, obstacle in enumerate(self._setup.obstacles):
+            entities.append(self._obstacle(f"obstacle/{i}", unix_ns, obstacle))
+        targets = self._setup.targets
+        for name, color, target in zip(self._setup.names, self._colors, targets, strict=True):
+            entities.append(self._target(name, color, target, unix_ns))
+            entities.append(self._robot(name, color, unix_ns))
+        return SceneUpdate(entities=entities)
+
+    def _obstacle(self, entity_id: str, unix_ns: int, obstacle: Shape) -> SceneEntity:
+        metres, height = self._metres, self._body
+        if isinstance(obstacle, Rectangle):
+            size = Vector3(x=obstacle.width * metres, y=obstacle.height * metres, z=height)
+            center = obstacle.left + obstacle.width / 2, obstacle.bottom + obstacle.height / 2
+            cube = CubePrimitive(pose=self._pose(*center, height / 2), size=size, color=GREY)
+            return self._entity(entity_id, unix_ns, cubes=[cube])
+        assert isinstance(obstacle, Circle)
+        across = 2 * obstacle.radius * metres
+        cylinder = CylinderPrimitive(
+            pose=self._pose(*obstacle.center, height / 2),
+            size=Vector3(x=across, y=across, z=height),
+            bottom_scale=1.0,
+            top_scale=1.0,
+            color=GREY,
+        )
+        return self._entity(entity_id, unix_ns, cylinders=[cylinder])
+
+    def _target(self, name: str, color: Color, target: Floats, unix_ns: int) -> SceneEntity:
+        """A ring the size of the robot round its target."""
+        angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
+        ring = np.column_stack([np.cos(angle), np.sin(angle)]) * (self._body / 2 / self._metres)
+        line = self._line(ring + target, color, LinePrimitive.LINE_LOOP)
+        return self._entity(f"target/{name}", unix_ns, lines=[line])
+
+    def _robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
+        """A wedge that points along the heading, and the robot's name above it."""
+        half = self._body / 2
+        nose = [Point3(x=half), Point3(x=-half, y=half), Point3(x=-half, y=-half)]
+        wedge = TriangleListPrimitive(pose=Pose(orientation=_UPRIGHT), points=nose, color=color)
+        label = TextPrimitive(
+            pose=Pose(position=Vector3(z=self._body), orientation=_UPRIGHT),
+            billboard=True,
+            scale_invariant=True,
+            font_size=14.0,
+            color=color,
+            text=name,
+        )
+        entity = self._entity(f"robot/{name}", unix_ns, triangles=[wedge], texts=[label])
+        entity.frame_id = frame_of(name)
+        return entity
+
+    def _entity(self, entity_id: str, unix_ns: int, **primitives: Any) -> SceneEntity:
+        """An entity that stays until it is replaced and follows its frame."""
+        return SceneEntity(
+            timestamp=stamp(unix_ns),
+            frame_id=WORLD,
+            id=entity_id,
+            frame_locked=True,
+            **primitives,
+        )
+
+    def _pose(self, x: float, y: float, z_metres: float) -> Pose:
+        position = Vector3(x=x * self._metres, y=y * self._metres, z=z_metres)
+        return Pose(position=position, orientation=_UPRIGHT)
+
+    def _line(self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType) -> LinePrimitive:
+        """A line 2 pixels wide through xy (M, 2)."""
+        finite = xy[np.isfinite(xy).all(axis=1)] * self._metres
+        return LinePrimitive(
+            type=kind,
+            pose=Pose(orientation=_UPRIGHT),
+            thickness=2.0,
+            scale_invariant=True,
+            points=[Point3(x=x, y=y) for x, y in finite.tolist()],
+            color=color,
+        )
+
+
+def _color(text: str) -> Color:
+    r, g, b = (int(text[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return Color(r=r, g=g, b=b, a=1.0)

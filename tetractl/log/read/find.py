@@ -1,0 +1,68 @@
+"""The logs that file names, folders and patterns stand for."""
+
+import glob
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from tetractl.core.errors import UsageError
+
+SUFFIX = ".mcap"
+PART = ".mcap.part"
+RECOVERED_SUFFIX = ".recovered.mcap"
+
+
+def find_logs(paths: Iterable[Path | str]) -> list[Path]:
+    """Return the logs that paths stand for, each once, in the order given.
+
+    A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder stands for the
+    logs in it and in its sub-folders, by name with numbers in their order; a .part counts too, for
+    a trial that crashed is part of its batch, unless the finished log lies beside it. What
+    `tetractl recover` wrote is passed over where the log that it comes from is given too. Raises
+    UsageError for a path that does not exist, a folder without logs, or a pattern without a match.
+    """
+    found: dict[Path, Path] = {}
+    for path in map(Path, paths):
+        for log in _expand(path):
+            found.setdefault(log.resolve(), log)
+    return [log for real, log in found.items() if not _sources(real) & found.keys()]
+
+
+def _sources(log: Path) -> set[Path]:
+    """Return what a log was recovered from, if it was."""
+    if not log.name.endswith(RECOVERED_SUFFIX):
+        return set()
+    stem = log.name.removesuffix(RECOVERED_SUFFIX)
+    return {log.with_name(stem + suffix) for suffix in (SUFFIX, PART)}
+
+
+def _expand(path: Path) -> list[Path]:
+    if path.is_dir():
+        if logs := _in_folder(path):
+            return logs
+        raise UsageError(f"{path}: no logs (*{SUFFIX}) in this folder")
+    if path.exists():
+        return [path]
+    if not glob.has_magic(str(path)):
+        raise UsageError(f"{path}: no such file or folder")
+    pattern = glob.glob(str(path), recursive=True)  # noqa: PTH207, Path.glob refuses absolute ones
+    matches = sorted(map(Path, pattern), key=_natural)
+    logs = [log for match in matches for log in (_in_folder(match) or _logs([match]))]
+    if not logs:
+        raise UsageError(f"{path}: matches no log")
+    return logs
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    logs = set(_logs(folder.rglob("*")))
+    return sorted((log for log in logs if log.with_suffix("") not in logs), key=_natural)
+
+
+def _logs(paths: Iterable[Path]) -> list[Path]:
+    return [path for path in paths if path.name.endswith((SUFFIX, PART)) and path.is_file()]
+
+
+def _natural(path: Path) -> list[tuple[int, int, str]]:
+    """Sort trial-2 before trial-10."""
+    pieces = re.split(r"(\d+)", str(path))
+    return [(int(piece), 1, "") if piece.isdecimal() else (0, 0, piece) for piece in pieces]

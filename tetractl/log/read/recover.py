@@ -1,0 +1,113 @@
+"""From a torn or bit-rotted log back to a complete file, with all that is provably intact."""
+
+import hashlib
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from mcap.records import Attachment, Metadata
+
+from tetractl.core.errors import LogError
+from tetractl.log.format.channels import HOST, HOST_TIMING, RECOVERED, RESULT, TIMING, Entry
+from tetractl.log.format.digest import DIGEST
+from tetractl.log.format.metadata import damage_metadata
+from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX
+from tetractl.log.read.gaps import frame_gaps, step_gaps
+from tetractl.log.read.reader import trial_of
+from tetractl.log.read.salvage import Contents, scan
+from tetractl.log.read.trial_log import Damage
+from tetractl.log.write.sink import Sink
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What was saved from `source` into `path`, None where there was nothing to repair.
+
+    `damage.lost` is empty for a log of which nothing is lost.
+    """
+
+    source: str
+    path: str | None
+    chunks: int
+    messages: int
+    metadata: int
+    attachments: int
+    damage: Damage
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is lost."""
+        return not self.damage.lost
+
+
+def recovered_path(log: Path) -> Path:
+    """Return where a recovered log goes by default: beside the one it comes from."""
+    for suffix in (PART, SUFFIX):
+        if log.name.endswith(suffix):
+            return log.with_name(log.name.removesuffix(suffix) + RECOVERED_SUFFIX)
+    return log.with_name(log.name + RECOVERED_SUFFIX)
+
+
+def recover(log: Path, out: Path | None = None) -> Recovery:
+    """Write every intact chunk, metadata record and attachment of a log to a complete file.
+
+    Goes to `recovered_path` unless `out` says where; a log that is complete already is only copied
+    where it does. Raises LogError where nothing can be read, or where the file exists already.
+    """
+    contents = scan(log)
+    entries = contents.entries
+    if not contents.records:
+        raise LogError(f"{log}: nothing in it can be recovered")
+    problems, lost = _examine(contents)
+    damage = Damage(tuple(problems), tuple(lost))
+    path = out or (recovered_path(log) if damage.problems or damage.lost else None)
+    if path is not None:
+        _write(contents, damage, path)
+    return Recovery(
+        source=str(log),
+        path=None if path is None else str(path),
+        chunks=contents.chunks,
+        messages=len(entries),
+        metadata=len(contents.records) - len(entries) - len(contents.attachments),
+        attachments=len(contents.attachments),
+        damage=damage,
+    )
+
+
+def _examine(contents: Contents) -> tuple[list[str], list[str]]:
+    """Say what is wrong, and what is lost and when: nothing where the digest proves it."""
+    try:
+        trial = trial_of(contents)
+    except LogError as error:
+        why = str(error).removeprefix(f"{contents.path}: ")
+        return [*contents.problems, why], [*contents.lost, "what tetractl reads a log by"]
+    problems, lost = map(
+        list, (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
+    )
+    timed = sum(entry.topic == HOST_TIMING for entry in contents.entries)
+    host = all(contents.facts(name) for name in (HOST, TIMING)) and timed == len(trial.steps)
+    if host and (contents.facts(RESULT) or {}).get(DIGEST) == contents.digest():
+        return problems, lost if contents.facts(RECOVERED) else []
+    lost += [str(gap) for gap in (*frame_gaps(trial), *step_gaps(trial))]
+    if trial.stop is None:
+        lost.append("the stop at the end")
+    return problems, lost or ["something that the log's digest or its host records cover"]
+
+
+def _write(contents: Contents, damage: Damage, path: Path) -> None:
+    sink = Sink(path)
+    for channel, schema in contents.channels.values():
+        sink.channel(channel, schema)
+    for messages, records in groupby(contents.records, lambda one: isinstance(one, Entry)):
+        if messages:
+            sink.messages(record for record in records if isinstance(record, Entry))
+            continue
+        for record in records:
+            if isinstance(record, Attachment):
+                sink.attachment(record.name, record.media_type, record.log_time, record.data)
+            elif isinstance(record, Metadata) and record.name != RECOVERED:
+                sink.copy_metadata(record.name, record.metadata)
+    with contents.path.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    sink.metadata(RECOVERED, damage_metadata(damage, contents.path.name, contents.size, sha256))
+    sink.close(complete=True)

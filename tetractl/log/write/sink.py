@@ -1,0 +1,225 @@
+"""An MCAP file under construction: bytes in, chunks out, every fault one clear error."""
+
+import errno
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from functools import wraps
+from pathlib import Path
+from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
+
+from mcap.records import Channel, Schema
+from mcap.well_known import MessageEncoding
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import register_schema
+
+from tetractl import __version__
+from tetractl.core.errors import LogError
+from tetractl.log.format.channels import CHANNELS, Entry
+from tetractl.log.format.digest import DIGEST, ContentDigest
+from tetractl.log.format.metadata import seal
+
+CHUNK_S = 0.7
+"""No message waits longer in memory [s of wall time]. With a control period of 0.2 s, in which the
+loop gathers camera frames, a killed process then loses less than 1.2 s of its trial."""
+SYNC_S = 1.0
+"""What was written is on the disk after this long [s of wall time], should the power fail."""
+
+P = ParamSpec("P")
+Method = Callable[Concatenate["Sink", P], None]
+_sync_data = getattr(os, "fdatasync", os.fsync)  # not everywhere
+
+
+def _while_open(method: Method[P]) -> Method[P]:
+    """Do nothing on a closed sink; close it and raise LogError where the file system refuses."""
+
+    @wraps(method)
+    def guarded(self: "Sink", *args: P.args, **kwargs: P.kwargs) -> None:
+        if self._file is None:
+            return
+        try:
+            method(self, *args, **kwargs)
+        except OSError as error:
+            self._fail(error)
+
+    return guarded
+
+
+class Sink:
+    """Writes NAME.part and renames it to NAME when it is complete.
+
+    Only bytes and strings come in, so that a sink can live in a thread of its own. Where the file
+    system refuses, the call raises LogError and the file is closed as it is: what it holds stays
+    readable under NAME.part, and later calls do nothing, so that stopping the trial for a full disk
+    meets no second error.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._part = path.with_name(path.name + ".part")
+        self._digest = ContentDigest()
+        self._file: BinaryIO | None = None
+        self._chunk_since: float | None = None  # when the oldest message of the open chunk came
+        self._dirty_since: float | None = None  # when something was written that is not synced
+        for name in (path, self._part):  # never lose a trial for another of the same name
+            if os.path.lexists(name):
+                raise LogError(f"{name}: this log exists already", "write to another folder")
+        try:
+            self._file = self._part.open("x+b")
+            _sync_folder(path.parent)
+            self._mcap = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
+            self._mcap.start(library=f"tetractl {__version__}")
+        except OSError as error:
+            self._fail(error)
+        self._channels = {
+            topic: self._mcap.register_channel(
+                topic, MessageEncoding.Protobuf, register_schema(self._mcap, message)
+            )
+            for topic, message in CHANNELS.items()
+        }
+
+    def channel(self, channel: Channel, schema: Schema | None) -> None:
+        """Take on a channel of another log; ours are there already."""
+        if channel.topic not in self._channels:
+            known = schema and self._mcap.register_schema(schema.name, schema.encoding, schema.data)
+            self._channels[channel.topic] = self._mcap.register_channel(
+                channel.topic, channel.message_encoding, known or 0, channel.metadata
+            )
+
+    @property
+    def digest(self) -> str:
+        """The content digest of all so far."""
+        return self._digest.hexdigest()
+
+    @_while_open
+    def messages(self, entries: Iterable[Entry]) -> None:
+        """Add messages."""
+        self._chunk_since = self._chunk_since or time.monotonic()
+        for entry in entries:
+            self._digest.message(entry)
+            channel = self._channels[entry.topic]
+            self._mcap.add_message(channel, entry.log_ns, entry.data, entry.publish_ns)
+
+    @_while_open
+    def metadata(self, name: str, facts: Mapping[str, str]) -> None:
+        """Add a metadata record, sealed with its checksum, behind all messages so far."""
+        self.flush()
+        self._digest.metadata(name, facts)
+        self._mcap.add_metadata(name, seal(facts))
+
+    @_while_open
+    def last_metadata(self, name: str, facts: Mapping[str, str]) -> None:
+        """Add the metadata record that states the content digest of the log, itself included."""
+        self.flush()
+        self._digest.metadata(name, facts)
+        self._mcap.add_metadata(name, seal({**facts, DIGEST: self._digest.hexdigest()}))
+
+    @_while_open
+    def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Add a metadata record of another log as it is, its checksum and digest included."""
+        self.flush()
+        self._digest.metadata(name, items)
+        self._mcap.add_metadata(name, dict(items))
+
+    @_while_open
+    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
+        """Add an attachment behind all messages so far."""
+        self.flush()
+        self._digest.attachment(name, media_type, data)
+        self._mcap.add_attachment(0, unix_ns, name, media_type, data)
+
+    @_while_open
+    def flush(self) -> None:
+        """End the chunk and hand everything so far to the operating system."""
+        self._mcap.flush()
+        self._chunk_since = None
+        self._dirty_since = self._dirty_since or time.monotonic()
+
+    @_while_open
+    def sync(self) -> None:
+        """Wait until the disk has everything so far, and look that the file is still there."""
+        assert self._file is not None
+        self.flush()
+        _sync_data(self._file.fileno())
+        self._dirty_since = None
+        self._look()
+
+    def tend(self) -> float | None:
+        """Flush and sync what waited long enough; return after how long to come again [s]."""
+        now, times = time.monotonic(), []
+        if self._chunk_since is not None:
+            times.append(self._chunk_since + CHUNK_S)
+        if self._dirty_since is not None:
+            times.append(self._dirty_since + SYNC_S)
+        if self._file is None or not times:
+            return None
+        if min(times) > now:
+            return min(times) - now
+        if self._chunk_since is not None and self._chunk_since + CHUNK_S > now:
+            # A simulation runs faster than the clock: leave its chunk to end on a second of the
+            # trial, so that they end alike in every run.
+            self._sync_written()
+            return self._chunk_since + CHUNK_S - now
+        self.sync()
+        return None
+
+    @_while_open
+    def close(self, complete: bool) -> None:
+        """Write the index and close; only a complete log loses its .part."""
+        self._mcap.finish()
+        self.sync()
+        self._release()
+        if complete:
+            self._part.rename(self._path)
+            _sync_folder(self._path.parent)
+
+    @_while_open
+    def _sync_written(self) -> None:
+        assert self._file is not None
+        _sync_data(self._file.fileno())
+        self._dirty_since = None
+        self._look()
+
+    def _look(self) -> None:
+        """Raise where the file is no longer under its name; put back what was removed."""
+        assert self._file is not None
+        mine = os.fstat(self._file.fileno())
+        with suppress(FileNotFoundError, NotADirectoryError):
+            if os.path.samestat(mine, self._part.stat()):
+                return
+        if mine.st_nlink == 0:  # nobody else has it any more
+            self._part.parent.mkdir(parents=True, exist_ok=True)
+            self._file.seek(0)
+            with self._part.open("xb") as copy:
+                shutil.copyfileobj(self._file, copy)
+            raise OSError(errno.ENOENT, "the file or its folder was removed during the trial")
+        raise OSError(errno.ENOENT, "the file or its folder was moved during the trial")
+
+    def _fail(self, error: OSError) -> NoReturn:
+        with suppress(OSError):  # closing writes what is buffered and meets the same refusal
+            self._release()
+        why = error.strerror or str(error)
+        kept = os.path.lexists(self._part) and self._part.stat().st_size > 0
+        raise LogError(
+            f"{self._path}: cannot write the log: {why}",
+            f"what was written until then is in {self._part}" if kept else None,
+        ) from error
+
+    def _release(self) -> None:
+        file, self._file = self._file, None
+        if file:
+            file.close()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make new names in a folder survive a power cut, where its file system can."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(handle)

@@ -1,0 +1,53 @@
+"""`tetractl run --from LOG`: a trial once more, from its own log."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tetractl.core.errors import Exit
+
+if TYPE_CHECKING:
+    from tetractl.experiment.load import LoadedSpec
+
+
+def recorded(log: Path) -> "tuple[LoadedSpec, int]":
+    """Return the spec that a log was run with, and the number of its trial."""
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.log.format import channels
+    from tetractl.log.read.reader import trial_of
+    from tetractl.log.read.salvage import scan
+
+    contents = scan(log)
+    trial = trial_of(contents)
+    start = trial.start
+    ours = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT}
+    attached = tuple(
+        (item.name, item.data.decode(errors="replace"))
+        for item in contents.attachments
+        if item.name not in ours
+    )
+    loaded = LoadedSpec(trial.experiment, start.spec_text, start.spec_name, attached=attached)
+    return loaded, start.trial
+
+
+def compare(log: Path, again: Path) -> int:
+    """Say whether a trial came out as before; exit code FAILED where it did not."""
+    from tetractl.log.read.reader import content_digest, read_result, read_trial
+    from tetractl.replay.verify import differing_facts
+
+    first = read_result(log)
+    if not first.simulated:
+        print("the log is of the lab: the trial was done once more, not repeated", file=sys.stderr)
+        return Exit.DONE
+    one, two = (content_digest(path) for path in (log, again))
+    if one == two:
+        print(f"the content digests agree: {one}", file=sys.stderr)
+        return Exit.DONE
+    print(f"the content digests differ: {one} in {log}, {two} in {again}", file=sys.stderr)
+    if first.recovered or not first.outcome.complete:
+        print(f"  {log} is of a trial that did not run to its end, or damaged", file=sys.stderr)
+    if first.experiment.controller.deadline is not None:
+        print("  its spec sets a deadline: plans depend on how fast the host is", file=sys.stderr)
+    for fact in differing_facts(read_trial(log)):
+        print(f"  {fact}", file=sys.stderr)
+    return Exit.FAILED

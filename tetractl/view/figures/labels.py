@@ -1,0 +1,54 @@
+"""Words beside trails, kept clear of what is drawn."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
+
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Bounds
+from tetractl.view import style
+
+HALO = [withStroke(linewidth=1.6, foreground="white")]
+
+
+def edge(arena: Bounds) -> Floats:
+    """Points all along the edge of the arena, shape (M, 2)."""
+    x = np.linspace(arena.left, arena.right, 60)
+    y = np.linspace(arena.bottom, arena.top, 60)
+    rows = [np.column_stack([x, np.full(60, end)]) for end in (y[0], y[-1])]
+    columns = [np.column_stack([np.full(60, end), y]) for end in (x[0], x[-1])]
+    return np.concatenate([*rows, *columns])
+
+
+class Labels:
+    """Writes times beside the trails, each on the side where there is most room."""
+
+    def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
+        """Keep clear of `trails` (M, 2); `point` is a typographic point in length units."""
+        self._axes, self._point = axes, point
+        self._taken = trails[np.isfinite(trails).all(axis=1)]
+
+    def write(self, xy: Floats, tip: Floats, text: str) -> None:
+        """Write beside the mark at `xy` whose tick ends at `tip`."""
+        self._taken = np.concatenate([self._taken, [tip, (xy + tip) / 2]])
+        angles = np.arange(0, 2 * np.pi, np.pi / 6)
+        aside = np.column_stack([9 * np.cos(angles), 6.5 * np.sin(angles)])
+        spots = xy + aside * self._point
+        gaps = spots[:, None] - self._taken
+        gaps[..., 1] *= 1.5  # a label is wider than high
+        best = int(np.linalg.norm(gaps, axis=-1).min(axis=1, initial=np.inf).argmax())
+        width = np.linspace(-4, 4, 5) * self._point
+        label = np.column_stack([spots[best, 0] + width, np.full(5, spots[best, 1])])
+        self._taken = np.concatenate([self._taken, label])
+        self._axes.annotate(
+            text,
+            (float(xy[0]), float(xy[1])),
+            xytext=tuple(aside[best]),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=5.5,
+            color=style.INK,
+            path_effects=HALO,
+            zorder=5,
+        )

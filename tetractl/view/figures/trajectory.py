@@ -1,0 +1,257 @@
+"""The paper's Figure 5: how the robots drove, for one trial or many over one another."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.ticker import MultipleLocator
+
+from tetractl.core.colors import robot_colors
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Bounds, Setup
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.replay.frame import tracked
+from tetractl.view import style
+from tetractl.view.figures.labels import Labels, edge
+
+LABELLED = 8  # most robots that get a line of the legend each
+MARKS = 5  # about as many times are marked along a trail
+
+
+def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
+    """Draw one trial with times, headings and errors, or several lightly over one another.
+
+    Trails are as measured; where the truth is known and differs visibly it is dashed. Raises
+    UsageError where the logs are not of the same robots, arena and obstacles.
+    """
+    setup = logs[0].start.setup
+    for log in logs[1:]:
+        _check_alike(logs[0], log)
+    with style.styled():
+        width = style.COLUMN_IN
+        shape = min(max(setup.arena.height / setup.arena.width, 0.3), 2.0)
+        figure = style.figure(width, (width - 0.55) * shape + 0.78)
+        axes = figure.subplots()
+        colors = robot_colors(setup.names, setup.colors)
+        _scene(axes, setup, colors)
+        ends = np.array([_final(log)[:, :2] for log in logs])
+        if len(logs) == 1:
+            _one(axes, logs[0], colors)
+        else:
+            _many(axes, logs, colors)
+        for robot, color in enumerate(colors):
+            _end_marks(axes, ends[:, robot], color, alone=len(logs) == 1)
+        trails = [tracked(log.mocap, log.valid) for log in logs]
+        beyond = _limits(axes, setup.arena, [ends, *trails])
+        _errors(figure, logs, colors, setup.distances(ends))
+        _signs(figure, logs, beyond)
+    return figure
+
+
+def _check_alike(first: TrialLog, other: TrialLog) -> None:
+    a, b = first.experiment, other.experiment
+    if (a.robots, a.arena, a.obstacles, a.units) != (b.robots, b.arena, b.obstacles, b.units):
+        raise UsageError(
+            f"{first.path} and {other.path} are of different experiments",
+            "plot together only trials with the same robots, arena and obstacles",
+        )
+
+
+def _scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
+    unit = style.unit_of(setup.unit)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"x [{unit}]")
+    axes.set_ylabel(f"y [{unit}]")
+    ticks = _nice_step(max(setup.arena.width, setup.arena.height), 9)
+    axes.xaxis.set_major_locator(MultipleLocator(ticks))
+    axes.yaxis.set_major_locator(MultipleLocator(ticks))
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(True)
+    for obstacle in setup.obstacles:
+        patch = (
+            Circle(obstacle.center, obstacle.radius)
+            if obstacle.type == "circle"
+            else Rectangle((obstacle.left, obstacle.bottom), obstacle.width, obstacle.height)
+        )
+        patch.set(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, linewidth=0.6, zorder=1)
+        axes.add_patch(patch)
+    starts = setup.starts.xy
+    for start, target, color in zip(starts, setup.targets, colors, strict=True):
+        look: dict[str, Any] = {
+            "markeredgecolor": color,
+            "linestyle": "none",
+            "zorder": 4,
+            "clip_on": False,
+        }
+        axes.plot(*start, marker="o", markersize=6, markerfacecolor="white", **look)
+        axes.plot(*target, marker="s", markersize=7, markerfacecolor="none", **look)
+
+
+def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
+    trail = tracked(log.mocap, log.valid)
+    truth = _visible_truth(log)
+    times = _marked_times(log)
+    final, setup = _final(log)[:, :2], log.start.setup
+    ahead = 0.028 * max(setup.arena.width, setup.arena.height)
+    point = setup.arena.width / (72 * (style.COLUMN_IN - 0.65))
+    ring = 4 * point * np.exp(1j * np.arange(0, 2 * np.pi, np.pi / 4))
+    marks = np.concatenate([final, setup.targets, setup.starts.xy])[:, None]
+    marks = marks + np.column_stack([ring.real, ring.imag])
+    crowd = [trail[::6].reshape(-1, 2), marks.reshape(-1, 2), edge(setup.arena)]
+    labels = Labels(axes, np.concatenate(crowd), point)
+    for robot, color in enumerate(colors):
+        xy = trail[:, robot]
+        axes.plot(xy[:, 0], xy[:, 1], color=color, zorder=3, gid=f"trail-{robot}")
+        if truth is not None:
+            axes.plot(*truth[:, robot].T, color=style.INK, lw=0.6, ls=(0, (3, 2)), zorder=3.5)
+        for time_s in times:
+            index = int(np.searchsorted(log.mocap_ns, time_s * 1e9 - 1))
+            x, y, heading = log.mocap[min(index, len(log.mocap) - 1), robot]
+            tip = x + ahead * np.cos(heading), y + ahead * np.sin(heading)
+            axes.plot([x, tip[0]], [y, tip[1]], color=color, lw=1.0, zorder=3.6)
+            axes.plot(x, y, ".", color=color, ms=4, zorder=3.6)
+            labels.write(np.array([x, y]), np.array(tip), f"{time_s:g} s")
+        gap = np.array([final[robot], setup.targets[robot]])
+        axes.plot(*gap.T, color=color, lw=0.6, ls=":", zorder=2)
+
+
+def _many(axes: Axes, logs: Sequence[TrialLog], colors: list[str]) -> None:
+    alpha = max(0.75 / len(logs) ** 0.25, 0.1)
+    for log in logs:
+        trail = tracked(log.mocap, log.valid)
+        for robot, color in enumerate(colors):
+            xy = trail[:, robot]
+            axes.plot(xy[:, 0], xy[:, 1], color=color, lw=0.6, alpha=alpha, zorder=3)
+
+
+def _end_marks(axes: Axes, ends: Floats, color: str, alone: bool) -> None:
+    size = 6 if alone else 4
+    look: dict[str, Any] = {
+        "markeredgecolor": "white",
+        "markeredgewidth": 0.5,
+        "linestyle": "none",
+        "zorder": 6,
+    }
+    axes.plot(ends[:, 0], ends[:, 1], marker="D", markersize=size - 1, color=color, **look)
+
+
+def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
+    """Show the whole arena, and what lies beyond it with the arena's edge dashed."""
+    corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
+    points = np.concatenate([path.reshape(-1, 2) for path in paths])
+    points = points[np.isfinite(points).all(axis=1)]
+    margin = 0.02 * max(arena.width, arena.height)
+    least, most = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+    low = np.where(least < corners[0], least - margin, corners[0])
+    high = np.where(most > corners[1], most + margin, corners[1])
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    beyond = bool((low < corners[0]).any() or (high > corners[1]).any())
+    if beyond:
+        frame = Rectangle(tuple(corners[0]), arena.width, arena.height)
+        frame.set(fill=False, edgecolor=style.GREY, linewidth=0.6, linestyle="--")
+        axes.add_patch(frame)
+    return beyond
+
+
+def _errors(figure: Figure, logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> None:
+    """Name the robots and their errors (trials, N) above the axes, where no trail is."""
+    setup = logs[0].start.setup
+    unit = style.unit_of(setup.unit)
+    total = errors.sum(axis=1)
+    if len(logs) == 1:
+        words = [f"{error:.1f}" for error in errors[0]]
+        title = f"error at the end [{unit}], total {total[0]:.1f}"
+    else:
+        words = [_spread(robot) for robot in errors.T]
+        title = f"{len(logs)} trials, error at the end [{unit}], total {_spread(total)}"
+    handles = [
+        Line2D([], [], color=color, label=f"{name}: {word}")
+        for name, color, word in zip(setup.names, colors, words, strict=True)
+    ][: LABELLED if len(colors) <= LABELLED else 0]
+    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
+    figure.legend(
+        handles=handles,
+        title=title,
+        title_fontsize=7,
+        loc="outside upper center",
+        ncols=3 if longest <= 19 else 2 if longest <= 30 else 1,
+        columnspacing=1.2,
+        handlelength=1.2,
+        handletextpad=0.5,
+    )
+
+
+def _spread(errors: Floats) -> str:
+    """Mean and standard deviation (n - 1)."""
+    mean, std = float(errors.mean()), float(errors.std(ddof=1))
+    digits = 0 if mean >= 100 else 1 if mean >= 10 else 2
+    return f"{mean:.{digits}f} ± {std:.{digits}f}"
+
+
+def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
+    """Explain the signs below the axes."""
+    grey: dict[str, Any] = {"color": style.GREY, "linestyle": "none"}
+    dashed: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
+    signs: list[Line2D | Patch] = [
+        Line2D([], [], marker="o", markerfacecolor="white", markersize=5, label="start", **grey),
+        Line2D([], [], marker="s", markerfacecolor="none", markersize=5, label="target", **grey),
+        Line2D([], [], marker="D", markersize=4, label="end", **grey),
+    ]
+    if logs[0].start.setup.obstacles:
+        signs.append(
+            Patch(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, lw=0.6, label="obstacle")
+        )
+    if beyond:
+        signs.append(Line2D([], [], color=style.GREY, label="arena", **dashed))
+    if len(logs) == 1 and _visible_truth(logs[0]) is not None:
+        signs.append(Line2D([], [], color=style.INK, label="true path", **dashed))
+    figure.legend(
+        handles=signs,
+        loc="outside lower center",
+        ncols=len(signs) if len(signs) < 6 else 3,
+        fontsize=6,
+        columnspacing=1.2,
+    )
+
+
+def _final(log: TrialLog) -> Floats:
+    """Last poses (N, 3): as the plant judged them, else the last that were measured."""
+    if log.result is not None:
+        return log.result.verdict.final.array()
+    poses = log.start.setup.starts.array()
+    for robot in range(len(poses)):
+        seen = np.flatnonzero(log.valid[:, robot])
+        if len(seen):
+            poses[robot] = log.mocap[seen[-1], robot]
+    return poses
+
+
+def _visible_truth(log: TrialLog) -> Floats | None:
+    """True positions (M, N, 2), if they leave the measured ones by more than 0.5 % of the arena."""
+    if log.truth is None or not len(log.truth):
+        return None
+    gap = np.linalg.norm(log.truth[..., :2] - tracked(log.mocap, log.valid), axis=-1)
+    arena = log.start.setup.arena
+    differs = np.nanmax(gap, initial=0.0) > 0.005 * max(arena.width, arena.height)
+    return log.truth[..., :2] if differs else None
+
+
+def _marked_times(log: TrialLog) -> list[float]:
+    """Whole numbers of 1, 2, 5, 10 ... s, at most `MARKS` of them, within the trial."""
+    end_s = float(log.mocap_ns[-1]) / 1e9 if len(log.mocap_ns) else 0.0
+    if end_s <= 0:
+        return []
+    step = _nice_step(end_s, MARKS)
+    return [float(t) for t in np.arange(step, end_s * 0.92, step)]
+
+
+def _nice_step(length: float, most: int) -> float:
+    """Least 1, 2 or 5 times a power of ten that divides a length into at most `most` parts."""
+    power = 10.0 ** np.floor(np.log10(length / most))
+    return float(next(n * power for n in (1, 2, 5, 10) if length / (n * power) <= most))

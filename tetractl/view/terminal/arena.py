@@ -1,0 +1,212 @@
+"""The arena in a terminal: a canvas of braille dots, to scale, with the robots as arrows."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.segment import Segment
+from rich.style import Style
+
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Bounds
+from tetractl.experiment.experiment import Obstacle
+from tetractl.replay.frame import Frame
+from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
+
+ACROSS, DOWN = 2, 4  # dots of a braille cell; a cell is twice as high as wide, so dots are square
+_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint8)
+_PLAIN = Style()
+OBSTACLE_STYLE = Style(color="#C9A227")
+BORDER_STYLE = Style(dim=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Projection:
+    """Maps the arena onto `width` x `height` character cells, `scale` length units a dot."""
+
+    arena: Bounds
+    width: int
+    height: int
+    scale: float
+
+    @classmethod
+    def fit(cls, arena: Bounds, width: int, height: int) -> "Projection":
+        """Show the whole arena as large as `width` x `height` cells allow."""
+        width, height = max(width, 1), max(height, 1)
+        scale = max(arena.width / (ACROSS * width - 1), arena.height / (DOWN * height - 1))
+        across, down = round(arena.width / scale) + 1, round(arena.height / scale) + 1
+        return cls(arena, math.ceil(across / ACROSS), math.ceil(down / DOWN), scale)
+
+    def dots(self, xy: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Columns and rows of dots, (0, 0) at the top left, of positions (..., 2); NaN is left out.
+
+        A position outside the arena may give a dot outside the canvas.
+        """
+        xy = xy[np.isfinite(xy).all(axis=-1)]
+        column = np.rint((xy[:, 0] - self.arena.left) / self.scale)
+        row = np.rint((self.arena.bottom + self.arena.height - xy[:, 1]) / self.scale)
+        limit = 1e6
+        return (
+            np.clip(column, -limit, limit).astype(np.int64),
+            np.clip(row, -limit, limit).astype(np.int64),
+        )
+
+    def cell(self, x: float, y: float) -> tuple[int, int]:
+        """Column and row of a position's cell; of the nearest at the edge if it lies outside."""
+        if not (math.isfinite(x) and math.isfinite(y)):
+            x, y = self.arena.left, self.arena.bottom
+        (column,), (row,) = self.dots(np.array([[x, y]]))
+        return (
+            min(max(int(column) // ACROSS, 0), self.width - 1),
+            min(max(int(row) // DOWN, 0), self.height - 1),
+        )
+
+
+class Canvas:
+    """Character cells of braille dots with one style each; what is drawn last is seen."""
+
+    def __init__(self, width: int, height: int, glyphs: Glyphs) -> None:
+        self.width, self.height = width, height
+        self._ascii = glyphs.ascii
+        self._bits = np.zeros((height, width), dtype=np.uint8)
+        self._styles: list[Style] = [_PLAIN]
+        self._style = np.zeros((height, width), dtype=np.intp)
+        self._chars = np.full((height, width), " ")
+
+    def dots(
+        self, columns: NDArray[np.int64], rows: NDArray[np.int64], style: Style, char: str
+    ) -> None:
+        """Draw dots; an ASCII canvas shows `char` in each of their cells."""
+        seen = (columns >= 0) & (columns < ACROSS * self.width)
+        seen &= (rows >= 0) & (rows < DOWN * self.height)
+        columns, rows = columns[seen], rows[seen]
+        cells = rows // DOWN, columns // ACROSS
+        np.bitwise_or.at(self._bits, cells, _BITS[rows % DOWN, columns % ACROSS])
+        self._style[cells] = self._index(style)
+        self._chars[cells] = char
+
+    def put(self, column: int, row: int, char: str, style: Style) -> None:
+        """Write a character in place of a cell's dots; outside the canvas it is not seen."""
+        if 0 <= column < self.width and 0 <= row < self.height:
+            self._bits[row, column] = 0
+            self._chars[row, column] = char
+            self._style[row, column] = self._index(style)
+
+    def text(self) -> list[str]:
+        """Return the rows as text."""
+        chars = self._chars
+        if not self._ascii:
+            braille = (0x2800 + self._bits.astype(np.uint32)).view("<U1")
+            chars = np.where(self._bits > 0, braille, chars)
+        return ["".join(row) for row in chars]
+
+    def segments(self) -> list[list[Segment]]:
+        """Return the rows, each cut where the style changes."""
+        rows = []
+        for text, styles in zip(self.text(), self._style, strict=True):
+            cuts = [0, *(np.flatnonzero(np.diff(styles)) + 1), self.width]
+            rows.append([Segment(text[a:b], self._styles[styles[a]]) for a, b in pairwise(cuts)])
+        return rows
+
+    def _index(self, style: Style) -> int:
+        if style not in self._styles:
+            self._styles.append(style)
+        return self._styles.index(style)
+
+
+def draw(frame: Frame, colors: list[str], glyphs: Glyphs, width: int, height: int) -> Canvas:
+    """Draw a frame on a canvas of at most `width` x `height` cells.
+
+    Obstacles, then the plan (dotted), trails, starts (circles), targets (squares), robots. On an
+    ASCII canvas a robot is its number with a tick ahead, its target the number in brackets.
+    """
+    setup = frame.setup
+    view = Projection.fit(setup.arena, width, height)
+    canvas = Canvas(view.width, view.height, glyphs)
+    for obstacle in setup.obstacles:
+        canvas.dots(*view.dots(_filling(obstacle, view)), OBSTACLE_STYLE, "#")
+    for robot, color in enumerate(colors):
+        if frame.step is not None and frame.result is None:
+            plan = frame.step.plan.path[:, robot, :2]
+            canvas.dots(*view.dots(plan), Style(color=color, dim=True), ":")
+    for robot, color in enumerate(colors):
+        canvas.dots(*view.dots(frame.trail[:, robot]), Style(color=color), ".")
+    begin = setup.starts.xy
+    for robot, color in enumerate(colors):
+        canvas.put(*view.cell(*begin[robot]), glyphs.start, Style(color=color))
+        _target(canvas, view, setup.targets[robot], robot, color, glyphs)
+    for robot, color in enumerate(colors):
+        _robot(canvas, view, frame.poses[robot], robot, color, glyphs)
+    return canvas
+
+
+def framed(canvas: Canvas, label: str, glyphs: Glyphs) -> Iterable[list[Segment]]:
+    """Put a thin border around a canvas, with a label in its lower edge where it fits."""
+    nw, ne, se, sw, line, side = glyphs.box
+    label = f" {label} " if len(label) + 2 <= canvas.width else ""
+    yield [Segment(nw + line * canvas.width + ne, BORDER_STYLE)]
+    for row in canvas.segments():
+        yield [Segment(side, BORDER_STYLE), *row, Segment(side, BORDER_STYLE)]
+    rest = canvas.width - len(label)
+    edge = line * (rest // 2) + label + line * (rest - rest // 2)
+    yield [Segment(sw + edge + se, BORDER_STYLE)]
+
+
+def _filling(obstacle: Obstacle, view: Projection) -> Floats:
+    """Points that fill an obstacle, one a dot, always its middle: shape (M, 2)."""
+    if obstacle.type == "circle":
+        (x, y), half_x, half_y = obstacle.center, obstacle.radius, obstacle.radius
+    else:
+        half_x, half_y = obstacle.width / 2, obstacle.height / 2
+        x, y = obstacle.left + half_x, obstacle.bottom + half_y
+    most = 2 * max(view.arena.width, view.arena.height)
+    xs = x + _ticks(min(half_x, most), view.scale)
+    ys = y + _ticks(min(half_y, most), view.scale)
+    grid = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
+    if obstacle.type == "circle":
+        grid = grid[np.hypot(grid[:, 0] - x, grid[:, 1] - y) <= obstacle.radius]
+    return grid
+
+
+def _ticks(half: float, step: float) -> Floats:
+    return np.linspace(-half, half, 2 * math.ceil(half / step) + 1)
+
+
+def _target(
+    canvas: Canvas,
+    view: Projection,
+    xy: Floats,
+    robot: int,
+    color: str,
+    glyphs: Glyphs,
+) -> None:
+    column, row = view.cell(*xy)
+    style = Style(color=color)
+    if not glyphs.ascii:
+        canvas.put(column, row, glyphs.target, style)
+        return
+    for offset, char in enumerate(f"[{_digit(robot)}]", start=-1):
+        canvas.put(column + offset, row, char, style)
+
+
+def _robot(
+    canvas: Canvas, view: Projection, pose: Floats, robot: int, color: str, glyphs: Glyphs
+) -> None:
+    x, y, heading = (float(value) for value in pose)
+    column, row = view.cell(x, y)
+    style = Style(color=color, bold=True)
+    if not glyphs.ascii:
+        canvas.put(column, row, arrow(glyphs, heading), style)
+        return
+    turn = eighth(heading)
+    across = (1, 1, 0, -1, -1, -1, 0, 1)[turn]
+    up = (0, 1, 1, 1, 0, -1, -1, -1)[turn]
+    canvas.put(column + across, row - up, "-/|\\"[turn % 4], style)
+    canvas.put(column, row, _digit(robot), style)
+
+
+def _digit(robot: int) -> str:
+    return str(robot + 1)[-1]

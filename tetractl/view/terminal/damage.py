@@ -1,0 +1,15 @@
+"""Says what is wrong with a log before what is left of it is shown."""
+
+import sys
+
+from tetractl.log.read.trial_log import TrialLog
+
+
+def warn_of_damage(log: TrialLog) -> None:
+    """Print a damaged log's problems and losses to stderr."""
+    if log.damage is None:
+        return
+    for problem in log.damage.problems:
+        print(f"damaged: {log.path}: {problem}", file=sys.stderr)
+    for lost in log.damage.lost:
+        print(f"lost: {log.path}: {lost}", file=sys.stderr)

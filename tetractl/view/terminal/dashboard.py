@@ -1,0 +1,232 @@
+"""The dashboard: the arena at the left, the numbers at the right, one line of controls below."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.segment import Segment
+from rich.text import Text
+
+from tetractl.core.plan import Plan
+from tetractl.replay.frame import Frame
+from tetractl.view.terminal.arena import Projection, draw, framed
+from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
+
+SIDE_MIN, SIDE_MAX = 20, 58  # columns of the numbers
+ARENA_SHARE = 0.58  # of the width, at most, where the numbers need the rest
+COMPACT = 30  # columns of the numbers below which labels are short
+
+
+@dataclass(frozen=True, slots=True)
+class Footer:
+    """The lowest line: a word at the left, a bar, a word at the right, what fits of `hints`."""
+
+    left: str
+    fraction: float
+    right: str
+    hints: tuple[str, ...] = ()
+
+    def text(self, glyphs: Glyphs, width: int) -> Text:
+        """Lay the line out; hints are left out from the end, then the bar shrinks."""
+        fixed = len(self.left) + len(self.right) + 2
+        hints = list(self.hints)
+        while hints and fixed + 12 + _length(hints) > width:
+            hints.pop()
+        room = max(width - fixed - _length(hints), 0)
+        line = Text.assemble(
+            f"{self.left} ", bar(glyphs, min(room, 60), self.fraction, "bold"), f" {self.right}"
+        )
+        for hint in hints:
+            key, _, does = hint.partition(" ")
+            line.append_text(Text.assemble("  ", (key, "bold"), (f" {does}", "dim")))
+        return line
+
+
+def _length(hints: list[str]) -> int:
+    return sum(len(hint) + 2 for hint in hints)
+
+
+class Dashboard:
+    """A frame of a trial as a rich renderable that fills the space it is given.
+
+    `heading` names the trial, `notes` are warnings such as a log's damage, `aside` is what else is
+    worth knowing.
+    """
+
+    def __init__(
+        self,
+        frame: Frame,
+        colors: list[str],
+        heading: str,
+        footer: Footer,
+        notes: tuple[str, ...] = (),
+        aside: str = "",
+    ) -> None:
+        self._frame, self._colors = frame, colors
+        self._heading, self._footer = heading, footer
+        self._notes, self._aside = notes, aside
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        glyphs = glyphs_for(console)
+        width, height = options.max_width, (options.height or console.height)
+        body = max(height - 1, 1)
+        arena = self._frame.setup.arena
+        most = max(min(width - SIDE_MIN - 1, max(round(ARENA_SHARE * width), width - 38)), 3)
+        view = Projection.fit(arena, most - 2, body - 2)
+        unit = self._frame.setup.unit
+        canvas = draw(self._frame, self._colors, glyphs, view.width, view.height)
+        label = f"{arena.width:g} {glyphs.times} {arena.height:g} {unit}"
+        left = list(framed(canvas, label, glyphs))
+        across = view.width + 2
+        room = min(width - across - 2, SIDE_MAX)
+        side = self.side(glyphs, room, body) if room >= 8 else []
+        for row in range(body):
+            line = list(left[row]) if row < len(left) else [Segment(" " * across)]
+            if row < len(side):
+                text = side[row]
+                text.truncate(room)
+                line += [Segment("  "), *text.render(console)]
+            yield from Segment.adjust_line_length(line, width)
+            yield Segment.line()
+        footer = self._footer.text(glyphs, width)
+        footer.truncate(width)
+        yield from Segment.adjust_line_length(list(footer.render(console)), width)
+
+    def side(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
+        """Lay out the numbers in at most `height` lines; the least important blocks go first."""
+        blocks = [
+            (0, self._head(glyphs, width)),
+            (3, self._robots(glyphs, width, height)),
+            (2, self._total(glyphs, width)),
+            (4, self._plan(glyphs, width)),
+            (5, self._effort(width)),
+            (1, self._last()),
+        ]
+        blocks = [(rank, lines) for rank, lines in blocks if lines]
+        while sum(len(lines) for _, lines in blocks) > height and len(blocks) > 1:
+            blocks.remove(max(blocks, key=lambda block: block[0]))
+        spare = height - sum(len(lines) for _, lines in blocks)
+        laid: list[Text] = []
+        for index, (_, lines) in enumerate(blocks):
+            if laid and spare >= len(blocks) - index:
+                laid.append(Text())
+                spare -= 1
+            laid += lines
+        return laid[:height]
+
+    def _head(self, glyphs: Glyphs, width: int) -> list[Text]:
+        frame, step = self._frame, self._frame.step
+        end = "" if frame.end_s is None else f" / {frame.end_s:.1f}"
+        row = _Rows(width)
+        lines = [
+            Text(self._heading, "bold", no_wrap=True),
+            row("time", "t", f"{frame.time_s:.1f}{end} s"),
+        ]
+        if step is None:
+            return [*lines, row("step k", "k", "none yet")]
+        lines.append(row("step k", "k", f"{step.k}"))
+        signals = len(step.plan.signals)
+        lines.append(row("horizon", "h", f"{signals} signal{'s' * (signals != 1)}"))
+        u = step.command.direction
+        if u is None:
+            return [*lines, row("direction", "u", "stop")]
+        degrees = math.degrees(math.remainder(u, math.tau))
+        sign = f"{arrow(glyphs, u)} {degrees:+.0f}{glyphs.degree}"
+        return [*lines, row("direction", "u", sign)]
+
+    def _robots(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
+        frame, setup = self._frame, self._frame.setup
+        now = frame.distances
+        full = max(float(np.nanmax(setup.distances(setup.starts.xy))), 1e-12)
+        most = max(height - 12, 3)
+        shown = len(now) if len(now) <= most else most - 1
+        names = setup.names[:shown]
+        name_width = min(max((len(name) for name in names), default=0), max(width // 3, 4))
+        decimals = min(max(3 - math.floor(math.log10(full)), 0), 6)  # 0.1 mm of 854 mm
+        values = [f"{value:.{decimals}f}" for value in now[:shown]]
+        value_width = max(len(f"{full:.{decimals}f}"), *(len(value) for value in values))
+        bar_width = width - 3 - name_width - 1 - value_width - 1
+        what = "to target" if width < COMPACT else "distance to target"
+        lines = [Text(f"{what} [{setup.unit}]", "dim", no_wrap=True)]
+        for robot, (name, value) in enumerate(zip(names, values, strict=True)):
+            color = self._colors[robot]
+            mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, frame.poses[robot, 2])
+            line = Text.assemble(
+                (mark, f"bold {color}"),
+                (f" {name[:name_width]:<{name_width}} ", color),
+                f"{value:>{value_width}} ",
+            )
+            line.append_text(
+                bar(glyphs, min(max(bar_width, 0), 40), float(now[robot]) / full, color)
+            )
+            lines.append(line)
+        if shown < len(now):
+            worst = _number(float(now[shown:].max()))
+            lines.append(Text(f"and {len(now) - shown} more, at most {worst}", "dim"))
+        return lines
+
+    def _total(self, glyphs: Glyphs, width: int) -> list[Text]:
+        frame = self._frame
+        unit = frame.setup.unit
+        total = _number(float(frame.distances.sum()))
+        return [
+            _Rows(width)("total error", "error", f"{total} {unit}"),
+            sparkline(glyphs, frame.totals, min(width, 48), total=frame.steps_end),
+        ]
+
+    def _plan(self, glyphs: Glyphs, width: int) -> list[Text]:
+        if self._frame.step is None:
+            return []
+        plan: Plan = self._frame.step.plan
+        search = plan.search
+        done = len(search.history) - 1
+        most = max(self._frame.setup.iterations_max, done)
+        unit = self._frame.setup.unit
+        first = _number(float(search.history[0])) if done >= 0 else "?"
+        row = _Rows(width)
+        return [
+            row("plan cost J", "J", f"{first} {glyphs.to} {_number(plan.cost)} {unit}"),
+            sparkline(glyphs, search.history, min(width, 48), total=most + 1, log=True),
+            row("stopped", "z", f"{done} of {most}, {search.stopped}"),
+        ]
+
+    def _effort(self, width: int) -> list[Text]:
+        step = self._frame.step
+        if step is None:
+            return []
+        row = _Rows(width)
+        solve = row("solve time", "solve", f"{step.solve_ns / 1e6:.1f} ms")
+        if step.deadline_missed:
+            solve.append("  late" if width < COMPACT else "  deadline missed", "bold red")
+        return [solve, row("evaluations", "evals", f"{step.plan.evaluations:,}".replace(",", " "))]
+
+    def _last(self) -> list[Text]:
+        lines = [Text(note, "bold red", no_wrap=True) for note in self._notes]
+        if self._aside:
+            lines.append(Text(self._aside, "dim", no_wrap=True))
+        if result := self._frame.result:
+            ended = f"ended: {result.outcome}"
+            lines.append(Text(ended, "bold", no_wrap=True))
+            if result.entered_obstacle:
+                lines.append(Text("a robot entered an obstacle", "bold red"))
+        return lines
+
+
+class _Rows:
+    """Rows of a label and a value, with short labels where there is little width."""
+
+    def __init__(self, width: int) -> None:
+        self._compact = width < COMPACT
+
+    def __call__(self, label: str, short: str, value: str) -> Text:
+        words = f"{short:<5} " if self._compact else f"{label:<11} "
+        return Text.assemble((words, "dim"), value, no_wrap=True)
+
+
+def _number(value: float) -> str:
+    """Write a length with three significant digits or all before the point."""
+    if not math.isfinite(value):
+        return str(value)
+    size = abs(value)
+    return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 1 else f"{value:.3g}"

@@ -1,0 +1,127 @@
+"""The characters a terminal view is made of, with an ASCII twin for terminals without more."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from tetractl.core.poses import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Glyphs:
+    """One set of characters; `arrows` go anticlockwise from +x in eighths of a turn."""
+
+    ascii: bool
+    arrows: str
+    start: str
+    target: str
+    box: str  # corners from top left clockwise, then horizontal and vertical
+    bar: str  # done, to do
+    spark: str  # from low to high
+    rest: str  # of a sparkline, to come
+    degree: str
+    play: str
+    pause: str
+    times: str
+    plus_minus: str
+    left_right: str
+    to: str
+
+
+UNICODE = Glyphs(
+    ascii=False,
+    arrows="→↗↑↖←↙↓↘",
+    start="○",
+    target="□",
+    box="┌┐┘└─│",
+    bar="━─",
+    spark="▁▂▃▄▅▆▇█",
+    rest="·",
+    degree="°",
+    play="▶",
+    pause="‖",
+    times="×",
+    plus_minus="±",
+    left_right="←→",
+    to="→",
+)
+ASCII = Glyphs(
+    ascii=True,
+    arrows=">/^\\</v\\",
+    start="o",
+    target="+",
+    box="++++-|",
+    bar="=-",
+    spark="_.-~=*%#",
+    rest=".",
+    degree=" deg",
+    play=">",
+    pause="=",
+    times="x",
+    plus_minus="+/-",
+    left_right="arrows",
+    to="->",
+)
+
+
+def glyphs_for(console: Console) -> Glyphs:
+    """Braille and arrows, unless the terminal is dumb, not UTF-8, or wants no colour.
+
+    Without colour the robots' dots look alike: the ASCII view tells them apart by number.
+    """
+    plain = console.is_dumb_terminal or console.options.ascii_only or console.no_color
+    return ASCII if plain else UNICODE
+
+
+def arrow(glyphs: Glyphs, angle: float) -> str:
+    """Return the arrow nearest to an angle [rad]."""
+    return glyphs.arrows[eighth(angle)]
+
+
+def eighth(angle: float) -> int:
+    """Return the nearest eighth of a turn, 0 to 7 anticlockwise from +x; 0 for what is no angle."""
+    if not math.isfinite(angle):
+        return 0
+    return round(math.remainder(angle, math.tau) / (math.pi / 4)) % 8
+
+
+def bar(glyphs: Glyphs, width: int, fraction: float, style: str) -> Text:
+    """Draw a bar, `fraction` of it done."""
+    done = round(width * min(max(fraction, 0.0), 1.0)) if math.isfinite(fraction) else width
+    return Text.assemble((glyphs.bar[0] * done, style), (glyphs.bar[1] * (width - done), "dim"))
+
+
+def sparkline(
+    glyphs: Glyphs,
+    values: Sequence[float] | Floats,
+    width: int,
+    *,
+    total: int = 0,
+    log: bool = False,
+) -> Text:
+    """Draw values as a line of bars from 0, or on a log scale from the least.
+
+    `total` values (at least those given) take the whole width: what is to come shows as dots.
+    """
+    y = np.asarray(values, dtype=float)
+    y = np.where(np.isfinite(y), y, np.nan)
+    if not len(y) or np.isnan(y).all() or width < 1:
+        return Text(glyphs.rest * max(width, 0), "dim")
+    if log:
+        y = np.log(np.maximum(y, 1e-12))
+    low, high = (np.nanmin(y) if log else 0.0), np.nanmax(y)
+    y = np.clip(y, low, high)
+    shape = (y - low) / (high - low) if high > low else np.zeros_like(y)
+    level = np.nan_to_num(shape * (len(glyphs.spark) - 1), nan=len(glyphs.spark) - 1).round()
+    total = max(total, len(y))
+    cells = min(width, total)
+    edges = (np.arange(cells) + 1) * total / cells
+    last = np.ceil(edges).astype(int) - 1  # the newest value of each cell
+    drawn = [glyphs.spark[int(level[i])] for i in last if i < len(y)]
+    if len(drawn) < cells and len(y) > (last[len(drawn) - 1] + 1 if drawn else 0):
+        drawn.append(glyphs.spark[int(level[-1])])
+    return Text.assemble("".join(drawn), (glyphs.rest * (cells - len(drawn)), "dim"))

@@ -1,0 +1,140 @@
+"""The live view of running trials: the dashboard, drawn as the loop goes on."""
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from rich.console import Console
+from rich.live import Live
+
+from tetractl.core.colors import robot_colors
+from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.poses import Floats
+from tetractl.core.trial import Result, Start, Step
+from tetractl.replay.frame import Frame, tracked
+from tetractl.view.terminal.dashboard import Dashboard, Footer
+from tetractl.view.terminal.progress import Tally, duration
+
+FRAME_S = 1 / 12  # least wall time between two pictures
+
+
+class LiveView:
+    """Shows one trial after another on the terminal's other screen: an `Observer` of each trial and
+    a `Watcher` of a batch; a context manager.
+
+    It draws at most 12 pictures a second of `wall` time [s], so that it never holds the loop up.
+    """
+
+    def __init__(self, console: Console, wall: Callable[[], float] = time.monotonic) -> None:
+        self._wall = wall
+        self._live = Live(
+            console=console, screen=True, auto_refresh=False, redirect_stdout=False, transient=True
+        )
+        self._tally = Tally()
+        self._index = 0
+        self._began: float | None = None
+        self._drawn = -np.inf
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._live.stop()
+
+    def trial_started(self, index: int, n: int) -> None:
+        """Note which trial of how many comes next."""
+        self._index, self._tally.n = index, n
+        if self._began is None:
+            self._began = self._wall()
+
+    def trial_finished(self, index: int, result: Result) -> None:
+        """Count it."""
+        self._tally.add(result)
+
+    def on_start(self, start: Start) -> None:
+        """Clear the arena for a new trial."""
+        setup = self._setup = start.setup
+        self._plant = start.plant.kind
+        simulated = start.plant.simulated
+        self._hints = ("Ctrl-C stops",) if simulated else ("SPACE or ESC: EMERGENCY STOP",)
+        self._colors = robot_colors(setup.names, setup.colors)
+        self._poses = setup.starts.array()
+        self._trail: list[Floats] = []
+        self._totals: list[float] = []
+        self._step: Step | None = None
+        self._result: Result | None = None
+        self._time_ns = 0
+        self._draw()
+
+    def on_samples(self, samples: list[Sample]) -> None:
+        """Lengthen the trails."""
+        for sample in samples:
+            seen = sample.observation
+            poses = seen.poses.array()
+            self._trail.append(tracked(poses[None], seen.valid[None])[0])
+            self._poses = np.where(seen.valid[:, None], poses, self._poses)
+            self._time_ns = seen.sampled_ns
+        self._draw_in_time()
+
+    def on_step(self, step: Step) -> None:
+        """Show the decision."""
+        self._step = step
+        self._time_ns = max(self._time_ns, step.command.sent_ns)
+        self._totals.append(float(self._setup.distances(step.observation.poses.xy).sum()))
+        self._draw_in_time()
+
+    def on_command(self, command: Command) -> None:
+        """Commands outside the control steps show in the trails alone."""
+
+    def on_note(self, note: Note) -> None:
+        """Notes stay in the log; the picture has no room for them."""
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Show how it ended."""
+        self._result = result
+        self._draw()
+
+    def _draw_in_time(self) -> None:
+        if self._wall() - self._drawn >= FRAME_S:
+            self._draw()
+
+    def _draw(self) -> None:
+        self._drawn = self._wall()
+        self._live.update(self._dashboard(), refresh=True)
+
+    def _dashboard(self) -> Dashboard:
+        setup = self._setup
+        frame = Frame(
+            setup=setup,
+            time_s=self._time_ns / 1e9,
+            end_s=None,
+            poses=self._poses,
+            trail=np.array(self._trail).reshape(-1, len(setup.names), 2),
+            step=self._step,
+            totals=np.array(self._totals),
+            steps_end=0,
+            result=self._result,
+        )
+        done, n = len(self._tally.errors), max(self._tally.n, 1)
+        footer = Footer(
+            left=f"trial {self._index + 1} of {n}",
+            fraction=done / n,
+            right=self._left(done, n),
+            hints=self._hints,
+        )
+        heading = f"{setup.name}, {self._plant}"
+        so_far = self._tally.summary(setup.unit)
+        return Dashboard(frame, self._colors, heading, footer, aside=so_far)
+
+    def _left(self, done: int, n: int) -> str:
+        if not done or self._began is None:
+            return ""
+        return f"{duration((self._wall() - self._began) / done * (n - done))} left"

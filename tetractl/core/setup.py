@@ -62,7 +62,7 @@ class Shape(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Setup:
     """What is fixed in an experiment of N robots before anything moves.
 

@@ -53,15 +53,10 @@ def resolved_yaml(experiment: Experiment) -> str:
 
 def spec_hash(experiment: Experiment) -> str:
     """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count."""
-    return _hash(experiment.model_dump_json())
-
-
-def resolved_hash(text: str) -> str:
-    """Return the `spec_hash` of the experiment that a resolved spec was written from.
-
-    The text decides, not today's fields: a log keeps its hash when a later version adds one.
-    """
-    return _hash(json.dumps(parse_document(text, "resolved spec").data, allow_nan=False))
+    # -0.0 equals 0.0 but is written otherwise; adding 0.0 makes one of the two
+    fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
+    canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
@@ -79,13 +74,6 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
         start_unix_ns=start_unix_ns,
         attached=spec.attached,
     )
-
-
-def _hash(fields: str) -> str:
-    # -0.0 equals 0.0 but is written otherwise; adding 0.0 makes one of the two
-    values = json.loads(fields, parse_float=lambda text: float(text) + 0.0)
-    canonical = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:

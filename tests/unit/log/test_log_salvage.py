@@ -55,7 +55,7 @@ def assert_part_of(damaged: TrialLog, whole: TrialLog) -> None:
     """Every number of a damaged log is one of the whole log's."""
     assert same(damaged.experiment, whole.experiment)
     assert damaged.start.spec_text in ("", whole.start.spec_text)
-    assert damaged.seed == whole.seed
+    assert damaged.start.seed == whole.start.seed
     steps = {step.k: step for step in whole.steps}
     assert all(same(step, steps[step.k]) for step in damaged.steps)
     rows = np.searchsorted(whole.frames, damaged.frames)

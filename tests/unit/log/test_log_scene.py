@@ -138,12 +138,12 @@ def test_colors_are_the_specs_or_the_lists(messages: dict[str, list[Any]]) -> No
     entities = {item.id: item for item in messages["/scene/static"][0].entities}
     colors = [entities[f"robot/robot {i}"].triangles[0].color for i in range(3)]
     rgb = [tuple(round(255 * part) for part in (c.r, c.g, c.b)) for c in colors]
-    assert rgb == [(0, 128, 0), (0x00, 0x72, 0xB2), (0x00, 0x9E, 0x73)]
+    assert rgb == [(0x00, 0x9E, 0x73), (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_nothing_that_is_not_finite_is_drawn(bad: float) -> None:
-    scene = Scene(experiment(2))
+    scene = Scene(experiment(2).setup)
     poses = Poses(np.array([bad, 1.0]), np.array([1.0, 2.0]), np.array([0.0, 0.5]))
     seen = Observation(0, 0, 0, poses, np.array([True, True]))
     transforms = scene.transforms(seen, EPOCH_NS)
@@ -159,18 +159,18 @@ def test_nothing_that_is_not_finite_is_drawn(bad: float) -> None:
 
 def test_a_robot_that_is_not_tracked_has_no_transform() -> None:
     seen = Observation(0, 0, 0, Poses.of(np.ones((2, 3))), np.array([False, True]))
-    transforms = Scene(experiment(2)).transforms(seen, EPOCH_NS).transforms
+    transforms = Scene(experiment(2).setup).transforms(seen, EPOCH_NS).transforms
     assert [item.child_frame_id for item in transforms] == ["robot/robot 1"]
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("um", 1e-6), ("mm", 1e-3), ("cm", 1e-2), ("m", 1)])
 def test_every_unit_comes_to_metres(unit: str, metres: float) -> None:
-    scene = Scene(experiment(1, units={"length": unit})).static(EPOCH_NS)
+    scene = Scene(experiment(1, units={"length": unit}).setup).static(EPOCH_NS)
     box = next(item for item in scene.entities if item.id == "obstacle/0").cubes[0]
     assert box.size.x == pytest.approx(200 * metres)
 
 
 def test_a_robot_with_wheels_is_drawn_as_wide_as_it_is() -> None:
-    scene = Scene(experiment(1, wheels={"radius": 45.0})).static(EPOCH_NS)
+    scene = Scene(experiment(1, wheels={"radius": 45.0}).setup).static(EPOCH_NS)
     body = next(item for item in scene.entities if item.id == "robot/robot 0").triangles[0]
     assert max(point.y for point in body.points) == pytest.approx(0.045)

@@ -15,7 +15,11 @@ from tetractl.view.terminal.glyphs import ASCII, UNICODE, arrow, bar, sparkline
 COLORS = ["#009E73", "#0072B2", "#D55E00"]
 lengths = st.floats(1e-3, 1e5)
 arenas = st.builds(
-    Arena, left=st.floats(-1e4, 1e4), bottom=st.floats(-1e4, 1e4), width=lengths, height=lengths
+    lambda left, bottom, width, height: Bounds(left, bottom, left + width, bottom + height),
+    st.floats(-1e4, 1e4),
+    st.floats(-1e4, 1e4),
+    lengths,
+    lengths,
 )
 sizes = st.integers(1, 300)
 shares = st.floats(0, 1)

@@ -15,7 +15,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.trial import Result, Start
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import parse_spec, resolved_hash
+from tetractl.experiment.load import parse_spec, spec_hash
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
 from tetractl.log.format import metadata as facts
@@ -183,15 +183,16 @@ def _start(contents: Contents) -> tuple[Experiment, Start]:
         if resolved is None:
             raise LogError(f"{path}: damaged: the resolved spec is lost")
         text = contents.attachment(channels.SPEC) or ""
-        experiment, spec_hash = _resolved(resolved)
-        return experiment, facts.read_start(run, experiment.setup, text, resolved, spec_hash)
+        experiment, hashed = _resolved(resolved)
+        return experiment, facts.read_start(run, experiment.setup, text, resolved, hashed)
     except (SpecError, KeyError, RecursionError, ValueError) as error:
         raise LogError(f"{path}: the record of the run cannot be read: {error}") from None
 
 
 @lru_cache(maxsize=16)
 def _resolved(text: str) -> tuple[Experiment, str]:
-    return parse_spec(text, channels.RESOLVED_SPEC).experiment, resolved_hash(text)
+    experiment = parse_spec(text, channels.RESOLVED_SPEC).experiment
+    return experiment, spec_hash(experiment)
 
 
 def _recovered(contents: Contents) -> Damage | None:

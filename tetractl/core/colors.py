@@ -23,7 +23,7 @@ def _own_color(name: str, color: str | None) -> str | None:
     if color in NAMED:
         return NAMED[color]
     if color.startswith("#"):
-        return color.lower()
+        return color.upper()
     from matplotlib.colors import is_color_like, to_hex  # slow to import; only names need it
 
-    return to_hex(color) if is_color_like(color) else None
+    return to_hex(color).upper() if is_color_like(color) else None

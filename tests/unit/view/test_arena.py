@@ -87,7 +87,7 @@ def test_the_robots_stand_where_they_are_and_look_where_they_head():
         x, y, heading = frame.poses[robot]
         column, row = view.cell(x, y)
         assert text[row][column] == arrow(UNICODE, heading)
-        column, row = view.cell(*frame.experiment.robots[robot].target)
+        column, row = view.cell(*frame.setup.targets[robot])
         assert text[row][column] == "□"
     assert [row for row in range(len(text)) if "⣿" in text[row]]
 

@@ -2,9 +2,11 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Discriminator, Field, PositiveInt, Tag, model_validator
+from pydantic import Field, PositiveInt, model_validator
 
 from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent
+from tetractl.experiment.choice import Choice
+from tetractl.experiment.kinds import OPTIMIZERS
 
 
 class PaperStop(Model):
@@ -87,17 +89,7 @@ class MultistartSpec(Model):
         return self.polish_steps
 
 
-def _swarm_type(value: object) -> str:
-    """An optimiser without a type is a particle swarm."""
-    if isinstance(value, dict):
-        return str(value.get("type", "pso"))
-    return str(getattr(value, "type", "pso"))
-
-
-Optimiser = Annotated[
-    Annotated[SwarmSpec, Tag("pso")] | Annotated[MultistartSpec, Tag("multistart")],
-    Discriminator(_swarm_type),
-]
+Optimizer = Annotated[SwarmSpec | MultistartSpec, Choice(OPTIMIZERS, default="pso")]
 
 
 class Collision(Model):
@@ -171,7 +163,7 @@ class PsoMpcSpec(Model):
     """Time after which a control step uses the best sequence so far [s]; it only cuts searches
     short, and does not hold at step 0. None by default: a simulation then depends on its seed
     alone."""
-    swarm: Optimiser = SwarmSpec()
+    swarm: Optimizer = SwarmSpec()
     """The optimiser of each search."""
 
     @model_validator(mode="after")

@@ -11,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from tetractl.core.commands import PlantInfo
 from tetractl.core.trial import Start
+from tetractl.experiment.choice import STRICT
 from tetractl.experiment.consistency import contradictions, lab_contradictions
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.yaml.core_yaml import dump
@@ -82,7 +83,7 @@ def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:
         override(document, setting)
     experiment = None
     try:
-        experiment = Experiment.model_validate(frozen(document.data), strict=True)
+        experiment = Experiment.model_validate(frozen(document.data), strict=True, context=STRICT)
     except ValidationError as error:
         document.problems.extend(explain(error, document))
     found = list(contradictions(*_valid_parts(document.data)))
@@ -103,7 +104,7 @@ def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], 
         adapter = TypeAdapter(kind)
         for i, value in enumerate(values if isinstance(values, list) else ()):
             try:
-                yield i, adapter.validate_python(frozen(value), strict=True)
+                yield i, adapter.validate_python(frozen(value), strict=True, context=STRICT)
             except ValidationError:
                 continue
 

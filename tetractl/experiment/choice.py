@@ -1,0 +1,55 @@
+"""A field of a spec whose `type` names its section in a registry."""
+
+from typing import Any
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from tetractl.core.registry import Registry
+
+STRICT = {"strict": True}
+"""Validation context under which sections refuse values of another type, as specs are read."""
+
+
+class Choice:
+    """Annotation of a field: its mapping is validated by the class that its `type` names.
+
+    `Annotated[Base, Choice(REGISTRY)]` accepts an instance of Base, or a mapping whose `type` is a
+    name in the registry; `default` is the type of a mapping without one. Each class of the
+    registry is a `Model` derived from Base, with its own name as the `Literal` of its `type`. A
+    class is imported when it is first chosen.
+    """
+
+    def __init__(self, registry: Registry, default: str | None = None) -> None:
+        self.registry, self.default = registry, default
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def validate(value: Any, info: core_schema.ValidationInfo) -> Any:
+            if isinstance(value, source):
+                return value
+            strict = bool(info.context and info.context.get("strict"))
+            return self._section(value).model_validate(value, strict=strict, context=info.context)
+
+        return core_schema.with_info_plain_validator_function(validate)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        sections = {name: self.registry.load(name) for name in self.registry.names()}
+        options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
+        mapping = {name: option["$ref"] for name, option in options.items() if "$ref" in option}
+        discriminator = {"mapping": mapping, "propertyName": "type"}
+        return {"discriminator": discriminator, "oneOf": list(options.values())}
+
+    def _section(self, value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise PydanticCustomError("model_type", "must be a mapping of keys")
+        name = value.get("type", self.default)
+        if name is None:
+            raise PydanticCustomError("union_tag_not_found", "has no type")
+        if not isinstance(name, str) or name not in self.registry:
+            raise PydanticCustomError("union_tag_invalid", "has an unknown type")
+        return self.registry.load(name)

@@ -9,7 +9,8 @@ import pytest
 from support.paths import ROOT
 
 from tetractl.core.errors import TetractlError
-from tetractl.lab.actuators.m3pi import core as firmware
+from tetractl.lab import firmware
+from tetractl.lab.actuators.m3pi import core as m3pi
 from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
     ROBOTS_MAX,
@@ -33,7 +34,7 @@ FOLDER = ROOT / "firmware"
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    return firmware.load(tmp_path_factory.mktemp("firmware"))
+    return m3pi.load(tmp_path_factory.mktemp("firmware"))
 
 
 def run(sequence, *wheels, flags=Flag.RUN):
@@ -221,12 +222,11 @@ def test_counters_count_modulo_65536(library):
 
 @needs_compiler
 def test_a_source_that_does_not_compile_is_one_clear_line(tmp_path, monkeypatch):
-    broken = tmp_path / "m3pi_core.c"
-    broken.write_text("this is not C\n")
-    broken.with_suffix(".h").write_text("")
-    monkeypatch.setattr(firmware, "source", lambda: broken)
+    for name in ("m3pi_core.c", "m3pi_core.h", "framing.c", "framing.h"):
+        (tmp_path / name).write_text("this is not C\n")
+    monkeypatch.setattr(firmware, "source_folder", lambda: tmp_path)
     with pytest.raises(TetractlError, match=r"could not build the firmware's core: .*error") as got:
-        firmware.load(tmp_path / "out")
+        firmware.load("m3pi", tmp_path / "out")
     assert "\n" not in str(got.value)
     assert list((tmp_path / "out").iterdir()) == []
 
@@ -235,21 +235,18 @@ def test_without_a_compiler_the_error_says_so(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(TetractlError, match="no C compiler") as got:
-        firmware.load(tmp_path / "out")
+        firmware.load("m3pi", tmp_path / "out")
     assert got.value.hint
 
 
 @needs_compiler
 def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    firmware.load.cache_clear()
-    firmware.load()
+    firmware.load("m3pi")
     (built,) = (tmp_path / "tetractl").iterdir()
     monkeypatch.setattr(firmware, "compiler", lambda: None)
-    firmware.load.cache_clear()
-    assert firmware.load().m3pi_size() > 0
+    assert firmware.load("m3pi").m3pi_size() > 0
     assert list((tmp_path / "tetractl").iterdir()) == [built]
-    firmware.load.cache_clear()
 
 
 @pytest.mark.skipif(

@@ -85,6 +85,11 @@ class SerialPort:
         self._tap.sent(self._wire, now, data)
         return now
 
+    def set_baud(self, baud: int) -> None:
+        """Change the speed of the open port [bits a second]."""
+        assert self._port is not None
+        self._port.baudrate = baud
+
     def close(self) -> None:
         """End the thread and close the port; idempotent, never raises."""
         self._closing.set()
@@ -139,7 +144,10 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
     number = getattr(error, "errno", None)
     text = str(error)
     if number == 11 or "exclusively lock" in text:
-        return AbortError(f"{name}: another program has this port open", "end the other program")
+        return AbortError(
+            f"{name}: another program has this port open",
+            "one run at a time; end the other, or `tetractl lab stop` if it left robots moving",
+        )
     if number == 2 or "No such file" in text:
         return AbortError(f"{name}: there is no such port", f"is {device} plugged in?")
     if number == 13:

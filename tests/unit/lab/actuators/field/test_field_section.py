@@ -1,6 +1,6 @@
 import pytest
-from field_bench import section
 from pydantic import ValidationError
+from support.field_bench import section
 
 from tetractl.lab.actuators.field.actuator import FieldActuator
 

@@ -1,9 +1,9 @@
 """The current driver's C core: against its Python twin, and in what it promises."""
 
 import pytest
-from field_twin import Twin
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.field_twin import Twin
 
 from tetractl.lab import firmware
 from tetractl.lab.actuators.field.core import Core, Event, Limits

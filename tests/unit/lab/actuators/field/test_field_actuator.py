@@ -9,9 +9,9 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from field_bench import LIMITS, Bench, Wire, eventually, section
 from hypothesis import given
 from hypothesis import strategies as st
+from support.field_bench import LIMITS, Bench, Wire, eventually, section
 
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError

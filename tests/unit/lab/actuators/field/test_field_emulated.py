@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from field_bench import LIMITS, Wire, section
+from support.field_bench import LIMITS, Wire, section
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.poses import Pose

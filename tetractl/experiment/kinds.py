@@ -58,20 +58,24 @@ SEAMS = (OPTIMIZERS, CONTROLLERS, MOTIONS, SHAPES, CAMERAS, ACTUATORS)
 
 def packages(spec: Model) -> dict[str, str]:
     """Return name and version of every other package that provides a kind used in a spec."""
-    found: dict[str, str] = {}
-    for section in _sections(spec):
-        name = getattr(section, "type", None)
-        for seam in SEAMS:  # two of them may have a kind of the same name
-            if name in seam and seam.kind(name).package and type(section) is seam.load(name):
-                found[seam.kind(name).package] = seam.kind(name).version
-    return found
+    used = (seam.kind(name) for seam, name in _kinds(spec))
+    return {kind.package: kind.version for kind in used if kind.package}
 
 
-def _sections(value: Any) -> Iterator[Model]:
-    """Yield a section and all sections in it."""
-    if isinstance(value, Model):
-        yield value
-        value = tuple(dict(value).values())
+def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
+    """Yield seam and name of every kind that is used in a section or a tuple of sections."""
     if isinstance(value, tuple):
         for item in value:
-            yield from _sections(item)
+            yield from _kinds(item)
+    if isinstance(value, Model):
+        name = getattr(value, "type", None)
+        for seam in SEAMS:  # two of them may have a kind of the same name
+            if isinstance(name, str) and name in seam and type(value) is seam.load(name):
+                yield seam, name
+        for field, about in type(value).model_fields.items():
+            inner = getattr(value, field)
+            yield from _kinds(inner)
+            for mark in about.metadata:  # a kind without a section is a name alone
+                seam = getattr(mark, "registry", None)
+                if isinstance(inner, str) and isinstance(seam, Registry):
+                    yield seam, inner

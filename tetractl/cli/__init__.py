@@ -13,6 +13,7 @@ from typer.exceptions import TyperException
 from tetractl import __version__
 from tetractl.cli import (
     info,
+    init,
     kinds,
     lab,
     plot,
@@ -53,6 +54,7 @@ def _root(
     """
 
 
+app.command("init")(init.init)
 app.command("run")(run.run)
 app.command("validate")(validate.validate)
 app.command("schema")(schema.schema)

@@ -1,9 +1,11 @@
 """Whether obstacles wall a target off, for a robot taken as a point.
 
-The arena is covered with a grid. A cell counts as free unless its centre is so deep in an obstacle
-that no point of the cell can be free, and cells are neighbours across corners too. Every way of a
-robot past the obstacles is thus a way from free cell to free cell, and what is not connected in the
-grid is not connected at all. The reverse does not hold: a wall thinner than a cell is not seen.
+The arena is covered with square cells. A cell is free unless its centre is deeper in an obstacle
+than half a side, and cells are neighbours across corners too. Then what is not connected in the
+grid is not connected at all: inscribe a circle in each cell. A way past the obstacles goes through
+discs, and from one to the next either where two touch or through the gap between four, all of which
+are neighbours; and a disc with a free point in it has a centre no deeper than its radius, so its
+cell is free. The reverse does not hold: a wall thinner than a cell is not seen.
 """
 
 import math
@@ -16,6 +18,8 @@ from tetractl.model.obstacles import Obstacles
 
 CELLS = 200
 """Cells along the longer side of the arena."""
+TOUCHING = 1e-6
+"""Gaps narrower than this share of a cell are closed: obstacles that touch a wall leave none."""
 
 
 def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
@@ -37,38 +41,39 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     """Return how far from its target each robot stays, at least, (N,) [length unit].
 
     0 where no wall is found between start and target. Robots keep `margin` from obstacles; with
-    `walls` they stay in the arena, without they may go round through its outside.
+    `walls` they stay in the arena, without they may go round through its outside. A start nearer to
+    an obstacle than the margin is in no free space, and gives 0.
     """
     from scipy.ndimage import label
 
     arena = setup.arena
-    size = max(arena.width, arena.height) / CELLS
-    pad = 0 if walls else 2
-    columns, left = _cover(arena.left, arena.width, size, pad)
-    rows, bottom = _cover(arena.bottom, arena.height, size, pad)
-    x, y = left + (np.arange(columns) + 0.5) * size, bottom + (np.arange(rows) + 0.5) * size
-    half = size / math.sqrt(2)
+    side = max(arena.width, arena.height) / CELLS
+    x = _centres(arena.left, arena.width, side, walls)
+    y = _centres(arena.bottom, arena.height, side, walls)
     with np.errstate(over="ignore", invalid="ignore"):
-        deep = clearance(setup, x[None, :], y[:, None], walls) <= margin - half
-    free = ~deep
+        depth = margin - clearance(setup, x[None, :], y[:, None], walls)
+        free = ~(depth >= (0.5 - TOUCHING) * side)
     if not walls:  # the outside is one free region, whatever stands in it
         free[[0, -1], :] = free[:, [0, -1]] = True
     regions, _ = label(free, np.ones((3, 3)))
 
-    def cell(point: Floats) -> tuple[int, int]:
-        column, row = (point - (left, bottom)) // size
-        return int(np.clip(row, 0, rows - 1)), int(np.clip(column, 0, columns - 1))
+    def around(point: Floats) -> set[int]:
+        """Return the regions at a point, which may lie between the discs of neighbours."""
+        row, column = np.abs(y - point[1]).argmin(), np.abs(x - point[0]).argmin()
+        near = regions[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        return set(near[near > 0].tolist())
 
     found = np.zeros(len(setup.targets))
     for i, (start, target) in enumerate(zip(setup.starts.xy, setup.targets, strict=True)):
-        region = regions[cell(start)]
-        if region not in (0, regions[cell(target)]):
-            at_row, at_column = np.nonzero(regions == region)
-            centres = np.hypot(x[at_column] - target[0], y[at_row] - target[1])
-            found[i] = max(centres.min() - half, 0.0)
+        reached = around(start)
+        if reached and not reached & around(target):
+            rows, columns = np.nonzero(np.isin(regions, list(reached)))
+            nearest = np.hypot(x[columns] - target[0], y[rows] - target[1]).min()
+            found[i] = max(nearest - side / math.sqrt(2), 0.0)
     return found
 
 
-def _cover(begin: float, extent: float, size: float, pad: int) -> tuple[int, float]:
-    """Return how many cells cover an extent with `pad` more on either side, and their begin."""
-    return max(math.ceil(extent / size - 1e-9), 1) + 2 * pad, begin - pad * size
+def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
+    """Return the centres of the cells along an extent; without walls, of two more at either end."""
+    beyond = 0 if walls else 2
+    return begin + (np.arange(-beyond, math.ceil(extent / side - 1e-9) + beyond) + 0.5) * side

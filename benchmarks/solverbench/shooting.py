@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from tetractl.control.cost import Problem, evaluate, predict
+from tetractl.control.cost import evaluate, predict
 from tetractl.control.mpc import Candidate, PsoMpc
 from tetractl.control.optimizers.pso import never
 from tetractl.core.plan import Search

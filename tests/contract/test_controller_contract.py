@@ -9,7 +9,7 @@ from support.plants import sim
 from support.trials import experiment
 
 from tetractl.control.build import build_controller
-from tetractl.control.cost import Problem, evaluate
+from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Outcome, Plan
@@ -90,7 +90,8 @@ def test_step_0_predicts_from_what_was_observed_with_the_cost_it_states(fields):
     ((observation, plan), *_) = drive(fields, 1)
     assert isinstance(plan, Plan)
     assert plan.path[0] == pytest.approx(observation.poses.array(), abs=1e-9)
-    problem = Problem.of(experiment(controller=fields), observation.poses)
+    spec = experiment(controller=fields)
+    problem = spec.controller.problem(spec.setup, observation.poses)
     assert plan.cost == pytest.approx(evaluate(problem, plan.signals[None]).total[0], rel=1e-9)
     last = plan.path[-1, :, :2] - TARGETS[:, :2]
     assert plan.target_cost == pytest.approx(np.hypot(*last.T).sum(), rel=1e-9)

@@ -86,7 +86,7 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.experiment.load import load_spec
+    from tetractl.cli.spec import load
     from tetractl.experiment.plants import on_plant
     from tetractl.replay.rerun import compare, recorded
     from tetractl.run.batch import log_path
@@ -104,7 +104,7 @@ def run(
         raise UsageError("--from repeats a trial as it was: nothing of it can be set")
     number = None
     if spec is not None:
-        loaded = on_plant(load_spec(spec, settings), plant.value if plant else None)
+        loaded = on_plant(load(spec, settings), plant.value if plant else None)
     else:
         assert log is not None
         loaded, number = recorded(log)

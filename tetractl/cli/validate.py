@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tetractl.cli.spec import load
 from tetractl.core.errors import Exit
 
 
@@ -32,12 +33,12 @@ def validate(
 
 
 def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
-    from tetractl.experiment.load import load_spec, spec_hash
+    from tetractl.experiment.load import spec_hash
     from tetractl.experiment.yaml.problems import InvalidSpecError, printable
 
     shown = printable(str(path))
     try:
-        experiment = load_spec(path, sets).experiment
+        experiment = load(path, sets).experiment
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
         return {"path": shown, "ok": False, "problems": problems}, error.lines()

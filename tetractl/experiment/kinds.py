@@ -6,14 +6,14 @@ OPTIMIZERS = Registry(
     "tetractl.optimizers",
     "optimizer",
     {
-        "pso": "tetractl.experiment.controller:SwarmSpec",
-        "multistart": "tetractl.experiment.controller:MultistartSpec",
+        "pso": "tetractl.control.optimizers.pso:Pso",
+        "multistart": "tetractl.control.optimizers.multistart:Multistart",
     },
 )
 CONTROLLERS = Registry(
     "tetractl.controllers",
     "controller",
-    {"pso-mpc": "tetractl.experiment.controller:PsoMpcSpec"},
+    {"mpc": "tetractl.control.mpc:MpcSection"},
 )
 MOTIONS = Registry(
     "tetractl.motions",

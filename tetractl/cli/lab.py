@@ -169,8 +169,8 @@ def calibrate(
 
 
 def _lab(spec: Path, sets: list[str] | None) -> "tuple[Experiment, LabSpec]":
-    from tetractl.experiment.lab import LabSpec
     from tetractl.cli.spec import load
+    from tetractl.experiment.lab import LabSpec
     from tetractl.experiment.plants import on_plant
 
     experiment = on_plant(load(spec, sets or []), "lab").experiment

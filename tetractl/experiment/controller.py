@@ -7,7 +7,7 @@ The sections themselves are in the files of what they configure, and named in
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -45,7 +45,7 @@ class OptimizerSection(Model):
     `search` is to import compiled code when it is called: specs are checked without it.
     """
 
-    type: str
+    type: Any  # each section's own name, as a Literal
 
     @property
     @abstractmethod
@@ -91,7 +91,7 @@ def same(optimizer: Optimizer) -> Optimizer:
 class ControllerSection(Model):
     """A controller and its parameters, with what the rest of the system needs of each."""
 
-    type: str
+    type: Any  # each section's own name, as a Literal
     period: Positive = 0.2
     """Control period T [s] (the paper's experiment: 5 Hz)."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
@@ -132,5 +132,5 @@ class ControllerSection(Model):
         only clock it may look at: so a log can be verified by doing every search again.
         """
 
-    def warm_up(self, setup: Setup) -> None:  # noqa: B027 - most controllers compile nothing
+    def warm_up(self, setup: Setup) -> None:
         """Compile what the controller runs, or load it from the cache."""

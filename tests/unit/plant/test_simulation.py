@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 from support.plants import sim
 from support.trials import experiment
 
-from tetractl.control.cost import predict
 from tetractl.control.build import build_controller
+from tetractl.control.cost import predict
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses

@@ -7,10 +7,12 @@ the document.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import Loc, Problem, dotted
+
+Note = TypeVar("Note")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +104,18 @@ def move(document: Document, old: Loc, new: Loc) -> None:
         holder.clear()
         holder.update(items)
     else:
-        value, home = holder.pop(old[-1]), document.data
+        value, home = holder.pop(old[-1]), cast(Any, document.data)
         for step in new[:-1]:
             home = home.setdefault(step, {}) if isinstance(home, dict) else home[step]
         home[new[-1]] = value
-    for notes in (document.values, document.keys, document.refused):
-        for loc in [loc for loc in notes if loc[: len(old)] == old]:
-            notes[(*new, *loc[len(old) :])] = notes.pop(loc)  # type: ignore[assignment]
+    _move_notes(document.values, old, new)
+    _move_notes(document.keys, old, new)
+    _move_notes(document.refused, old, new)
+
+
+def _move_notes(notes: dict[Loc, Note], old: Loc, new: Loc) -> None:
+    for loc in [loc for loc in notes if loc[: len(old)] == old]:
+        notes[(*new, *loc[len(old) :])] = notes.pop(loc)
 
 
 def _matches(data: Any, pattern: tuple[str, ...], at: Loc = ()) -> Iterator[Loc]:
@@ -129,12 +136,12 @@ def _value(data: Any, loc: Loc) -> Any:
 
 
 def _exists(data: Any, loc: Loc) -> bool:
-    for step in loc:
-        known = isinstance(data, dict) and step in data
-        if not known and not (isinstance(data, list) and isinstance(step, int)):
-            return False
-        data = data[step]
-    return True
+    if not loc:
+        return True
+    holder = _value(data, loc[:-1]) if _exists(data, loc[:-1]) else None
+    if isinstance(holder, list):
+        return isinstance(loc[-1], int) and loc[-1] < len(holder)
+    return isinstance(holder, dict) and loc[-1] in holder
 
 
 def _notice(document: Document, loc: Loc, text: str) -> None:

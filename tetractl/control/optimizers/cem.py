@@ -34,19 +34,19 @@ class CrossEntropy(OptimizerSection):
     """The cross-entropy method of Rubinstein and Kroese over the knots of smooth sequences."""
 
     type: Literal["cem"] = "cem"
-    particles: int = Field(default=128, ge=2, le=1_000_000)
+    particles: int = Field(default=256, ge=2, le=1_000_000)
     """Samples P of an iteration."""
     elite: int = Field(default=16, ge=1, le=1_000_000)
     """The best samples E of an iteration, which the distribution is moved towards."""
-    iterations: int = Field(default=60, ge=1, le=1_000_000)
+    iterations: int = Field(default=80, ge=1, le=1_000_000)
     """Largest number of iterations of one search."""
-    knots: int = Field(default=12, ge=2, le=1000)
+    knots: int = Field(default=24, ge=2, le=1000)
     """Directions K of a sequence that are drawn, evenly spread over its length."""
-    spread: Positive = 1.5
+    spread: Positive = 3.0
     """Standard deviation of the knots at first, without a warm start [rad]."""
     spread_warm: Positive = 0.3
     """Standard deviation of the knots at first, around a warm start [rad]."""
-    smoothing: float = Field(default=0.7, gt=0, le=1, allow_inf_nan=False)
+    smoothing: float = Field(default=0.4, gt=0, le=1, allow_inf_nan=False)
     """Weight alpha of an iteration's elite in the distribution of the next."""
     tolerance: Positive = 1.0
     """Cost J at which a sequence is good enough and the search ends [length unit]."""

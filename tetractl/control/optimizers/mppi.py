@@ -37,17 +37,17 @@ class Mppi(OptimizerSection):
     type: Literal["mppi"] = "mppi"
     particles: int = Field(default=128, ge=2, le=1_000_000)
     """Perturbed sequences P of an iteration, the nominal one among them."""
-    iterations: int = Field(default=100, ge=1, le=1_000_000)
+    iterations: int = Field(default=150, ge=1, le=1_000_000)
     """Largest number of iterations of one search."""
-    knots: int = Field(default=12, ge=2, le=1000)
+    knots: int = Field(default=32, ge=2, le=1000)
     """Normal knots K of a perturbation, evenly spread over its length."""
-    noise: Positive = 1.0
+    noise: Positive = 2.0
     """Standard deviation s of the knots at first, without a warm start [rad]."""
     noise_warm: Positive = 0.3
     """Standard deviation s of the knots at first, around a warm start [rad]."""
-    cooling: float = Field(default=0.95, gt=0, le=1, allow_inf_nan=False)
+    cooling: float = Field(default=0.97, gt=0, le=1, allow_inf_nan=False)
     """Factor by which s falls from iteration to iteration."""
-    temperature: Positive = 0.1
+    temperature: Positive = 0.02
     """Temperature lambda as a share of the costs' standard deviation."""
     tolerance: Positive = 1.0
     """Cost J at which a sequence is good enough and the search ends [length unit]."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
-from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.plan import Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
@@ -148,7 +148,7 @@ def _step(
             cost=float(rng.uniform(0, 2000)),
             history=np.sort(rng.uniform(0, 2000, iterations + 1))[::-1].copy(),
             evaluations=int(rng.integers(1, 2**40)),
-            stopped=str(rng.choice(["criterion", "iterations"])),
+            stopped=StopReason(rng.choice(["criterion", "iterations"])),
         )
         for n in lengths
     )

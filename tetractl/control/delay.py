@@ -4,9 +4,9 @@ from collections import deque
 
 import numpy as np
 
-from tetractl.control.cost import Problem
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
+from tetractl.core.problem import Problem
 from tetractl.model.cell import MOTIONS
 
 Held = tuple[int, int, float]
@@ -50,5 +50,5 @@ def glide(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
     for since, until, direction in held:
         seconds = (until - since) / SECOND
         u = np.array(direction)
-        x, y, heading = MOTIONS[problem.model](x, y, heading, u, problem.a, problem.speed, seconds)
+        x, y, heading = MOTIONS[problem.motion](x, y, heading, u, problem.a, problem.speed, seconds)
     return Poses(x, y, heading)

@@ -10,12 +10,14 @@ A heading that differs by more than OUTLIER rad says that a command was lost, no
 and is passed over.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
-from tetractl.control.cost import Problem
 from tetractl.control.delay import Held, glide
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Observation, wrap
+from tetractl.core.problem import Problem
 
 PRIOR = 0.15  # relative standard deviation of a and v before anything is seen
 HEADING_STD = 0.02  # of a measured heading [rad] ...
@@ -58,14 +60,15 @@ class Estimator:
         gain = self._var_v * slope / (slope**2 * self._var_v + noise)
         gain = np.where(usable & (np.abs(turned) < np.pi / 2), gain, 0.0)
         self._var_v = self._var_v * (1 - gain * slope)
-        self._set(speed=np.maximum(speed + gain * (gone - slope * speed), 0.0))
+        corrected = np.maximum(speed + gain * (gone - slope * speed), 0.0)
+        self.problem = replace(self.problem, speed=corrected)
 
     def _update_a(
         self, last: Observation, turned: Floats, t: float, held: list[Held], usable: Bools
     ) -> None:
         a = self.problem.a
         predicted = glide(self.problem, last.poses, held).heading - last.poses.heading
-        nudged = self.problem.with_robots(a * (1 + STEP), self.problem.speed)
+        nudged = replace(self.problem, a=a * (1 + STEP))
         slope = (glide(nudged, last.poses, held).heading - last.poses.heading - predicted) / (
             STEP * a
         )
@@ -74,10 +77,4 @@ class Estimator:
         gain = self._var_a * slope / (slope**2 * self._var_a + noise)
         gain = np.where(usable & (np.abs(miss) < OUTLIER), gain, 0.0)
         self._var_a = self._var_a * (1 - gain * slope)
-        self._set(a=np.clip(a + gain * miss, 0.2 * a, 5 * a))
-
-    def _set(self, a: Floats | None = None, speed: Floats | None = None) -> None:
-        old = self.problem
-        self.problem = old.with_robots(
-            old.a if a is None else a, old.speed if speed is None else speed
-        )
+        self.problem = replace(self.problem, a=np.clip(a + gain * miss, 0.2 * a, 5 * a))

@@ -10,7 +10,9 @@ from pydantic import Discriminator, Field, Tag
 from tetractl.core.poses import Poses
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
-from tetractl.experiment.controller import PsoMpcSpec
+from tetractl.experiment.choice import Choice
+from tetractl.experiment.controller import ControllerSection
+from tetractl.experiment.kinds import CONTROLLERS
 from tetractl.experiment.lab import LabSpec
 from tetractl.experiment.plant import SimSpec, Wheels
 
@@ -144,6 +146,9 @@ Plant = Annotated[
 ]
 
 
+_CONTROLLER = Choice(CONTROLLERS, default="mpc")
+
+
 class Experiment(Model):
     """One experiment, as read from a YAML spec."""
 
@@ -162,7 +167,7 @@ class Experiment(Model):
     """Where no robot may go."""
     wheels: Wheels | None = None
     """Wheel geometry; given, the log holds the wheel speeds of (24)-(25) of every command."""
-    controller: PsoMpcSpec = PsoMpcSpec()
+    controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
     """What chooses the direction."""
     plant: Plant = SimSpec()
     """What the direction steers; a simulation where no `type` is given."""
@@ -199,6 +204,6 @@ class Experiment(Model):
             obstacles=self.obstacles,
             period_s=control.period,
             steps_max=control.steps_max,
-            iterations_max=control.swarm.iterations,
+            iterations_max=control.iterations_max,
             wheel_radius=self.wheels.radius if self.wheels else None,
         )

@@ -12,15 +12,17 @@ OPTIMIZERS = Registry(
     "tetractl.optimizers",
     "optimizer",
     {
-        "pso": "tetractl.experiment.controller:SwarmSpec",
-        "multistart": "tetractl.experiment.controller:MultistartSpec",
+        "pso": "tetractl.control.optimizers.pso:Pso",
+        "multistart": "tetractl.control.optimizers.multistart:Multistart",
+        "cem": "tetractl.control.optimizers.cem:CrossEntropy",
+        "mppi": "tetractl.control.optimizers.mppi:Mppi",
     },
     SECTION,
 )
 CONTROLLERS = Registry(
     "tetractl.controllers",
     "controller",
-    {"pso-mpc": "tetractl.experiment.controller:PsoMpcSpec"},
+    {"mpc": "tetractl.control.mpc:MpcSection"},
     SECTION,
 )
 MOTIONS = Registry(

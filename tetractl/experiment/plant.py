@@ -21,8 +21,8 @@ class SimSpec(Model):
     trial's seed."""
 
     type: Literal["sim"] = "sim"
-    motion: Literal["continuous", "arc", "euler"] = "continuous"
-    """`continuous` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25) between two commands;
+    motion: Literal["exact", "arc", "euler"] = "exact"
+    """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25) between two commands;
     `euler` moves by (4)-(6) themselves, on straight chords."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Measurements a second [Hz]."""

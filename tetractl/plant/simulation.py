@@ -197,7 +197,7 @@ class SimPlant:
         """Poses (M, N) after times t (M, 1) [s] from now, in closed form."""
         p, held = self.poses, self._held
         t = t * held.moving
-        if self.spec.motion == "continuous":
+        if self.spec.motion == "exact":
             return exact(p.x, p.y, p.heading, held.direction, self.a, self.speed, t)
         half = 0.5 * held.turning * t
         if self.spec.motion == "arc":

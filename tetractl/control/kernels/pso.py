@@ -11,11 +11,10 @@ from tetractl.control.kernels.rollout import roll
 from tetractl.core.poses import Floats
 
 CRITERION, ITERATIONS, TARGET, EVALUATIONS, PAUSED, NOT_FINITE = range(6)
-REASONS = ("criterion", "iterations", "target", "evaluations", "deadline")
 BUDGET_STOP, PAPER_STOP, RELATIVE_STOP, TARGET_STOP = range(4)
 
 
-class Swarm(NamedTuple):
+class SwarmArrays(NamedTuple):
     """The swarm's state between calls; arrays are updated in place."""
 
     u: Floats  # (L, P) coordinates
@@ -28,8 +27,8 @@ class Swarm(NamedTuple):
     history: Floats  # (z_max + 1,) J(u_gb)
 
 
-class Rules(NamedTuple):
-    """Parameters of (14)-(20); see `SwarmSpec`."""
+class SwarmRules(NamedTuple):
+    """Parameters of (14)-(20); see `tetractl.control.optimizers.pso.Pso`."""
 
     key: np.uint64
     inertia: float

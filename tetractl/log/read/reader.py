@@ -183,7 +183,8 @@ def _start(contents: Contents) -> tuple[Experiment, Start]:
         if resolved is None:
             raise LogError(f"{path}: damaged: the resolved spec is lost")
         text = contents.attachment(channels.SPEC) or ""
-        experiment, hashed = _resolved(resolved)
+        experiment, upgraded = _resolved(resolved)
+        hashed = run["spec_hash"] if upgraded else spec_hash(experiment)
         return experiment, facts.read_start(run, experiment.setup, text, resolved, hashed)
     except (SpecError, KeyError, RecursionError, ValueError) as error:
         used = [
@@ -196,9 +197,13 @@ def _start(contents: Contents) -> tuple[Experiment, Start]:
 
 
 @lru_cache(maxsize=16)
-def _resolved(text: str) -> tuple[Experiment, str]:
-    experiment = parse_spec(text, channels.RESOLVED_SPEC).experiment
-    return experiment, spec_hash(experiment)
+def _resolved(text: str) -> tuple[Experiment, bool]:
+    """Return the experiment, and whether its spec has names of an earlier tetractl.
+
+    The hash of such a spec cannot be computed again: it was taken over the names of that time.
+    """
+    spec = parse_spec(text, channels.RESOLVED_SPEC)
+    return spec.experiment, bool(spec.notices)
 
 
 def _recovered(contents: Contents) -> Damage | None:

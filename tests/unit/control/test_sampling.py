@@ -23,7 +23,7 @@ EXPERIMENT = Path(__file__).parents[3] / "experiments" / "three_m3pi_paper.yaml"
 SMALL = [CrossEntropy(particles=12, elite=3, iterations=8), Mppi(particles=12, iterations=8)]
 OPTIMIZERS = pytest.mark.parametrize("optimizer", SMALL, ids=["cem", "mppi"])
 SOLVED = {"cem": (CrossEntropy(), 150.0), "mppi": (Mppi(), 100.0)}
-"""Each with its defaults, and the cost to which it solves the reference experiment's step 0 [mm]."""
+"""Each with its defaults, and the J to which it solves step 0 of the reference experiment [mm]."""
 
 
 @pytest.mark.parametrize(("optimizer", "cost"), SOLVED.values(), ids=list(SOLVED))

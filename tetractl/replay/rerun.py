@@ -48,6 +48,8 @@ def compare(log: Path, again: Path) -> int:
         print(f"  {log} is of a trial that did not run to its end, or damaged", file=sys.stderr)
     if first.experiment.controller.deadline is not None:
         print("  its spec sets a deadline: plans depend on how fast the host is", file=sys.stderr)
+    if read_trial(log).start.resolved != read_trial(again).start.resolved:
+        print("  its spec is written with an earlier tetractl's names or fields", file=sys.stderr)
     for fact in differing_facts(read_trial(log)):
         print(f"  {fact}", file=sys.stderr)
     return Exit.FAILED

@@ -44,8 +44,8 @@ class SwarmRules(NamedTuple):
 
 
 @njit(**PART)
-def lead(swarm, z):
-    """(18)-(19): note who improved, and let the best become u_gb."""
+def update_bests(swarm, z):
+    """Apply (18)-(19) after move z: mark who improved in `better`, copy the best to u_gb."""
     leader, least = -1, swarm.history[z - 1]
     for n in range(swarm.cost.size):
         improved = swarm.cost[n] < swarm.best_cost[n]
@@ -63,7 +63,7 @@ def lead(swarm, z):
 
 @njit(**PART)
 def stop_reason(history, z, rules):
-    """Why to stop after iteration z, or PAUSED: the twin of `tetractl.control.stop`."""
+    """Return why to stop after iteration z, else PAUSED: the twin of `tetractl.control.stop`."""
     if rules.stop == TARGET_STOP and history[z] <= rules.target:
         return TARGET
     if rules.stop == RELATIVE_STOP and z > max(rules.window, 10):
@@ -101,7 +101,7 @@ def iterate(course, swarm, rules, z, pause):
         if not roll(course, u, swarm.cost, True, v, best, better, u_gb, key, first, w, c1, c2):
             return NOT_FINITE, z
         z += 1
-        lead(swarm, z)
+        update_bests(swarm, z)
         reason = stop_reason(swarm.history, z, rules)
         if reason != PAUSED:
             return reason, z

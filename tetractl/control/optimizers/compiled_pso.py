@@ -69,7 +69,7 @@ def scatter(
 
 
 def make_rules(section: Pso, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:
-    """Lay out (14)-(20) for the kernel."""
+    """Return the parameters of (14)-(20) as the kernel reads them; `spent` counts evaluations."""
     stop, window, decrease, target = _stop(section.stop)
     return kernel.SwarmRules(
         key=np.uint64(mix(key, 1)),

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import SECOND, milliseconds, seconds
 from tetractl.core.commands import Command, Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
@@ -118,7 +118,7 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
                 yield Difference(k, "observation.frame", text)
         late = k > 0 and step.solve_ns > round(control.period * SECOND)
         if step.deadline_missed != late:
-            text = f"{step.deadline_missed} for {step.solve_ns / 1e6:.3f} ms"
+            text = f"{step.deadline_missed} for {milliseconds(step.solve_ns):.3f} ms"
             yield Difference(k, "timing.deadline_missed", text)
         before = step
 
@@ -136,7 +136,7 @@ def _order(step: Step, before: Step | None, period: float | None) -> Iterator[Di
         spaced = sent - before.command.sent_ns
         if abs(spaced - period * SECOND) > 1:
             yield Difference(
-                step.k, "command.sent_ns", f"{spaced / SECOND} s after the step before"
+                step.k, "command.sent_ns", f"{seconds(spaced)} s after the step before"
             )
 
 
@@ -227,8 +227,8 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
         return
     if log.steps and stop.sent_ns < log.steps[-1].command.sent_ns:
         yield Difference(None, "stop.sent_ns", "the stop comes before the last step")
-    if log.start.plant.simulated and result.duration_s != stop.sent_ns / SECOND:
-        text = f"states {result.duration_s}, the stop was at {stop.sent_ns / SECOND}"
+    if log.start.plant.simulated and result.duration_s != seconds(stop.sent_ns):
+        text = f"states {result.duration_s}, the stop was at {seconds(stop.sent_ns)}"
         yield Difference(None, "result.duration_s", text)
     if result.outcome is Outcome.ABORTED and not result.reason:
         yield Difference(None, "result.reason", "aborted without a reason")

@@ -4,12 +4,12 @@ from enum import StrEnum
 
 import numpy as np
 
-from tetractl.core.clock import Clock
+from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.errors import UsageError
 from tetractl.replay.clock import PlayerClock
 from tetractl.replay.frame import Recording
 
-SEEK_NS = 1_000_000_000
+SEEK_NS = SECOND
 RATE_MIN, RATE_MAX = 1 / 16, 64.0
 
 
@@ -114,10 +114,10 @@ def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[i
     for option, value in (("--start", start_s), ("--until", until_s)):
         if value is not None and not value >= 0:
             raise UsageError(f"{option} must not be negative, and is {value:g}")
-    end_s = recording.end_ns / 1e9
+    end_s = seconds(recording.end_ns)
     if start_s > end_s:
         raise UsageError(f"--start {start_s:g} lies behind the end: the trial lasts {end_s:g} s")
     if until_s is not None and start_s >= until_s:
         raise UsageError(f"--start {start_s:g} must lie before --until {until_s:g}")
-    until_ns = recording.end_ns if until_s is None or until_s > end_s else round(1e9 * until_s)
-    return round(1e9 * start_s), until_ns
+    until_ns = recording.end_ns if until_s is None or until_s > end_s else round(SECOND * until_s)
+    return round(SECOND * start_s), until_ns

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.core.clock import MILLISECOND
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
@@ -143,7 +144,7 @@ def summarise(trials: Sequence[ResultSummary], damaged: Sequence[Damaged] = ()) 
 def _solve_times(solve_ns: Sequence[int]) -> SolveTimes:
     if not solve_ns:
         return SolveTimes(math.nan, math.nan, math.nan)
-    p50, p99, most = np.percentile(np.asarray(solve_ns, dtype=float) / 1e6, [50, 99, 100])
+    p50, p99, most = np.percentile(np.asarray(solve_ns, dtype=float) / MILLISECOND, [50, 99, 100])
     return SolveTimes(float(p50), float(p99), float(most))
 
 

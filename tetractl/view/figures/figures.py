@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.colors import BLUE, RED, robot_colors
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
@@ -111,7 +112,7 @@ def error_figure(log: TrialLog) -> Figure:
         raise LogError(f"{log.path}: holds no camera frames to plot")
     setup = log.start.setup
     unit = style.unit_of(setup.unit)
-    time_s = log.mocap_ns / 1e9
+    time_s = log.mocap_ns / SECOND
     gaps = setup.distances(tracked(log.mocap, log.valid))
     with style.styled():
         figure = style.figure(style.PAGE_IN, 2.6)
@@ -124,7 +125,7 @@ def error_figure(log: TrialLog) -> Figure:
         if tolerance := log.experiment.controller.arrival_tolerance:
             label = f"arrival within {tolerance:g} {unit}"
             axes.axhline(tolerance, color=style.GREY, lw=0.8, ls="--", label=label)
-        sent_s = np.array([step.command.sent_ns for step in log.steps]) / 1e9
+        sent_s = np.array([step.command.sent_ns for step in log.steps]) / SECOND
         late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
         rug = axes.get_xaxis_transform()
         axes.vlines(
@@ -158,7 +159,7 @@ def timing_figure(log: TrialLog) -> Figure:
     """Draw the time each control step took to solve against the control period."""
     _need_steps(log)
     period_ms = 1e3 * log.start.setup.period_s
-    solve_ms = np.array([step.solve_ns for step in log.steps]) / 1e6
+    solve_ms = np.array([step.solve_ns for step in log.steps]) / MILLISECOND
     late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
     with style.styled():
         figure = style.figure(style.PAGE_IN, 2.5)

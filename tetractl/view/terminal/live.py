@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.live import Live
 
+from tetractl.core.clock import seconds
 from tetractl.core.colors import robot_colors
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.poses import Floats
@@ -114,7 +115,7 @@ class LiveView:
         setup = self._setup
         frame = Frame(
             setup=setup,
-            time_s=self._time_ns / 1e9,
+            time_s=seconds(self._time_ns),
             end_s=None,
             poses=self._poses,
             trail=np.array(self._trail).reshape(-1, len(setup.names), 2),

@@ -3,6 +3,7 @@
 from rich.console import Console
 from rich.live import Live
 
+from tetractl.core.clock import seconds
 from tetractl.core.colors import robot_colors
 from tetractl.replay.frame import Recording
 from tetractl.replay.player import Player, State
@@ -37,12 +38,12 @@ def dashboard(recording: Recording, player: Player, colors: list[str], glyphs: G
     """Return the picture of this moment."""
     log = recording.log
     sign = glyphs.play if player.state is State.PLAYING else glyphs.pause
-    end_s = recording.end_ns / 1e9
+    end_s = seconds(recording.end_ns)
     wide = len(f"{end_s:.1f}")
     footer = Footer(
         left=f"{sign} {player.rate:g}{glyphs.times}",
         fraction=player.now / recording.end_ns if recording.end_ns else 1.0,
-        right=f"{player.now / 1e9:{wide}.1f} / {end_s:.1f} s",
+        right=f"{seconds(player.now):{wide}.1f} / {end_s:.1f} s",
         hints=(
             f"space {SPACE.get(player.state, '')}",
             f"{glyphs.left_right} {glyphs.plus_minus}1 s",

@@ -2,7 +2,7 @@
 
 import math
 
-from tetractl.core.clock import Clock
+from tetractl.core.clock import Clock, seconds
 from tetractl.replay.clock import PlayerClock
 from tetractl.replay.frame import Recording
 
@@ -40,8 +40,9 @@ def line(recording: Recording, index: int) -> str:
     unit = recording.log.start.setup.unit
     plan, u = step.plan, step.command.direction
     direction = "stop" if u is None else f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
+    time_s = seconds(int(recording.step_ns[index]))
     return (
-        f"{recording.step_ns[index] / 1e9:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "
+        f"{time_s:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "
         f"J {plan.cost:7.1f} {unit}  total error {recording.totals[index]:7.1f} {unit}  "
         f"direction {direction:>10}  evaluations {plan.evaluations:<6}  "
         f"stopped {plan.search.stopped}"

@@ -7,13 +7,13 @@ import numpy as np
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.errors import UsageError
 from tetractl.replay.clock import PlayerClock
-from tetractl.replay.frame import Recording
+from tetractl.replay.recording import Recording
 
 SEEK_NS = SECOND
 RATE_MIN, RATE_MAX = 1 / 16, 64.0
 
 
-class State(StrEnum):
+class Playback(StrEnum):
     """What a player is doing."""
 
     PLAYING = "playing"
@@ -57,13 +57,13 @@ class Player:
         return self._clock.rate
 
     @property
-    def state(self) -> State:
+    def state(self) -> Playback:
         """What the player is doing."""
         if self._quit:
-            return State.QUIT
+            return Playback.QUIT
         if not self._clock.paused:
-            return State.PLAYING
-        return State.ENDED if self._clock.now() >= self.until_ns else State.PAUSED
+            return Playback.PLAYING
+        return Playback.ENDED if self._clock.now() >= self.until_ns else Playback.PAUSED
 
     def update(self) -> None:
         """At the end of the span: begin again with `loop`, else stand still."""
@@ -94,7 +94,7 @@ class Player:
                 self._quit = True
 
     def _toggle(self) -> None:
-        if self.state is State.ENDED:
+        if self.state is Playback.ENDED:
             self._clock.jump(self.start_ns)
         if self._clock.paused:
             self._clock.resume()

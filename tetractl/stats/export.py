@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.stats.estimate import SEED, Difference, Distribution, Interval
+from tetractl.stats.estimate import SEED, Distribution, Interval, MeanDifference
 from tetractl.stats.summary import Comparison, Scaled, Summary
 from tetractl.stats.trials import counts
 
@@ -80,7 +80,7 @@ def _distribution(values: Distribution) -> dict[str, Any]:
     }
 
 
-def _difference(difference: Difference) -> dict[str, Any]:
+def _difference(difference: MeanDifference) -> dict[str, Any]:
     return {
         "difference": _number(difference.value),
         **_interval(difference.ci95),

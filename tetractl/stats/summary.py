@@ -14,10 +14,10 @@ from tetractl.experiment.experiment import Experiment, Reference, Scale
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.stats.estimate import (
     ENOUGH,
-    Difference,
     Distribution,
     Effect,
     Interval,
+    MeanDifference,
     bootstrap_difference,
     cliffs_delta,
     describe,
@@ -41,7 +41,7 @@ class Published:
     """The published result, and ours minus it by Welch's t."""
 
     reference: Reference
-    comparison: Difference
+    comparison: MeanDifference
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,7 @@ class Comparison:
     ours: Summary
     theirs: Summary
     differs: tuple[str, ...]
-    welch: Difference
+    welch: MeanDifference
     bootstrap: Interval
     effect: Effect
     verdict: str | None

@@ -16,11 +16,11 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.frame import tracked
+from tetractl.replay.recording import tracked
 from tetractl.view import style
+from tetractl.view.figures.axes import LABELLED
 from tetractl.view.figures.labels import Labels, edge
 
-LABELLED = 8  # most robots that get a line of the legend each
 MARKS = 5  # about as many times are marked along a trail
 
 

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from tetractl.core.clock import milliseconds
 from tetractl.core.plan import Plan
-from tetractl.replay.frame import Frame
+from tetractl.replay.recording import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
@@ -57,7 +57,7 @@ class Dashboard:
 
     def __init__(
         self,
-        frame: Frame,
+        frame: Moment,
         colors: list[str],
         heading: str,
         footer: Footer,

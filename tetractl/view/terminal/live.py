@@ -14,7 +14,7 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Start, Step
-from tetractl.replay.frame import Frame, tracked
+from tetractl.replay.recording import Moment, tracked
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.progress import Tally, duration
 
@@ -113,7 +113,7 @@ class LiveView:
 
     def _dashboard(self) -> Dashboard:
         setup = self._setup
-        frame = Frame(
+        frame = Moment(
             setup=setup,
             time_s=seconds(self._time_ns),
             end_s=None,

@@ -4,10 +4,10 @@ import math
 
 from tetractl.core.clock import Clock, seconds
 from tetractl.replay.clock import PlayerClock
-from tetractl.replay.frame import Recording
+from tetractl.replay.recording import Recording
 
 
-def recite(
+def print_steps(
     recording: Recording,
     wall: Clock,
     span: tuple[int, int],
@@ -27,14 +27,14 @@ def recite(
         for index in steps:
             if pace is not None:
                 clock.sleep_until(int(recording.step_ns[index]))
-            print(line(recording, index), flush=pace is not None)
+            print(step_line(recording, index), flush=pace is not None)
         if not loop or not steps:
             return
         clock.sleep_until(until_ns)
         clock.jump(start_ns)
 
 
-def line(recording: Recording, index: int) -> str:
+def step_line(recording: Recording, index: int) -> str:
     """Say one control step in words."""
     step = recording.log.steps[index]
     unit = recording.log.start.setup.unit

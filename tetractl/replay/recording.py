@@ -13,7 +13,7 @@ from tetractl.log.read.trial_log import TrialLog
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class Moment:
     """One instant of a trial of N robots; lengths in the experiment's unit.
 
     `poses` (N, 3) as the cameras saw them last, `trail` (M, N, 2) the way there with NaN where a
@@ -64,12 +64,12 @@ class Recording:
         self._trail = tracked(log.mocap, log.valid)
         self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
 
-    def at(self, time_ns: int) -> Frame:
+    def at(self, time_ns: int) -> Moment:
         """Return what was to be seen at a time of the trial [ns]."""
         log = self.log
         seen = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
         done = int(np.searchsorted(self.step_ns, time_ns, side="right"))
-        return Frame(
+        return Moment(
             setup=log.start.setup,
             time_s=seconds(time_ns),
             end_s=seconds(self.end_ns),

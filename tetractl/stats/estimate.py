@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from scipy import optimize, stats
@@ -24,6 +24,11 @@ ENOUGH = 8
 _BATCH_ELEMENTS = 4_000_000  # resampled values held in memory at once
 _GRID = 2.0**40
 _NAN = math.nan
+
+
+def finite(value: float) -> float | None:
+    """Return a number for JSON, None where it is not finite."""
+    return value if math.isfinite(value) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +50,15 @@ class Interval:
         """Whether there is an interval."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
+    @property
+    def ends(self) -> list[float] | None:
+        """Both ends for JSON, None where there is no interval."""
+        return [self.low, self.high] if self.known else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the items of JSON that describe the interval."""
+        return {"ci95": self.ends, "ci95_method": self.method, "ci95_reason": self.reason}
+
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
@@ -60,6 +74,18 @@ class Distribution:
     min: float
     max: float
     ci95: Interval
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the items of JSON that describe the values; what is not known is None."""
+        return {
+            "n": self.n,
+            "mean": finite(self.mean),
+            "std": finite(self.std),
+            "median": finite(self.median),
+            "min": finite(self.min),
+            "max": finite(self.max),
+            **self.ci95.as_dict(),
+        }
 
 
 def describe(rows: Floats) -> list[Distribution]:

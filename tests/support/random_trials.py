@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.log import provenance
 from tetractl.log.write.writer import LogWriter
 
 SPEC_TEXT = "# as somebody wrote it\nname: made-up   # with a comment, and an ü\n"
@@ -117,9 +119,12 @@ def trial(
     return Made(spec, start, rounds, stop, result)
 
 
-def write(made: Made, path: Path) -> Path:
-    """Write a made-up trial as the loop would."""
-    with LogWriter(path) as writer:
+def write(made: Made, path: Path, environment: str = "{}\n") -> Path:
+    """Write a made-up trial as the loop would, of a size that no checkout's state changes."""
+    with (
+        mock.patch.object(provenance, "environment", lambda: environment),
+        LogWriter(path) as writer,
+    ):
         writer.on_start(made.start)
         for samples, step in made.rounds:
             writer.on_samples(samples)

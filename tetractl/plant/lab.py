@@ -22,7 +22,7 @@ from tetractl.lab.preflight import Findings
 from tetractl.lab.rig import Session
 from tetractl.lab.wire_tap import NO_TAP, Tap
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import PathJudge
+from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
 LOOK_NS = SECOND // 5  # how often placing is looked at
@@ -69,7 +69,7 @@ class LabPlant:
         )
         count = len(experiment.robots)
         self._heading = np.array([robot.heading for robot in experiment.robots])
-        self._judge = PathJudge(Obstacles.of(experiment.obstacles), count)
+        self._judge = PathCheck(Obstacles.of(experiment.obstacles), count)
         self._judging = False
         self._newest: Observation | None = None
         self._fresh: deque[Sample] = deque(maxlen=KEPT)

@@ -17,7 +17,7 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.plant import SimSpec
 from tetractl.model.cell import exact
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import PathJudge
+from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
 
 
@@ -59,7 +59,7 @@ class SimPlant:
         self.poses = Poses.of(np.array([(*robot.start, robot.heading) for robot in robots]))
         self._held = _Held(*(np.zeros(count) for _ in range(4)))
         self._orders: deque[_Order] = deque()
-        self._judge = PathJudge(Obstacles.of(experiment.obstacles), count)
+        self._judge = PathCheck(Obstacles.of(experiment.obstacles), count)
         self._time = 0
         self._frames = 0  # frames exposed so far
         self._ticks = 0  # true samples judged so far

@@ -11,23 +11,14 @@ if TYPE_CHECKING:
 
 
 def recorded(log: Path) -> "tuple[LoadedSpec, int]":
-    """Return the spec that a log was run with, and the number of its trial."""
+    """Return the spec that a log was run with, and the index of its trial in the batch."""
     from tetractl.experiment.load import LoadedSpec
-    from tetractl.log.format import channels
-    from tetractl.log.read.reader import trial_of
-    from tetractl.log.read.salvage import scan
+    from tetractl.log.read.reader import read_trial
 
-    contents = scan(log)
-    trial = trial_of(contents)
+    trial = read_trial(log)
     start = trial.start
-    ours = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT}
-    attached = tuple(
-        (item.name, item.data.decode(errors="replace"))
-        for item in contents.attachments
-        if item.name not in ours
-    )
-    loaded = LoadedSpec(trial.experiment, start.spec_text, start.spec_name, attached=attached)
-    return loaded, start.trial
+    spec = LoadedSpec(trial.experiment, start.spec_text, start.spec_name, attached=start.attached)
+    return spec, start.trial
 
 
 def compare(log: Path, again: Path) -> int:

@@ -12,8 +12,9 @@ from tetractl.core.plan import Outcome
 from tetractl.experiment.load import parse_spec
 from tetractl.log import provenance
 from tetractl.log.format.channels import CHANNELS, HOST, RESULT, RUN, STEP
+from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.salvage import Contents, scan
+from tetractl.log.read.salvage import scan
 from tetractl.replay import verify as module
 from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import RECOMPUTED, REEVALUATED, verify

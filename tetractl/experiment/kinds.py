@@ -55,7 +55,13 @@ ACTUATORS = Registry(
     {},
     SECTION,
 )
-SEAMS = (OPTIMIZERS, CONTROLLERS, MOTIONS, SHAPES, CAMERAS, ACTUATORS)
+DISTURBANCES = Registry(
+    "tetractl.disturbances",
+    "disturbance",
+    {"tracking-loss": "tetractl.plant.disturbances.tracking_loss:TrackingLossSection"},
+    "tetractl.experiment.disturbance:DisturbanceSection",
+)
+SEAMS = (OPTIMIZERS, CONTROLLERS, MOTIONS, SHAPES, DISTURBANCES, CAMERAS, ACTUATORS)
 
 
 def packages(spec: Model) -> dict[str, str]:

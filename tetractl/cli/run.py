@@ -104,7 +104,10 @@ def run(
         raise UsageError("--from repeats a trial as it was: nothing of it can be set")
     number = None
     if spec is not None:
-        loaded = on_plant(load_spec(spec, settings), plant.value if plant else None)
+        loaded = load_spec(spec, settings)
+        for notice in loaded.notices:
+            print(f"notice: {loaded.name}: {notice}", file=sys.stderr)
+        loaded = on_plant(loaded, plant.value if plant else None)
     else:
         assert log is not None
         loaded, number = recorded(log)
@@ -141,9 +144,7 @@ def _describe(loaded: "LoadedSpec", folder: Path, todo: list[int]) -> None:
 
 
 def _check_lab_options(loaded: "LoadedSpec", jobs: int, record_wire: Path | None) -> None:
-    from tetractl.experiment.lab import LabSpec
-
-    in_lab = isinstance(loaded.experiment.plant, LabSpec)
+    in_lab = not loaded.experiment.plant.simulated
     if in_lab and jobs > 1:
         raise UsageError("--jobs: the lab runs one trial at a time")
     if record_wire is not None and not in_lab:
@@ -161,7 +162,6 @@ def _run(
     from rich.console import Console
 
     from tetractl.control.build import warm_up
-    from tetractl.experiment.lab import LabSpec
     from tetractl.run.batch import run_batch
     from tetractl.run.folder import make_folder, set_aside
     from tetractl.run.interrupt import Interrupt
@@ -176,7 +176,7 @@ def _run(
     live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not quiet
     with ExitStack() as stack:
         stack.enter_context(interrupt.watch())
-        if isinstance(loaded.experiment.plant, LabSpec):
+        if not loaded.experiment.plant.simulated:
             from tetractl.cli.lab_run import run_in_lab
 
             return run_in_lab(loaded, folder, todo, console, interrupt, live, record_wire)

@@ -17,16 +17,19 @@ class Choice:
 
     `Annotated[Base, Choice(REGISTRY)]` accepts an instance of Base, or a mapping whose `type` is a
     name in the registry; `default` is the type of a mapping without one. Each class of the
-    registry is a `Model` derived from Base, with its own name as the `Literal` of its `type`. A
-    class is imported when it is first chosen.
+    registry is a `Model` with its own name as the `Literal` of its `type`; those not derived from
+    Base cannot be chosen here. A class is imported when it is first chosen.
     """
 
     def __init__(self, registry: Registry, default: str | None = None) -> None:
         self.registry, self.default = registry, default
+        self._base: type[Any] = object
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler
     ) -> CoreSchema:
+        self._base = source
+
         def validate(value: Any, info: core_schema.ValidationInfo) -> Any:
             if isinstance(value, source):
                 return value
@@ -38,11 +41,17 @@ class Choice:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        sections = {name: self.registry.load(name) for name in self.registry.names()}
+        loaded = {name: self.registry.load(name) for name in self.registry.names()}
+        sections = {name: kind for name, kind in loaded.items() if issubclass(kind, self._base)}
         options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
         mapping = {name: option["$ref"] for name, option in options.items() if "$ref" in option}
         discriminator = {"mapping": mapping, "propertyName": "type"}
-        return {"discriminator": discriminator, "oneOf": list(options.values())}
+        choice = {"discriminator": discriminator, "oneOf": list(options.values())}
+        return choice | ({"default": {"type": self.default}} if self.default else {})
+
+    def make(self) -> Any:
+        """Return the section of the default type with its own defaults, for a field's default."""
+        return self._section({}).model_validate({})
 
     def _section(self, value: Any) -> Any:
         if not isinstance(value, dict):
@@ -52,4 +61,7 @@ class Choice:
             raise PydanticCustomError("union_tag_not_found", "has no type")
         if not isinstance(name, str) or name not in self.registry:
             raise PydanticCustomError("union_tag_invalid", "has an unknown type")
-        return self.registry.load(name)
+        section = self.registry.load(name)
+        if not issubclass(section, self._base):
+            raise PydanticCustomError("union_tag_invalid", "has a type that does not fit here")
+        return section

@@ -32,13 +32,21 @@ SHAPES = Registry(
         "circle": "tetractl.experiment.experiment:Circle",
     },
 )
+PLANTS = Registry(
+    "tetractl.plants",
+    "plant",
+    {
+        "sim": "tetractl.plant.simulation:SimSection",
+        "lab": "tetractl.plant.lab:LabPlantSection",
+    },
+)
 CAMERAS = Registry(
     "tetractl.cameras",
     "camera",
-    {},
+    {"optitrack": "tetractl.lab.cameras.optitrack.section:OptitrackSection"},
 )
 ACTUATORS = Registry(
     "tetractl.actuators",
     "actuator",
-    {},
+    {"m3pi-xbee": "tetractl.lab.actuators.m3pi.section:M3piSection"},
 )

@@ -12,13 +12,14 @@ from pydantic import TypeAdapter, ValidationError
 from tetractl.core.commands import PlantInfo
 from tetractl.core.trial import Start
 from tetractl.experiment.choice import STRICT
-from tetractl.experiment.consistency import contradictions, lab_contradictions
+from tetractl.experiment.consistency import contradictions, plant_contradictions
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.experiment.yaml.document import parse_document, read_text
+from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.overrides import override
-from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
+from tetractl.experiment.yaml.upgrade_lab import former, is_old_lab, notice, upgrade_lab
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +31,7 @@ class LoadedSpec:
     name: str  # file name, without its folder
     path: Path | None = None
     attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
+    notices: tuple[str, ...] = ()  # what the owner of a spec in an old form should know
 
 
 def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
@@ -39,12 +41,14 @@ def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
     what would be right`.
     """
     text = read_text(path)
-    return LoadedSpec(_experiment(text, str(path), sets), text, path.name, path)
+    experiment, notices = _experiment(text, str(path), sets)
+    return LoadedSpec(experiment, text, path.name, path, notices=notices)
 
 
 def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:
     """Check the text of a spec, as `load_spec` does; `name` is what problems call it."""
-    return LoadedSpec(_experiment(text, name, sets), text, name)
+    experiment, notices = _experiment(text, name, sets)
+    return LoadedSpec(experiment, text, name, notices=notices)
 
 
 def resolved_yaml(experiment: Experiment) -> str:
@@ -77,8 +81,11 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
     )
 
 
-def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:
+def _experiment(
+    text: str, origin: str, sets: Sequence[str]
+) -> tuple[Experiment, tuple[str, ...]]:
     document = parse_document(text, origin)
+    notices = tuple(_upgrade_labs(document))
     for setting in sets:
         override(document, setting)
     experiment = None
@@ -88,13 +95,38 @@ def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:
         document.problems.extend(explain(error, document))
     found = list(contradictions(*_valid_parts(document.data)))
     if experiment is not None:
-        found += lab_contradictions(experiment)
+        found += plant_contradictions(experiment)
     for loc, message in found:
         place = document.place(loc)
         document.problems.append(place.problem(loc, message, place.text))
     if document.found or experiment is None:
         raise InvalidSpecError(document.found)
-    return experiment
+    return experiment, notices
+
+
+def _upgrade_labs(document: Document) -> Iterator[str]:
+    """Bring labs of the old form into the new one; yield what their owner should know."""
+    for place in ("plant", "lab"):
+        section = document.data.get(place)
+        if not is_old_lab(section):
+            continue
+        document.data[place] = new = upgrade_lab(section)
+        for notes in (document.values, document.keys, document.refused):
+            before = {loc: note for loc, note in notes.items() if loc[:1] == (place,) and loc[1:]}
+            for loc in before:
+                del notes[loc]
+            for loc in _places(new):
+                if old := before.get((place, *former(loc))):
+                    notes[place, *loc] = old
+        yield notice(place, new)
+
+
+def _places(value: Any, loc: Loc = ()) -> Iterator[Loc]:
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    for step, item in items:
+        yield (*loc, step)
+        if isinstance(item, dict | list):
+            yield from _places(item, (*loc, step))
 
 
 def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:

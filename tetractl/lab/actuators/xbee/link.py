@@ -15,7 +15,7 @@ import serial
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
-from tetractl.experiment.lab import Radio
+from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.xbee import check
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
@@ -30,7 +30,7 @@ from tetractl.lab.actuators.xbee.frames import (
     TransmitStatus,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
-from tetractl.lab.wire_tap import NO_TAP, Tap
+from tetractl.lab.actuators.xbee.section import XbeeSection
 
 WRITE_TIMEOUT_S = 0.02
 READ_TIMEOUT_S = 0.05
@@ -61,7 +61,7 @@ class LinkCounts:
 class Link:
     """An open port. Times are ns on `clock`; every failure is an AbortError and final."""
 
-    def __init__(self, radio: Radio, clock: Clock, tap: Tap = NO_TAP) -> None:
+    def __init__(self, radio: XbeeSection, clock: Clock, tap: Tap = NO_TAP) -> None:
         self.radio = radio
         self.counts = LinkCounts()
         self.failure: str | None = None
@@ -93,15 +93,6 @@ class Link:
         self._thread.start()
         if checked and self._api:
             check.module(self, radio)
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """What was sent and lost, for the log."""
-        return {
-            "radio_frames_sent": str(self.counts.frames_sent),
-            "radio_undelivered": str(self.counts.undelivered),
-            "radio_bad_checksums": str(self.decoder.bad_checksums),
-        }
 
     def send(self, data: bytes, address: int = BROADCAST_16) -> int:
         """Send to one module or to all; return when the bytes were handed over [ns]."""

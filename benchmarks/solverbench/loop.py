@@ -12,13 +12,13 @@ from tetractl.control.cost import Problem
 from tetractl.control.optimizers import compiled
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import PlantInfo
+from tetractl.core.operators import Operators
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
-from tetractl.plant.build import build_plant
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
@@ -96,7 +96,7 @@ def run(experiment: Experiment, trials: int, build: Build = build_controller) ->
         batch.results.append(
             Trial(
                 start=start_of(LoadedSpec(experiment, "", ""), trial, nowhere, EPOCH_NS),
-                plant=build_plant(experiment, clock, seed),
+                plant=experiment.plant.build(experiment.setup, clock, seed, Operators()),
                 controller=_Timed(build(experiment, key), times),
                 first_plan=experiment.controller.first_plan,
                 clock=clock,

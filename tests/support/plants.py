@@ -10,7 +10,7 @@ from support.trials import experiment
 from tetractl.core.clock import Clock, VirtualClock
 from tetractl.core.protocols import Plant
 from tetractl.experiment.experiment import Experiment
-from tetractl.plant.simulation import SimPlant
+from tetractl.plant.simulation import SimPlant, SimSection
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,9 @@ class Rig:
 
 def sim(spec: Experiment, seed: int = 1, clock: Clock | None = None) -> SimPlant:
     """A simulated plant, seeded, on a clock of its own unless one is given."""
-    return SimPlant(spec, clock or VirtualClock(), np.random.SeedSequence(seed))
+    section = spec.plant
+    assert isinstance(section, SimSection)
+    return SimPlant(section, spec.setup, clock or VirtualClock(), np.random.SeedSequence(seed))
 
 
 def sim_rig(seed: int, **plant: Any) -> Rig:

@@ -104,7 +104,13 @@ def calibrate(
         typer.Option(metavar="NAME", help="Only this robot; may be repeated.  [all]"),
     ] = None,
     limit: Annotated[
-        int, typer.Option(min=10, max=80, metavar="N", help="How hard to drive: for m3pi the greatest wheel count, of 127.")
+        int,
+        typer.Option(
+            min=10,
+            max=80,
+            metavar="N",
+            help="How hard to drive: for m3pi the greatest wheel count, of 127.",
+        ),
     ] = 45,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before robots move.")] = False,
 ) -> int:

@@ -187,8 +187,9 @@ class LabSection(PlantSection):
             "all robots stop": f"{limits.stale:g} s after the last camera frame",
             "a robot stops": f"{limits.untracked_stop:g} s after it was last tracked",
             "the trial aborts": (
-                f"{limits.stream_lost:g} s after the last frame, {limits.untracked_abort:g} s after "
-                f"a robot was last tracked, or {limits.late_steps} late control steps in a row"
+                f"{limits.stream_lost:g} s after the last frame, {limits.untracked_abort:g} s "
+                f"after a robot was last tracked, or {limits.late_steps} late control steps in "
+                "a row"
             ),
         }
 
@@ -206,7 +207,7 @@ def mismatches(
     for i, robot in enumerate(robots):
         if robot.name not in names:
             yield ("robots", i, "name"), f"is no robot of the spec; those are {', '.join(names)}"
-        for field in ("name", *unique):
-            value = getattr(robot, field)
-            if value is not None and (first := taken.setdefault((field, value), i)) != i:
-                yield ("robots", i, field), f"is that of {robots[first].name}; must differ"
+        for key in ("name", *unique):
+            value = getattr(robot, key)
+            if value is not None and (first := taken.setdefault((key, value), i)) != i:
+                yield ("robots", i, key), f"is that of {robots[first].name}; must differ"

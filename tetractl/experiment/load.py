@@ -81,9 +81,7 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
     )
 
 
-def _experiment(
-    text: str, origin: str, sets: Sequence[str]
-) -> tuple[Experiment, tuple[str, ...]]:
+def _experiment(text: str, origin: str, sets: Sequence[str]) -> tuple[Experiment, tuple[str, ...]]:
     document = parse_document(text, origin)
     notices = tuple(_upgrade_labs(document))
     for setting in sets:

@@ -18,7 +18,7 @@ from tetractl.experiment.load import LoadedSpec, frozen
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted, printable
 from tetractl.experiment.yaml.upgrade_lab import is_old_calibration, upgrade_calibration
 
 PlantKind = Literal["sim", "lab"]
@@ -30,9 +30,9 @@ class Calibration(Model):
 
     measured: str = Field(max_length=100)
     """When it was measured."""
-    camera: dict[str, Any] = {}
+    camera: dict[str, Any] = Field(default={})
     """Values that take the places of those in `lab.camera`."""
-    actuator: dict[str, Any] = {}
+    actuator: dict[str, Any] = Field(default={})
     """Values that take the places of those in `lab.actuator`."""
 
 
@@ -129,7 +129,7 @@ class _Merge:
             for j, entry in enumerate(over):
                 i = next((i for i, b in enumerate(base) if b["name"] == entry["name"]), None)
                 if i is None:
-                    name = entry["name"]
+                    name = printable(str(entry["name"]), 60)
                     raise SpecError(
                         f"{self._origin}: {name} is no robot of the lab", "calibrate this lab"
                     )

@@ -209,10 +209,8 @@ class Guard:
         if not self._active:
             return Ruling(self.state, still, believed, self.reason, warnings)
         fresh = now_ns - (self._last_frame_ns or 0) <= self.rules.stale_ns
-        if fresh:
-            moving = tracked if self.rules.individual else (True,) * len(tracked)
-        else:
-            moving = still
+        let = tracked if self.rules.individual else (True,) * len(tracked)
+        moving = let if fresh else still
         self.state = GuardState.RUN if all(moving) and all(tracked) else GuardState.HOLD
         return Ruling(self.state, moving, believed, "", warnings)
 

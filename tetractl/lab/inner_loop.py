@@ -187,9 +187,7 @@ class InnerLoop:
         self._next_ns = max(self._next_ns + period, now + period // 2)
         if self._actuator.individual or any(ruling.moving):
             self._note(
-                self._actuator.steer(
-                    self._direction, ruling.poses, ruling.moving, self._exposed_ns
-                )
+                self._actuator.steer(self._direction, ruling.poses, ruling.moving, self._exposed_ns)
             )
         else:
             self._note(self._actuator.stop())

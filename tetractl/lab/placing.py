@@ -3,7 +3,7 @@
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.core.operators import Operators
-from tetractl.lab.preflight import Findings, inspect, unplaced
+from tetractl.lab.preflight import Preflight, inspect, unplaced
 from tetractl.lab.rig import Rig
 from tetractl.lab.standstill import moving
 
@@ -12,10 +12,10 @@ GRACE_S = 1.0  # waited at least, for frames that are missing now and then
 SILENCE_S = 0.5  # a camera silent for this long ends the wait, or longer if the spec bears it
 
 
-def wait_until_ready(rig: Rig, operators: Operators) -> Findings:
-    """Return once all is well, every robot is on its start and, where one is there, a person agrees.
+def wait_until_ready(rig: Rig, operators: Operators) -> Preflight:
+    """Return once all is well, every robot is on its start and a person, if there is one, agrees.
 
-    Robots that stop by themselves must also stand still. Robots that are carried may be off and out
+    Robots that can stand still must do so. Robots that are carried may be off and out
     of sight for a while: without a person, `limits.placing` is how long. AbortError says what is
     wrong and who is how far off; KeyboardInterrupt where a person wants to wait no longer.
     """
@@ -23,7 +23,7 @@ def wait_until_ready(rig: Rig, operators: Operators) -> Findings:
     limit_ns = round(max(rig.limits.placing, GRACE_S) * SECOND)
     began = clock.now()
     while True:
-        findings: Findings | None = None
+        findings: Preflight | None = None
         lines = unplaced(rig) or (moving(rig) if rig.actuator.halts else [])
         if not lines:
             findings = inspect(rig)

@@ -40,7 +40,7 @@ class RobotFinding:
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class Preflight:
     """What a preflight found.
 
     `latency_ms` (median, greatest) is the age of frames on arrival, None where the camera cannot
@@ -75,7 +75,7 @@ class Findings:
         return (*self.warnings, *(w for robot in self.robots for w in robot.status.warnings))
 
 
-def inspect(rig: Rig) -> Findings:
+def inspect(rig: Rig) -> Preflight:
     """Look at some camera frames, ask both devices and poll the robots; moves nothing."""
     statuses = rig.actuator.poll(POLL_S)
     seen = _watch(rig)
@@ -90,7 +90,7 @@ def inspect(rig: Rig) -> Findings:
     if newest is not None:
         problems += _strangers(rig, newest)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
-    return Findings(
+    return Preflight(
         robots,
         latency_ms,
         _rate_hz(seen),
@@ -105,8 +105,10 @@ def unplaced(rig: Rig) -> list[str]:
     newest, found = rig.camera.newest, []
     for i, name in enumerate(rig.setup.names):
         off_mm, off_heading = _off(rig, i, newest)
-        line = f"{name} is not tracked" if off_mm is None else _misplaced(
-            rig, name, off_mm, off_heading
+        line = (
+            f"{name} is not tracked"
+            if off_mm is None
+            else _misplaced(rig, name, off_mm, off_heading)
         )
         if line:
             found.append(line)

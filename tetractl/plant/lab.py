@@ -15,7 +15,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.guard import GuardState
 from tetractl.lab.placing import wait_until_ready
-from tetractl.lab.preflight import Findings
+from tetractl.lab.preflight import Preflight
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.lab.standstill import unrest
 from tetractl.model.obstacles import Obstacles
@@ -166,7 +166,7 @@ class LabPlant:
         return Command(sent.direction, sent.sent_ns, delivered, sent.left, sent.right)
 
 
-def _facts(findings: Findings) -> dict[str, str]:
+def _facts(findings: Preflight) -> dict[str, str]:
     latency_ms = findings.latency_ms
     batteries = [
         f"{robot.name} {robot.status.battery_v:.2f} V"

@@ -110,7 +110,9 @@ def _made(
     experiment = spec.experiment
     key, seed = trial_seeds(experiment.trials.seed, trial)
     return Trial(
-        start=start_of(spec, trial, PlantInfo("", experiment.plant.simulated, 0.0, {}), start_unix_ns),
+        start=start_of(
+            spec, trial, PlantInfo("", experiment.plant.simulated, 0.0, {}), start_unix_ns
+        ),
         plant=experiment.plant.build(experiment.setup, clock, seed, operators or Operators()),
         controller=build_controller(experiment, key),
         first_plan=experiment.controller.first_plan,

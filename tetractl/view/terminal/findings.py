@@ -5,12 +5,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tetractl.lab.preflight import Findings
+from tetractl.lab.preflight import Preflight
 
 ANSWERS = {True: "yes", False: "no", None: "cannot"}
 
 
-def print_findings(found: Findings) -> None:
+def print_findings(found: Preflight) -> None:
     """Print a table of the robots, the camera's figures, and every warning and problem."""
     table = Table(box=None, header_style="bold")
     for name in ("robot", "off its start", "off its heading", "battery", "answers"):
@@ -39,7 +39,7 @@ def print_findings(found: Findings) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def as_json(found: Findings) -> dict[str, Any]:
+def as_json(found: Preflight) -> dict[str, Any]:
     """Return the same as plain data."""
     robots = [
         {

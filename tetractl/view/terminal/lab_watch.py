@@ -42,9 +42,7 @@ class LabWatch:
     Between trials the live view gives the screen back, for placing the robots.
     """
 
-    def __init__(
-        self, console: Console, quiet: Console, unit: str, live: bool
-    ) -> None:
+    def __init__(self, console: Console, quiet: Console, unit: str, live: bool) -> None:
         self._console, self._quiet = console, quiet
         self._unit, self._live = unit, live
         self._view: LiveView | None = None

@@ -38,9 +38,7 @@ class M3piActuator:
     individual = True
     halts = True
 
-    def __init__(
-        self, section: M3piSection, setup: Setup, clock: Clock, tap: Tap = NO_TAP
-    ) -> None:
+    def __init__(self, section: M3piSection, setup: Setup, clock: Clock, tap: Tap = NO_TAP) -> None:
         self.section, self.names = section, setup.names
         self.robots = [section.robot(name) for name in setup.names]
         self.link = Link(section, clock, tap)
@@ -110,9 +108,7 @@ class M3piActuator:
         answers = self._protocol.poll(timeout_s)
         return [self._status(*pair) for pair in zip(self.names, answers, strict=True)]
 
-    def counts(
-        self, direction: float, poses: Sequence[Pose | None], age_ns: int
-    ) -> list[Counts]:
+    def counts(self, direction: float, poses: Sequence[Pose | None], age_ns: int) -> list[Counts]:
         """Return the counts of a direction by (24)-(25), at the headings the command will meet.
 
         Those are predicted over the age of the poses and the radio's time by the exact step of (3).
@@ -144,9 +140,7 @@ class M3piActuator:
         left, right = np.array([speeds_of_counts(*pair) for pair in pairs]).T
         speed, turning = body_velocity(left, right, self._radius)
         mm = self._mm
-        return Transmission(
-            sent_ns, direction, moving, speed / mm, turning, left / mm, right / mm
-        )
+        return Transmission(sent_ns, direction, moving, speed / mm, turning, left / mm, right / mm)
 
     def _status(self, name: str, answer: Answer | None) -> RobotStatus:
         if answer is None:

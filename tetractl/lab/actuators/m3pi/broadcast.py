@@ -86,7 +86,9 @@ def decode_command(frame: bytes) -> BroadcastCommand:
     counts = struct.unpack_from(f"{2 * robots}b", payload, 4)
     if min(counts, default=0) < -COUNT_MAX:
         raise WireError("a wheel count of -128")
-    return BroadcastCommand(sequence, _flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True)))
+    return BroadcastCommand(
+        sequence, _flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
+    )
 
 
 def encode_reply(reply: Reply) -> bytes:

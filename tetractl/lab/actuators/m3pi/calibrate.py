@@ -200,9 +200,7 @@ class _Bench:
                 "give heading_offset roughly in the spec, or define the rigid body anew",
             )
         wheels = [
-            WheelSection(
-                gain_mm=round(2 * radius * c.k, 4), dead_zone=c.dead_zone, invert=sign < 0
-            )
+            WheelSection(gain_mm=round(2 * radius * c.k, 4), dead_zone=c.dead_zone, invert=sign < 0)
             for c, sign in zip(channels, signs, strict=True)
         ]
         swap = channels[0].sign * signs[0] > 0  # forward on the right turns left

@@ -21,13 +21,13 @@ from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
     AtCommand,
     AtResponse,
-    Frame,
     Other,
     Receive,
     Receive16,
     Receive64,
     Transmit16,
     TransmitStatus,
+    XbeeFrame,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
 from tetractl.lab.actuators.xbee.section import XbeeSection
@@ -102,7 +102,7 @@ class Link:
         frame = Transmit16(self._next_id() if acknowledged else 0, address, 0, data)
         return self._write(self.packed(frame))
 
-    def packed(self, frame: Frame | Other) -> bytes:
+    def packed(self, frame: XbeeFrame | Other) -> bytes:
         """Pack a frame as the module's mode wants it."""
         return encode(frame, escaped=self.radio.mode == "api2")
 
@@ -203,7 +203,7 @@ class Link:
         with self._came:
             self._came.notify_all()
 
-    def _sort(self, frame: Frame | Other, now: int) -> None:
+    def _sort(self, frame: XbeeFrame | Other, now: int) -> None:
         match frame:
             case AtResponse():
                 self._answers.append(frame)

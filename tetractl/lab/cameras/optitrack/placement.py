@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from tetractl.core.poses import Pose
-from tetractl.lab.cameras.optitrack.messages import Frame, RigidBody
+from tetractl.lab.cameras.optitrack.messages import NatNetFrame, RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 
@@ -36,6 +36,6 @@ class Placement:
         )
 
 
-def fault_of(frame: Frame) -> str:
+def fault_of(frame: NatNetFrame) -> str:
     """Return why a frame does not show the robots as they are now, "" where it does."""
     return "Motive is in edit mode: it streams a recording" if frame.edit_mode else ""

@@ -10,10 +10,10 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
 from tetractl.lab.cameras.optitrack.messages import (
     EchoResponse,
-    Frame,
     Kind,
     Message,
     ModelDef,
+    NatNetFrame,
     Request,
     Response,
     ServerInfo,
@@ -122,7 +122,7 @@ class Stream:
 
     def _take(self, message: Message, received_ns: int) -> None:
         match message:
-            case Frame():
+            case NatNetFrame():
                 self._frame(message, received_ns)
             case ServerInfo():
                 if self.info is None and message.clock_hz:
@@ -147,7 +147,7 @@ class Stream:
             rate = response_float(response)
             self.camera_rate_hz = rate if 1.0 <= rate <= 10_000.0 else None
 
-    def _frame(self, frame: Frame, received_ns: int) -> None:
+    def _frame(self, frame: NatNetFrame, received_ns: int) -> None:
         sampled_ns = self._exposed(frame, received_ns)
         before = self.newest
         if before is not None and frame.number <= before.number:
@@ -165,7 +165,7 @@ class Stream:
         self.newest = self._camera_frame(frame, sampled_ns, received_ns)
         self._on_frame(self.newest)
 
-    def _exposed(self, frame: Frame, received_ns: int) -> int:
+    def _exposed(self, frame: NatNetFrame, received_ns: int) -> int:
         if frame.ticks is None or self.sync is None or not self.sync.synced:
             return received_ns
         sampled_ns = min(received_ns, self.sync.to_host(frame.ticks.exposure))
@@ -173,7 +173,7 @@ class Stream:
             raise WireError(f"a frame exposed {(received_ns - sampled_ns) / 1e9:.0f} s ago")
         return sampled_ns
 
-    def _camera_frame(self, frame: Frame, sampled_ns: int, received_ns: int) -> CameraFrame:
+    def _camera_frame(self, frame: NatNetFrame, sampled_ns: int, received_ns: int) -> CameraFrame:
         ids = self.model.ids() if self.model else {}
         by_id = {body.id: body for body in frame.bodies}
         poses: list[Pose | None] = []

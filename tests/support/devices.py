@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from emulated.emulation import SPEC, emulated
+from support.emulated_lab import SPEC, emulated
 from support.labs import STEP_NS, FakeActuator, FakeCamera, SteppedClock, World
 
 from tetractl.core.clock import SECOND, Clock, MonotonicClock

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tetractl.cli.caution import Strict, refuse, warn
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def run(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the spec, its limits and what would be run.")
     ] = False,
+    strict: Strict = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="No live view, no progress.")
     ] = False,
@@ -107,6 +109,9 @@ def run(
         loaded = load_spec(spec, settings)
         for notice in loaded.notices:
             print(f"notice: {loaded.name}: {notice}", file=sys.stderr)
+        cautions = warn(loaded, settings)
+        if strict:
+            refuse(cautions)
         loaded = on_plant(loaded, plant.value if plant else None)
     else:
         assert log is not None

@@ -51,7 +51,7 @@ class RobotPart(Model):
 class DeviceSection(Model):
     """A device of the lab and its parameters."""
 
-    type: str
+    type: Any  # each section's own name, as a Literal
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield where the section contradicts the experiment or itself, and how.

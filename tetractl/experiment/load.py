@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -14,12 +14,15 @@ from tetractl.core.trial import Start
 from tetractl.experiment.choice import STRICT
 from tetractl.experiment.consistency import contradictions, plant_contradictions
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
+from tetractl.experiment.kinds import packages
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.overrides import override
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
 from tetractl.experiment.yaml.upgrade_lab import former, is_old_lab, notice, upgrade_lab
+
+Note = TypeVar("Note")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +81,7 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
         plant=plant,
         start_unix_ns=start_unix_ns,
         attached=spec.attached,
+        packages=packages(experiment),
     )
 
 
@@ -109,14 +113,21 @@ def _upgrade_labs(document: Document) -> Iterator[str]:
         if not is_old_lab(section):
             continue
         document.data[place] = new = upgrade_lab(section)
-        for notes in (document.values, document.keys, document.refused):
-            before = {loc: note for loc, note in notes.items() if loc[:1] == (place,) and loc[1:]}
-            for loc in before:
-                del notes[loc]
-            for loc in _places(new):
-                if old := before.get((place, *former(loc))):
-                    notes[place, *loc] = old
+        moved = {(place, *loc): (place, *former(loc)) for loc in _places(new)}
+        _move_notes(document.values, place, moved)
+        _move_notes(document.keys, place, moved)
+        _move_notes(document.refused, place, moved)
         yield notice(place, new)
+
+
+def _move_notes(notes: dict[Loc, Note], place: str, moved: dict[Loc, Loc]) -> None:
+    """Put notes on parts of a section to their new places; `moved` gives the old of each new."""
+    before = {loc: note for loc, note in notes.items() if loc[:1] == (place,) and loc[1:]}
+    for loc in before:
+        del notes[loc]
+    for new, old in moved.items():
+        if old in before:
+            notes[new] = before[old]
 
 
 def _places(value: Any, loc: Loc = ()) -> Iterator[Loc]:

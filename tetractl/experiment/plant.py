@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Iterator
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from tetractl.experiment.yaml.problems import Loc
 class PlantSection(Model):
     """A plant and its parameters; the sections themselves are in the files of their plants."""
 
-    type: str
+    type: Any  # each section's own name, as a Literal
     simulated: ClassVar[bool]
     """Whether the plant repeats itself from its seed, in virtual time."""
 

@@ -82,7 +82,7 @@ class InnerLoop:
             self._guarded_tick()
             if self._new or self.last is None:
                 self.guard.abort("the guard lets no robot be steered")
-            if self.guard.state is GuardState.ABORT:
+            if self.last is None or self.guard.state is GuardState.ABORT:
                 raise AbortError(self.guard.reason)
             return self.last
 

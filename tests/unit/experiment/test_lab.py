@@ -1,6 +1,5 @@
-from pathlib import Path
-
 import pytest
+from support.paths import ROOT
 
 from tetractl.core.errors import SpecError
 from tetractl.experiment.load import load_spec, parse_spec, resolved_yaml
@@ -14,7 +13,7 @@ from tetractl.experiment.plants import (
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.plant.simulation import SimSection
 
-EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+EXPERIMENTS = ROOT / "experiments"
 SPEC = EXPERIMENTS / "three_m3pi_lab.yaml"
 
 
@@ -166,7 +165,7 @@ def test_an_old_lab_that_is_none_is_refused(lab):
         (["lab.camera.version='4.1'"], "camera.version: '4.1': can only be asked for in unicast"),
         (["lab.camera.server=256.1.1.1"], "lab.camera.server: must be IPv4, such as"),
         (["lab.camera.type=kinect"], "lab.camera.type: must be one of optitrack"),
-        (["lab.actuator.type=m3pi"], "must be one of m3pi-xbee; did you mean 'm3pi-xbee'?"),
+        (["lab.actuator.type=m3pi"], "did you mean 'm3pi-xbee'?"),
         (["lab.type=sim"], "lab.type: must be one of lab"),
         (["lab.actuator.protocol.type=slave"], "protocol.accept_no_watchdog: is missing"),
         ([SLAVE], "lab.actuator.robots.1.address: is missing; the slave protocol addresses"),

@@ -8,7 +8,7 @@ becomes
 """
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeGuard
 
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.problems import Loc
@@ -23,7 +23,7 @@ MOVED_LIMITS: dict[str, Loc] = {
 }
 
 
-def is_old_lab(section: Any) -> bool:
+def is_old_lab(section: Any) -> TypeGuard[dict[str, Any]]:
     """Return whether a section is of the old form; one that mixes both forms is not."""
     if not isinstance(section, dict) or {"camera", "actuator"} & section.keys():
         return False

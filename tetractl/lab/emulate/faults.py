@@ -31,7 +31,7 @@ class Fault(Model):
     """One thing that goes wrong; further fields are those of its kind."""
 
     visible: ClassVar[Visible] = Visible.AT_ONCE
-    fault: str
+    fault: Any  # each fault's own name, as a Literal
     at: NonNegative = 0.0
     """When, after `since` [s]."""
     since: Literal["start", "client", "run"] = "run"

@@ -77,8 +77,10 @@ class OptitrackCamera:
         warnings: list[str] = []
         if stream.model is not None and (names := stream.missing()):
             problems.append(f"the cameras know no rigid body {', '.join(map(str, names))}")
-        synced = sync is not None and sync.synced
-        if not synced:
+        round_trip = "unknown"
+        if sync is not None and sync.synced:
+            round_trip = f"{sync.round_trip_ns / 1e6:.3f}"
+        else:
             warnings.append("the server does not tell its clock, so the frames' age is not known")
         version = stream.version
         if version is not None and not version.known:
@@ -86,6 +88,6 @@ class OptitrackCamera:
         facts = {
             "natnet": str(version),
             "server": stream.info.name if stream.info else "",
-            "clock_round_trip_ms": f"{sync.round_trip_ns / 1e6:.3f}" if synced else "unknown",
+            "clock_round_trip_ms": round_trip,
         }
         return Health(tuple(problems), tuple(warnings), facts)

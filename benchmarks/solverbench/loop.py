@@ -166,7 +166,7 @@ def closed(settings: Settings) -> Report:
 
 
 def replace_control(spec: Experiment, **fields: object) -> Experiment:
-    return spec.model_copy(update={"controller": spec.controller.motion_copy(update=fields)})
+    return spec.model_copy(update={"controller": spec.controller.model_copy(update=fields)})
 
 
 def _budgets(report: Report, settings: Settings) -> None:

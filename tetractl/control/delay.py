@@ -7,7 +7,7 @@ import numpy as np
 from tetractl.control.cost import Problem
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
-from tetractl.model.cell import MOTIONS
+from tetractl.experiment.kinds import MOTIONS
 
 Held = tuple[int, int, float]
 """A direction u [rad] and the times from and until which it acts [ns]."""
@@ -45,10 +45,11 @@ class Predictor:
 
 
 def glide(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
-    """Move poses on under the directions held, by the problem's model."""
+    """Move poses on under the directions held, by the problem's motion."""
+    step = MOTIONS.load(problem.motion).step
     x, y, heading = poses.x, poses.y, poses.heading
     for since, until, direction in held:
         seconds = (until - since) / SECOND
         u = np.array(direction)
-        x, y, heading = MOTIONS[problem.model](x, y, heading, u, problem.a, problem.speed, seconds)
+        x, y, heading = step(x, y, heading, u, problem.a, problem.speed, seconds)
     return Poses(x, y, heading)

@@ -5,8 +5,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, PositiveInt, model_validator
 
 from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent
-from tetractl.experiment.choice import Choice
-from tetractl.experiment.kinds import OPTIMIZERS
+from tetractl.experiment.choice import Choice, OneOf
+from tetractl.experiment.kinds import MOTIONS, OPTIMIZERS
 
 
 class PaperStop(Model):
@@ -136,8 +136,8 @@ class PsoMpcSpec(Model):
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """From measurement to actuation, as the controller believes it [s]: it plans from where the
     robots will be by then under the directions already sent."""
-    model: Literal["euler", "arc", "exact"] = "euler"
-    """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
+    motion: Annotated[str, OneOf(MOTIONS)] = "euler"
+    """Motion the prediction is made with: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
     `exact` is the closed form of (1)-(3) under a held direction."""
     estimate: bool = False
     """Whether a and speed of each robot are estimated while it moves, starting from the spec's.

@@ -1,10 +1,12 @@
 """The plant's part of a spec: what stands behind the controller."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from tetractl.experiment.base import Fraction, Model, NonNegative, Positive, inconsistent
+from tetractl.experiment.choice import OneOf
+from tetractl.experiment.kinds import MOTIONS
 
 
 class MeasurementNoise(Model):
@@ -21,8 +23,8 @@ class SimSpec(Model):
     trial's seed."""
 
     type: Literal["sim"] = "sim"
-    motion: Literal["continuous", "arc", "euler"] = "continuous"
-    """`continuous` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25) between two commands;
+    motion: Annotated[str, OneOf(MOTIONS)] = "exact"
+    """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25) between two commands;
     `euler` moves by (4)-(6) themselves, on straight chords."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Measurements a second [Hz]."""

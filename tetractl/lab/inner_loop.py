@@ -22,7 +22,7 @@ from tetractl.lab.actuators.m3pi.protocols import STOP, Voice
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cameras.optitrack.client import NatNetClient
 from tetractl.lab.guard import Guard, Ruling, State
-from tetractl.model.cell import exact
+from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import body_velocity, wheel_speeds
 
 T = TypeVar("T")

@@ -1,4 +1,5 @@
-"""Judges a path against the obstacles: who was ever inside one, and how near each robot came."""
+"""Checks a path against the obstacles: which robots were ever inside one, and how near they came.
+"""
 
 import numpy as np
 
@@ -6,8 +7,8 @@ from tetractl.core.poses import Floats
 from tetractl.model.obstacles import Obstacles
 
 
-class PathJudge:
-    """Watches the positions of N robots as they come; gaps between samples are tested as segments.
+class PathCheck:
+    """Checks positions of N robots as they come; between two samples, the segment is tested.
 
     `entered` (N,) tells which robots ever touched an obstacle, `clearance` (N,) is each one's least
     distance to one at the samples [length unit], inf without obstacles.
@@ -20,7 +21,7 @@ class PathJudge:
         self._last: tuple[Floats, Floats] | None = None
 
     def add(self, x: Floats, y: Floats) -> None:
-        """Take M further samples in time order; x, y of shape (M, N)."""
+        """Check M further samples in time order; x, y of shape (M, N)."""
         if self._last is not None:
             x, y = np.vstack([self._last[0], x]), np.vstack([self._last[1], y])
         self._last = (x[-1], y[-1])

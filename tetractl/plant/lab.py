@@ -22,7 +22,7 @@ from tetractl.lab.preflight import Findings
 from tetractl.lab.rig import Session
 from tetractl.lab.wire_tap import NO_TAP, Tap
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import PathJudge
+from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
 LOOK_NS = SECOND // 5  # how often placing is looked at
@@ -69,7 +69,7 @@ class LabPlant:
         )
         count = len(experiment.robots)
         self._heading = np.array([robot.heading for robot in experiment.robots])
-        self._judge = PathJudge(Obstacles.of(experiment.obstacles), count)
+        self._path_check = PathCheck(Obstacles.of(experiment.obstacles), count)
         self._judging = False
         self._newest: Observation | None = None
         self._fresh: deque[Sample] = deque(maxlen=KEPT)
@@ -148,8 +148,8 @@ class LabPlant:
             self._news.append(Note(self.clock.now(), "error", unrest))
         self._judging = False
         final = self._newest.poses if self._newest is not None else self._starts()
-        entered = tuple(bool(e) for e in self._judge.entered)
-        return Verdict(final, entered, tuple(self._judge.clearance.tolist()), unrest)
+        entered = tuple(bool(e) for e in self._path_check.entered)
+        return Verdict(final, entered, tuple(self._path_check.clearance.tolist()), unrest)
 
     def close(self) -> None:
         """Let go of cameras and radio."""
@@ -177,7 +177,7 @@ class LabPlant:
             snapshot.number, snapshot.sampled_ns, snapshot.received_ns, poses, np.array(valid)
         )
         if self._judging:
-            self._judge.add(poses.x[None], poses.y[None])
+            self._path_check.add(poses.x[None], poses.y[None])
         self._fresh.append(Sample(self._newest, None))
 
     def _command(self, sent: Sent) -> Command:

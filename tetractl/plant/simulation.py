@@ -14,21 +14,12 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.kinds import MOTIONS
 from tetractl.experiment.plant import SimSpec
-from tetractl.model.cell import exact
+from tetractl.model.motion.base import Held, Motion
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import PathJudge
+from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
-
-
-@dataclass(slots=True)
-class _Held:
-    """What each robot holds between commands, (N,) each; a robot told nothing yet stands still."""
-
-    direction: Floats  # u [rad]
-    turning: Floats  # a sin(u - heading) when the command came [rad/s]
-    course: Floats  # heading when the command came [rad]
-    moving: Floats  # 1 where the robot moves, else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +38,7 @@ class SimPlant:
         assert isinstance(experiment.plant, SimSpec), "build_plant chooses by the spec's plant"
         self.spec = experiment.plant
         self.wheels = experiment.wheels
+        self._motion: Motion = MOTIONS.load(self.spec.motion)
         self.clock = clock
         streams = (np.random.default_rng(child) for child in seed.spawn(4))
         self._measuring, self._swerving, self._losing, erring = streams
@@ -57,9 +49,9 @@ class SimPlant:
         self.a = self.nominal_a * (1 + self.spec.a_error * erring.uniform(-1, 1, count))
         self.speed = self.nominal_speed * (1 + self.spec.speed_error * erring.uniform(-1, 1, count))
         self.poses = Poses.of(np.array([(*robot.start, robot.heading) for robot in robots]))
-        self._held = _Held(*(np.zeros(count) for _ in range(4)))
+        self._held = Held(*(np.zeros(count) for _ in range(4)))
         self._orders: deque[_Order] = deque()
-        self._judge = PathJudge(Obstacles.of(experiment.obstacles), count)
+        self._path_check = PathCheck(Obstacles.of(experiment.obstacles), count)
         self._time = 0
         self._frames = 0  # frames exposed so far
         self._ticks = 0  # true samples judged so far
@@ -123,8 +115,8 @@ class SimPlant:
         wait = self._delay() + round(2 * SECOND / self.spec.camera_rate)
         self.clock.sleep_until(self.clock.now() + wait)
         self._advance(self.clock.now())
-        entered = tuple(bool(e) for e in self._judge.entered)
-        return Verdict(self.poses, entered, tuple(self._judge.clearance.tolist()))
+        entered = tuple(bool(e) for e in self._path_check.entered)
+        return Verdict(self.poses, entered, tuple(self._path_check.clearance.tolist()))
 
     def close(self) -> None:
         """Nothing to release."""
@@ -187,7 +179,7 @@ class SimPlant:
             self._ticks += 1
         times = np.unique(np.array([*(due for _, due in frames), *ticks, end], dtype=np.int64))
         x, y, heading = self._at((times - self._time)[:, None] / SECOND)
-        self._judge.add(x, y)
+        self._path_check.add(x, y)
         for number, due in frames:
             i = np.searchsorted(times, due)
             self._expose(number, due, Poses(x[i], y[i], heading[i]))
@@ -197,14 +189,7 @@ class SimPlant:
         """Poses (M, N) after times t (M, 1) [s] from now, in closed form."""
         p, held = self.poses, self._held
         t = t * held.moving
-        if self.spec.motion == "continuous":
-            return exact(p.x, p.y, p.heading, held.direction, self.a, self.speed, t)
-        half = 0.5 * held.turning * t
-        if self.spec.motion == "arc":
-            chord, course = self.speed * t * np.sinc(half / np.pi), p.heading + half
-        else:
-            chord, course = self.speed * t, held.course
-        return p.x + chord * np.cos(course), p.y + chord * np.sin(course), p.heading + 2 * half
+        return self._motion.hold(p.x, p.y, p.heading, held, self.a, self.speed, t)
 
     def _expose(self, number: int, when: int, truth: Poses) -> None:
         """Take one camera frame."""

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from tetractl.control.kernels.math import KERNEL, PART
-from tetractl.control.kernels.rollout import roll
+from tetractl.control.kernels.options import KERNEL, PART
+from tetractl.control.kernels.rollout import add_up, begin, follow, views
+from tetractl.control.kernels.update import move
 from tetractl.core.poses import Floats
 
 CRITERION, ITERATIONS, TARGET, EVALUATIONS, PAUSED, NOT_FINITE = range(6)
@@ -45,8 +46,8 @@ class Rules(NamedTuple):
 
 
 @njit(**PART)
-def lead(swarm, z):
-    """(18)-(19): note who improved, and let the best become u_gb."""
+def update_best(swarm, z):
+    """(18)-(19): mark the particles that improved, and copy the best of all to u_gb."""
     leader, least = -1, swarm.history[z - 1]
     for n in range(swarm.cost.size):
         improved = swarm.cost[n] < swarm.best_cost[n]
@@ -83,7 +84,7 @@ def stop_reason(history, z, rules):
 
 
 @njit(**KERNEL)
-def iterate(course, swarm, rules, z, pause):
+def iterate(rollout, swarm, rules, z, pause):
     """Run iterations z + 1, ... until something stops the search or iteration `pause` is done.
 
     Returns (reason, iterations done).
@@ -91,6 +92,7 @@ def iterate(course, swarm, rules, z, pause):
     u, v, best, better, u_gb = swarm.u, swarm.v, swarm.best, swarm.better, swarm.u_gb
     length, particles = u.shape
     key, w, c1, c2 = rules.key, rules.inertia, rules.cognitive, rules.social
+    lanes, scratch = views(rollout)
     while True:
         if z >= rules.iterations:
             return ITERATIONS, z
@@ -98,11 +100,15 @@ def iterate(course, swarm, rules, z, pause):
             return EVALUATIONS, z
         if z >= pause:
             return PAUSED, z
-        first = z * length * particles
-        if not roll(course, u, swarm.cost, True, v, best, better, u_gb, key, first, w, c1, c2):
+        begin(rollout, lanes, scratch)
+        for j in range(length):
+            draw = (z * length + j) * particles
+            move(u, v, best, better, j, u_gb[j], key, draw, w, c1, c2)
+            follow(rollout, lanes, scratch, u, j)
+        if not add_up(rollout, lanes, swarm.cost):
             return NOT_FINITE, z
         z += 1
-        lead(swarm, z)
+        update_best(swarm, z)
         reason = stop_reason(swarm.history, z, rules)
         if reason != PAUSED:
             return reason, z

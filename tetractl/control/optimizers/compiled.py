@@ -6,7 +6,7 @@ import numpy as np
 
 from tetractl.control.cost import Problem, require_finite
 from tetractl.control.kernels import pso as kernel
-from tetractl.control.kernels.rollout import Course, aligned, costs, lay_out
+from tetractl.control.kernels.rollout import Rollout, aligned, costs, lay_out
 from tetractl.control.optimizers.pso import Swarm, never
 from tetractl.control.rng import mix
 from tetractl.core.plan import Search
@@ -35,14 +35,14 @@ def pso(
     expired: Callable[[], bool] = never,
 ) -> Search:
     """Algorithm 1 with the same draws as the reference, to which it agrees but for rounding."""
-    course = lay_out(problem, spec.particles)
-    swarm, evaluations = scatter(problem, course, length, warm, spec, key)
+    rollout = lay_out(problem, spec.particles)
+    swarm, evaluations = scatter(problem, rollout, length, warm, spec, key)
     rules = make_rules(spec, key, evaluations, budget)
     work = BETWEEN_SIGNALS if expired is never else BETWEEN_LOOKS
     stride = max(1, work // (length * spec.particles * problem.a.size))
     reason, z = kernel.PAUSED, 0
     while reason == kernel.PAUSED and not expired():
-        reason, z = kernel.iterate(course, swarm, rules, z, z + stride)
+        reason, z = kernel.iterate(rollout, swarm, rules, z, z + stride)
     if reason == kernel.NOT_FINITE:
         require_finite(swarm.cost)
     history = swarm.history[: z + 1].copy()
@@ -52,14 +52,14 @@ def pso(
 
 
 def scatter(
-    problem: Problem, course: Course, length: int, warm: Floats | None, spec: SwarmSpec, key: int
+    problem: Problem, rollout: Rollout, length: int, warm: Floats | None, spec: SwarmSpec, key: int
 ) -> tuple[kernel.Swarm, int]:
     """Algorithm 1, lines 1-6; returns the swarm and the evaluations it took."""
     drawn = Swarm.scatter(spec, length, key)
     u, v, best = (aligned((length, spec.particles)) for _ in range(3))
     u[:], v[:], best[:] = drawn.u.T, drawn.v.T, drawn.best.T
     best_cost = np.empty(spec.particles)
-    costs(course, best, best_cost)
+    costs(rollout, best, best_cost)
     require_finite(best_cost)
     evaluations = spec.particles
     history = np.empty(spec.iterations + 1)

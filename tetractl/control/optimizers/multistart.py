@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tetractl.control.cost import Problem, require_finite
-from tetractl.control.kernels.levenberg import Route, lay_route, polish
+from tetractl.control.kernels.levenberg import Polish, lay_out_polish, polish
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers.compiled import NO_LIMIT
 from tetractl.control.optimizers.pso import never
@@ -100,9 +100,9 @@ class _Hunt:
         self.budget = NO_LIMIT if budget is None else budget
         self.many = lay_out(problem, spec.particles)
         self.one = lay_out(problem, 1)
-        self.route: Route = lay_route(problem, length)
+        self.work: Polish = lay_out_polish(problem, length)
         self.slack = SLACK * float(problem.speed.max()) * problem.period
-        rows = len(self.route.residual)
+        rows = len(self.work.residual)
         self.factor = np.empty((rows, rows))
         self.trace = np.empty(spec.polish_steps + 1)
         self.best = np.zeros(length)
@@ -139,7 +139,7 @@ class _Hunt:
         """Polish one sequence, and keep it if it is the best."""
         signals = start.copy()
         _, steps, evaluations = polish(
-            self.route,
+            self.work,
             signals,
             self.spec.tolerance,
             self.slack,

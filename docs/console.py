@@ -54,6 +54,13 @@ def examples(page: str) -> Iterator[Example]:
             yield Example(found[1], found[2], begin + found.start(2), begin + found.end(2))
 
 
+def programs(page: str) -> Iterator[str]:
+    """Yield the `python` blocks of a page in order, without those that are files of a name."""
+    for fence in _FENCE.finditer(page):
+        if fence[1] == "python" and not fence[2]:
+            yield fence[3]
+
+
 def run(page: str) -> list[tuple[Example, str, int]]:
     """Run a page's commands; return each with what it printed and its exit code."""
     asked = list(examples(page))

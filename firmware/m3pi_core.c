@@ -5,22 +5,8 @@
 #define COMMAND 0x51u
 #define REPLY 0x52u
 #define HEAD 4u
-#define CRC 2u
 #define KNOWN_FLAGS 7u
 #define AHEAD_MAX 127u
-
-static uint16_t crc16(const uint8_t *data, size_t length)
-{
-    uint16_t crc = 0xFFFFu;
-    for (size_t i = 0; i < length; i++) {
-        crc = (uint16_t)(crc ^ ((uint16_t)data[i] << 8));
-        for (int bit = 0; bit < 8; bit++) {
-            crc = (uint16_t)((crc & 0x8000u) ? ((uint32_t)crc << 1) ^ 0x1021u
-                                             : (uint32_t)crc << 1);
-        }
-    }
-    return crc;
-}
 
 static int8_t as_signed(uint8_t byte)
 {
@@ -45,39 +31,11 @@ static void watch(m3pi_core *core, uint32_t now_ms)
     }
 }
 
-static void forget_frame(m3pi_core *core)
+static bool is_well_formed(const framing_reader *reader)
 {
-    core->length = 0;
-    core->code = 0;
-    core->code_left = 0;
-    core->started = false;
-    core->overlong = false;
-}
-
-static void store(m3pi_core *core, uint8_t byte)
-{
-    if (core->length < M3PI_FRAME_MAX) {
-        core->frame[core->length++] = byte;
-    } else {
-        core->overlong = true;
-    }
-}
-
-static bool checks(const m3pi_core *core)
-{
-    const uint8_t *frame = core->frame;
-    if (!core->started || core->code_left != 0 || core->overlong || core->length <= CRC) {
-        return false;
-    }
-    const size_t body = (size_t)core->length - CRC;
-    return crc16(frame, body) == (uint16_t)(frame[body] | (unsigned)frame[body + 1] << 8);
-}
-
-static bool is_well_formed(const m3pi_core *core)
-{
-    const uint8_t *frame = core->frame;
-    if (core->length < HEAD + CRC || (frame[2] & ~KNOWN_FLAGS) != 0 ||
-        frame[3] > M3PI_ROBOTS_MAX || core->length != HEAD + 2u * frame[3] + CRC) {
+    const uint8_t *frame = reader->frame;
+    if (reader->length < HEAD || (frame[2] & ~KNOWN_FLAGS) != 0 || frame[3] > M3PI_ROBOTS_MAX ||
+        reader->length != HEAD + 2u * frame[3]) {
         return false;
     }
     for (size_t i = 0; i < 2u * frame[3]; i++) {
@@ -90,7 +48,7 @@ static bool is_well_formed(const m3pi_core *core)
 
 static m3pi_event obey(m3pi_core *core, uint32_t now_ms)
 {
-    const uint8_t *frame = core->frame;
+    const uint8_t *frame = core->reader.frame;
     const uint8_t sequence = frame[1];
     const uint8_t flags = frame[2];
     const uint8_t ahead = (uint8_t)(sequence - core->sequence);
@@ -121,23 +79,6 @@ static m3pi_event obey(m3pi_core *core, uint32_t now_ms)
     return is_new ? M3PI_ACCEPTED : M3PI_STALE;
 }
 
-static m3pi_event judge(m3pi_core *core, uint32_t now_ms)
-{
-    if (!checks(core)) {
-        core->rejected++;
-        return M3PI_REJECTED;
-    }
-    if (core->frame[0] != COMMAND) {
-        return M3PI_FOREIGN;
-    }
-    if (!is_well_formed(core)) {
-        core->rejected++;
-        return M3PI_REJECTED;
-    }
-    core->received++;
-    return obey(core, now_ms);
-}
-
 void m3pi_init(m3pi_core *core, uint8_t index)
 {
     memset(core, 0, sizeof *core);
@@ -147,26 +88,21 @@ void m3pi_init(m3pi_core *core, uint8_t index)
 
 m3pi_event m3pi_push(m3pi_core *core, uint8_t byte, uint32_t now_ms)
 {
-    m3pi_event event = M3PI_NOTHING;
+    const framing_event event = framing_push(&core->reader, byte);
 
     watch(core, now_ms);
-    if (byte == 0) {
-        if (core->started) {
-            event = judge(core, now_ms);
-        }
-        forget_frame(core);
-    } else if (core->code_left == 0) {
-        if (core->started && core->code < 255) {
-            store(core, 0); /* the 00 that the previous block stood for */
-        }
-        core->started = true;
-        core->code = byte;
-        core->code_left = (uint8_t)(byte - 1u);
-    } else {
-        core->code_left--;
-        store(core, byte);
+    if (event == FRAMING_OPEN) {
+        return M3PI_NOTHING;
     }
-    return event;
+    if (event == FRAMING_GOOD && core->reader.frame[0] != COMMAND) {
+        return M3PI_FOREIGN;
+    }
+    if (event == FRAMING_BAD || !is_well_formed(&core->reader)) {
+        core->rejected++;
+        return M3PI_REJECTED;
+    }
+    core->received++;
+    return obey(core, now_ms);
 }
 
 void m3pi_wheels(m3pi_core *core, uint32_t now_ms, int8_t *left, int8_t *right)
@@ -197,31 +133,17 @@ static void put16(uint8_t *at, uint16_t value)
 
 size_t m3pi_take_reply(m3pi_core *core, uint32_t now_ms, uint8_t reply[M3PI_REPLY_SIZE])
 {
-    uint8_t body[M3PI_REPLY_SIZE - 2u];
-    size_t block = 0; /* where the code of the open block goes */
+    uint8_t body[M3PI_REPLY_SIZE - 4u] = {REPLY, core->index, core->echo};
 
     if (!core->reply_pending || (uint32_t)(now_ms - core->due_ms) >= 0x80000000u) {
         return 0;
     }
     core->reply_pending = false;
-    body[0] = REPLY;
-    body[1] = core->index;
-    body[2] = core->echo;
     body[3] = m3pi_status(core, now_ms);
     put16(body + 4, core->battery_mv);
     put16(body + 6, core->received);
     put16(body + 8, core->rejected);
-    put16(body + 10, crc16(body, 10));
-    for (size_t i = 0; i < sizeof body; i++) {
-        reply[i + 1] = body[i];
-        if (body[i] == 0) {
-            reply[block] = (uint8_t)(i + 1 - block);
-            block = i + 1;
-        }
-    }
-    reply[block] = (uint8_t)(sizeof body + 1 - block);
-    reply[sizeof body + 1] = 0;
-    return M3PI_REPLY_SIZE;
+    return framing_seal(body, sizeof body, reply);
 }
 
 size_t m3pi_size(void)

@@ -19,9 +19,7 @@
 #ifndef M3PI_CORE_H
 #define M3PI_CORE_H
 
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#include "framing.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -54,9 +52,7 @@ typedef struct {
     uint8_t echo;
     int8_t left, right;
     bool running, silent, emergency_stopped, reply_pending;
-    uint8_t length, code, code_left; /* of the frame coming in */
-    bool started, overlong;
-    uint8_t frame[M3PI_FRAME_MAX];
+    framing_reader reader;
 } m3pi_core;
 
 /* Power-up: stopped, silent, not latched. `index` is the robot's place in the frame, from 0. */

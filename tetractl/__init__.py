@@ -1,3 +1,87 @@
 """tetractl: steer several robots at once with one control signal."""
 
+TYPE_CHECKING = False  # type checkers read it as true; importing `typing` takes half the time
+if TYPE_CHECKING:
+    from tetractl.api import (
+        compare,
+        experiment_schema,
+        load_spec,
+        parse_spec,
+        plot,
+        read_batch,
+        read_log,
+        run_batch,
+        run_trial,
+        summarise,
+        to_arrays,
+        to_dataframe,
+        verify,
+    )
+    from tetractl.control.optimizers.pso import Searcher as Optimizer
+    from tetractl.core.errors import TetractlError
+    from tetractl.core.plan import Outcome, Plan
+    from tetractl.core.poses import Observation, Poses
+    from tetractl.core.protocols import Actuator, Camera, Controller, Observer
+    from tetractl.experiment.experiment import Experiment
+    from tetractl.log.read.trial_log import TrialLog
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "Actuator",
+    "Camera",
+    "Controller",
+    "Experiment",
+    "Observation",
+    "Observer",
+    "Optimizer",
+    "Outcome",
+    "Plan",
+    "Poses",
+    "TetractlError",
+    "TrialLog",
+    "__version__",
+    "compare",
+    "experiment_schema",
+    "load_spec",
+    "parse_spec",
+    "plot",
+    "read_batch",
+    "read_log",
+    "run_batch",
+    "run_trial",
+    "summarise",
+    "to_arrays",
+    "to_dataframe",
+    "verify",
+]
+
+_TYPES = {
+    "Actuator": "tetractl.core.protocols:Actuator",
+    "Camera": "tetractl.core.protocols:Camera",
+    "Controller": "tetractl.core.protocols:Controller",
+    "Experiment": "tetractl.experiment.experiment:Experiment",
+    "Observation": "tetractl.core.poses:Observation",
+    "Observer": "tetractl.core.protocols:Observer",
+    "Optimizer": "tetractl.control.optimizers.pso:Searcher",
+    "Outcome": "tetractl.core.plan:Outcome",
+    "Plan": "tetractl.core.plan:Plan",
+    "Poses": "tetractl.core.poses:Poses",
+    "TetractlError": "tetractl.core.errors:TetractlError",
+    "TrialLog": "tetractl.log.read.trial_log:TrialLog",
+}
+
+if not TYPE_CHECKING:  # a type checker that sees `__getattr__` accepts every name
+
+    def __getattr__(name):
+        """Import a public name when it is first used, so that `import tetractl` is quick."""
+        if name not in __all__:
+            raise AttributeError(f"module 'tetractl' has no attribute '{name}'")
+        from importlib import import_module
+
+        module, _, attribute = _TYPES.get(name, f"tetractl.api:{name}").partition(":")
+        return getattr(import_module(module), attribute)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

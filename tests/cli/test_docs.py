@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -29,6 +30,17 @@ def test_every_example_prints_what_the_page_shows(page):
         )
         told = after is not None and after[0].command == "echo $?"
         assert told or code == 0, f"$ {example.command}\nexit code {code}\n{printed}"
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if any(console.programs(page.read_text("utf-8")))], ids=_name
+)
+def test_every_python_example_runs(page, tmp_path, monkeypatch):
+    shutil.copytree(ROOT / "experiments", tmp_path / "experiments")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for program in console.programs(page.read_text("utf-8")):
+        exec(program, names)
 
 
 def test_the_reference_of_commands_is_what_their_help_says():

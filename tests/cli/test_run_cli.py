@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from support.paths import ROOT
 
 from tetractl.core.plan import Outcome
 from tetractl.log.read.reader import content_digest, read_result, read_trial
@@ -18,7 +19,7 @@ BIN = Path(sys.executable).parent
 TETRACTL = BIN / "tetractl"
 EXPERIMENTS = [
     path
-    for path in sorted((Path(__file__).parents[2] / "experiments").glob("*.yaml"))
+    for path in sorted((ROOT / "experiments").glob("*.yaml"))
     if "type: lab" not in path.read_text()
 ]
 PATIENCE_S = 120  # before a test gives up; nothing waits for it to pass

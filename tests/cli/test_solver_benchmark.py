@@ -3,9 +3,10 @@
 import importlib.util
 import subprocess
 import sys
-from pathlib import Path
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "solver.py"
+from support.paths import ROOT
+
+SCRIPT = ROOT / "benchmarks" / "solver.py"
 ROWS = {
     "a": ["our readable NumPy reference"],
     "b": [

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from unit.log import made
+from support import random_trials as made
 
 from tetractl.core.plan import Outcome
 

@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.paths import ROOT
 
-EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+EXPERIMENTS = ROOT / "experiments"
 TETRACTL = Path(sys.executable).with_name("tetractl")
 
 

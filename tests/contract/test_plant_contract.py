@@ -5,8 +5,8 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from support.geometry import gap
 from support.plants import RIGS
-from unit.model.geometry import gap
 
 from tetractl.core.clock import SECOND
 

@@ -4,7 +4,7 @@ import signal
 import subprocess
 
 import pytest
-from stage import PATIENCE_S, SPEC, TETRACTL
+from support.lab_processes import PATIENCE_S, SPEC, TETRACTL
 
 UNICAST = ("--set", "lab.mocap.transport=unicast", "--command-port", "0", "--data-port", "0")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from stage import ROOT, play
+from support.lab_processes import ROOT, play
 
 from tetractl.experiment.load import load_spec
 from tetractl.lab.emulate.script import load_script

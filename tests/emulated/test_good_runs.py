@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from stage import play
+from support.lab_processes import play
 
 from tetractl.lab.emulate.script import load_script
 from tetractl.log.read.reader import read_trial

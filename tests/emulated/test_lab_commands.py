@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from stage import PATIENCE_S, ROOT, SMALL, SPEC, TETRACTL, Emulator, flags
+from support.lab_processes import PATIENCE_S, ROOT, SMALL, SPEC, TETRACTL, Emulator, flags
 from support.terminal import Terminal
 
 from tetractl.core.clock import MonotonicClock

@@ -6,7 +6,7 @@ one emulated run.
 
 import numpy as np
 import pytest
-from stage import SMALL, SPEC, Emulator
+from support.lab_processes import SMALL, SPEC, Emulator
 
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.commands import Command

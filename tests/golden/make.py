@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-sys.path[:0] = [str(FOLDER.parent), str(FOLDER.parent / "unit" / "log")]
+sys.path.insert(0, str(FOLDER.parent))
 
-from made import trial, write  # noqa: E402
+from support.random_trials import trial, write  # noqa: E402
 
 from tetractl.experiment.load import parse_spec  # noqa: E402
 from tetractl.log import provenance  # noqa: E402

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
+from support.paths import ROOT
+
 from tetractl.experiment.plants import Calibration, calibration_yaml
 from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import frames as xbee
@@ -27,7 +29,6 @@ from tetractl.lab.cameras.optitrack.stream import UP_AXIS
 from tetractl.lab.cameras.optitrack.wire import pack
 from tetractl.lab.recorder import WireRecorder
 
-ROOT = Path(__file__).parents[2]
 VERSIONS = [Version(*v) for v in [(2, 5), (2, 6), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]
 MS = 1_000_000  # ns
 HZ = 10_000_000  # of the server's clock

@@ -11,7 +11,20 @@ import typer
 from typer.exceptions import TyperException
 
 from tetractl import __version__
-from tetractl.cli import info, lab, plot, recover, replay, run, schema, stats, validate, verify
+from tetractl.cli import (
+    info,
+    init,
+    kinds,
+    lab,
+    plot,
+    recover,
+    replay,
+    run,
+    schema,
+    stats,
+    validate,
+    verify,
+)
 from tetractl.core.errors import Exit, TetractlError
 
 app = typer.Typer(
@@ -41,9 +54,11 @@ def _root(
     """
 
 
+app.command("init")(init.init)
 app.command("run")(run.run)
 app.command("validate")(validate.validate)
 app.command("schema")(schema.schema)
+app.command("kinds")(kinds.kinds)
 app.command("info")(info.info)
 app.command("recover")(recover.recover)
 app.command("replay")(replay.replay)

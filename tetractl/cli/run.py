@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tetractl.cli.caution import Strict, refuse, warn
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def run(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the spec, its limits and what would be run.")
     ] = False,
+    strict: Strict = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="No live view, no progress.")
     ] = False,
@@ -104,7 +106,11 @@ def run(
         raise UsageError("--from repeats a trial as it was: nothing of it can be set")
     number = None
     if spec is not None:
-        loaded = on_plant(load_spec(spec, settings), plant.value if plant else None)
+        loaded = load_spec(spec, settings)
+        cautions = warn(loaded, settings)
+        if strict:
+            refuse(cautions)
+        loaded = on_plant(loaded, plant.value if plant else None)
     else:
         assert log is not None
         loaded, number = recorded(log)

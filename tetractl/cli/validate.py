@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tetractl.cli.caution import Strict, warn
 from tetractl.core.errors import Exit
 
 
@@ -16,9 +17,12 @@ def validate(
         list[str] | None,
         typer.Option("--set", metavar="PATH=VALUE", help="Replace a value of every spec first."),
     ] = None,
+    strict: Strict = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """Check specs and report every problem at its line.
+
+    What is valid but cannot work, or not as meant, is a warning on stderr.
 
     Example: tetractl validate experiments/*.yaml
     """
@@ -28,19 +32,22 @@ def validate(
     else:
         print("\n".join(line for _, lines in results for line in lines))
     good = all(fields["ok"] for fields, _ in results)
-    return Exit.DONE if good else Exit.USAGE
+    doubtful = any(fields.get("warnings") for fields, _ in results)
+    return Exit.USAGE if not good or (strict and doubtful) else Exit.DONE
 
 
 def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
     from tetractl.experiment.load import load_spec, spec_hash
     from tetractl.experiment.yaml.problems import InvalidSpecError, printable
+    from tetractl.run.plausibility.case import Case
 
     shown = printable(str(path))
     try:
-        experiment = load_spec(path, sets).experiment
+        loaded = load_spec(path, sets)
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
         return {"path": shown, "ok": False, "problems": problems}, error.lines()
+    experiment, warnings = loaded.experiment, warn(loaded, sets)
     summary = {
         "name": experiment.name,
         "robots": len(experiment.robots),
@@ -51,4 +58,6 @@ def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
     }
     line = ", ".join(f"{key} {value}" for key, value in summary.items())
     fields = {"path": shown, "ok": True, **summary, "hash": spec_hash(experiment)}
+    fields["warnings"] = [asdict(warning) for warning in warnings]
+    fields["least_total_error"] = Case.of(experiment).least_total_error
     return fields, [f"{shown}: ok: {line}"]

@@ -1,6 +1,8 @@
 """Kinds by name: what a `type` in a spec stands for, built in or installed with other packages."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -8,40 +10,114 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from tetractl.core.errors import UsageError
+
+
+class PluginError(UsageError):
+    """An installed package offers a kind that cannot be used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One kind of a seam: its name in a spec, "module:attribute", and the package it is from.
+
+    `version` is that of the package; both are "" for a kind that is built in.
+    """
+
+    name: str
+    code: str
+    package: str = ""
+    version: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} (from {self.package} {self.version})" if self.package else self.name
+
 
 class Registry:
     """The kinds of one seam by name, such as the optimisers.
 
-    `builtin` maps a name to "module:attribute". Other packages add their own as entry points of
-    `group`; a name that is built in stays built in. A module is imported when its kind is loaded.
+    `builtin` maps a name to "module:attribute", and `base` is the class, written alike, that every
+    kind is derived from; "" where kinds are no classes. Other packages add their own as entry
+    points of `group`; a name that is built in stays built in, and of two packages that offer the
+    same name the first in the alphabet counts. A module is imported when its kind is loaded.
     """
 
-    def __init__(self, group: str, what: str, builtin: Mapping[str, str]) -> None:
-        self.group, self.what, self.builtin = group, what, dict(builtin)
+    def __init__(self, group: str, what: str, builtin: Mapping[str, str], base: str = "") -> None:
+        self.group, self.what, self.builtin, self.base = group, what, dict(builtin), base
 
     def names(self) -> tuple[str, ...]:
-        """Return the names that can be loaded, the built-in ones first."""
-        return tuple(dict.fromkeys((*self.builtin, *sorted(self._installed))))
+        """Return the names of all kinds, the built-in ones first."""
+        return (*self.builtin, *sorted(self._installed.keys() - self.builtin.keys()))
+
+    def kinds(self) -> tuple[Kind, ...]:
+        """Return all kinds, the built-in ones first; nothing is loaded."""
+        return tuple(map(self.kind, self.names()))
+
+    def kind(self, name: str) -> Kind:
+        """Return the kind of a name; KeyError where there is none."""
+        if name in self.builtin:
+            return Kind(name, self.builtin[name])
+        point = self._installed[name]
+        return Kind(name, point.value, *_package(point))
 
     def __contains__(self, name: object) -> bool:
         return name in self.builtin or name in self._installed
 
     def load(self, name: str) -> Any:
-        """Return what a name stands for; KeyError where nothing is called so."""
+        """Return what a name stands for.
+
+        Raises KeyError where there is no such kind, and PluginError where another package offers it
+        but it cannot be imported or is not derived from `base`.
+        """
         if name in self.builtin:
-            module, _, attribute = self.builtin[name].partition(":")
-            return getattr(import_module(module), attribute)
-        return self._installed[name].load()
+            return _imported(self.builtin[name])
+        point = self._installed[name]
+        try:
+            found = point.load()
+        except Exception as error:  # whatever another package's module raises when it is imported
+            text = str(error).partition("\n")[0]
+            raise self._unusable(point, f"{type(error).__name__}: {text}") from error
+        if self.base and not (isinstance(found, type) and issubclass(found, _imported(self.base))):
+            raise self._unusable(point, f"it is no class derived from {self.base}")
+        return found
+
+    def usable(self) -> dict[str, Any]:
+        """Return what the names stand for, without the kinds that raise PluginError."""
+        found: dict[str, Any] = {}
+        for name in self.names():
+            with suppress(PluginError):
+                found[name] = self.load(name)
+        return found
+
+    def _unusable(self, point: EntryPoint, why: str) -> PluginError:
+        package, version = _package(point)
+        where = f"{point.name} = {point.value} of {self.group}"
+        return PluginError(
+            f"{package} {version}: the {self.what} '{point.name}' cannot be used: {why}",
+            f"its entry point is '{where}'; update or uninstall the package",
+        )
 
     def files(self) -> Iterator[Path]:
         """Yield the source file of each kind's module, without importing it."""
         modules = [target.partition(":")[0] for target in self.builtin.values()]
         modules += [point.module for point in self._installed.values()]
         for module in dict.fromkeys(modules):
-            spec = find_spec(module)
-            if spec is not None and spec.origin is not None and Path(spec.origin).exists():
-                yield Path(spec.origin)
+            with suppress(ImportError, ValueError):  # of a package that cannot be imported
+                spec = find_spec(module)
+                if spec is not None and spec.origin is not None and Path(spec.origin).exists():
+                    yield Path(spec.origin)
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
-        return {point.name: point for point in entry_points(group=self.group)}
+        points = sorted(entry_points(group=self.group), key=_package, reverse=True)
+        return {point.name: point for point in points}  # of two packages the first by name
+
+
+def _imported(code: str) -> Any:
+    module, _, attribute = code.partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def _package(point: EntryPoint) -> tuple[str, str]:
+    """Return name and version of the package that an entry point belongs to."""
+    return (point.dist.name, point.dist.version) if point.dist else ("unknown", "")

@@ -1,5 +1,6 @@
 """The records of a trial: its start, each control step, its result."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from tetractl.core.commands import Command, PlantInfo, Verdict
@@ -15,7 +16,8 @@ class Start:
     """Everything known before the first step of a trial.
 
     `resolved` is the spec as YAML with every field, defaults and `--set` applied; `spec_hash` is
-    the SHA-256 of its values, as 64 hex digits.
+    the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the packages
+    beside tetractl that provide a kind which the spec uses.
     """
 
     setup: Setup
@@ -28,6 +30,7 @@ class Start:
     plant: PlantInfo
     start_unix_ns: int  # trial clock 0 in Unix time; EPOCH_NS in simulation
     attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
+    packages: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,8 @@ class Choice:
     `Annotated[Base, Choice(REGISTRY)]` accepts an instance of Base, or a mapping whose `type` is a
     name in the registry; `default` is the type of a mapping without one. Each class of the
     registry is a `Model` derived from Base, with its own name as the `Literal` of its `type`. A
-    class is imported when it is first chosen.
+    class is imported when it is first chosen; PluginError where another package offers one that
+    cannot be used.
     """
 
     def __init__(self, registry: Registry, default: str | None = None) -> None:
@@ -38,7 +39,7 @@ class Choice:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        sections = {name: self.registry.load(name) for name in self.registry.names()}
+        sections = self.registry.usable()  # a broken package must not hide another mistake
         options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
         mapping = {name: option["$ref"] for name, option in options.items() if "$ref" in option}
         discriminator = {"mapping": mapping, "propertyName": "type"}
@@ -48,10 +49,11 @@ class Choice:
         if not isinstance(value, dict):
             raise PydanticCustomError("model_type", "must be a mapping of keys")
         name = value.get("type", self.default)
+        known = {kind.name: str(kind) for kind in self.registry.kinds()}
         if name is None:
-            raise PydanticCustomError("union_tag_not_found", "has no type")
+            raise PydanticCustomError("union_tag_not_found", "has no type", {"known": known})
         if not isinstance(name, str) or name not in self.registry:
-            raise PydanticCustomError("union_tag_invalid", "has an unknown type")
+            raise PydanticCustomError("union_tag_invalid", "has an unknown type", {"known": known})
         return self.registry.load(name)
 
 

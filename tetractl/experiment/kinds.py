@@ -1,6 +1,12 @@
 """Every seam of a spec by name. A new kind is one file and one line here, or an entry point."""
 
+from collections.abc import Iterator
+from typing import Any
+
 from tetractl.core.registry import Registry
+from tetractl.experiment.base import Model
+
+SECTION = "tetractl.experiment.base:Model"
 
 OPTIMIZERS = Registry(
     "tetractl.optimizers",
@@ -9,11 +15,13 @@ OPTIMIZERS = Registry(
         "pso": "tetractl.experiment.controller:SwarmSpec",
         "multistart": "tetractl.experiment.controller:MultistartSpec",
     },
+    SECTION,
 )
 CONTROLLERS = Registry(
     "tetractl.controllers",
     "controller",
     {"pso-mpc": "tetractl.experiment.controller:PsoMpcSpec"},
+    SECTION,
 )
 MOTIONS = Registry(
     "tetractl.motions",
@@ -32,14 +40,43 @@ SHAPES = Registry(
         "circle": "tetractl.model.shapes.circle:Circle",
         "polygon": "tetractl.model.shapes.polygon:Polygon",
     },
+    SECTION,
 )
 CAMERAS = Registry(
     "tetractl.cameras",
     "camera",
     {},
+    SECTION,
 )
 ACTUATORS = Registry(
     "tetractl.actuators",
     "actuator",
     {},
+    SECTION,
 )
+SEAMS = (OPTIMIZERS, CONTROLLERS, MOTIONS, SHAPES, CAMERAS, ACTUATORS)
+
+
+def packages(spec: Model) -> dict[str, str]:
+    """Return name and version of every other package that provides a kind used in a spec."""
+    used = (seam.kind(name) for seam, name in _kinds(spec))
+    return {kind.package: kind.version for kind in used if kind.package}
+
+
+def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
+    """Yield seam and name of every kind that is used in a section or a tuple of sections."""
+    if isinstance(value, tuple):
+        for item in value:
+            yield from _kinds(item)
+    if isinstance(value, Model):
+        name = getattr(value, "type", None)
+        for seam in SEAMS:  # two of them may have a kind of the same name
+            if isinstance(name, str) and name in seam and type(value) is seam.load(name):
+                yield seam, name
+        for field, about in type(value).model_fields.items():
+            inner = getattr(value, field)
+            yield from _kinds(inner)
+            for mark in about.metadata:  # a kind without a section is a name alone
+                seam = getattr(mark, "registry", None)
+                if isinstance(inner, str) and isinstance(seam, Registry):
+                    yield seam, inner

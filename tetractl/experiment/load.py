@@ -14,6 +14,7 @@ from tetractl.core.trial import Start
 from tetractl.experiment.choice import STRICT
 from tetractl.experiment.consistency import contradictions, lab_contradictions
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
+from tetractl.experiment.kinds import packages
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
@@ -74,6 +75,7 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
         plant=plant,
         start_unix_ns=start_unix_ns,
         attached=spec.attached,
+        packages=packages(experiment),
     )
 
 

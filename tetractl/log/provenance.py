@@ -7,6 +7,7 @@ import platform
 import socket
 import subprocess
 import sys
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
@@ -30,6 +31,10 @@ PACKAGES = (
 
 VERSION_KEYS = frozenset({"python", "tetractl", "code", "git_commit", "git_dirty", *PACKAGES})
 """What `versions` may hold."""
+
+PLUGIN = "package."
+"""Before the name of a package that provides a kind which the spec uses; the value is its version.
+"""
 
 DIFF_LIMIT = 50_000  # characters
 UNTRACKED_LIMIT = 200  # files
@@ -71,9 +76,22 @@ def versions() -> dict[str, str]:
     return facts | _git_state()
 
 
-def facts() -> dict[str, str]:
-    """Return the host facts that a log states at its start, the hour among them."""
-    return {"started": now(), "pid": str(os.getpid())} | host() | versions()
+def facts(packages: Mapping[str, str]) -> dict[str, str]:
+    """Return the host facts that a log states at its start, the hour among them.
+
+    `packages` are name and version of those that provide a kind which the spec uses.
+    """
+    return {"started": now(), "pid": str(os.getpid())} | host() | versions() | plugins(packages)
+
+
+def plugins(packages: Mapping[str, str]) -> dict[str, str]:
+    """Return the versions of packages beside tetractl, by the keys they have in a log."""
+    return {PLUGIN + name: version for name, version in packages.items()}
+
+
+def is_version(key: str) -> bool:
+    """Return whether a host fact is a version behind a result."""
+    return key in VERSION_KEYS or key.startswith(PLUGIN)
 
 
 @cache

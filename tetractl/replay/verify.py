@@ -4,6 +4,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from tetractl.experiment.kinds import packages
 from tetractl.log import provenance
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
@@ -67,10 +68,11 @@ def verify(path: Path) -> Verification:
 
 def differing_facts(log: TrialLog) -> tuple[str, ...]:
     """Return what decides bits and differs between the log's host and this one."""
-    here = provenance.host() | provenance.versions()
+    used = provenance.plugins(packages(log.experiment))
+    here = provenance.host() | provenance.versions() | used
     there = log.host | log.provenance
     return tuple(
         f"{key}: {there.get(key, 'unknown')} there, {here.get(key, 'unknown')} here"
-        for key in DECIDES_BITS
+        for key in (*DECIDES_BITS, *used)
         if here.get(key) != there.get(key)
     )

@@ -153,11 +153,11 @@ def as_csv(summary: Summary, comparison: Comparison | None = None) -> str:
 
     With a comparison the other batch's rows follow, and the column `batch` tells them apart.
     """
-    rows = [_row(trial, summary.unit) for trial in summary.trials]
+    rows = [row(trial, summary.unit) for trial in summary.trials]
     if comparison:
         rows = [{"batch": "ours", **row} for row in rows]
         theirs = comparison.theirs
-        rows += [{"batch": "against", **_row(trial, theirs.unit)} for trial in theirs.trials]
+        rows += [{"batch": "against", **row(trial, theirs.unit)} for trial in theirs.trials]
     columns = list(dict.fromkeys(column for row in rows for column in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
@@ -166,7 +166,8 @@ def as_csv(summary: Summary, comparison: Comparison | None = None) -> str:
     return text.getvalue()
 
 
-def _row(trial: ResultSummary, unit: str) -> dict[str, Any]:
+def row(trial: ResultSummary, unit: str) -> dict[str, Any]:
+    """Return a trial as one row of a table, lengths with their unit in the key."""
     fields = _trial(trial)
     total, errors = fields.pop("total_error"), fields.pop("robot_errors")
     names = [robot.name for robot in trial.experiment.robots]

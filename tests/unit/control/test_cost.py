@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import oracle, problems
 from support.trials import experiment
-from unit.control import oracle, problems
 
 from tetractl.control.cost import Problem, evaluate, predict
 from tetractl.core.errors import ControlError

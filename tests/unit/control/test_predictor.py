@@ -1,7 +1,6 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
+from support.paths import ROOT
 
 from tetractl.control.cost import Problem
 from tetractl.control.delay import Predictor
@@ -10,7 +9,7 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
 
-EXPERIMENT = Path(__file__).parents[3] / "experiments" / "three_m3pi.yaml"
+EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 
 
 def drive(settings, steps, after_step):

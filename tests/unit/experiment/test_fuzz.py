@@ -1,10 +1,10 @@
 """Whatever a file holds, loading it gives an experiment or one line a problem."""
 
 import copy
-from pathlib import Path
 
 from hypothesis import example, given
 from hypothesis import strategies as st
+from support.paths import ROOT
 from support.targets import spec_text
 
 from tetractl.experiment.experiment import Experiment
@@ -12,7 +12,7 @@ from tetractl.experiment.load import parse_spec, resolved_yaml, spec_hash
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import parse_document
 
-WRITTEN = (Path(__file__).parents[3] / "experiments" / "three_m3pi.yaml").read_text("utf-8")
+WRITTEN = (ROOT / "experiments" / "three_m3pi.yaml").read_text("utf-8")
 DATA = parse_document(WRITTEN, "three_m3pi.yaml").data
 
 YAMLISH = st.text(st.sampled_from("[]{}:,-&*!|>'\"#%@`?~<= \n\t\r01.eEaxtn\\\x00\ufeffé"))

@@ -1,6 +1,5 @@
-from pathlib import Path
-
 import pytest
+from support.paths import ROOT
 
 from tetractl.core.errors import SpecError
 from tetractl.experiment.lab import LabSpec
@@ -16,7 +15,7 @@ from tetractl.experiment.plants import (
 )
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
-EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+EXPERIMENTS = ROOT / "experiments"
 SPEC = EXPERIMENTS / "three_m3pi_lab.yaml"
 
 

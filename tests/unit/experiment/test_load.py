@@ -1,14 +1,14 @@
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from support.paths import ROOT
 
 from tetractl.core.errors import Exit, SpecError
 from tetractl.experiment.load import load_spec, parse_spec, resolved_yaml, spec_hash
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
-EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+EXPERIMENTS = ROOT / "experiments"
 GOOD = """\
 name: good
 arena: {left: 0, bottom: 0, width: 100, height: 100}

@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 import pytest
-from unit.log import made
+from support import random_trials as made
 
 from tetractl.control.rng import mix
 from tetractl.core.plan import Outcome

@@ -3,7 +3,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from unit.log import made
+from support import random_trials as made
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome

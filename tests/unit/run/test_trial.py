@@ -3,7 +3,7 @@ import time
 from itertools import pairwise
 
 import pytest
-from unit.run.fakes import bench
+from support.fakes import bench
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError, ControlError, LogError, TetractlError

@@ -83,13 +83,19 @@ def _problem(details: ErrorDetails, loc: Loc, value: Any, document: Document) ->
         about = describe(loc, document.data).get("description")
         return place.problem(loc, f"is missing; add it{f': {_sentence(about)}' if about else ''}")
     if kind.startswith("union_tag"):
-        options = [t for t in map(tag, alternatives(describe(loc, document.data))) if t]
-        known = f"must be one of {', '.join(options)}"
+        options: dict[str, str] = context.get("known") or {
+            option: option
+            for option in map(tag, alternatives(describe(loc, document.data)))
+            if option is not None
+        }
+        known = f"must be one of {', '.join(options.values())}"
         if kind == "union_tag_not_found":
             return document.place(loc).problem((*loc, "type"), f"is missing; {known}")
         wrong = child(value, "type")
         place = document.place((*loc, "type"))
-        return place.problem((*loc, "type"), known + did_you_mean(str(wrong), options), place.text)
+        return place.problem(
+            (*loc, "type"), known + did_you_mean(str(wrong), list(options)), place.text
+        )
     place = document.place(loc)
     message = _words(details, loc, value, document.data)
     if value is None and loc in document.values and kind != "inconsistent":

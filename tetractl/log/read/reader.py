@@ -72,7 +72,7 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
         lost.append(f"the result and everything after {until:.3f} s")
     host = dict(contents.facts(channels.HOST) or {})
     host.pop(CHECKSUM, None)
-    versions = {key: host.pop(key) for key in list(host) if key in provenance.VERSION_KEYS}
+    versions = {key: host.pop(key) for key in list(host) if provenance.is_version(key)}
     return TrialLog(
         path=str(contents.path),
         experiment=experiment,
@@ -186,7 +186,13 @@ def _start(contents: Contents) -> tuple[Experiment, Start]:
         experiment, hashed = _resolved(resolved)
         return experiment, facts.read_start(run, experiment.setup, text, resolved, hashed)
     except (SpecError, KeyError, RecursionError, ValueError) as error:
-        raise LogError(f"{path}: the record of the run cannot be read: {error}") from None
+        used = [
+            f"{key.removeprefix(provenance.PLUGIN)} {version}"
+            for key, version in (contents.facts(channels.HOST) or {}).items()
+            if key.startswith(provenance.PLUGIN)
+        ]
+        hint = f"it was written with {', '.join(used)}; install that" if used else None
+        raise LogError(f"{path}: the record of the run cannot be read: {error}", hint) from None
 
 
 @lru_cache(maxsize=16)

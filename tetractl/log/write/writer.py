@@ -50,7 +50,7 @@ class LogWriter:
         self._tracked = [True] * len(self._names)
         self._desk = desk = Desk(self._path)
         desk.put(Sink.metadata, channels.RUN, run_metadata(start))
-        desk.put(Sink.metadata, channels.HOST, provenance.facts())
+        desk.put(Sink.metadata, channels.HOST, provenance.facts(start.packages))
         for name, media_type, text in (
             (channels.SPEC, "application/yaml", start.spec_text),
             (channels.RESOLVED_SPEC, "application/yaml", start.resolved),

@@ -1,20 +1,13 @@
 """The serial port with an XBee module behind it.
 
-Writing never waits: a port that takes nothing for 20 ms is stuck and raises, one that is gone
-raises at once. Reading is a thread's work; what it finds is fetched with `fetch`.
+What the port's thread reads is fetched with `fetch`.
 """
 
-import os
-import select
 import threading
 from collections import deque
-from contextlib import suppress
 from dataclasses import dataclass
 
-import serial
-
 from tetractl.core.clock import Clock
-from tetractl.core.errors import AbortError
 from tetractl.experiment.lab import Radio
 from tetractl.lab.actuators.xbee import check
 from tetractl.lab.actuators.xbee.frames import (
@@ -30,14 +23,13 @@ from tetractl.lab.actuators.xbee.frames import (
     TransmitStatus,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
+from tetractl.lab.serial_port import SerialPort
 from tetractl.lab.wire_tap import NO_TAP, Tap
 
-WRITE_TIMEOUT_S = 0.02
-READ_TIMEOUT_S = 0.05
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
 NO_ACK = 0x01  # transmit option: do not wait for the receiver's acknowledgement
 KEPT = 1024
-MAX_BUFFER = 2048  # bytes the system may still have to send before the port counts as stuck
+HINT = "the robots stop by their watchdog; plug it in, start again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,35 +56,26 @@ class Link:
     def __init__(self, radio: Radio, clock: Clock, tap: Tap = NO_TAP) -> None:
         self.radio = radio
         self.counts = LinkCounts()
-        self.failure: str | None = None
         self.decoder = Decoder(escaped=radio.mode == "api2")
-        self._clock, self._tap = clock, tap
         self._api = radio.mode != "transparent"
-        self._sending = threading.Lock()
         self._fresh: deque[Received] = deque(maxlen=KEPT)
         self._answers: deque[AtResponse] = deque(maxlen=KEPT)
         self._came = threading.Condition()
-        self._closing = threading.Event()
         self._frame_id = 0
-        self._port: serial.Serial | None = None
-        self._thread = threading.Thread(target=self._receive, name="radio", daemon=True)
+        self._port = SerialPort(
+            radio.port, radio.baud, "the radio", clock, self._take, HINT, tap, "radio"
+        )
+
+    @property
+    def failure(self) -> str | None:
+        """Why nothing can be sent any more, None while all is well."""
+        return self._port.failure
 
     def open(self, checked: bool = True) -> None:
         """Open the port for this process alone and, `checked` in an API mode, check the module."""
-        radio = self.radio
-        try:
-            self._port = serial.Serial(
-                radio.port,
-                radio.baud,
-                timeout=READ_TIMEOUT_S,
-                write_timeout=WRITE_TIMEOUT_S,
-                exclusive=True,
-            )
-        except (serial.SerialException, OSError, ValueError) as error:
-            raise _cannot_open(radio.port, error) from error
-        self._thread.start()
+        self._port.open()
         if checked and self._api:
-            check.module(self, radio)
+            check.module(self, self.radio)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -131,8 +114,7 @@ class Link:
 
     def set_baud(self, baud: int) -> None:
         """Speak at another rate."""
-        assert self._port is not None
-        self._port.baudrate = baud
+        self._port.set_baud(baud)
 
     def fetch(self) -> list[Received]:
         """Return, once, what other modules sent since the last call."""
@@ -148,65 +130,22 @@ class Link:
 
     def close(self) -> None:
         """End the thread and give the port back; idempotent, never raises."""
-        self._closing.set()
-        if self._thread.is_alive():
-            self._thread.join(2.0)
-        if self._port is not None:
-            with suppress(OSError, serial.SerialException):
-                self._port.close()
+        self._port.close()
 
     def _next_id(self) -> int:
         self._frame_id = self._frame_id % 255 + 1
         return self._frame_id
 
     def _write(self, data: bytes) -> int:
-        with self._sending:
-            if self.failure or self._port is None:
-                raise AbortError(self.failure or f"the radio on {self.radio.port} is not open")
-            try:
-                _put(self._port.fileno(), data)
-                waiting = self._port.out_waiting
-            except TimeoutError:
-                raise self._failed("takes no more bytes: the radio is stuck") from None
-            except (serial.SerialException, OSError, TypeError) as error:
-                raise self._failed(f"is gone: {_why(error)}") from error
-            if waiting > MAX_BUFFER:
-                raise self._failed(f"holds {waiting} bytes back: the radio is stuck")
-            now = self._clock.now()
-            self.counts.frames_sent += 1
-        self._tap.sent("radio", now, data)
-        return now
+        sent_ns = self._port.write(data)
+        self.counts.frames_sent += 1
+        return sent_ns
 
-    def _failed(self, what: str) -> AbortError:
-        self.failure = self.failure or f"the radio's port {self.radio.port} {what}"
-        return AbortError(
-            self.failure, "the robots stop by their watchdog; plug it in, start again"
-        )
-
-    def _receive(self) -> None:
-        port = self._port
-        assert port is not None
-        while not self._closing.is_set():
-            try:
-                data = port.read(1)
-                if data:
-                    data += port.read(port.in_waiting)
-            except (serial.SerialException, OSError, TypeError, ValueError) as error:
-                if not self._closing.is_set():
-                    self._failed(f"is gone: {_why(error)}")
-                    with self._came:
-                        self._came.notify_all()
-                return
-            if data:
-                self._take(data)
-
-    def _take(self, data: bytes) -> None:
-        now = self._clock.now()
-        self._tap.received("radio", now, data)
-        if not self._api:
+    def _take(self, data: bytes, now: int) -> None:
+        if not self._api and data:
             self._fresh.append(Received(None, now, data))
             self.counts.received += 1
-        else:
+        elif data:
             for frame in self.decoder.feed(data):
                 self._sort(frame, now)
         with self._came:
@@ -226,37 +165,3 @@ class Link:
                 self.counts.undelivered += 1
             case _:
                 pass
-
-
-def _put(fd: int, data: bytes) -> None:
-    """Hand bytes to the system; TimeoutError where it takes none for 20 ms.
-
-    pyserial's own write also times out where this process was merely not scheduled for that long.
-    """
-    rest = memoryview(data)
-    while rest:
-        with suppress(BlockingIOError):
-            rest = rest[os.write(fd, rest) :]
-        if rest and not select.select([], [fd], [], WRITE_TIMEOUT_S)[1]:
-            raise TimeoutError
-
-
-def _why(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
-
-
-def _cannot_open(port: str, error: Exception) -> AbortError:
-    number = getattr(error, "errno", None)
-    text = str(error)
-    if number == 11 or "exclusively lock" in text:
-        return AbortError(
-            f"{port}: another program has this port open",
-            "one run at a time; end the other, or `tetractl lab stop` if it left robots moving",
-        )
-    if number == 2 or "No such file" in text:
-        return AbortError(f"{port}: there is no such port", "is the radio plugged in?")
-    if number == 13:
-        return AbortError(
-            f"{port}: this user may not open it", "join the group that owns it, often dialout"
-        )
-    return AbortError(f"{port}: cannot be opened: {_why(error)}")

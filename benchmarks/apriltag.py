@@ -1,0 +1,352 @@
+"""What the apriltag camera promises, measured: `python benchmarks/apriltag.py [PART]...`.
+
+    poses       error against the emulated truth, 640x480 and 1280x720
+    corners     corners refined by us and by OpenCV: error and time
+    tilt        what an unknown focal length costs as the camera looks straighter down
+    blur        share of tags found as the lens blurs
+    speed       time to decode, search and render a picture, with two threads of OpenCV and with one
+    latency     rate and age of frames over HTTP from an emulated camera in another process
+
+All parts by default. Prints Markdown. The arena is 1.6 x 1.8 m with three robots, tags of 80 mm at
+90 mm above the floor, and four floor tags of 120 mm at its corners, seen from the side at 20
+degrees from the vertical by a lens of 63 degrees. `--scale 0.1` does a tenth of the work.
+"""
+
+import argparse
+import math
+import multiprocessing
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from multiprocessing.connection import Connection
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tetractl.core.clock import SECOND, MonotonicClock
+from tetractl.core.poses import Poses
+from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
+from tetractl.lab.cameras.apriltag.detect import MODULES, Grey
+from tetractl.lab.cameras.apriltag.refine import refined
+from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
+from tetractl.lab.cameras.apriltag.track import Tracker
+from tetractl.lab.emulate.apriltag.mjpeg import EmulatedNetworkCamera
+from tetractl.lab.emulate.apriltag.optics import Optics
+from tetractl.lab.emulate.apriltag.renderer import CARD, Renderer
+
+MM = 1e-3
+NAMES = ("green", "blue", "red")
+ROBOTS = tuple(
+    RobotTag(name=name, tag=tag, size_mm=80, height_mm=90) for tag, name in enumerate(NAMES)
+)
+FLOOR = tuple(
+    FloorTag(tag=100 + i, at=at, size_mm=120)
+    for i, at in enumerate([(400, 250), (2200, 250), (2200, 2250), (400, 2250)])
+)
+SIZES = ((640, 480), (1280, 720))
+BENT = (-0.2, 0.08, 0.002, -0.002, 0.0)
+QUALITY = 90
+
+
+def section(source: dict[str, object] | None = None, **changes: object) -> AprilTagSection:
+    source = source or {"type": "file", "path": "none"}
+    made = {"type": "apriltag", "source": source, "robots": ROBOTS, "floor": FLOOR}
+    return AprilTagSection.model_validate({**made, **changes})
+
+
+def renderer(size: tuple[int, int], tilt: float = 0.35, **optics: object) -> Renderer:
+    made = Optics.facing(FLOOR, MM, *size, tilt=tilt)
+    return Renderer(ROBOTS, FLOOR, MM, replace(made, **optics), seed=1)
+
+
+def scattered(rng: np.random.Generator) -> Poses:
+    """Random poses in the arena, robots 150 mm apart at least."""
+    while True:
+        x, y = rng.uniform(500, 2100, 3), rng.uniform(350, 2150, 3)
+        if np.hypot(x - np.roll(x, 1), y - np.roll(y, 1)).min() > 150:
+            return Poses(x, y, rng.uniform(-math.pi, math.pi, 3))
+
+
+def sent(picture: Grey) -> Grey:
+    """The picture after a JPEG."""
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE).astype(np.uint8)
+
+
+def row(*cells: object) -> None:
+    print("| " + " | ".join(str(cell) for cell in cells) + " |", flush=True)
+
+
+def table(*titles: str) -> None:
+    row(*titles)
+    row(*("--:" for _ in titles))
+
+
+def errors(
+    tracker: Tracker, drawn: Renderer, pictures: int, moving: bool = False
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Errors [mm] and [mrad], the share of robots found, the smallest tag [px]."""
+    rng = np.random.default_rng(2)
+    off, turned, small = [], [], math.inf
+    for _ in range(pictures):
+        poses = scattered(rng)
+        way, turn = rng.uniform(-math.pi, math.pi, 3), rng.uniform(-3, 3, 3)
+
+        def at(t_ns: int, poses=poses, way=way, turn=turn) -> Poses:
+            t = 1e-9 * t_ns * moving
+            x, y = poses.x + 200 * t * np.cos(way), poses.y + 200 * t * np.sin(way)
+            return Poses(x, y, poses.heading + turn * t)
+
+        seen = tracker.see(sent(drawn.picture(at, 0)))
+        small = min(small, seen.side_px or math.inf)
+        for i, pose in enumerate(seen.poses):
+            if pose is not None:
+                off.append(math.hypot(pose.x - poses.x[i], pose.y - poses.y[i]))
+                turned.append(abs(math.remainder(pose.heading - poses.heading[i], math.tau)))
+    return np.array(off), 1e3 * np.array(turned), len(off) / (3 * pictures), small
+
+
+def poses(scale: float) -> None:
+    """Errors of poses under several conditions."""
+    table(
+        "picture",
+        "case",
+        "found",
+        "mm, median",
+        "95 %",
+        "largest",
+        "mrad, median",
+        "95 %",
+        "tag px",
+    )
+    for size in SIZES:
+        bent = renderer(size, distortion=BENT)
+        simple = renderer(size, distortion=(-0.2, 0.0, 0.0, 0.0))
+        straight = {"focal_px": bent.optics.focal_px}
+        lens = {**straight, "distortion": BENT}
+        cases: list[tuple[str, Renderer, dict[str, object], bool]] = [
+            ("standing", renderer(size), {}, False),
+            ("at 200 mm/s and 3 rad/s, 4 ms exposure", renderer(size), {}, True),
+            ("the same, 15 ms exposure", renderer(size, exposure_s=0.015), {}, True),
+            (
+                "noise of 6 grey levels in half the light",
+                renderer(size, noise=6, gain=0.5),
+                {},
+                False,
+            ),
+            ("bent lens, k1 = -0.2", simple, {}, False),
+            ("the same, taken for straight", simple, {"lens": straight}, False),
+            ("lens with k1, k2, p1, p2, given", bent, {"lens": lens}, False),
+            ("the same, not given", bent, {}, False),
+            ("height_mm: 0 for tags at 90", renderer(size), {"robots": low()}, False),
+        ]
+        for name, drawn, changes, moving in cases:
+            tracker = Tracker(section(**changes), NAMES, MM)
+            mm, mrad, share, small = errors(tracker, drawn, round(300 * scale), moving)
+            spread = (f"{value:.2f}" for value in np.quantile(mm, (0.5, 0.95, 1)))
+            turns = (f"{value:.1f}" for value in np.quantile(mrad, (0.5, 0.95)))
+            row(told(size), name, f"{100 * share:.1f} %", *spread, *turns, f"{small:.0f}")
+
+
+def low() -> list[RobotTag]:
+    return [robot.model_copy(update={"height_mm": 0.0}) for robot in ROBOTS]
+
+
+def told(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]}"
+
+
+def corners(scale: float) -> None:
+    """Corners by several methods against the truth."""
+    table("picture", "corners by", "error, rms px", "time of a picture, ms")
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    for size in SIZES:
+        drawn, rng = renderer(size), np.random.default_rng(3)
+        shots = [
+            (poses := scattered(rng), drawn.picture(lambda t, p=poses: p, 0))
+            for _ in range(round(60 * scale))
+        ]
+        for name in ("NONE", "CONTOUR", "SUBPIX", "APRILTAG", "sides"):
+            parameters = cv2.aruco.DetectorParameters()
+            parameters.cornerRefinementMethod = getattr(
+                cv2.aruco, f"CORNER_REFINE_{name}", cv2.aruco.CORNER_REFINE_NONE
+            )
+            detector = cv2.aruco.ArucoDetector(family, parameters)
+            off, took = [], []
+            for truth, picture in shots:
+                began = time.perf_counter()
+                found, numbers, _ = detector.detectMarkers(picture)
+                places = np.array(found, float).reshape(-1, 4, 2)
+                if name == "sides":
+                    places, _ = refined(picture, places, MODULES)
+                took.append(time.perf_counter() - began)
+                for tag, place in zip(np.ravel(numbers), places, strict=True):
+                    if tag < len(ROBOTS):
+                        card = drawn.card(ROBOTS[tag], truth, tag)
+                        square = card.mean(axis=0) + (card - card.mean(axis=0)) * MODULES / CARD
+                        gaps = [np.roll(place, k, axis=0) - square for k in range(4)]
+                        off.append(min(gaps, key=lambda gap: np.square(gap).sum()))
+            own = "our fit of the sides" if name == "sides" else f"OpenCV, {name}"
+            rms = math.sqrt(np.mean(np.square(off)))
+            row(told(size), own, f"{rms:.3f}", f"{1e3 * np.median(took):.1f}")
+
+
+def tilt(scale: float) -> None:
+    """Error and doubt by tilt, without the lens in the spec and with it."""
+    table(
+        "picture",
+        "tilt, rad",
+        "mm, median",
+        "95 %",
+        "doubt_mm",
+        "with the focal length: mm, median",
+    )
+    for size in SIZES:
+        for angle in (0.0, 0.05, 0.1, 0.2, 0.35, 0.5):
+            drawn = renderer(size, tilt=angle)
+            blind = Tracker(section(), NAMES, MM)
+            known = Tracker(section(lens={"focal_px": drawn.optics.focal_px}), NAMES, MM)
+            mm, _, _, _ = errors(blind, drawn, round(100 * scale))
+            right, _, _, _ = errors(known, drawn, round(100 * scale))
+            plane = blind.floor.plane
+            doubt = f"{plane.doubt_mm:.2f}" if plane is not None else "-"
+            row(
+                told(size),
+                angle,
+                f"{np.median(mm):.2f}",
+                f"{np.quantile(mm, 0.95):.2f}",
+                doubt,
+                f"{np.median(right):.2f}",
+            )
+
+
+def blur(scale: float) -> None:
+    """Share of robots found by blur of the lens."""
+    table("picture", "blur, px", "found")
+    for size in SIZES:
+        for sigma in (0.5, 0.7, 0.9, 1.1, 1.3, 1.5):
+            tracker = Tracker(section(), NAMES, MM)
+            for _ in range(2):
+                tracker.see(
+                    renderer(size).picture(lambda t: scattered(np.random.default_rng(0)), 0)
+                )
+            _, _, share, _ = errors(tracker, renderer(size, blur_px=sigma), round(100 * scale))
+            row(told(size), sigma, f"{100 * share:.1f} %")
+
+
+def speed(scale: float) -> None:
+    """Times of one picture."""
+    table("picture", "threads", "decode JPEG, ms", "search, ms", "95 %", "pictures/s", "render, ms")
+    for size in SIZES:
+        drawn, rng = renderer(size), np.random.default_rng(4)
+        for threads in (2, 1):
+            cv2.setNumThreads(threads)
+            tracker = Tracker(section(), NAMES, MM)
+            times: dict[str, list[float]] = {"render": [], "decode": [], "search": []}
+            for _ in range(round(200 * scale)):
+                where = scattered(rng)
+                at = partial(stand, where)
+                picture = clocked(times["render"], partial(drawn.picture, at, 0))
+                _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+                grey = clocked(times["decode"], partial(cv2.imdecode, data, cv2.IMREAD_GRAYSCALE))
+                clocked(times["search"], partial(tracker.see, grey))
+            render, decode, search = (1e3 * np.array(taken) for taken in times.values())
+            row(
+                told(size),
+                threads,
+                f"{np.median(decode):.1f}",
+                f"{np.median(search):.1f}",
+                f"{np.quantile(search, 0.95):.1f}",
+                f"{1e3 / np.median(decode + search):.0f}",
+                f"{np.median(render):.1f}",
+            )
+    cv2.setNumThreads(-1)
+
+
+def stand(poses: Poses, t_ns: int) -> Poses:
+    return poses
+
+
+def clocked(times: list[float], act: Callable[[], Any]) -> Any:
+    began = time.perf_counter()
+    made = act()
+    times.append(time.perf_counter() - began)
+    return made
+
+
+def serve(size: tuple[int, int], rate_hz: float, pipe: Connection) -> None:
+    """The emulated camera's process: send the address, serve until told to end."""
+    cv2.setNumThreads(1)
+    where = scattered(np.random.default_rng(5))
+    server = EmulatedNetworkCamera(renderer(size), lambda t: where, MonotonicClock(), rate_hz)
+    with server:
+        pipe.send(server.url)
+        pipe.recv()
+
+
+class Watch:
+    """Called after each frame: notes when that was and when its picture had arrived [ns]."""
+
+    def __init__(self, wanted: int) -> None:
+        self.clock, self.wanted = MonotonicClock(), wanted
+        self.camera: AprilTagCamera | None = None
+        self.seen: list[tuple[int, int]] = []
+        self.enough = threading.Event()
+
+    def __call__(self) -> None:
+        newest = self.camera.newest if self.camera is not None else None
+        if newest is not None:
+            self.seen.append((self.clock.now(), newest.received_ns))
+        if len(self.seen) >= self.wanted:
+            self.enough.set()
+
+
+def latency(scale: float) -> None:
+    """Rate and age of frames over loopback."""
+    table("picture", "sent, Hz", "frames, Hz", "arrival to frame, ms: median", "95 %", "skipped")
+    context = multiprocessing.get_context("spawn")
+    for size in SIZES:
+        for rate_hz in (30.0, 60.0):
+            ours, theirs = context.Pipe()
+            process = context.Process(target=serve, args=(size, rate_hz, theirs))
+            process.start()
+            watch = Watch(round(rate_hz * 20 * scale))
+            source = {"type": "mjpeg", "url": ours.recv()}
+            camera = section(source).build(NAMES, MM, watch.clock, watch)
+            watch.camera = camera
+            with camera:
+                watch.enough.wait(120)
+                facts = camera.check().facts
+            ours.send("end")
+            process.join()
+            seen = np.array(watch.seen)
+            frames = (len(seen) - 1) * SECOND / (seen[-1, 0] - seen[0, 0])
+            age = (seen[:, 0] - seen[:, 1]) / 1e6
+            row(
+                told(size),
+                f"{rate_hz:.0f}",
+                f"{frames:.1f}",
+                f"{np.median(age):.1f}",
+                f"{np.quantile(age, 0.95):.1f}",
+                facts["skipped"],
+            )
+
+
+PARTS = {part.__name__: part for part in (poses, corners, tilt, blur, speed, latency)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], metavar="PART")
+    parser.add_argument("--scale", type=float, default=1.0)
+    chosen = parser.parse_args()
+    for name in chosen.parts or PARTS:
+        print(f"\n### {name}\n")
+        PARTS[name](chosen.scale)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""An optimizer and a camera for tetractl."""

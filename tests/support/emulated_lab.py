@@ -1,0 +1,88 @@
+"""Helpers: an emulated lab in this process, turned by hand, so that no test waits for a clock."""
+
+import socket
+from dataclasses import replace
+from pathlib import Path
+
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.plants import lab_of
+from tetractl.lab.cameras.optitrack.wire import pack, parse
+from tetractl.lab.emulate.lab import EmulatedLab, Options
+from tetractl.lab.emulate.script import NOTHING, parse_script
+
+SPEC = """
+name: emulated
+units: {length: mm}
+arena: {left: 0, bottom: 0, width: 2000, height: 2000}
+robots:
+  - {name: green, start: [500, 500], heading: 0.5, target: [1500, 500], a: 6, speed: 180}
+  - {name: blue, start: [500, 1500], heading: -2, target: [1500, 1500], a: 4, speed: 200}
+wheels: {radius: 40}
+lab:
+  mocap: {server: 127.0.0.1, transport: unicast}
+  radio: {port: nowhere}
+  robots:
+    - {name: green, body: Green, index: 0, address: 1}
+    - {name: blue, body: 7, index: 1, address: 2}
+"""
+
+
+def emulated(folder, *sets, script=NOTHING, tell=None, **options):
+    """Return an EmulatedLab, not yet entered; `script` may be YAML."""
+    loaded = parse_spec(SPEC, "emulated.yaml", sets)
+    lab = lab_of(loaded.experiment, loaded.name)
+    if isinstance(script, str):
+        script = parse_script("about: a test\n" + script, "script.yaml")
+    chosen = replace(
+        Options(command_port=0, data_port=0, link=Path(folder) / "radio"),
+        record=Path(folder) / "record.jsonl",
+        **options,
+    )
+    extra = {} if tell is None else {"tell": tell}
+    return EmulatedLab(loaded.experiment, lab, script, chosen, **extra)
+
+
+def turn_until(lab, condition, turns=20_000):
+    """Turn the emulation's loop until `condition()`; return what it returned."""
+    for _ in range(turns):
+        if found := condition():
+            return found
+        lab.loop.turn()
+    raise AssertionError("it did not happen")
+
+
+class Client:
+    """A bare NatNet client on one socket."""
+
+    def __init__(self, lab):
+        self.lab = lab
+        self.version = lab.motive.streaming.version
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.setblocking(False)
+        self.socket.bind(("127.0.0.1", 0))
+        self.got = []
+
+    def send(self, message):
+        self.socket.sendto(pack(message), ("127.0.0.1", self.lab.motive.command_port))
+
+    def poll(self):
+        try:
+            while True:
+                self.got.append(parse(self.socket.recv(65535), self.version))
+        except BlockingIOError:
+            return self.got
+
+    def ask(self, message, kind):
+        """Send and return the first answer of a kind; forget all others that came."""
+        self.got.clear()
+        self.send(message)
+        return self.next(kind)
+
+    def next(self, kind, count=1):
+        found = turn_until(
+            self.lab,
+            lambda: (
+                (of := [m for m in self.poll() if isinstance(m, kind)]) and len(of) >= count and of
+            ),
+        )
+        return found[0] if count == 1 else found[:count]

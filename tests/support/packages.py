@@ -1,0 +1,15 @@
+"""Packages with entry points, written as pip would leave them in a folder."""
+
+from pathlib import Path
+
+
+def install(folder: Path, name: str, version: str, points: str, **modules: str) -> Path:
+    """Put a package into a folder: its metadata, `points` as entry_points.txt, and its modules."""
+    info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir(parents=True)
+    about = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+    (info / "METADATA").write_text(about, encoding="utf-8")
+    (info / "entry_points.txt").write_text(points, encoding="utf-8")
+    for module, code in modules.items():
+        (folder / f"{module}.py").write_text(code, encoding="utf-8")
+    return folder

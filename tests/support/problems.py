@@ -1,0 +1,91 @@
+"""Random control problems in general position: no robot ever just touches an edge."""
+
+import numpy as np
+from support.oracle import World
+
+from tetractl.control.cost import Problem, evaluate
+from tetractl.control.optimizers.pso import Swarm
+from tetractl.core.poses import Poses
+from tetractl.experiment.controller import SwarmSpec
+from tetractl.experiment.experiment import Circle, Rectangle
+from tetractl.model.obstacles import Obstacles
+
+
+def world(
+    seed: int,
+    robots: int = 3,
+    obstacles: int = 2,
+    model: str = "euler",
+    swept: bool = False,
+    period: float = 0.2,
+) -> World:
+    """Robots and overlapping obstacles of the size of the paper's experiment, in mm."""
+    rng = np.random.default_rng(seed)
+    things = []
+    for i in range(obstacles):
+        x, y = rng.uniform(100, 700, 2)
+        if i % 2:
+            things.append(Circle(type="circle", center=(x, y), radius=rng.uniform(20, 200)))
+        else:
+            width, height = rng.uniform(20, 300, 2)
+            box = Rectangle(type="rectangle", left=x, bottom=y, width=width, height=height)
+            things.append(box)
+    found = [
+        (
+            *rng.uniform(0, 800, 2),
+            rng.uniform(-4, 4),
+            *rng.uniform(0, 800, 2),
+            rng.uniform(1, 7),
+            rng.uniform(50, 250),
+        )
+        for _ in range(robots)
+    ]
+    return World(found, things, model, period, float(rng.uniform(10, 2000)), swept)
+
+
+def problem(world: World) -> Problem:
+    """The same as tetractl takes it."""
+    robots = np.array(world.robots)
+    return Problem(
+        poses=Poses.of(robots[:, :3]),
+        targets=robots[:, 3:5],
+        a=robots[:, 5],
+        speed=robots[:, 6],
+        model=world.model,
+        period=world.period,
+        first_period=world.period,
+        obstacles=Obstacles.of(world.obstacles),
+        obstacle_weight=world.weight,
+        swept=world.swept,
+    )
+
+
+def is_decided(problem: Problem, length: int, warm, spec: SwarmSpec, key: int) -> bool:
+    """Whether no comparison in a search is so close that rounding may decide it.
+
+    Directions of exactly pi and -pi, where (17) clamps many a particle, are the same direction.
+    """
+
+    def close(one, other, u, other_u):
+        near = np.abs(one - other) <= 1e-9 * (1 + np.abs(one))
+        return bool(np.any(near & (u != other_u).any(axis=-1)))
+
+    swarm = Swarm.scatter(spec, length, key)
+    swarm.best_cost = evaluate(problem, swarm.best).total
+    if warm is not None:
+        swarm.u_gb, swarm.cost = warm.copy(), float(evaluate(problem, warm[None]).total[0])
+    else:
+        swarm.tell(np.full(spec.particles, np.inf))
+    for _ in range(spec.iterations):
+        before, before_cost = swarm.u_gb.copy(), swarm.cost
+        costs = evaluate(problem, swarm.ask()).total
+        if close(costs, swarm.best_cost, swarm.u, swarm.best):
+            return False
+        swarm.tell(costs)
+        leader = int(np.argmin(swarm.best_cost))
+        least, best = swarm.best_cost[leader], swarm.best[leader]
+        if close(swarm.best_cost, least, swarm.best, best):
+            return False
+        if close(least, before_cost, best, before):
+            return False
+    return True

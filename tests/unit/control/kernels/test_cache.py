@@ -1,0 +1,43 @@
+"""A process that compiles the kernels and one that loads them compute the same bits."""
+
+import os
+import subprocess
+import sys
+
+from support.paths import ROOT
+
+SEARCH = """
+import hashlib, sys
+from pathlib import Path
+from tetractl.control.optimizers import compiled, multistart
+from tetractl.control.cost import Problem
+from tetractl.control.kernels.levenberg import polish
+from tetractl.experiment.controller import MultistartSpec, SwarmSpec
+from tetractl.experiment.load import load_spec
+
+digest = hashlib.sha256()
+for name in ("three_m3pi", "three_m3pi_paper"):
+    problem = Problem.of(load_spec(Path(sys.argv[1]) / f"{name}.yaml").experiment)
+    searches = (
+        multistart.multistart(problem, 30, None, MultistartSpec(type="multistart", rounds=2), 1),
+        compiled.pso(problem, 30, None, SwarmSpec(iterations=20), 1),
+    )
+    for search in searches:
+        digest.update(search.signals.tobytes() + search.history.tobytes())
+print(sum(polish.stats.cache_hits.values()), digest.hexdigest())
+"""
+
+
+def test_compiling_and_loading_give_the_same_bits(tmp_path):
+    """Regression: a callee that was not inlined had two machine codes, one for each."""
+    experiments = ROOT / "experiments"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", SEARCH, str(experiments)]
+    found = [
+        subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True
+        ).stdout.split()
+        for _ in range(2)
+    ]
+    assert [hits for hits, _ in found] == ["0", "1"]
+    assert found[0][1] == found[1][1]

@@ -1,0 +1,80 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support import problems
+
+from tetractl.control.cost import predict
+from tetractl.control.kernels.gradient import backward, trace
+from tetractl.control.kernels.levenberg import lay_route
+
+MODELS = st.sampled_from(["euler", "arc", "exact"])
+
+
+def traced(problem, signals):
+    route = lay_route(problem, len(signals))
+    trace(
+        signals,
+        route.start,
+        route.a,
+        route.v,
+        route.first_period,
+        route.period,
+        route.model,
+        route.path,
+        route.slopes,
+    )
+    return route
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 4),
+    length=st.integers(1, 30),
+    model=MODELS,
+    first=st.floats(0.01, 0.3),
+)
+def test_the_path_is_the_predicted_one(seed, robots, length, model, first):
+    problem = problems.problem(problems.world(seed, robots, model=model))
+    problem = replace(problem, first_period=first)
+    signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, length)
+    path = traced(problem, signals).path
+    assert path == pytest.approx(predict(problem, signals)[1:, :, :2].transpose(1, 0, 2), rel=1e-10)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 3),
+    length=st.integers(1, 20),
+    model=MODELS,
+    last=st.floats(0, 1),
+)
+def test_the_slope_is_that_of_the_path(seed, robots, length, model, last):
+    """`backward` against central differences of the readable model, in a random direction."""
+    problem = problems.problem(problems.world(seed, robots, model=model))
+    rng = np.random.default_rng(seed)
+    signals, toward = rng.uniform(-math.pi, math.pi, length), rng.normal(size=length)
+    step, robot, at = 1e-6, int(rng.integers(robots)), int(last * (length - 1))
+    east, north = rng.normal(size=2)
+    row = np.empty(length)
+    backward(traced(problem, signals).slopes, robot, at, east, north, row)
+    ahead, behind = (
+        predict(problem, signals + sign * step * toward)[at + 1, robot, :2] for sign in (1, -1)
+    )
+    numeric = float((ahead - behind) @ [east, north]) / (2 * step)
+    assert float(row @ toward) == pytest.approx(numeric, rel=1e-5, abs=1e-4)
+    assert not row[at + 1 :].any()
+
+
+@pytest.mark.parametrize("heading", [0.0, 1e-9, math.pi - 1e-9, -math.pi])
+@pytest.mark.parametrize("model", ["euler", "arc", "exact"])
+def test_a_robot_along_or_against_the_direction_has_a_finite_slope(model, heading):
+    problem = problems.problem(problems.world(5, 1, model=model))
+    poses = replace(problem.poses, heading=np.array([heading]))
+    slopes = traced(replace(problem, poses=poses), np.zeros(10)).slopes
+    assert np.isfinite(slopes).all()

@@ -1,0 +1,116 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import strategies as st
+from support import problems
+
+from tetractl.control.cost import evaluate
+from tetractl.control.kernels.rollout import costs, lay_out
+from tetractl.control.optimizers import compiled, pso
+from tetractl.experiment.controller import SwarmSpec
+
+MODELS = st.sampled_from(["euler", "arc", "exact"])
+STOPS = st.sampled_from(
+    [
+        {"type": "paper"},
+        {"type": "relative", "window": 5, "decrease": 0.05},
+        {"type": "relative", "window": 13, "decrease": 0.2},
+        {"type": "target", "cost": 900},
+        {"type": "budget"},
+    ]
+)
+
+
+def compiled_costs(problem, signals):
+    total = np.empty(len(signals))
+    course = lay_out(problem, len(signals))
+    for _ in range(2):  # the room a course works in is used again
+        finite = costs(course, np.ascontiguousarray(signals.T), total)
+    assert finite
+    return total
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 5),
+    obstacles=st.integers(0, 4),
+    length=st.integers(1, 60),
+    particles=st.integers(1, 70),
+    model=MODELS,
+    swept=st.booleans(),
+    first=st.floats(0.01, 0.2),
+)
+@example(167, 1, 0, 60, 34, "exact", False, 0.2)  # headings near -u again and again
+def test_costs_agree(seed, robots, obstacles, length, particles, model, swept, first):
+    world = problems.world(seed, robots, obstacles, model, swept)
+    problem = replace(problems.problem(world), first_period=first)
+    signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (particles, length))
+    reference = evaluate(problem, signals).total
+    assert compiled_costs(problem, signals) == pytest.approx(reference, rel=1e-9)
+
+
+@pytest.mark.parametrize("model", ["euler", "arc", "exact"])
+@pytest.mark.parametrize("turn", [1e-6, 1e-3, 1.25, 3.0, 5.0, 20.0, 50.0])
+def test_costs_agree_whatever_a_robot_turns_in_a_period(model, turn):
+    """Regression: above a T of about 4 the sines of `euler` and `arc` left their range."""
+    problem = problems.problem(problems.world(1, obstacles=0, model=model))
+    problem = replace(problem, a=np.full(3, turn / problem.period))
+    signals = np.random.default_rng(1).uniform(-math.pi, math.pi, (33, 3))
+    reference = evaluate(problem, signals).total
+    assert compiled_costs(problem, signals) == pytest.approx(reference, rel=1e-8)
+
+
+@pytest.mark.parametrize("model", ["euler", "arc", "exact"])
+def test_costs_agree_at_the_bounds_and_along_the_axes(model):
+    """Directions of exactly 0, +-pi/2 and +-pi, where a sine or a turn vanishes."""
+    problem = problems.problem(problems.world(2, obstacles=4, model=model))
+    axes = np.array([0.0, math.pi / 2, -math.pi / 2, math.pi, -math.pi])
+    signals = np.random.default_rng(2).choice(axes, (64, 9))
+    assert compiled_costs(problem, signals) == pytest.approx(
+        evaluate(problem, signals).total, rel=1e-9
+    )
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@given(
+    seed=st.integers(0, 2**32),
+    key=st.integers(0, 2**64 - 1),
+    robots=st.integers(1, 3),
+    obstacles=st.integers(0, 3),
+    length=st.integers(2, 12),
+    particles=st.integers(1, 33),
+    iterations=st.integers(1, 14),
+    model=MODELS,
+    swept=st.booleans(),
+    warm=st.booleans(),
+    stop=STOPS,
+    budget=st.none() | st.integers(1, 400),
+)
+def test_whole_searches_agree(
+    seed, key, robots, obstacles, length, particles, iterations, model, swept, warm, stop, budget
+):
+    problem = problems.problem(problems.world(seed, robots, obstacles, model, swept))
+    fields = {"particles": particles, "iterations": iterations, "stop": stop}
+    spec = SwarmSpec.model_validate(fields)
+    start = np.random.default_rng(seed).uniform(-math.pi, math.pi, length) if warm else None
+    assume(problems.is_decided(problem, length, start, spec, key))
+    slow = pso.pso(problem, length, start, spec, key, budget)
+    fast = compiled.pso(problem, length, start, spec, key, budget)
+    assert (fast.length, fast.stopped) == (slow.length, slow.stopped)
+    assert fast.evaluations == slow.evaluations
+    assert fast.history == pytest.approx(slow.history, rel=1e-9)
+    assert fast.cost == fast.history[-1]
+    assert fast.signals == pytest.approx(slow.signals, abs=1e-9)
+
+
+def test_a_search_leaves_its_problem_alone():
+    problem = problems.problem(problems.world(3))
+    before = [a.copy() for a in (problem.poses.array(), problem.targets, problem.a, problem.speed)]
+    spec = SwarmSpec(particles=8, iterations=4)
+    compiled.pso(problem, 5, None, spec, 1)
+    after = (problem.poses.array(), problem.targets, problem.a, problem.speed)
+    assert all(np.array_equal(b, a) for b, a in zip(before, after, strict=True))

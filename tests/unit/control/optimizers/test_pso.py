@@ -1,0 +1,160 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+from support import oracle, problems
+
+from tetractl.control.cost import evaluate
+from tetractl.control.optimizers import compiled, pso
+from tetractl.core.errors import ControlError
+from tetractl.experiment.controller import SwarmSpec
+
+SEARCHERS = pytest.mark.parametrize("search", [pso.pso, compiled.pso], ids=["numpy", "compiled"])
+NO_STOP = {"type": "budget"}
+
+
+def swarm(particles=7, iterations=3, stop=NO_STOP, **weights) -> SwarmSpec:
+    fields = {"particles": particles, "iterations": iterations, "stop": stop, **weights}
+    return SwarmSpec.model_validate(fields)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@given(
+    seed=st.integers(0, 2**64 - 1),
+    particles=st.integers(1, 9),
+    length=st.integers(2, 6),
+    iterations=st.integers(1, 4),
+    warm=st.booleans(),
+    weights=st.fixed_dictionaries(
+        {name: st.floats(0.1, 2) for name in ("inertia", "cognitive", "social")}
+    ),
+)
+def test_the_swarm_moves_by_14_to_19(seed, particles, length, iterations, warm, weights):
+    world = problems.world(seed % 1000)
+    spec = swarm(particles, iterations, **weights)
+    rng = np.random.default_rng(seed % 1000)
+    start = rng.uniform(-math.pi, math.pi, length) if warm else None
+    assume(problems.is_decided(problems.problem(world), length, start, spec, seed))
+    slow = oracle.search(world, length, start, spec, seed, iterations)
+    for search in (pso.pso, compiled.pso):
+        fast = search(problems.problem(world), length, start, spec, seed)
+        assert fast.history == pytest.approx(slow.history, rel=1e-9)
+        assert fast.signals == pytest.approx(slow.u_gb, abs=1e-9)
+        assert fast.cost == fast.history[-1]
+        assert (fast.length, fast.stopped) == (length, "iterations")
+        assert fast.evaluations == particles * (iterations + 1) + warm
+
+
+@SEARCHERS
+def test_line_5_takes_a_bad_warm_start_and_19_then_drops_it(search):
+    world = problems.world(1, robots=1, obstacles=0)
+    problem = problems.problem(world)
+    x, y, _, target_x, target_y, *_ = world.robots[0]
+    away = np.full(8, math.atan2(y - target_y, x - target_x))
+    found = search(problem, 8, away, swarm(30, 5), 11)
+    assert found.history[0] == pytest.approx(evaluate(problem, away[None]).total[0], rel=1e-12)
+    scattered = pso.Swarm.scatter(swarm(30, 5), 8, 11)
+    best = evaluate(problem, scattered.best).total.min()
+    assert found.history[0] > best  # taken without comparing it with the swarm
+    assert found.history[1] <= best * (1 + 1e-12)
+
+
+@SEARCHERS
+def test_a_warm_start_nobody_beats_is_returned_as_it_was(search):
+    world = problems.world(2, robots=1, obstacles=0)
+    x, y, theta, *_, a, v = world.robots[0]
+    straight = (x + 8 * 0.2 * v * math.cos(theta), y + 8 * 0.2 * v * math.sin(theta))
+    world.robots[0] = (x, y, theta, *straight, a, v)
+    warm = np.full(8, math.remainder(theta, 2 * math.pi))
+    kept = warm.copy()
+    found = search(problems.problem(world), 8, warm, swarm(5, 3), 1)
+    assert found.signals.tolist() == kept.tolist()
+    assert found.cost == pytest.approx(0, abs=1e-9)
+    assert warm.tolist() == kept.tolist()  # the caller's array is left alone
+    assert found.signals is not warm
+
+
+@SEARCHERS
+def test_a_search_only_gets_better_and_stays_within_its_bounds(search):
+    found = search(problems.problem(problems.world(4)), 20, None, swarm(40, 60), 5)
+    assert np.all(np.diff(found.history) <= 0)
+    assert found.history[-1] < found.history[0]
+    assert len(found.history) == 61
+    assert np.abs(found.signals).max() <= math.pi
+
+
+@SEARCHERS
+def test_the_stated_cost_is_that_of_the_sequence(search):
+    world = problems.world(5)
+    found = search(problems.problem(world), 9, None, swarm(20, 30), 5)
+    assert found.cost == pytest.approx(oracle.cost(world, found.signals), rel=1e-9)
+
+
+@SEARCHERS
+@pytest.mark.parametrize("warm", [False, True])
+def test_a_budget_ends_a_search_with_the_best_so_far(search, warm):
+    problem = problems.problem(problems.world(6))
+    start = np.zeros(5) if warm else None
+    whole = search(problem, 5, start, swarm(10, 20), 3)
+    for budget in (1, 10, 20 + warm, 29 + warm, 57, 210 + warm, 10_000):
+        found = search(problem, 5, start, swarm(10, 20), 3, budget)
+        done = max(0, min(20, (budget - 10 - warm) // 10))
+        assert found.history.tolist() == whole.history[: done + 1].tolist()
+        assert found.evaluations == 10 * (done + 1) + warm
+        assert found.stopped == ("iterations" if done == 20 else "evaluations")
+
+
+@SEARCHERS
+def test_the_paper_stop_ends_a_search_at_a_standstill(search):
+    """One particle that knows the best already cannot improve on it, so log 0 stops at z = 11."""
+    world = problems.world(2, robots=1, obstacles=0)
+    x, y, theta, *_, a, v = world.robots[0]
+    world.robots[0] = (x, y, theta, x + 0.2 * v * math.cos(theta) + 1, y, a, v)
+    found = search(problems.problem(world), 1, np.zeros(1), swarm(1, 100, {"type": "paper"}), 1)
+    assert (len(found.history) - 1, found.stopped) == (11, "criterion")
+
+
+@SEARCHERS
+def test_a_target_ends_a_search_as_soon_as_it_is_met(search):
+    problem = problems.problem(problems.world(6))
+    whole = search(problem, 5, None, swarm(10, 20), 3)
+    for z in (1, 4, 12):
+        stop = {"type": "target", "cost": float(whole.history[z])}
+        found = search(problem, 5, None, swarm(10, 20, stop), 3)
+        first = max(1, int(np.argmax(whole.history <= whole.history[z])))
+        assert found.history.tolist() == whole.history[: first + 1].tolist()
+        assert found.stopped == "target"
+
+
+@SEARCHERS
+@pytest.mark.parametrize("length", [1, 4])
+def test_draws_depend_on_the_key_alone(search, length):
+    problem = problems.problem(problems.world(8))
+    one, two, other = (search(problem, length, None, swarm(9, 4), key) for key in (1, 1, 2))
+    assert one.history.tobytes() == two.history.tobytes()
+    assert one.signals.tobytes() == two.signals.tobytes()
+    assert one.signals.tobytes() != other.signals.tobytes()
+
+
+def test_the_swarm_is_scattered_over_its_whole_search_space():
+    found = pso.Swarm.scatter(swarm(2000), 3, 1)
+    assert {part.shape for part in (found.u, found.v, found.best)} == {(2000, 3)}
+    for part, bound in ((found.u, math.pi), (found.v, 2 * math.pi), (found.best, math.pi)):
+        assert np.abs(part).max() <= bound
+        assert part.min() < -0.99 * bound
+        assert part.max() > 0.99 * bound
+        assert abs(part.mean()) < 0.05 * bound
+    assert abs(np.corrcoef(found.u.ravel(), found.best.ravel())[0, 1]) < 0.05
+
+
+@SEARCHERS
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e308])
+@pytest.mark.parametrize("warm", [None, np.zeros(3)])
+def test_costs_that_are_not_finite_are_refused(search, bad, warm):
+    world = problems.world(9, robots=2)
+    world.robots[1] = (bad, *world.robots[1][1:3], -bad, *world.robots[1][4:])
+    with np.errstate(all="ignore"), pytest.raises(ControlError, match="not finite") as caught:
+        search(problems.problem(world), 3, warm, swarm(), 1)
+    assert caught.value.hint

@@ -1,0 +1,96 @@
+import importlib.util
+import json
+import re
+
+import jsonschema
+import pytest
+from support.paths import ROOT
+
+from tetractl.experiment.load import load_spec, resolved_yaml
+from tetractl.experiment.yaml.document import parse_document
+from tetractl.experiment.yaml.schema import describe, experiment_schema, homes, schema_json
+
+EXPERIMENTS = ROOT / "experiments"
+COMMITTED = EXPERIMENTS / "experiment.schema.json"
+SPECS = sorted(EXPERIMENTS.glob("*.yaml"))
+
+
+def reference():
+    path = ROOT / "docs" / "make_reference.py"
+    found = importlib.util.spec_from_file_location("make_reference", path)
+    assert found is not None
+    assert found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
+
+
+def test_the_committed_schema_is_that_of_the_models():
+    assert COMMITTED.read_text(encoding="utf-8") == schema_json(), (
+        f"run: tetractl schema -o {COMMITTED.relative_to(ROOT)}"
+    )
+
+
+def test_the_committed_reference_is_that_of_the_models():
+    module = reference()
+    page = module.PAGE.read_text(encoding="utf-8")
+    assert page == module.page(page), "run: python docs/make_reference.py"
+
+
+def test_the_walk_through_quotes_the_experiment_it_walks_through():
+    written = (ROOT / "docs" / "reference" / "spec.md").read_text(encoding="utf-8")
+    quotes = re.findall(r"```yaml\n(.*?)```", written, flags=re.DOTALL)
+    experiment = (EXPERIMENTS / "three_m3pi.yaml").read_text(encoding="utf-8")
+    assert len(quotes) > 8
+    assert [quote for quote in quotes if quote not in experiment] == []
+
+
+def test_every_field_and_kind_has_a_description():
+    schema = experiment_schema()
+    bare = [
+        f"{model}.{name}"
+        for model, node in {"Experiment": schema, **schema["$defs"]}.items()
+        for name, field in node["properties"].items()
+        if name != "type" and "description" not in field
+    ]
+    bare += [model for model, node in schema["$defs"].items() if "description" not in node]
+    assert bare == []
+
+
+def validator():
+    schema = json.loads(COMMITTED.read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+@pytest.mark.parametrize("path", SPECS, ids=lambda path: path.stem)
+def test_shipped_experiments_satisfy_the_committed_schema(path):
+    written = parse_document(path.read_text(encoding="utf-8"), path.name).data
+    resolved = parse_document(resolved_yaml(load_spec(path).experiment), path.name).data
+    assert list(validator().iter_errors(written)) == []
+    assert list(validator().iter_errors(resolved)) == []
+
+
+@pytest.mark.parametrize(
+    "change", [{"trials": 3}, {"unknown": 1}, {"units": {"length": "mile"}}, {"robots": []}]
+)
+def test_the_schema_refuses_what_the_models_refuse(change):
+    data = parse_document(SPECS[0].read_text(encoding="utf-8"), "s").data | change
+    assert not validator().is_valid(data)
+
+
+def test_a_place_in_a_spec_is_described_by_the_kind_that_stands_there():
+    data = {"obstacles": [{"type": "circle"}, {"type": "rectangle"}, {"type": "none"}, 3]}
+    assert list(describe(("obstacles", 0), data)["properties"]) == ["type", "center", "radius"]
+    assert "left" in describe(("obstacles", 1), data)["properties"]
+    assert "properties" not in describe(("obstacles", 2), data)
+    assert describe(("robots", 0, "start", 1), data)["type"] == "number"
+    assert "radius" in describe(("wheels",), data)["properties"]
+    assert describe(("nothing", 0, "here"), data) == {}
+
+
+def test_fields_are_found_by_name_anywhere():
+    assert list(homes("particles")) == ["controller.swarm.particles"]
+    assert list(homes("window")) == ["controller.swarm.stop.window"]
+    assert "robots.0.speed" in homes("speed")
+    assert list(homes("nothing")) == []

@@ -1,0 +1,137 @@
+"""The emulated driver and its cells in virtual time: the whole path from a direction to a cell."""
+
+import math
+
+import numpy as np
+import pytest
+from support.field_bench import LIMITS, Wire, section
+
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.poses import Pose
+from tetractl.lab import firmware
+from tetractl.lab.actuators.field.protocol import Status
+from tetractl.lab.emulate.cells import Cell, Dish
+from tetractl.lab.emulate.field import CurrentDriver
+from tetractl.lab.emulate.loop import Timeline
+from tetractl.lab.emulate.port import PseudoPort
+
+pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
+
+A, SPEED = 4.0, 0.3  # rad/s, mm/s
+
+
+class Stage:
+    """One cell in a dish under the actuator, in virtual time; the ambient field is cancelled."""
+
+    def __init__(self, tmp_path, heading=0.0, noise=0.0, seed=1, **changes):
+        spec = section(**changes)
+        self.clock = VirtualClock()
+        self.timeline = Timeline(lambda until: self.dish.advance(until))
+        self.driver = CurrentDriver(self.timeline, PseudoPort(tmp_path / "unused"), LIMITS)
+        self.cell = Cell("cell", 1.0, 2.0, heading, A, SPEED, noise)
+        coils, reference = spec.calibrated_coils(), spec.strength_mt
+        self.dish = Dish(self.driver, coils, reference, [self.cell], 0, seed)
+        self.actuator = spec.build(np.array([A]), np.array([SPEED]), self.clock)
+        self.actuator.driver = Wire(self.clock, self.driver)
+
+    def run(self, seconds, direction=None):
+        """Let time pass, under a held direction or without any command."""
+        end = self.clock.now() + round(seconds * SECOND)
+        while self.clock.now() < end:
+            if direction is not None:
+                pose = Pose(self.cell.x, self.cell.y, self.cell.heading)
+                self.actuator.steer(direction, [pose], [True], self.clock.now())
+            self.clock.sleep_until(min(end, self.clock.now() + self.actuator.period_ns))
+            self.timeline.run_to(self.clock.now())
+
+
+def test_a_cell_turns_as_the_closed_form_says(tmp_path):
+    stage = Stage(tmp_path, heading=-0.7)
+    stage.run(0.8, direction=1.1)
+    phi = 2 * math.atan(math.tan(1.8 / 2) * math.exp(-A * 0.8))
+    assert 1.1 - stage.cell.heading == pytest.approx(phi, abs=0.03)  # coils lag, currents slew
+    assert stage.dish.field_mt == pytest.approx((2 * math.cos(1.1), 2 * math.sin(1.1)), abs=0.005)
+
+
+def test_a_cell_reaches_a_target_it_is_steered_to(tmp_path):
+    stage = Stage(tmp_path, heading=2.5)
+    for _ in range(200):
+        stage.run(0.1, direction=math.atan2(1.0 - stage.cell.y, 3.0 - stage.cell.x))
+        if math.hypot(stage.cell.x - 3.0, stage.cell.y - 1.0) < 0.05:
+            break
+    assert math.hypot(stage.cell.x - 3.0, stage.cell.y - 1.0) < 0.05
+
+
+def test_cells_wait_for_the_first_field_and_swim_straight_on_without_one(tmp_path):
+    calm = {"gain_mt_a": 2.0}
+    stage = Stage(tmp_path, heading=0.4, coils={"x": calm, "y": calm})
+    stage.run(1.0)
+    assert (stage.cell.x, stage.cell.y, stage.cell.waiting) == (1.0, 2.0, True)
+    stage.run(0.1, direction=0.4)
+    stage.actuator.stop()
+    stage.run(0.1)
+    x, y, heading = stage.cell.x, stage.cell.y, stage.cell.heading
+    stage.run(1.0)
+    assert stage.cell.heading == pytest.approx(heading, abs=1e-6)
+    assert stage.cell.x - x == pytest.approx(SPEED * math.cos(heading), rel=1e-6)
+    assert stage.cell.y - y == pytest.approx(SPEED * math.sin(heading), rel=1e-6)
+    stage.cell.place(1.0, 2.0, 0.0)
+    stage.run(1.0)
+    assert (stage.cell.x, stage.cell.y) == (1.0, 2.0)
+
+
+def test_a_stop_leaves_the_ambient_field_which_turns_cells_slowly(tmp_path):
+    stage = Stage(tmp_path, heading=0.0)
+    stage.run(0.1, direction=0.0)
+    stage.actuator.stop()
+    stage.run(0.2)
+    x, y = stage.dish.field_mt
+    assert math.hypot(x, y) == pytest.approx(0.05)
+    before = stage.cell.heading
+    stage.run(1.0)
+    rate = A * 0.05 / 2 * math.sin(math.atan2(y, x) - before)
+    assert stage.cell.heading - before == pytest.approx(rate, rel=0.1)
+
+
+def test_the_watchdog_switches_the_field_off(tmp_path):
+    stage = Stage(tmp_path)
+    stage.run(0.5, direction=1.0)
+    stage.run(0.22)  # the last command came 0.025 s before
+    assert stage.driver.status == Status.RUNNING
+    stage.run(0.08)
+    assert stage.driver.status == Status.SILENT
+    assert max(map(abs, stage.driver.currents)) < 1e-3
+
+
+def test_currents_follow_with_the_coils_lag(tmp_path):
+    stage = Stage(tmp_path, slew_max_a_s=100.0)
+    stage.run(0.002, direction=stage.actuator.coils.rotation)
+    stage.run(0.004)
+    set_point = 0.6  # 6 ms at 100 A/s
+    lag = 0.4  # 4 ms at 100 A/s, what a ramp lags behind in the end
+    assert set_point - lag < stage.driver.currents[0] < set_point - lag / 2
+
+
+def test_heading_noise_is_brownian_and_repeats_with_its_seed(tmp_path):
+    def ends(seed):
+        stage = Stage(tmp_path, noise=0.2, seed=seed)
+        stage.cell.a = 0.0
+        stage.run(0.1, direction=0.0)
+        before = stage.cell.heading
+        stage.run(1.0)
+        return stage.cell.heading - before
+
+    many = [ends(seed) for seed in range(40)]
+    assert 0.13 < np.std(many) < 0.27
+    assert ends(7) == many[7]
+
+
+def test_a_driver_switched_off_makes_no_field(tmp_path):
+    stage = Stage(tmp_path)
+    stage.run(0.2, direction=1.0)
+    stage.driver.switch(False)
+    stage.run(0.2, direction=1.0)
+    assert max(map(abs, stage.driver.currents)) < 1e-6
+    stage.driver.switch(True)
+    stage.run(0.2, direction=1.0)
+    assert stage.dish.field_mt == pytest.approx((2 * math.cos(1), 2 * math.sin(1)), abs=0.005)

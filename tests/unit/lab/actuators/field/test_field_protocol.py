@@ -1,0 +1,102 @@
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tetractl.lab.actuators.field.protocol import (
+    Command,
+    Flag,
+    Reply,
+    Status,
+    decode_command,
+    decode_reply,
+    encode_command,
+    encode_reply,
+)
+from tetractl.lab.actuators.m3pi import cobs
+from tetractl.lab.errors import WireError
+
+WIRES = Path(__file__).parents[5] / "docs" / "reference" / "wires.md"
+COMMAND = Command(7, Flag.RUN | Flag.POLL, 300, -250)
+REPLY = Reply(7, Status.RUNNING, 1, 299, -250, 12_040, 253, 412, 0, 2000, 20_000, 250)
+
+i16, u8, u16 = st.integers(-32_768, 32_767), st.integers(0, 255), st.integers(0, 65_535)
+commands = st.builds(Command, u8, st.integers(0, 7).map(Flag), i16, i16)
+replies = st.builds(
+    Reply,
+    u8,
+    st.integers(0, 31).map(Status),
+    u8,
+    *(i16, i16, u16, i16),
+    *(u16, u16),
+    *(u16, st.integers(0, 2**32 - 1), u16),
+)
+
+
+@pytest.mark.parametrize("frame", [encode_command(COMMAND), encode_reply(REPLY)])
+def test_the_documented_bytes_are_those_sent(frame):
+    assert frame.hex(" ").upper() in " ".join(WIRES.read_text().split())
+
+
+def test_the_documented_command_unstuffed():
+    frame = bytes.fromhex("0A 53 07 05 2C 01 06 FF D7 D3 00")
+    assert encode_command(COMMAND) == frame
+    assert cobs.decode(frame[:-1]) == bytes.fromhex("53 07 05 2C 01 06 FF D7 D3")
+
+
+@given(commands)
+def test_commands_round_trip(command):
+    frame = encode_command(command)
+    assert frame.index(0) == len(frame) - 1 == 10
+    assert decode_command(frame[:-1]) == command
+
+
+@given(replies)
+def test_replies_round_trip(reply):
+    frame = encode_reply(reply)
+    assert frame.index(0) == len(frame) - 1 == 27
+    assert decode_reply(frame[:-1]) == reply
+
+
+@given(
+    st.binary(max_size=100) | st.binary(min_size=1, max_size=78).map(lambda b: cobs.seal(b)[:-1])
+)
+def test_any_bytes_are_a_frame_or_refused(raw):
+    for decode, encode in ((decode_command, encode_command), (decode_reply, encode_reply)):
+        try:
+            read = decode(raw)
+        except WireError:
+            continue
+        assert decode(encode(read)[:-1]) == read
+
+
+@given(commands, st.integers(0, 79))
+def test_one_flipped_bit_is_refused(command, bit):
+    frame = bytearray(encode_command(command)[:-1])
+    frame[bit // 8] ^= 1 << bit % 8
+    with pytest.raises(WireError):
+        decode_command(bytes(frame))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        Command(256, Flag.RUN),
+        Command(-1, Flag.RUN),
+        Command(0, Flag.RUN, 32_768, 0),
+        Command(0, Flag.RUN, 0, -32_769),
+        Command(0, Flag(8)),
+    ],
+)
+def test_what_does_not_fit_is_refused(command):
+    with pytest.raises(WireError):
+        encode_command(command)
+
+
+def test_unknown_flags_are_refused_and_unknown_status_bits_dropped():
+    with pytest.raises(WireError, match="flags"):
+        decode_command(cobs.seal(bytes.fromhex("53 01 08 00 00 00 00"))[:-1])
+    raw = bytearray(cobs.decode(encode_reply(REPLY)[:-1])[:-2])
+    raw[2] |= 0xE0
+    assert decode_reply(cobs.seal(bytes(raw))[:-1]) == REPLY

@@ -1,0 +1,41 @@
+import pytest
+from pydantic import ValidationError
+from support.field_bench import section
+
+from tetractl.lab.actuators.field.actuator import FieldActuator
+
+
+def test_defaults():
+    field = section()
+    assert (field.baud, field.rate, field.watchdog) == (115_200, 40.0, 0.25)
+    assert field.calibrated_coils().gain == (2.0, -4.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"type": "lamp"}, "'field'"),
+        ({"strength_mt": 0}, "greater than 0"),
+        ({"coils": {"x": {"gain_mt_a": 0}, "y": {"gain_mt_a": 1}}}, "a gain of 0 makes no field"),
+        ({"current_max_a": 0.01}, "too small to cancel the ambient field of coils.x"),
+        ({"rate": 10, "watchdog": 0.25}, "at 10 Hz it must be 0.3 s or more"),
+        ({"slew_max_a_s": float("inf")}, "finite"),
+        ({"wheels": 2}, "Extra inputs"),
+    ],
+)
+def test_what_cannot_be_is_one_clear_line(changes, says):
+    with pytest.raises(ValidationError) as got:
+        section(**changes)
+    (error,) = got.value.errors()
+    assert says in error["msg"]
+    assert "\n" not in error["msg"]
+
+
+def test_a_section_builds_its_actuator():
+    class Clock:
+        def now(self):
+            return 0
+
+    actuator = section(rate=50).build([1.0, 2.0], [300.0, 200.0], Clock())
+    assert isinstance(actuator, FieldActuator)
+    assert (actuator.period_ns, actuator.individual, actuator.failure) == (20_000_000, False, None)

@@ -1,0 +1,266 @@
+"""The robot's C core against the Python codec, byte by byte, and its own C tests."""
+
+import contextlib
+import random
+import shutil
+import subprocess
+
+import pytest
+from support.paths import ROOT
+
+from tetractl.core.errors import TetractlError
+from tetractl.lab import firmware
+from tetractl.lab.actuators.m3pi import core as m3pi
+from tetractl.lab.actuators.m3pi.broadcast import (
+    REPLY_SLOT_MS,
+    ROBOTS_MAX,
+    WATCHDOG_MS,
+    Command,
+    Flag,
+    Reply,
+    Status,
+    decode_command,
+    decode_reply,
+    encode_command,
+    encode_reply,
+)
+from tetractl.lab.actuators.m3pi.cobs import decode, encode, seal
+from tetractl.lab.actuators.m3pi.core import Core, Event
+from tetractl.lab.errors import WireError
+
+needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
+FOLDER = ROOT / "firmware"
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return m3pi.load(tmp_path_factory.mktemp("firmware"))
+
+
+def run(sequence, *wheels, flags=Flag.RUN):
+    return encode_command(Command(sequence, flags, wheels))
+
+
+@needs_compiler
+def test_every_robot_obeys_its_own_wheels(library):
+    rng = random.Random(1)
+    for robots in range(ROBOTS_MAX + 1):
+        wheels = [(rng.randint(-127, 127), rng.randint(-127, 127)) for _ in range(robots)]
+        for index in {0, max(0, robots - 1), robots, 255}:
+            core = Core(index, library)
+            assert core.push(run(robots, *wheels), 0) == [Event.ACCEPTED]
+            assert core.wheels(0) == (wheels[index] if index < robots else (0, 0))
+
+
+@needs_compiler
+def test_core_and_codec_agree_on_what_a_frame_is(library):
+    rng = random.Random(2)
+    core = Core(0, library)
+    seen = dict.fromkeys(Event, 0)
+    for _ in range(30_000):
+        frame = damaged(rng)
+        expected = None
+        with contextlib.suppress(WireError):
+            expected = decode_command(frame)
+        before = core.wheels(0)
+        events = core.push(frame + b"\0", 0)
+        for event in events:
+            seen[event] += 1
+        if expected is None:
+            assert events in ([], [Event.REJECTED], [Event.FOREIGN])
+            assert core.wheels(0) == before
+        else:
+            assert events in ([Event.ACCEPTED], [Event.STALE])
+            runs = expected.flags & (Flag.RUN | Flag.EMERGENCY_STOP) == Flag.RUN
+            if not runs:
+                assert core.wheels(0) == (0, 0)
+            elif events == [Event.ACCEPTED]:
+                assert core.wheels(0) == (expected.wheels or ((0, 0),))[0]
+            else:
+                assert core.wheels(0) == before
+            if Flag.EMERGENCY_STOP in expected.flags or rng.random() < 0.05:
+                core = Core(0, library)
+    assert min(count for event, count in seen.items() if event is not Event.NOTHING) > 200
+
+
+def damaged(rng):
+    """Return a frame without its 00: good, damaged, or well sealed but wrong inside."""
+    wheels = tuple((rng.randint(-127, 127), rng.choice([0, 5])) for _ in range(rng.randrange(4)))
+    flags = rng.choice([Flag.RUN, Flag.RUN, Flag.RUN | Flag.POLL, Flag(0), Flag.EMERGENCY_STOP])
+    frame = bytearray(encode_command(Command(rng.randrange(256), flags, wheels))[:-1])
+    match rng.randrange(6):
+        case 0:
+            frame[rng.randrange(len(frame))] ^= 1 << rng.randrange(8)
+        case 1:
+            del frame[rng.randrange(len(frame)) :]
+        case 2:
+            frame[rng.randrange(len(frame) + 1) :] = rng.randbytes(rng.randint(1, 90))
+        case 3:
+            body = bytes([rng.choice([0x51, 0x51, 0x52]), 0, rng.randrange(16), rng.randrange(4)])
+            frame = bytearray(seal(body + rng.randbytes(rng.randrange(8)))[:-1])
+        case 4:
+            frame = bytearray(encode(rng.randbytes(rng.randrange(300)))[:-1])
+    return bytes(frame.replace(b"\0", b"\x01"))
+
+
+@needs_compiler
+def test_bytes_behind_the_longest_frame_spoil_it(library):
+    core = Core(0, library)
+    longest = run(1, *[(5, 5)] * ROBOTS_MAX)
+    assert core.push(encode(decode(longest[:-1]) + b"x"), 0) == [Event.REJECTED]
+    assert core.push(encode(decode(longest[:-1]) + b"\0"), 0) == [Event.REJECTED]
+    assert core.wheels(0) == (0, 0)
+    assert core.push(longest, 0) == [Event.ACCEPTED]
+
+
+@needs_compiler
+@pytest.mark.parametrize("start", [0, 1_000_000, 2**32 - 100])
+def test_watchdog_stops_after_its_time_and_not_before(library, start):
+    core = Core(0, library)
+    assert core.status(start) == Status.SILENT
+    core.push(run(1, (50, 60)), start)
+    for late in range(WATCHDOG_MS):
+        assert core.wheels(start + late) == (50, 60)
+    assert core.wheels(start + WATCHDOG_MS) == (0, 0)
+    assert core.status(start + WATCHDOG_MS) == Status.SILENT
+    core.push(run(2, (7, 8)), start + 1000)
+    assert core.wheels(start + 1000) == (7, 8)
+    assert core.status(start + 1000) == Status.RUNNING
+
+
+@needs_compiler
+def test_damaged_and_stale_frames_do_not_feed_the_watchdog(library):
+    core = Core(0, library)
+    core.push(run(5, (50, 60)), 0)
+    bad = bytearray(run(6, (50, 60)))
+    bad[3] ^= 2
+    for now in range(1, WATCHDOG_MS):
+        assert core.push(bytes(bad), now) == [Event.REJECTED]
+        assert core.push(run(5, (1, 1)), now) == [Event.STALE]
+    assert core.wheels(WATCHDOG_MS - 1) == (50, 60)
+    assert core.wheels(WATCHDOG_MS) == (0, 0)
+
+
+@needs_compiler
+@pytest.mark.parametrize("last", [0, 1, 127, 128, 200, 255])
+def test_sequence_numbers_wrap_round(library, last):
+    for ahead in range(256):
+        core = Core(0, library)
+        core.push(run(last, (1, 1)), 0)
+        events = core.push(run((last + ahead) % 256, (2, 2)), 1)
+        is_new = 1 <= ahead <= 127
+        assert events == [Event.ACCEPTED if is_new else Event.STALE]
+        assert core.wheels(1) == ((2, 2) if is_new else (1, 1))
+
+
+@needs_compiler
+def test_a_restarted_controller_is_taken_up_once_the_robot_stands(library):
+    core = Core(0, library)
+    core.push(run(100, (9, 9)), 0)
+    taken_up = None
+    for step, now in enumerate(range(20, 400, 20)):
+        if core.push(run(step, (1, 1)), now) == [Event.ACCEPTED]:
+            taken_up = now
+            break
+        assert core.wheels(now) == (9, 9)
+    assert taken_up == 260  # the first one after the watchdog
+
+
+@needs_compiler
+def test_a_stop_is_obeyed_even_when_old(library):
+    core = Core(0, library)
+    core.push(run(100, (9, 9)), 0)
+    assert core.push(run(99, (9, 9), flags=Flag(0)), 1) == [Event.STALE]
+    assert core.wheels(1) == (0, 0)
+    assert core.status(1) == Status(0)
+
+
+@needs_compiler
+def test_emergency_stop_holds_until_power_is_cycled(library):
+    core = Core(0, library)
+    core.push(run(1, (9, 9)), 0)
+    core.push(run(2, (9, 9), flags=Flag.RUN | Flag.EMERGENCY_STOP), 1)
+    for now in range(2, 2000, 20):
+        core.push(run(now // 20 % 256, (9, 9)), now)
+        assert core.wheels(now) == (0, 0)
+        assert Status.EMERGENCY_STOPPED in core.status(now)
+    core = Core(0, library)
+    core.push(run(1, (9, 9)), 0)
+    assert core.wheels(0) == (9, 9)
+
+
+@needs_compiler
+def test_polled_robots_answer_once_each_in_its_slot(library):
+    cores = [Core(index, library) for index in range(3)]
+    poll = run(0, flags=Flag.POLL)
+    for index, core in enumerate(cores):
+        core.set_battery(4900 + index)
+        assert core.push(b"\x05rubbish\0" + poll, 10) == [Event.REJECTED, Event.ACCEPTED]
+    answers = {}
+    for now in range(10, 100):
+        for index, core in enumerate(cores):
+            if reply := core.take_reply(now):
+                answers[now] = (index, reply)
+    assert [now - 10 for now in answers] == [0, REPLY_SLOT_MS, 2 * REPLY_SLOT_MS]
+    for index, raw in answers.values():
+        reply = decode_reply(raw[:-1])
+        assert reply == Reply(index, 0, Status(0), 4900 + index, 1, 1)
+        assert encode_reply(reply) == raw
+        assert cores[0].push(raw, 200) == [Event.FOREIGN]
+    assert cores[0].take_reply(200) == b""
+
+
+@needs_compiler
+def test_counters_count_modulo_65536(library):
+    core = Core(0, library)
+    frame = run(0, flags=Flag(0))
+    for _ in range(65_536 // 64 + 1):
+        core.push(frame * 64, 0)
+    core.push(run(1, flags=Flag.POLL), 0)
+    assert decode_reply(core.take_reply(0)[:-1]).received == 65
+
+
+@needs_compiler
+def test_a_source_that_does_not_compile_is_one_clear_line(tmp_path, monkeypatch):
+    for name in ("m3pi_core.c", "m3pi_core.h", "framing.c", "framing.h"):
+        (tmp_path / name).write_text("this is not C\n")
+    monkeypatch.setattr(firmware, "source_folder", lambda: tmp_path)
+    with pytest.raises(TetractlError, match=r"could not build the firmware's core: .*error") as got:
+        firmware.load("m3pi", tmp_path / "out")
+    assert "\n" not in str(got.value)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_without_a_compiler_the_error_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(TetractlError, match="no C compiler") as got:
+        firmware.load("m3pi", tmp_path / "out")
+    assert got.value.hint
+
+
+@needs_compiler
+def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    firmware.load("m3pi")
+    (built,) = (tmp_path / "tetractl").iterdir()
+    monkeypatch.setattr(firmware, "compiler", lambda: None)
+    assert firmware.load("m3pi").m3pi_size() > 0
+    assert list((tmp_path / "tetractl").iterdir()) == [built]
+
+
+@pytest.mark.skipif(
+    shutil.which("make") is None or shutil.which("gcc") is None, reason="no make or gcc found"
+)
+@pytest.mark.parametrize("target", ["test", "sanitize"])
+def test_the_firmwares_own_tests_pass(tmp_path, target):
+    done = subprocess.run(
+        ["make", "--no-print-directory", f"BUILD={tmp_path}", target],
+        cwd=FOLDER,
+        capture_output=True,
+        text=True,
+    )
+    if target == "sanitize" and "cannot find -l" in done.stderr:
+        pytest.skip("the compiler has no sanitizer libraries")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.endswith("\npassed\n")

@@ -1,0 +1,75 @@
+"""The camera's part of a spec; needs no OpenCV."""
+
+import builtins
+import sys
+
+import pytest
+from pydantic import ValidationError
+
+from tetractl.core.clock import VirtualClock
+from tetractl.core.errors import AbortError, SpecError
+from tetractl.lab.cameras.apriltag.section import AprilTagSection
+
+ROBOT = {"name": "green", "tag": 1, "size_mm": 80, "height_mm": 90}
+FLOOR = [
+    {"tag": 100 + i, "at": at, "size_mm": 120}
+    for i, at in enumerate([(0, 0), (1, 0), (1, 1), (0, 1)])
+]
+GOOD = {
+    "type": "apriltag",
+    "source": {"type": "mjpeg", "url": "http://192.168.1.30:8080/stream?x=1"},
+    "robots": [ROBOT],
+    "floor": FLOOR,
+}
+
+
+def test_the_shortest_section_is_read():
+    section = AprilTagSection.model_validate(GOOD)
+    assert section.family == "36h11"
+    assert section.lens is None
+    assert [robot.name for robot in section.ordered(["green"])] == ["green"]
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"source": {"type": "mjpeg", "url": "https://camera/"}}, "url"),
+        ({"source": {"type": "mjpeg", "url": "http://user:word@camera/"}}, "url"),
+        ({"source": {"type": "device", "index": -1}}, "index"),
+        ({"source": {"type": "usb"}}, "source"),
+        ({"robots": [ROBOT, {**ROBOT, "tag": 2}]}, "green stands here twice"),
+        ({"robots": [{**ROBOT, "tag": 100}]}, "tag 100 is used twice"),
+        ({"robots": [{**ROBOT, "tag": 587}]}, "tag"),
+        ({"floor": FLOOR[:3]}, "floor"),
+        ({"floor": [{**tag, "at": (i, i)} for i, tag in enumerate(FLOOR)]}, "in one line"),
+        ({"lens": {"focal_px": 900, "distortion": [0.1, 0.2]}}, "coefficients"),
+        ({"min_margin": 3}, "min_margin"),
+    ],
+)
+def test_what_cannot_be_is_refused(change, where):
+    with pytest.raises(ValidationError, match=where):
+        AprilTagSection.model_validate({**GOOD, **change})
+
+
+def test_a_robot_without_a_tag_is_named():
+    section = AprilTagSection.model_validate(GOOD)
+    with pytest.raises(SpecError, match="no tag for blue, red"):
+        section.ordered(["green", "blue", "red"])
+
+
+def test_without_opencv_one_line_tells_what_to_install(monkeypatch):
+    imported = builtins.__import__
+
+    def without(name, *args, **kwargs):
+        if name == "cv2":
+            raise ModuleNotFoundError("No module named 'cv2'", name="cv2")
+        return imported(name, *args, **kwargs)
+
+    for name in list(sys.modules):
+        if name.startswith("tetractl.lab.cameras.apriltag.") and not name.endswith("section"):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(builtins, "__import__", without)
+    section = AprilTagSection.model_validate(GOOD)
+    with pytest.raises(AbortError, match="needs OpenCV") as caught:
+        section.build(["green"], 1e-3, VirtualClock(), lambda: None)
+    assert caught.value.hint == "pip install 'tetractl[vision]'"

@@ -1,0 +1,49 @@
+"""The public `natnet` client reads what we pack, and reads it as we do."""
+
+import pytest
+from support.natnet_samples import every_version, full_frame, full_modeldef
+
+from tetractl.lab.cameras.optitrack.wire import HEADER, parse
+
+pytest.importorskip("natnet", reason="the PyPI package natnet is not installed")
+
+from natnet.data_descriptions import DataDescriptions
+from natnet.data_frame import DataFrame
+from natnet.packet_buffer import PacketBuffer
+from natnet.version import Version as TheirVersion
+
+
+@every_version
+def test_frames_are_read_alike(version):
+    packed = full_frame(version)
+    ours = parse(packed, version)
+    theirs = DataFrame.read_from_buffer(PacketBuffer(packed[HEADER:]), TheirVersion(*version))
+    assert theirs.prefix.frame_number == ours.number
+    assert [
+        (body.id_num, body.pos, body.rot, body.marker_error, body.tracking_valid)
+        for body in theirs.rigid_bodies
+    ] == [
+        (body.id, body.position, body.quaternion, body.mean_error, body.tracking_valid)
+        for body in ours.bodies
+    ]
+    assert len(theirs.labeled_markers) == 2
+    if version >= (2, 11):
+        assert theirs.devices[0].channel_arrays == ((3.0,),)
+    if version >= (4, 1):
+        assert len(theirs.assets[0].markers) == 2
+    if (3, 0) <= version < (4, 1):  # it does not know the suffixes before and after
+        assert theirs.suffix.timestamp == ours.timestamp_s
+        assert theirs.suffix.stamp_transmit == ours.ticks.transmit
+        assert theirs.suffix.param == ours.params
+
+
+@every_version
+def test_names_are_read_alike(version):
+    # natnet 0.3.0 takes a force plate's four corners for three, and would read our asset
+    model, packed = full_modeldef(version, awkward=False)
+    theirs = DataDescriptions.read_from_buffer(
+        PacketBuffer(packed[HEADER:]), TheirVersion(*version)
+    )
+    assert [(body.name, body.id_num) for body in theirs.rigid_bodies] == [
+        (body.name, body.id) for body in model.bodies
+    ]

@@ -1,0 +1,297 @@
+"""NatNet packing and parsing: round trips, layouts written out by hand, and damage."""
+
+import random
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.natnet_samples import every_version, full_frame, full_modeldef
+
+from tetractl.lab.cameras.optitrack import handshake
+from tetractl.lab.cameras.optitrack.messages import (
+    Bare,
+    BodyName,
+    Channels,
+    Clutter,
+    Connect,
+    EchoRequest,
+    EchoResponse,
+    Frame,
+    Kind,
+    ModelDef,
+    Request,
+    Response,
+    RigidBody,
+    ServerInfo,
+    Text,
+    Ticks,
+    Version,
+)
+from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
+from tetractl.lab.cameras.optitrack.wire import datagram, pack, pack_full_frame, parse
+from tetractl.lab.errors import WireError
+
+f32 = st.floats(width=32, allow_nan=False)
+f64 = st.floats(allow_nan=False)
+i32 = st.integers(-(2**31), 2**31 - 1)
+u16, u32, u64 = (st.integers(0, 2**bits - 1) for bits in (16, 32, 64))
+vec3 = st.tuples(f32, f32, f32)
+names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=60)
+
+
+def tuples(items, most=3):
+    return st.lists(items, max_size=most).map(tuple)
+
+
+def bodies(version):
+    valid = st.booleans() if version >= (2, 6) else st.none()
+    return tuples(st.builds(RigidBody, i32, vec3, st.tuples(f32, f32, f32, f32), f32, valid))
+
+
+def frames(version):
+    def since(oldest, strategy):
+        return strategy if version >= oldest else st.none()
+
+    return st.builds(
+        Frame,
+        number=i32,
+        bodies=bodies(version),
+        timecode=u32,
+        subframe=u32,
+        params=u16 if version >= (2, 6) else st.just(0),
+        latency=f32 if version < (3, 0) else st.none(),
+        timestamp_s=since((2, 6), f64 if version >= (2, 7) else f32),
+        ticks=since((3, 0), st.builds(Ticks, u64, u64, u64)),
+        precision=since((4, 1), st.tuples(u32, u32)),
+    )
+
+
+def clutters(version):
+    channels = tuples(st.builds(Channels, i32, tuples(tuples(f32))))
+    return st.builds(
+        Clutter,
+        marker_sets=tuples(st.tuples(names, tuples(vec3))),
+        other_markers=tuples(vec3),
+        body_markers=tuples(vec3),
+        skeletons=tuples(st.tuples(i32, bodies(version))),
+        assets=tuples(st.tuples(i32, bodies(version), tuples(vec3))),
+        labelled_markers=tuples(st.tuples(i32, vec3)),
+        force_plates=channels,
+        devices=channels,
+    )
+
+
+@every_version
+@settings(max_examples=40)
+@given(data=st.data())
+def test_frames_round_trip(version, data):
+    frame = data.draw(frames(version))
+    assert parse(pack(frame, version), version) == frame
+    assert parse(pack_full_frame(frame, version, data.draw(clutters(version))), version) == frame
+
+
+@every_version
+@settings(max_examples=20)
+@given(found=tuples(st.builds(BodyName, names, i32, i32)), markers=st.integers(0, 3))
+def test_models_round_trip(version, found, markers):
+    model = ModelDef(found)
+    payload = pack_modeldef(model, version, markers=markers)
+    assert parse(datagram(Kind.MODELDEF, payload), version) == model
+
+
+@every_version
+def test_models_are_found_behind_other_data_sets(version):
+    model, packed = full_modeldef(version)
+    assert parse(packed, version) == model
+    assert model.ids() == {"green": 1, "blü": 2}
+
+
+@pytest.mark.parametrize("version", [Version(2, 9), Version(4, 0)], ids=str)
+def test_an_unknown_data_set_ends_the_reading_and_says_so(version):
+    packed = pack_modeldef(ModelDef((BodyName("green", 1),)), version, [(9, b"?")])
+    assert parse(datagram(Kind.MODELDEF, packed), version) == ModelDef((), complete=False)
+
+
+def test_a_skeletons_bones_are_not_robots():
+    bone = b"hip\0" + struct.pack("<ii3fi", 1, 0, 0, 0, 0, 0)
+    other = (2, b"actor\0" + struct.pack("<ii", 5, 1) + bone)
+    payload = pack_modeldef(ModelDef((BodyName("green", 4),)), Version(3, 1), [other])
+    assert parse(datagram(Kind.MODELDEF, payload), Version(3, 1)).ids() == {"green": 4}
+
+
+def test_frame_2_9_as_written_by_hand():
+    body = struct.pack("<i7f", 3, 1, 2, 3, 0, 0, 0, 1)
+    body += struct.pack("<i3fif", 1, 9, 9, 9, 1, 0.01) + struct.pack("<fH", 0.5, 1)
+    payload = struct.pack("<iiii", 42, 0, 0, 1) + body + struct.pack("<iii", 0, 0, 0)
+    payload += struct.pack("<fIIdHi", 0.25, 6, 7, 8.5, 4, 0)
+    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, Version(2, 9))
+    assert frame == Frame(
+        42, (RigidBody(3, (1, 2, 3), (0, 0, 0, 1), 0.5, True),), 6, 7, 4, 0.25, 8.5
+    )
+    assert frame.edit_mode
+    assert not (frame.recording or frame.models_changed or frame.bitstream_changed)
+
+
+def test_frame_4_2_as_written_by_hand():
+    body = struct.pack("<i7ffH", 3, 1, 2, 3, 0, 0, 0, 1, 0.5, 2)
+    payload = struct.pack("<iiiiiii", 42, 0, 0, 0, 0, 1, 38) + body + bytes(5 * 8)
+    payload += struct.pack("<IIdQQQIIHi", 6, 7, 8.5, 10, 11, 12, 13, 14, 3, 0)
+    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, Version(4, 2))
+    ticks = Ticks(10, 11, 12)
+    body = RigidBody(3, (1, 2, 3), (0, 0, 0, 1), 0.5, False)
+    assert frame == Frame(42, (body,), 6, 7, 3, None, 8.5, ticks, (13, 14))
+    assert frame.recording
+    assert frame.models_changed
+    assert struct.unpack_from("<H", payload, len(payload) - 6) == (3,)  # params, from the tail
+
+
+@pytest.mark.parametrize(
+    ("message", "size"),
+    [
+        (Connect("tetractl", (1, 0, 0, 0), (4, 1, 0, 0)), 268),
+        (Connect("tetractl", (1, 0, 0, 0), (4, 1, 0, 0), True, (4, 1, 0, 0)), 273),
+        (ServerInfo("Motive", (1, 9, 0, 0), (2, 10, 0, 0)), 268),
+        (
+            ServerInfo("Motive", (3, 1, 0, 0), (4, 1, 0, 0), 10**7, 1511, True, (239, 255, 42, 99)),
+            283,
+        ),
+        (Bare(Kind.KEEPALIVE), 268),
+        (Bare(Kind.REQUEST_MODELDEF), 5),
+        (Bare(Kind.DISCONNECT), 5),
+        (Bare(Kind.UNRECOGNIZED), 4),
+        (EchoRequest(2**64 - 1), 12),
+        (EchoResponse(1, 2**64 - 1), 20),
+        (Request("FrameRate"), 14),
+        (Response(b"\0\0\xf0\x42"), 8),
+        (Text("hello"), 10),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_handshake_messages_round_trip_in_their_sizes(message, size):
+    packed = pack(message)
+    assert len(packed) == size
+    assert parse(packed) == message
+
+
+def test_details_of_the_handshake():
+    info = ServerInfo("Motive", (1, 9, 0, 0), (2, 10, 0, 0))
+    packed = bytearray(pack(info))
+    packed[4 + 7 : 4 + 256] = b"\xff" * 249  # garbage after the name's NUL
+    assert parse(bytes(packed)) == info
+    assert Version(2, 9) < info.version == (2, 10)
+    assert parse(datagram(Kind.CONNECT, b"Ping\0")) == Connect("Ping")
+    assert handshake.response_float(Response(struct.pack("<f", 120.0))) == 120.0
+    assert handshake.response_int(Response(struct.pack("<i", 1))) == 1
+    for read in (handshake.response_float, handshake.response_int):
+        with pytest.raises(WireError):
+            read(Response(b"text\0"))
+
+
+@pytest.mark.parametrize(
+    ("packed", "version"),
+    [
+        (b"", None),
+        (b"\x07\0\0", None),
+        (struct.pack("<HH", 7, 5) + bytes(4), Version(3, 0)),  # the header lies
+        (struct.pack("<HH", 11, 0), None),  # no such message
+        (pack(Frame(1, ()), Version(3, 0)), None),  # a frame before SERVERINFO
+        (pack(Frame(1, ()), Version(2, 5)), Version(2, 4)),
+        (pack(Frame(1, ()), Version(3, 0)), Version(4, 1)),  # another version's layout
+        (pack(Frame(1, ()), Version(4, 1)), Version(3, 0)),
+        (datagram(Kind.SERVER_INFO, bytes(263)), None),
+        (datagram(Kind.SERVER_INFO, bytes(260) + b"\4\1\0\0"), None),  # 4.1 is longer
+        (datagram(Kind.ECHO_RESPONSE, bytes(15)), None),
+        (datagram(Kind.REQUEST, b"x" * 300), None),
+        (datagram(Kind.MODELDEF, struct.pack("<ii", 1, 1) + b"x" * 300), Version(3, 0)),
+    ],
+)
+def test_bad_datagrams_raise_the_one_exception(packed, version):
+    with pytest.raises(WireError):
+        parse(packed, version)
+
+
+@pytest.mark.parametrize("count", [2**31 - 1, -1, 60, 2**31 // 19])
+@every_version
+def test_counts_beyond_the_datagram_are_refused(version, count):
+    packed = bytearray(pack(Frame(1, ()), version))
+    bodies_at = 4 + 4 + (16 if version >= (4, 1) else 8)
+    struct.pack_into("<i", packed, bodies_at, count)
+    with pytest.raises(WireError):
+        parse(bytes(packed), version)
+
+
+@pytest.mark.parametrize(
+    ("message", "version"),
+    [
+        (Frame(2**31, ()), Version(3, 0)),
+        (Frame(0, (RigidBody(1, (1e300, 0, 0), (0, 0, 0, 1), 0, True),)), Version(3, 0)),
+        (Frame(0, ()), Version(2, 4)),
+        (Frame(0, ()), Version(4, 4)),
+        (Frame(0, ()), None),
+        (ModelDef((BodyName("x" * 256, 1),)), Version(3, 0)),
+        (ModelDef((BodyName("a\0b", 1),)), Version(3, 0)),
+        (Frame(0, (RigidBody(1, (0, 0, 0), (0, 0, 0, 1), 0, True),) * 2000), Version(3, 0)),
+        (Request("x" * 256), None),
+        (EchoRequest(-1), None),
+    ],
+)
+def test_what_does_not_fit_is_not_packed(message, version):
+    with pytest.raises(WireError):
+        pack(message, version)
+
+
+@every_version
+def test_every_truncation_is_refused(version):
+    for whole in (full_frame(version), full_modeldef(version)[1]):
+        for size in range(4, len(whole)):
+            cut = whole[:2] + struct.pack("<H", size - 4) + whole[4:size]
+            with pytest.raises(WireError):
+                parse(cut, version)
+
+
+MUTATIONS_A_VERSION = 8_400  # of 12 versions: over 100,000
+
+
+@every_version
+def test_mutated_datagrams_never_raise_anything_else(version):
+    rng = random.Random(f"{version}")
+    whole = [
+        full_frame(version),
+        full_modeldef(version)[1],
+        pack(ServerInfo("Motive", (3, 1, 0, 0), (*version, 0, 0))),
+        pack(Connect("client", bitstream=(4, 1, 0, 0))),
+        pack(EchoResponse(1, 2)),
+    ]
+    weights = [8, 6, 1, 1, 1]
+    outcomes = {True: 0, False: 0}
+    for _ in range(MUTATIONS_A_VERSION):
+        one, other = rng.choices(whole, weights, k=2)
+        mutated = mutate(rng, bytearray(one), other)
+        try:
+            parse(mutated, version)
+        except WireError:
+            outcomes[False] += 1
+        else:
+            outcomes[True] += 1
+    assert min(outcomes.values()) > MUTATIONS_A_VERSION // 50  # both sides were really tried
+
+
+def mutate(rng, data, other):
+    for _ in range(rng.randint(1, 3)):
+        at = rng.randrange(len(data)) if data else 0
+        match rng.randrange(5):
+            case 0 if data:
+                data[at] ^= 1 << rng.randrange(8)
+            case 1:
+                del data[at:]
+            case 2:
+                data[at:] = other[rng.randrange(len(other)) :]
+            case 3 if len(data) >= 4:
+                count = rng.choice([0, 1, -1, 255, 65_536, 2**31 - 1, -(2**31), rng.getrandbits(8)])
+                struct.pack_into("<i", data, rng.randrange(len(data) - 3), count)
+            case _:
+                data[at:at] = rng.randbytes(rng.randint(1, 8))
+    if len(data) >= 4 and rng.random() < 0.8:  # else the header would stop most of them
+        struct.pack_into("<H", data, 2, len(data) - 4)
+    return bytes(data)

@@ -1,0 +1,57 @@
+"""Fault scripts: a small, strict schema; every shipped one is valid."""
+
+import pytest
+from support.emulated_lab import emulated
+from support.paths import ROOT
+
+from tetractl.core.errors import SpecError
+from tetractl.lab.emulate.script import FAULTS, load_script, parse_script
+
+FOLDER = ROOT / "experiments" / "faults"
+SCRIPTS = sorted(FOLDER.glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_shipped_scripts_are_valid_and_say_what_they_expect(path):
+    script = load_script(path)
+    assert script.expect is not None
+    assert script.row
+    assert {fault.robot for fault in script.faults} <= {None, "green", "blue", "red"}
+    marks = {fault.name for fault in script.faults if fault.fault == "mark"}
+    assert set(script.runner.on_mark) <= marks
+
+
+def test_every_fault_has_a_script():
+    used = {fault.fault for path in SCRIPTS for fault in load_script(path).faults}
+    assert used == set(FAULTS)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("faults: [{fault: nan, robot: green, speed: 3}]", "speed: unknown key"),
+        ("faults: [{fault: nam, robot: green}]", "fault must be one of no_server"),
+        ("faults: [{fault: nan}]", "nan needs robot"),
+        ("faults: [{fault: unplug, robot: green}]", "unplug does not take robot"),
+        ("faults: [{fault: unplug, at: -1}]", "greater than or equal to 0"),
+        ("faults: [{fault: unplug, at: .inf}]", "finite"),
+        ("faults: [{fault: unplug, since: tomorrow}]", "'start', 'client' or 'run'"),
+        ("faults: [{fault: jump, robot: green, by: [1]}]", "field required"),
+        ("faults: 3", "should be a valid tuple"),
+        ("expect: {outcome: nice, exit: 0}", "should be 'done'"),
+        ("emulation: {version: 4.1}", "string"),
+        ("faults: [{fault: unplug, at: 1, at: 2}]", "given twice"),
+        ("emulation: !!python/object:os.system {}", "line|tag"),
+    ],
+)
+def test_a_wrong_script_is_refused_with_its_place(text, message):
+    with pytest.raises(SpecError, match=message) as caught:
+        parse_script("about: x\n" + text, "script.yaml")
+    assert str(caught.value).startswith("script.yaml:2:")
+
+
+def test_a_script_for_another_spec_is_refused(tmp_path):
+    with pytest.raises(SpecError, match="pink is no robot"):
+        emulated(tmp_path, script="faults: [{fault: off, robot: pink}]")
+    with pytest.raises(SpecError, match=r"cannot emulate NatNet 2\.5"):
+        emulated(tmp_path, script="emulation: {version: '2.5'}")

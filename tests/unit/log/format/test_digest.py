@@ -1,0 +1,66 @@
+"""Two runs of one trial differ in nothing but the host records."""
+
+from pathlib import Path
+
+import pytest
+from mcap.records import Attachment, Metadata
+from support.random_trials import trial, write
+
+from tetractl.log import provenance
+from tetractl.log.format.channels import HOST_RECORDS, Entry
+from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.log.read.salvage import scan
+
+
+def _repeating(path: Path) -> list[Entry | Metadata | Attachment]:
+    names = {Entry: "topic", Metadata: "name", Attachment: "name"}
+    records = scan(path).records
+    return [item for item in records if getattr(item, names[type(item)]) not in HOST_RECORDS]
+
+
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another machine, another day, another checkout."""
+    monkeypatch.setattr(provenance, "now", lambda: "2031-01-01T00:00:00.000+00:00")
+    monkeypatch.setattr(provenance, "host", lambda: {"host": "another machine", "cpu": "other"})
+    monkeypatch.setattr(provenance, "versions", lambda: {"python": "3.99.0"})
+    monkeypatch.setattr(provenance, "environment", lambda: "{}\n")
+
+
+def test_the_digest_ignores_how_fast_the_host_was(tmp_path: Path) -> None:
+    one = write(trial(host_ns=5), tmp_path / "one.mcap")
+    two = write(trial(host_ns=987_654_321), tmp_path / "two.mcap")
+    assert _repeating(one) == _repeating(two)
+    assert read_trial(one).steps[0].solve_ns != read_trial(two).steps[0].solve_ns
+    assert content_digest(one) == content_digest(two)
+
+
+def test_the_digest_ignores_where_and_when(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    here = write(trial(), tmp_path / "here.mcap")
+    request.getfixturevalue("elsewhere")
+    there = write(trial(), tmp_path / "there.mcap")
+    assert scan(here).facts("tetractl.host") != scan(there).facts("tetractl.host")
+    assert scan(here).attachment("environment.json") != scan(there).attachment("environment.json")
+    assert _repeating(here) == _repeating(there)
+    assert content_digest(here) == content_digest(there)
+
+
+def test_the_log_states_its_digest(tmp_path: Path) -> None:
+    path = write(trial(), tmp_path / "trial.mcap")
+    assert read_result(path).digest == content_digest(path)
+    assert len(content_digest(path)) == 64
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"seed": 2},
+        {"index": 1},
+        {"arena": {"left": 600, "bottom": 350, "width": 1600, "height": 1801}},
+        {"simulated": False},
+    ],
+)
+def test_the_digest_tells_trials_apart(tmp_path: Path, changed: dict) -> None:
+    one = write(trial(), tmp_path / "one.mcap")
+    two = write(trial(**changed), tmp_path / "two.mcap")
+    assert content_digest(one) != content_digest(two)

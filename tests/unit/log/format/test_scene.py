@@ -1,0 +1,176 @@
+"""What viewers draw: Foxglove's messages, decoded by the schemas in the file."""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf.message import Message
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from support.random_trials import Made, experiment, trial, write
+
+from tetractl.core.poses import Observation, Poses
+from tetractl.core.trial import EPOCH_NS
+from tetractl.log.format.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def made() -> Made:
+    return trial(steps=3, robots=3)
+
+
+@pytest.fixture(scope="module")
+def messages(made: Made, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
+    """Messages by topic, through the official indexed reader with CRC validation."""
+    path = write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
+    found = defaultdict(list)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            found[channel.topic].append(message)
+    return found
+
+
+def _numbers(message: Message) -> Iterator[float]:
+    for field, value in message.ListFields():
+        for item in value if field.is_repeated else [value]:
+            if isinstance(item, Message):
+                yield from _numbers(item)
+            elif isinstance(item, float):
+                yield item
+
+
+def test_every_channel_has_its_schema(messages: dict[str, list[Any]]) -> None:
+    kinds = {topic: found[0].DESCRIPTOR.full_name for topic, found in messages.items()}
+    assert kinds == {
+        "/mocap": "tetractl.MocapSample",
+        "/truth": "tetractl.Truth",
+        "/tf": "foxglove.FrameTransforms",
+        "/controller/step": "tetractl.ControllerStep",
+        "/controller/plan": "foxglove.PosesInFrame",
+        "/commands": "tetractl.WheelCommand",
+        "/scene/static": "foxglove.SceneUpdate",
+        "/scene/plan": "foxglove.SceneUpdate",
+        "/log": "foxglove.Log",
+        "/host/timing": "tetractl.StepTiming",
+    }
+
+
+def test_transforms_are_the_measured_poses_in_metres(
+    made: Made, messages: dict[str, list[Any]]
+) -> None:
+    for sample, message in zip(made.samples, messages["/tf"], strict=True):
+        poses = sample.observation.poses
+        names = [item.child_frame_id for item in message.transforms]
+        assert names == ["robot/robot 0", "robot/robot 1", "robot/robot 2"]
+        for i, item in enumerate(message.transforms):
+            assert item.parent_frame_id == "world"
+            assert item.translation.x == pytest.approx(poses.x[i] / 1000)
+            assert item.translation.y == pytest.approx(poses.y[i] / 1000)
+            q = item.rotation
+            assert q.x**2 + q.y**2 + q.z**2 + q.w**2 == pytest.approx(1)
+            yaw = math.atan2(2 * q.w * q.z, 1 - 2 * q.z**2)
+            assert math.cos(yaw - poses.heading[i]) == pytest.approx(1)
+            at = item.timestamp.seconds * 10**9 + item.timestamp.nanos
+            assert at == EPOCH_NS + sample.observation.sampled_ns
+
+
+def test_plans_are_drawn_per_robot_in_metres_under_fixed_ids(
+    made: Made, messages: dict[str, list[Any]]
+) -> None:
+    for step, poses, lines in zip(
+        made.steps, messages["/controller/plan"], messages["/scene/plan"], strict=True
+    ):
+        by_robot = step.plan.path.swapaxes(0, 1)
+        drawn = [(pose.position.x, pose.position.y) for pose in poses.poses]
+        assert np.allclose(drawn, by_robot[..., :2].reshape(-1, 2) / 1000)
+        assert [item.id for item in lines.entities] == [f"plan/robot {i}" for i in range(3)]
+        for i, entity in enumerate(lines.entities):
+            assert entity.frame_id == "world"
+            points = [(point.x, point.y) for point in entity.lines[0].points]
+            assert np.allclose(points, by_robot[i, :, :2] / 1000)
+
+
+def test_the_scene_stands_where_the_spec_says(made: Made, messages: dict[str, list[Any]]) -> None:
+    (scene,) = messages["/scene/static"]
+    entities = {item.id: item for item in scene.entities}
+    assert len(entities) == len(scene.entities) == 1 + 2 + 2 * 3
+    corners = [(point.x, point.y) for point in entities["arena"].lines[0].points]
+    assert np.allclose(corners, [(0.6, 0.35), (2.2, 0.35), (2.2, 2.15), (0.6, 2.15)])
+    box = entities["obstacle/0"].cubes[0]
+    assert (box.pose.position.x, box.pose.position.y) == pytest.approx((1.3, 1.2))
+    assert (box.size.x, box.size.y) == pytest.approx((0.2, 0.2))
+    disc = entities["obstacle/1"].cylinders[0]
+    assert (disc.pose.position.x, disc.pose.position.y) == pytest.approx((0.7, 1.9))
+    assert disc.size.x == disc.size.y == pytest.approx(0.101)
+    assert (disc.bottom_scale, disc.top_scale) == (1, 1)
+    ring = np.array([(p.x, p.y) for p in entities["target/robot 1"].lines[0].points])
+    assert np.allclose(ring.mean(axis=0), (1.7, 0.5997))
+    body = entities["robot/robot 2"]
+    assert body.frame_id == "robot/robot 2"
+    assert body.triangles[0].points[0].x > 0  # the nose points along the heading
+    assert body.texts[0].text == "robot 2"
+
+
+def test_everything_stays_in_its_frame_and_can_be_placed(messages: dict[str, list[Any]]) -> None:
+    drawn = [e for topic in ("/scene/static", "/scene/plan") for m in messages[topic]
+             for e in m.entities]  # fmt: skip
+    for entity in drawn:
+        assert entity.frame_locked
+        assert not entity.HasField("lifetime")  # stays until it is replaced
+        primitives = [
+            *entity.lines,
+            *entity.cubes,
+            *entity.cylinders,
+            *entity.triangles,
+            *entity.texts,
+        ]
+        assert primitives
+        for primitive in primitives:
+            assert primitive.pose.orientation.w == 1.0
+            assert primitive.color.a == 1.0
+
+
+def test_colors_are_the_specs_or_the_lists(messages: dict[str, list[Any]]) -> None:
+    entities = {item.id: item for item in messages["/scene/static"][0].entities}
+    colors = [entities[f"robot/robot {i}"].triangles[0].color for i in range(3)]
+    rgb = [tuple(round(255 * part) for part in (c.r, c.g, c.b)) for c in colors]
+    assert rgb == [(0x00, 0x9E, 0x73), (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_nothing_that_is_not_finite_is_drawn(bad: float) -> None:
+    scene = Scene(experiment(2).setup)
+    poses = Poses(np.array([bad, 1.0]), np.array([1.0, 2.0]), np.array([0.0, 0.5]))
+    seen = Observation(0, 0, 0, poses, np.array([True, True]))
+    transforms = scene.transforms(seen, EPOCH_NS)
+    assert [item.child_frame_id for item in transforms.transforms] == ["robot/robot 1"]
+    path = np.ones((4, 2, 3))
+    path[2, 0] = bad
+    plan, lines = scene.plan_poses(path, EPOCH_NS), scene.plan_lines(path, EPOCH_NS)
+    assert len(plan.poses) == 7
+    assert [len(entity.lines[0].points) for entity in lines.entities] == [3, 4]
+    for message in (transforms, plan, lines):
+        assert all(map(math.isfinite, _numbers(message)))
+
+
+def test_a_robot_that_is_not_tracked_has_no_transform() -> None:
+    seen = Observation(0, 0, 0, Poses.of(np.ones((2, 3))), np.array([False, True]))
+    transforms = Scene(experiment(2).setup).transforms(seen, EPOCH_NS).transforms
+    assert [item.child_frame_id for item in transforms] == ["robot/robot 1"]
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("um", 1e-6), ("mm", 1e-3), ("cm", 1e-2), ("m", 1)])
+def test_every_unit_comes_to_metres(unit: str, metres: float) -> None:
+    scene = Scene(experiment(1, units={"length": unit}).setup).static(EPOCH_NS)
+    box = next(item for item in scene.entities if item.id == "obstacle/0").cubes[0]
+    assert box.size.x == pytest.approx(200 * metres)
+
+
+def test_a_robot_with_wheels_is_drawn_as_wide_as_it_is() -> None:
+    scene = Scene(experiment(1, wheels={"radius": 45.0}).setup).static(EPOCH_NS)
+    body = next(item for item in scene.entities if item.id == "robot/robot 0").triangles[0]
+    assert max(point.y for point in body.points) == pytest.approx(0.045)

@@ -1,0 +1,45 @@
+"""Logs of every released format version read as they did when they were written."""
+
+import json
+import sys
+
+import pytest
+from support.paths import ROOT
+
+from tetractl.log.format.channels import FORMAT_VERSION
+from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.replay.verify import verify
+
+FOLDER = ROOT / "tests" / "golden"
+sys.path.insert(0, str(FOLDER))
+
+from make import values  # noqa: E402
+
+EXPECTED = {
+    name: found
+    for page in sorted(FOLDER.glob("format-*.json"))
+    for name, found in json.loads(page.read_text()).items()
+}
+
+
+def test_the_version_that_is_written_has_its_golden_logs() -> None:
+    assert f"format-{FORMAT_VERSION}-sim.mcap" in EXPECTED
+    assert {path.name for path in FOLDER.glob("*.mcap")} == EXPECTED.keys()
+    assert all(path.stat().st_size < 100_000 for path in FOLDER.iterdir() if path.is_file())
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_every_number_is_as_it_was(name: str) -> None:
+    log = read_trial(FOLDER / name)
+    assert json.loads(json.dumps(values(log))) == EXPECTED[name]
+    if log.damage is None:
+        assert content_digest(FOLDER / name) == log.digest
+    summary = read_result(FOLDER / name)
+    assert summary.recovered == (log.damage is not None)
+
+
+def test_its_decisions_still_follow_from_it() -> None:
+    """By their costs on any processor; if this fails, the controller no longer does what it did."""
+    found = verify(FOLDER / "format-1-sim.mcap")
+    assert found.problems == ()
+    assert found.checked == found.steps > 0

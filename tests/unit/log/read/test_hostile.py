@@ -1,0 +1,234 @@
+"""Logs from anybody: damaged at random, made to burst, or made to lie."""
+
+import os
+import random
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from support.fuzz import Original, fuzz
+from support.mutate import rewrite
+from support.random_trials import trial, write
+
+from tetractl.core.errors import LogError, TetractlError
+from tetractl.log.format.channels import MOCAP, RECOVERED, RESULT, RUN, STEP, TIMING, TRUTH
+from tetractl.log.format.tetractl_pb2 import ControllerStep, MocapSample, Truth
+from tetractl.log.read import salvage
+from tetractl.log.read.overview import overview
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.recover import recover
+from tetractl.log.read.salvage import MAGIC, Contents, scan
+from tetractl.replay.verify import verify
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Small, so that most bytes matter."""
+    made = trial(steps=12, robots=1, frames=2, first=2, iterations=3, length=3)
+    return write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
+
+
+@pytest.fixture(scope="module")
+def contents(log: Path) -> Contents:
+    return scan(log)
+
+
+@pytest.mark.parametrize("kind", ["truncated", "flipped"])
+def test_a_damaged_log_is_read_as_far_as_it_is_good(log: Path, tmp_path: Path, kind: str) -> None:
+    """Ten thousand of each in benchmarks/log.py."""
+    original = Original(log)
+    assert len(original.chunks) > 2
+    copies = getattr(original, kind)(150, random.Random(5))
+    tally = fuzz(original, copies, tmp_path / "copy.mcap")
+    assert tally.wrong == []
+    assert tally.chunks_recovered == tally.chunks_complete > 150
+
+
+def test_a_record_whose_name_is_damaged_is_not_believed(log: Path, tmp_path: Path) -> None:
+    """Regression: its checksum fits, for it does not cover the name."""
+    path = tmp_path / "trial.mcap"
+    path.write_bytes(log.read_bytes().replace(b"tetractl.timing", b"tetractl.tiling", 1))
+    found = scan(path)
+    assert found.problems
+    assert [r for r in found.records if getattr(r, "name", "") == "tetractl.tiling"] == []
+
+
+@given(st.binary(max_size=2000), st.booleans())
+@settings(max_examples=100)
+def test_any_bytes_are_a_log_or_one_line(tmp_path_factory, data: bytes, magic: bool) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.mcap"
+    path.write_bytes(MAGIC * magic + data)
+    for read in (read_trial, read_result, overview, recover, verify):
+        with pytest.raises(LogError) as caught:
+            read(path)
+        assert "\n" not in str(caught.value)
+
+
+def chunk(data: bytes, size: int | None = None, raw: bytes | None = None) -> bytes:
+    """A chunk record that unpacks to `data`, or says it unpacks to `size`."""
+    packed = zstandard.compress(data) if raw is None else raw
+    said = len(data) if size is None else size
+    head = struct.pack("<QQQI", 0, 0, said, zlib.crc32(data)) + b"\x04\0\0\0zstd"
+    body = head + struct.pack("<Q", len(packed)) + packed
+    return bytes([Opcode.CHUNK]) + struct.pack("<Q", len(body)) + body
+
+
+def with_chunks(log: Path, path: Path, chunks: list[bytes]) -> Path:
+    """A copy with chunks put before the first one."""
+    data = log.read_bytes()
+    first = data.index(b"\x04\0\0\0zstd") - 37
+    path.write_bytes(data[:first] + b"".join(chunks) + data[first:])
+    return path
+
+
+@pytest.mark.parametrize("said", [None, 100])
+def test_a_bomb_is_not_unpacked(log: Path, tmp_path: Path, said: int | None) -> None:
+    bomb = chunk(b"\0" * (salvage.CHUNK_LIMIT + 1), said)
+    assert len(bomb) < 10_000
+    found = scan(with_chunks(log, tmp_path / "bomb.mcap", [bomb]))
+    assert any("claims to unpack to 16777217 bytes" in problem for problem in found.problems)
+    assert found.entries == scan(log).entries
+
+
+def test_a_frame_that_hides_its_size_stops_at_what_the_chunk_says(
+    log: Path, tmp_path: Path
+) -> None:
+    hidden = zstandard.ZstdCompressor(write_content_size=False).compress(b"\0" * (1 << 24))
+    found = scan(with_chunks(log, tmp_path / "bomb.mcap", [chunk(b"", 100, hidden)]))
+    assert found.entries == scan(log).entries
+    assert found.problems
+
+
+def test_many_chunks_together_are_bounded(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(salvage, "TOTAL_LIMIT", 10_000)
+    padding = bytes([0x80]) + struct.pack("<Q", 4000) + b"\0" * 4000
+    found = scan(with_chunks(log, tmp_path / "many.mcap", [chunk(padding)] * 20))
+    assert any("more than tetractl reads" in problem for problem in found.problems)
+    assert len(found.problems) <= salvage.PROBLEM_LIMIT + 5
+    monkeypatch.setattr(salvage, "TOTAL_LIMIT", 1 << 32)
+    monkeypatch.setattr(salvage, "MESSAGE_LIMIT", 10)
+    assert any("more than tetractl" in problem for problem in scan(log).problems)
+
+
+def test_records_that_claim_the_same_bytes_are_not_all_read(log: Path, tmp_path: Path) -> None:
+    """Each of these would copy the rest of the file: quadratic, were it not for the limit."""
+    trace = bytes(28) + b"\x04\0\0\0zstd" + struct.pack("<Q", 1 << 19)
+    path = tmp_path / "overlap.mcap"
+    path.write_bytes(log.read_bytes()[:-100] + trace * 12_000)
+    found = scan(path)
+    assert len(found.entries) == len(scan(log).entries)
+
+
+def test_a_tail_of_zeros_is_an_end(log: Path, tmp_path: Path) -> None:
+    """What a power cut leaves on some file systems."""
+    path = tmp_path / "zeros.mcap"
+    half = log.read_bytes()[: log.stat().st_size // 2]
+    path.write_bytes(half + bytes(5_000_000))
+    assert any("breaks off in the record" in problem for problem in scan(path).problems)
+
+
+def edited(contents: Contents, path: Path, record: str, changes: dict[str, str]) -> Path:
+    return rewrite(
+        contents, path, {}, lambda name, facts: facts | (changes if name == record else {})
+    )
+
+
+DEEP = "[" * 100_000 + "]" * 100_000
+
+
+@pytest.mark.parametrize("value", [DEEP, "{}", "null", "[null]", "9" * 5000, "[[1]]", "[1, 2]", ""])
+@pytest.mark.parametrize(
+    ("record", "key"),
+    [
+        (RUN, "robots"),
+        (RUN, "seed"),
+        (RUN, "trial"),
+        (RUN, "start_unix_ns"),
+        (RUN, "format_version"),
+        (RESULT, "robot_errors"),
+        (RESULT, "entered"),
+        (RESULT, "final_x"),
+        (RESULT, "steps"),
+        (RESULT, "duration_s"),
+        (TIMING, "solve_ns"),
+    ],
+)
+def test_facts_that_are_not_ours_are_one_line(
+    tmp_path: Path, contents: Contents, record: str, key: str, value: str
+) -> None:
+    path = edited(contents, tmp_path / "trial.mcap", record, {key: value})
+    for read in (read_trial, read_result, overview, verify):
+        try:
+            found = read(path)
+        except TetractlError as error:
+            assert "\n" not in str(error)
+        else:
+            assert read is not verify or found.problems
+
+
+def test_a_report_that_is_not_ours_still_says_recovered(tmp_path: Path, contents: Contents) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(contents.path.read_bytes()[:-4000])
+    path = Path(str(recover(cut).path))
+    for i, lost in enumerate((DEEP, "5", "null", "{")):
+        again = edited(scan(path), tmp_path / f"{i}.mcap", RECOVERED, {"lost": lost})
+        assert read_result(again).recovered
+
+
+@pytest.mark.parametrize(
+    ("topic", "message"),
+    [
+        (MOCAP, MocapSample(x=[1.0] * 3, y=[1.0] * 3, heading=[1.0] * 3, valid=[True] * 3)),
+        (MOCAP, MocapSample(x=[1.0], y=[], heading=[1.0], valid=[True])),
+        (TRUTH, Truth(x=[1.0, 2.0], y=[1.0, 2.0], heading=[1.0, 2.0])),
+        (STEP, ControllerStep(chosen=5)),
+        (STEP, ControllerStep(chosen=-1, signals=[1.0])),
+    ],
+)
+def test_messages_that_do_not_fit_the_run_are_one_line(
+    tmp_path: Path, contents: Contents, topic: str, message
+) -> None:
+    entry = next(entry for entry in contents.entries if entry.topic == topic)
+    new = entry._replace(data=message.SerializeToString())
+    path = rewrite(contents, tmp_path / "trial.mcap", {entry: new})
+    with pytest.raises(LogError, match="holds what tetractl does not write"):
+        read_trial(path)
+
+
+@pytest.mark.parametrize("name", ["../../escape", "/tmp/escape", "a/b", "..", "nul\0", "x" * 5000])
+def test_names_in_a_log_are_no_paths(tmp_path: Path, log: Path, name: str) -> None:
+    """An attachment of that name is carried along inside the log, and nothing else is written."""
+    builder = RecordBuilder()
+    from mcap.records import Attachment
+
+    Attachment(0, 0, name, "application/yaml", b"evil").write(builder)
+    folder = tmp_path / "a" / "b"
+    folder.mkdir(parents=True)
+    path = with_chunks(log, folder / "trial.mcap", [builder.end()])
+    out = recover(path)
+    assert "evil" in [item.data.decode() for item in scan(Path(str(out.path))).attachments]
+    left = {str(Path(root, file)) for root, _, files in os.walk(tmp_path) for file in files}
+    assert left == {str(path), str(out.path)}
+
+
+def test_a_spec_in_a_log_is_only_data(tmp_path: Path, contents: Contents) -> None:
+    spec = b"!!python/object/apply:os.system ['touch executed']\n"
+    from dataclasses import replace
+
+    records = [
+        replace(r, data=spec) if getattr(r, "name", "") == "spec.resolved.yaml" else r
+        for r in contents.records
+    ]
+    evil = Contents(contents.path, records=records, channels=contents.channels)
+    path = rewrite(evil, tmp_path / "evil.mcap", {})
+    with pytest.raises(LogError, match="the record of the run cannot be read"):
+        read_trial(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["evil.mcap"]

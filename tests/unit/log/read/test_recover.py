@@ -1,0 +1,127 @@
+"""`recover`: all that is intact comes back, and what does not is named."""
+
+import random
+from pathlib import Path
+
+import pytest
+from support.random_trials import trial, write
+from support.sameness import same
+
+from tetractl.core.errors import LogError
+from tetractl.log.read.find import find_logs
+from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.log.read.recover import recover, recovered_path
+from tetractl.log.read.salvage import MAGIC, scan
+from tetractl.stats.trials import load_trials, one_batch
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(trial(steps=16), tmp_path_factory.mktemp("log") / "trial.mcap")
+
+
+def damaged(folder: Path, data: bytes, name: str = "trial.mcap") -> Path:
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
+def flipped(data: bytes, at: int) -> bytes:
+    return data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :]
+
+
+def test_a_complete_log_needs_no_recovery(log: Path, tmp_path: Path) -> None:
+    done = recover(log)
+    assert (done.path, done.whole, done.damage.problems) == (None, True, ())
+    copy = recover(log, tmp_path / "copy.mcap")
+    assert copy.whole
+    assert same(read_trial(tmp_path / "copy.mcap").steps, read_trial(log).steps)
+    assert read_trial(tmp_path / "copy.mcap").damage is None
+
+
+def test_a_lost_index_costs_nothing(log: Path, tmp_path: Path) -> None:
+    torn = damaged(tmp_path, log.read_bytes()[:-2000], "trial.mcap.part")
+    done = recover(torn)
+    assert done.path == str(tmp_path / "trial.recovered.mcap")
+    assert (done.whole, done.damage.lost) == (True, ())
+    again = read_trial(Path(done.path))
+    assert again.damage is None
+    assert content_digest(Path(done.path)) == again.digest == content_digest(log)
+    assert not read_result(Path(done.path)).recovered
+
+
+def test_what_is_lost_and_when_is_told(log: Path, tmp_path: Path) -> None:
+    data = log.read_bytes()
+    chunks = [i for i in range(len(data)) if data.startswith(b"\x04\0\0\0zstd", i)]
+    rotten = damaged(tmp_path, flipped(data, chunks[2] + 60))
+    done = recover(rotten)
+    assert not done.whole
+    whole, left = read_trial(log), read_trial(Path(str(done.path)))
+    missing = [step.k for step in whole.steps if step.k not in {s.k for s in left.steps}]
+    assert missing
+    assert missing == list(range(missing[0], missing[-1] + 1))
+    text = " ".join(done.damage.lost)
+    assert f"control steps {missing[0]} to {missing[-1]}, between " in text
+    assert "camera frames" in text
+    assert left.damage is not None
+    assert left.damage.problems[0] == "recovered from trial.mcap, which was damaged"
+    assert set(done.damage.lost) <= set(left.damage.lost)
+    assert read_result(Path(str(done.path))).recovered
+
+
+def test_every_intact_record_comes_back(log: Path, tmp_path: Path) -> None:
+    data, rng = log.read_bytes(), random.Random(3)
+    for i in range(30):
+        cut = damaged(tmp_path, flipped(data, rng.randrange(len(data))), f"{i}.mcap")
+        before = scan(cut)
+        done = recover(cut)
+        if done.path is None:
+            continue
+        after = scan(Path(done.path))
+        assert after.problems == []
+        assert after.entries == before.entries
+        assert after.attachments == before.attachments
+        left = [r for r in after.records if getattr(r, "name", "") != "tetractl.recovered"]
+        assert left == before.records
+
+
+def test_recovering_twice_keeps_the_first_report(log: Path, tmp_path: Path) -> None:
+    torn = damaged(tmp_path, log.read_bytes()[: log.stat().st_size // 2])
+    first = recover(torn)
+    assert not first.whole
+    second = recover(Path(str(first.path)), tmp_path / "second.mcap")
+    assert not second.whole
+    assert set(first.damage.lost) <= set(second.damage.lost)
+
+
+@pytest.mark.parametrize("data", [b"", b"text", MAGIC, MAGIC + b"\0" * 500])
+def test_from_nothing_nothing_comes(tmp_path: Path, data: bytes) -> None:
+    with pytest.raises(LogError):
+        recover(damaged(tmp_path, data))
+    assert [path.name for path in tmp_path.iterdir()] == ["trial.mcap"]
+
+
+def test_nothing_is_overwritten(log: Path, tmp_path: Path) -> None:
+    torn = damaged(tmp_path, log.read_bytes()[:-2000])
+    recovered_path(torn).write_text("mine")
+    with pytest.raises(LogError, match="exists already"):
+        recover(torn)
+    assert recovered_path(torn).read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["trial-000.mcap", "trial-000.mcap.part"])
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_recovered_trial_counts_once(tmp_path: Path, name: str, simulated: bool) -> None:
+    whole = write(trial(steps=16, simulated=simulated), tmp_path / "whole")
+    damaged(tmp_path, whole.read_bytes()[: whole.stat().st_size // 2], name)
+    whole.unlink()
+    done = recover(tmp_path / name)
+    assert find_logs([tmp_path]) == [tmp_path / name]
+    assert find_logs(tmp_path.glob("*")) == [tmp_path / name]
+    assert len(load_trials([tmp_path / name, str(done.path)])[0]) == 1
+    (tmp_path / name).unlink()
+    assert find_logs([tmp_path]) == [Path(str(done.path))]
+    trials, unreadable = load_trials([tmp_path])
+    assert (len(trials), unreadable) == (1, [])
+    assert trials[0].recovered
+    assert one_batch(trials).name == "made-up"

@@ -1,0 +1,321 @@
+"""However a file is damaged, what is read is what was written, and the damage is told."""
+
+import random
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import Writer
+from support.random_trials import trial, write
+from support.sameness import same
+
+from tetractl.core.errors import LogError
+from tetractl.core.plan import Outcome
+from tetractl.log.format.digest import CHECKSUM
+from tetractl.log.format.metadata import seal
+from tetractl.log.read import salvage
+from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.log.read.salvage import MAGIC, scan
+from tetractl.log.read.trial_log import TrialLog
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small log of a few chunks."""
+    return write(trial(steps=16), tmp_path_factory.mktemp("log") / "trial.mcap")
+
+
+@pytest.fixture(scope="module")
+def whole(log: Path) -> TrialLog:
+    return read_trial(log)
+
+
+@pytest.fixture(scope="module")
+def chunks(log: Path) -> list[tuple[int, int, int]]:
+    """Of each chunk: first byte, byte behind it, messages; by the official reader."""
+    found = []
+    with log.open("rb") as file:
+        reader = StreamReader(file, emit_chunks=True)
+        begin = len(MAGIC)
+        for record in reader.records:
+            if isinstance(record, Chunk):
+                messages = [m for m in breakup_chunk(record, True) if isinstance(m, Message)]
+                found.append((begin, file.tell(), len(messages)))
+            begin = file.tell()
+    assert len(found) > 3
+    return found
+
+
+def assert_part_of(damaged: TrialLog, whole: TrialLog) -> None:
+    """Every number of a damaged log is one of the whole log's."""
+    assert same(damaged.experiment, whole.experiment)
+    assert damaged.start.spec_text in ("", whole.start.spec_text)
+    assert damaged.start.seed == whole.start.seed
+    steps = {step.k: step for step in whole.steps}
+    assert all(same(step, steps[step.k]) for step in damaged.steps)
+    rows = np.searchsorted(whole.frames, damaged.frames)
+    for name in ("frames", "mocap_ns", "received_ns", "mocap", "valid", "truth"):
+        assert same(getattr(damaged, name), getattr(whole, name)[rows])
+    assert damaged.stop is None or same(damaged.stop, whole.stop)
+    assert whole.result is not None
+    untimed = replace(whole.result, solve_ns=(), deadline_misses=0)
+    assert any(same(damaged.result, result) for result in (None, untimed, whole.result))
+
+
+def _damaged(tmp_path: Path, data: bytes) -> Path:
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(data)
+    return path
+
+
+def test_every_complete_chunk_before_a_tear_is_read(
+    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]]
+) -> None:
+    data = log.read_bytes()
+    rng = random.Random(1)
+    cuts = [rng.randrange(len(data)) for _ in range(80)]
+    cuts += [end + d for _, end, _ in chunks for d in (-1, 0, 1)]
+    read = 0
+    for cut in cuts:
+        path = _damaged(tmp_path, data[:cut])
+        try:
+            found = read_trial(path)
+        except LogError:
+            assert cut < chunks[0][0]  # the spec stands before the first chunk
+            continue
+        read += 1
+        assert len(scan(path).entries) == sum(n for _, end, n in chunks if end <= cut)
+        assert found.damage is not None
+        assert found.damage.lost
+        assert_part_of(found, whole)
+    assert read > 60
+
+
+def test_no_flipped_byte_goes_unseen_or_changes_a_number(
+    tmp_path: Path, log: Path, whole: TrialLog
+) -> None:
+    data = log.read_bytes()
+    rng = random.Random(2)
+    head, tail = range(50), range(len(data) - 50, len(data))
+    for position in [*head, *tail, *(rng.randrange(len(data)) for _ in range(80))]:
+        flipped = bytearray(data)
+        flipped[position] ^= rng.randrange(1, 256)
+        path = _damaged(tmp_path, bytes(flipped))
+        try:
+            found = read_trial(path)
+        except LogError as error:
+            assert "\n" not in str(error)
+            continue
+        assert found.damage is not None, position
+        assert_part_of(found, whole)
+        summary = read_result(path)
+        assert summary.recovered or same(summary.result, whole.result)
+
+
+def test_one_bad_chunk_costs_only_itself(
+    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]]
+) -> None:
+    total = len(scan(log).entries)
+    for begin, end, messages in chunks:
+        data = bytearray(log.read_bytes())
+        data[(begin + end) // 2] ^= 0xFF
+        path = _damaged(tmp_path, bytes(data))
+        assert len(scan(path).entries) == total - messages
+        found = read_trial(path)
+        assert found.damage is not None
+        assert f"{messages} of {total} messages" in found.damage.lost
+        assert same(found.result, whole.result)
+        assert_part_of(found, whole)
+
+
+@pytest.mark.parametrize("field", range(1, 9))
+def test_a_bad_record_length_costs_nothing(
+    tmp_path: Path,
+    log: Path,
+    whole: TrialLog,
+    chunks: list[tuple[int, int, int]],
+    field: int,
+) -> None:
+    data = bytearray(log.read_bytes())
+    data[chunks[1][0] + field] ^= 0x41
+    found = read_trial(_damaged(tmp_path, bytes(data)))
+    assert found.damage is not None
+    assert len(found.steps) == len(whole.steps)
+    assert same(found.mocap, whole.mocap)
+    assert_part_of(found, whole)
+
+
+def test_without_first_chunk_and_index_the_rest_is_read(
+    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]]
+) -> None:
+    data = bytearray(log.read_bytes()[: chunks[-1][1]])
+    for begin, end, _ in chunks[:2]:  # the scene's chunk with all channel records, and the next
+        data[(begin + end) // 2] ^= 0xFF
+    found = read_trial(_damaged(tmp_path, bytes(data)))
+    assert 0 < len(found.steps) < len(whole.steps)
+    assert_part_of(found, whole)
+
+
+def test_a_file_that_lost_its_head_is_read(tmp_path: Path, log: Path, whole: TrialLog) -> None:
+    data = log.read_bytes()
+    for head in (data[8:], b"\0" * 40 + data[40:], b"some text before\n" + data):
+        found = read_trial(_damaged(tmp_path, head))
+        assert found.damage is not None
+        assert same(found.mocap, whole.mocap)
+        assert same(found.result, whole.result)
+
+
+@pytest.mark.parametrize("tail", [b"\0" * 5000, b"\xff" * 5000, MAGIC])
+def test_what_a_crash_leaves_behind_the_last_chunk_does_no_harm(
+    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]], tail: bytes
+) -> None:
+    found = read_trial(_damaged(tmp_path, log.read_bytes()[: chunks[-2][1]] + tail))
+    assert found.damage is not None
+    assert found.result is None
+    assert_part_of(found, whole)
+    assert len(found.steps) >= 10
+
+
+def test_an_unfinished_log_is_read(tmp_path: Path, log: Path, whole: TrialLog) -> None:
+    data = log.read_bytes()
+    path = tmp_path / "trial.mcap.part"
+    path.write_bytes(data[: len(data) // 2])
+    found = read_trial(path)
+    assert found.result is None
+    assert found.damage is not None
+    assert any("no result" in problem for problem in found.damage.problems)
+
+
+def test_a_lost_result_is_computed_from_the_last_true_poses(
+    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]]
+) -> None:
+    cut = _damaged(tmp_path, log.read_bytes()[: chunks[-2][1]])
+    found, result = read_trial(cut), read_result(cut)
+    assert result.recovered
+    assert found.truth is not None
+    final = found.truth[-1]
+    targets = np.array([robot.target for robot in whole.experiment.robots])
+    errors = np.hypot(*(final[:, :2] - targets).T)
+    assert result.result.robot_errors == tuple(errors)
+    assert result.result.total_error == pytest.approx(errors.sum(), rel=1e-15)
+    assert same(result.result.verdict.final.array(), final)
+    assert result.result.outcome is Outcome.ABORTED
+    assert result.result.steps == len(found.steps)
+    box = whole.experiment.obstacles[0]
+    circle = whole.experiment.obstacles[1]
+    inside = [
+        any(box.contains(x, y) or circle.contains(x, y) for x, y, _ in found.truth[:, i].tolist())
+        for i in range(3)
+    ]
+    assert result.result.verdict.entered == tuple(inside)
+
+
+def test_in_the_lab_the_last_tracked_pose_counts(tmp_path: Path) -> None:
+    made = trial(steps=12, simulated=False)
+    made.samples[-1].observation.valid[:] = [False, True, True]
+    for sample in made.samples:  # an untracked robot's pose is no measurement
+        sample.observation.poses.x[~sample.observation.valid] = 1e9
+    data = write(made, tmp_path / "trial.mcap").read_bytes()
+    at = data.rindex(b"tetractl.result", 0, data.rindex(b"tetractl.result"))  # before the index's
+    spoilt = data[:at] + b"?" + data[at + 1 :]
+    summary = read_result(_damaged(tmp_path, spoilt))
+    assert summary.recovered
+    assert max(summary.result.robot_errors) < 1e6
+    last = [
+        next(s.observation for s in reversed(made.samples) if s.observation.valid[i])
+        for i in range(3)
+    ]
+    expected = [seen.poses.x[i] for i, seen in enumerate(last)]
+    assert summary.result.verdict.final.x.tolist() == expected
+
+
+def test_without_any_pose_there_is_no_result(tmp_path: Path) -> None:
+    made = trial(steps=1)
+    data = write(made, tmp_path / "trial.mcap").read_bytes()
+    empty = data[: data.index(b"\x04\0\0\0zstd")]
+    with pytest.raises(LogError, match="no poses to compute it from"):
+        read_result(_damaged(tmp_path, empty))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "the file is empty"),
+        (b"\0", "not an MCAP file"),
+        (b"name: three-m3pi\n" * 10, "not an MCAP file"),
+        (MAGIC, "the record of the run is lost"),
+        (b"\x04\0\0\0zstd" * 100, "not an MCAP file"),
+        (random.Random(3).randbytes(100_000), "not an MCAP file"),
+    ],
+)
+def test_what_is_no_log_is_refused(tmp_path: Path, data: bytes, message: str) -> None:
+    path = _damaged(tmp_path, data)
+    for read in (read_trial, read_result):
+        with pytest.raises(LogError, match=message):
+            read(path)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    for read in (read_trial, read_result, content_digest):
+        with pytest.raises(LogError, match="No such file"):
+            read(tmp_path / "none.mcap")
+        with pytest.raises(LogError, match="is a folder"):
+            read(tmp_path)
+
+
+def test_an_mcap_file_of_somebody_else_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/chatter", "json", 0)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(LogError, match="an MCAP file, but no log of tetractl's"):
+        read_trial(path)
+
+
+def _with_run(path: Path, facts: dict[str, str]) -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata("tetractl.run", seal(facts))
+        writer.add_attachment(0, 0, "spec.resolved.yaml", "application/yaml", b"robots: {")
+        writer.finish()
+    return path
+
+
+def test_a_log_of_a_newer_format_is_refused(tmp_path: Path, log: Path) -> None:
+    facts = {**(scan(log).facts("tetractl.run") or {}), "format_version": "2"}
+    del facts[CHECKSUM]
+    with pytest.raises(LogError, match="of log format 2; this tetractl reads up to 1") as caught:
+        read_trial(_with_run(tmp_path / "new.mcap", facts))
+    assert caught.value.hint == "update tetractl"
+
+
+@pytest.mark.parametrize("facts", [{}, {"format_version": "one"}, {"format_version": "1"}])
+def test_a_run_record_that_makes_no_sense_is_refused(tmp_path: Path, facts: dict) -> None:
+    with pytest.raises(LogError, match="the record of the run cannot be read"):
+        read_trial(_with_run(tmp_path / "odd.mcap", facts))
+
+
+def test_a_chunk_that_would_fill_the_memory_is_left_out(
+    tmp_path: Path,
+    log: Path,
+    chunks: list[tuple[int, int, int]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(salvage, "CHUNK_LIMIT", 1 << 20)
+    bomb = zstandard.ZstdCompressor().compress(b"\0" * ((1 << 20) + 1))
+    head = struct.pack("<QQQI", 0, 0, 10, 1) + b"\x04\0\0\0zstd" + struct.pack("<Q", len(bomb))
+    record = b"\x06" + struct.pack("<Q", len(head) + len(bomb)) + head + bomb
+    begin = chunks[2][0]
+    data = log.read_bytes()
+    found = scan(_damaged(tmp_path, data[:begin] + record + data[begin:]))
+    assert any("claims to unpack to" in problem for problem in found.problems)
+    assert len(found.entries) == len(scan(log).entries)

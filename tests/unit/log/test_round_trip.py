@@ -1,0 +1,114 @@
+"""What is written is what is read, bit for bit."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.random_trials import Made, trial, write
+from support.sameness import same
+
+from tetractl.core.commands import Command
+from tetractl.core.poses import Poses
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.write.writer import LogWriter
+
+
+def assert_same_trial(log: TrialLog, made: Made) -> None:
+    seen = [sample.observation for sample in made.samples]
+    assert log.damage is None
+    assert same(log.start, made.start)
+    assert same(log.steps, tuple(made.steps))
+    assert same(log.stop, made.stop)
+    assert same(log.result, made.result)
+    assert log.start.seed == made.experiment.trials.seed
+    assert same(log.frames, np.array([item.frame for item in seen], dtype=np.int64))
+    assert same(log.mocap_ns, np.array([item.sampled_ns for item in seen], dtype=np.int64))
+    assert same(log.received_ns, np.array([item.received_ns for item in seen], dtype=np.int64))
+    assert same(log.mocap, np.array([item.poses.array() for item in seen]))
+    assert same(log.valid, np.array([item.valid for item in seen]))
+    if made.start.plant.simulated:
+        assert same(log.truth, np.array([s.truth.array() for s in made.samples if s.truth]))
+    else:
+        assert log.truth is None
+    assert same(log.commands, (*(step.command for step in made.steps), made.stop))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 5),
+    steps=st.integers(1, 8),
+    simulated=st.booleans(),
+    length=st.integers(2, 12),
+)
+def test_a_trial_comes_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory,
+    seed: int,
+    robots: int,
+    steps: int,
+    simulated: bool,
+    length: int,
+) -> None:
+    made = trial(
+        seed, robots=robots, steps=steps, simulated=simulated, length=length, first=min(length, 5)
+    )
+    path = write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
+    assert_same_trial(read_trial(path), made)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -0.0, 5e-324, 1.7976931348623157e308])
+def test_numbers_at_the_edge_survive(tmp_path: Path, value: float) -> None:
+    made = trial(steps=2)
+    for samples, step in made.rounds:
+        for sample in samples:
+            sample.observation.poses.x[0] = value
+            sample.observation.valid[0] = False
+        step.plan.path[1] = value
+        step.plan.searches[0].history[0] = value
+    final = Poses.of(np.full((3, 3), value))
+    verdict = replace(made.result.verdict, final=final, clearance=(value,) * 3)
+    result = replace(made.result, verdict=verdict, total_error=value, robot_errors=(value,) * 3)
+    made = replace(made, result=result)
+    path = write(made, tmp_path / "trial.mcap")
+    assert_same_trial(read_trial(path), made)
+    assert same(read_result(path).result, result)
+
+
+def test_commands_outside_the_steps_are_kept_apart_from_them(tmp_path: Path) -> None:
+    made = trial(steps=1)
+    square = Command(1.25, 17, (True, False, True))
+    with LogWriter(tmp_path / "trial.mcap") as writer:
+        writer.on_start(made.start)
+        writer.on_command(square)
+        for samples, step in made.rounds:
+            writer.on_samples(samples)
+            writer.on_step(step)
+        writer.on_stop(made.stop, made.result)
+    log = read_trial(tmp_path / "trial.mcap")
+    assert same(log.commands, (square, made.steps[0].command, made.stop))
+    assert same(log.steps, tuple(made.steps))
+    assert same(log.stop, made.stop)
+
+
+def test_host_facts_are_told_apart_from_versions(tmp_path: Path) -> None:
+    log = read_trial(write(trial(steps=1), tmp_path / "trial.mcap"))
+    assert {"started", "host", "cpu", "pid"} <= log.host.keys()
+    assert {"python", "numpy", "numba", "scipy", "mcap", "protobuf", "tetractl"} <= set(
+        log.provenance
+    )
+    assert not log.host.keys() & log.provenance.keys()
+
+
+def test_the_result_is_read_without_the_course(tmp_path: Path) -> None:
+    made = trial(index=2)
+    path = write(made, tmp_path / "trial.mcap")
+    summary = read_result(path)
+    assert same(summary.result, made.result)
+    assert (summary.trial, summary.seed) == (2, 2**64 - 1)
+    assert (summary.experiment, summary.simulated) == (made.experiment, True)
+    assert summary.digest == read_trial(path).digest
+    assert not summary.recovered

@@ -1,0 +1,105 @@
+"""The log's thread: it waits instead of losing, and never holds up the loop in real time."""
+
+import errno
+import threading
+from pathlib import Path
+
+import pytest
+from support.random_trials import trial, write
+
+from tetractl.core.errors import LogError
+from tetractl.log.read.reader import content_digest, read_trial
+from tetractl.log.write import sink
+from tetractl.log.write import spool as desk
+from tetractl.log.write.writer import LogWriter
+from tetractl.run.relay import Relay
+
+
+class Disk:
+    """A disk whose syncs, from `stick` on, end only when the test sets `free`."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.stuck, self.free = False, threading.Event()
+        monkeypatch.setattr(sink, "_sync_data", self.sync)
+
+    def sync(self, handle: int) -> None:
+        if self.stuck:
+            self.free.wait(60)
+
+    def stick(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.stuck = True
+        monkeypatch.setattr(sink, "CHUNK_S", 0.0)
+
+
+def test_a_disk_that_stands_still_does_not_hold_up_the_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every call returns while the disk stands still: nothing but the end waits."""
+    disk = Disk(monkeypatch)
+    made = trial(steps=40)
+    writer = LogWriter(tmp_path / "trial.mcap")
+    with writer, Relay(writer, lambda: writer.failure) as relay:
+        relay.on_start(made.start)
+        disk.stick(monkeypatch)
+        for samples, step in made.rounds:
+            relay.on_samples(samples)
+            relay.on_step(step)
+        disk.free.set()
+        relay.on_stop(made.stop, made.result)
+    log = read_trial(tmp_path / "trial.mcap")
+    assert (len(log.steps), len(log.frames), log.damage) == (40, len(made.samples), None)
+
+
+def test_a_simulation_waits_for_the_disk_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = write(trial(steps=30), tmp_path / "plain.mcap")
+    monkeypatch.setattr(desk, "WAITING", 1)
+    monkeypatch.setattr(sink, "CHUNK_S", 0.0)
+    slow = write(trial(steps=30), tmp_path / "slow.mcap")
+    assert content_digest(slow) == content_digest(plain)
+    assert read_trial(slow).damage is None
+
+
+def test_a_disk_that_stays_still_ends_the_trial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(monkeypatch)
+    monkeypatch.setattr(desk, "WAITING", 4)
+    monkeypatch.setattr(desk, "PATIENCE_S", 0.05)
+    made = trial(steps=40)
+    writer = LogWriter(tmp_path / "trial.mcap")
+    writer.on_start(made.start)
+    disk.stick(monkeypatch)
+    with pytest.raises(LogError, match=r"the disk took nothing for 0.05 s"):
+        for samples, step in made.rounds:
+            writer.on_samples(samples)
+            writer.on_step(step)
+    writer.on_stop(made.stop, made.result)  # told once
+    writer.close()
+    disk.free.set()
+    assert read_trial(tmp_path / "trial.mcap.part").damage is not None
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
+def test_what_fails_in_the_thread_reaches_the_loop_at_its_next_call(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    made = trial(steps=3)
+    writer = LogWriter(tmp_path / "trial.mcap")
+    with writer, Relay(writer, lambda: writer.failure) as relay:
+        relay.on_start(made.start)
+
+        def refuse(handle: int) -> None:
+            raise OSError(number, "the disk says no")
+
+        monkeypatch.setattr(sink, "_sync_data", refuse)
+        monkeypatch.setattr(sink, "CHUNK_S", 0.0)
+        relay.on_samples(made.samples)
+        while writer.failure is None:  # the thread's own pace; no call asks for it
+            pass
+        with pytest.raises(LogError, match="cannot write the log: the disk says no"):
+            relay.on_step(made.steps[0])
+    log = read_trial(tmp_path / "trial.mcap.part")
+    assert len(log.frames) == len(made.samples)
+    assert [thread for thread in threading.enumerate() if thread.name.startswith("log ")] == []

@@ -1,0 +1,199 @@
+"""How the writer treats its file: names, flushes, and a file system that refuses."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.paths import ROOT
+from support.random_trials import trial, write
+
+from tetractl.core.errors import LogError
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.salvage import scan
+from tetractl.log.write.writer import LogWriter
+
+
+def test_a_log_is_a_part_until_its_trial_has_ended(tmp_path: Path) -> None:
+    made = trial(steps=1)
+    path, part = tmp_path / "trial.mcap", tmp_path / "trial.mcap.part"
+    writer = LogWriter(path)
+    assert not part.exists()
+    writer.on_start(made.start)
+    assert part.exists()
+    assert not path.exists()
+    writer.on_stop(made.stop, made.result)
+    assert path.exists()
+    assert not part.exists()
+    writer.close()
+    assert read_trial(path).result is not None
+
+
+def test_a_trial_without_an_end_stays_a_part(tmp_path: Path) -> None:
+    made = trial(steps=2)
+    with pytest.raises(RuntimeError), LogWriter(tmp_path / "trial.mcap") as writer:
+        writer.on_start(made.start)
+        for samples, step in made.rounds:
+            writer.on_samples(samples)
+            writer.on_step(step)
+        raise RuntimeError("a bug in the loop")
+    assert [path.name for path in tmp_path.iterdir()] == ["trial.mcap.part"]
+    found = read_trial(tmp_path / "trial.mcap.part")
+    assert len(found.steps) == 2
+    assert found.result is None
+    assert found.damage is not None
+
+
+def test_a_writer_that_never_started_leaves_nothing(tmp_path: Path) -> None:
+    made = trial(steps=1)
+    with LogWriter(tmp_path / "trial.mcap") as writer:
+        writer.on_samples(made.samples)
+        writer.on_step(made.steps[0])
+        writer.on_stop(made.stop, made.result)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_second_of_trial_time_is_all_a_crash_can_cost(tmp_path: Path) -> None:
+    made = trial(steps=22)
+    writer = LogWriter(tmp_path / "trial.mcap")
+    writer.on_start(made.start)
+    for samples, step in made.rounds:
+        writer.on_samples(samples)
+        writer.on_step(step)
+        writer.drain()
+        found = read_trial(tmp_path / "trial.mcap.part")  # as if killed here
+        seen_ns = int(found.received_ns[-1]) if len(found.received_ns) else 0
+        assert samples[-1].observation.received_ns - seen_ns <= 1_200_000_000
+    writer.close()
+
+
+@pytest.mark.parametrize("left", ["trial.mcap", "trial.mcap.part"])
+def test_a_log_is_never_overwritten(tmp_path: Path, left: str) -> None:
+    old = write(trial(), tmp_path / "old.mcap").rename(tmp_path / left)
+    before = old.read_bytes()
+    with pytest.raises(LogError, match=f"{left}: this log exists already"):
+        LogWriter(tmp_path / "trial.mcap").on_start(trial(2).start)
+    assert old.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("folder", "why"),
+    [("a-file", "Not a directory"), ("missing", "No such file or directory"), ("n" * 300, "long")],
+)
+def test_a_folder_that_cannot_be_written_to_is_one_line(
+    tmp_path: Path, folder: str, why: str
+) -> None:
+    (tmp_path / "a-file").write_text("")
+    with pytest.raises(LogError, match=why) as caught:
+        LogWriter(tmp_path / folder / "trial.mcap").on_start(trial().start)
+    assert "\n" not in str(caught.value)
+    assert caught.value.hint is None
+
+
+def test_a_folder_removed_during_the_trial_is_one_line(tmp_path: Path) -> None:
+    made, folder = trial(steps=1), tmp_path / "logs"
+    folder.mkdir()
+    writer = LogWriter(folder / "trial.mcap")
+    writer.on_start(made.start)
+    shutil.rmtree(folder)
+    for samples, step in made.rounds:
+        writer.on_samples(samples)
+        writer.on_step(step)
+    with pytest.raises(LogError, match="the file or its folder was removed during") as caught:
+        writer.on_stop(made.stop, made.result)
+    assert caught.value.hint == f"what was written until then is in {folder / 'trial.mcap.part'}"
+    writer.close()
+    put_back = read_trial(folder / "trial.mcap.part")
+    assert [step.k for step in put_back.steps] == [0]
+
+
+def test_a_folder_moved_during_the_trial_takes_its_log_along(tmp_path: Path) -> None:
+    made, folder = trial(steps=1), tmp_path / "logs"
+    folder.mkdir()
+    writer = LogWriter(folder / "trial.mcap")
+    writer.on_start(made.start)
+    folder.rename(tmp_path / "moved")
+    writer.on_samples(made.samples)
+    with pytest.raises(LogError, match="was moved during the trial") as caught:
+        writer.on_stop(made.stop, made.result)
+    assert caught.value.hint is None
+    assert not folder.exists()
+    assert len(read_trial(tmp_path / "moved" / "trial.mcap.part").frames) == len(made.samples)
+
+
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+from support.random_trials import trial
+from tetractl.core.errors import LogError
+from tetractl.log import provenance
+from tetractl.log.write.writer import LogWriter
+
+provenance.environment = lambda: "{}"  # for a size that does not depend on where this runs
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
+made = trial(steps=40)
+writer, errors = LogWriter(Path(sys.argv[1])), []
+
+def attempt(call, *arguments):
+    try:
+        call(*arguments)
+    except LogError as error:
+        errors.append(f"{error} | {error.hint}")
+
+attempt(writer.on_start, made.start)
+for samples, step in made.rounds:
+    attempt(writer.on_samples, samples)
+    attempt(writer.on_step, step)
+attempt(writer.on_stop, made.stop, made.result)
+attempt(writer.close)
+print(*errors, sep="\\n")
+"""
+
+
+@pytest.mark.parametrize("limit", [0, 2_000, 40_000, 60_000])
+def test_a_full_disk_is_told_once_and_what_is_written_stays(tmp_path: Path, limit: int) -> None:
+    path = tmp_path / "trial.mcap"
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(path), str(limit)],
+        cwd=ROOT / "tests",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    part = path.with_name("trial.mcap.part")
+    hint = f"what was written until then is in {part}" if limit else None
+    assert done.stdout == f"{path}: cannot write the log: File too large | {hint}\n"
+    assert not path.exists()
+    assert part.stat().st_size == limit
+    if limit >= 40_000:
+        found = read_trial(part)
+        assert len(found.steps) > 0
+        assert found.damage is not None
+        made = trial(steps=40)
+        assert [step.k for step in found.steps] == [s.k for s in made.steps[: len(found.steps)]]
+
+
+def test_lost_robots_and_commands_are_noted(tmp_path: Path) -> None:
+    made = trial(steps=2)
+    made.samples[1].observation.valid[0] = False
+    made.samples[3].observation.valid[2] = False
+    object.__setattr__(made.steps[0].command, "delivered", (True, False, True))
+    object.__setattr__(made.steps[1].command, "delivered", (True, True, True))
+    entries = scan(write(made, tmp_path / "trial.mcap")).entries
+    notes = [entry.data for entry in entries if entry.topic == "/log"]
+    assert len(notes) == 7
+    for note, text in zip(
+        notes,
+        (
+            b"trial 0 of made-up starts",
+            b"robot 0 is lost",
+            b"robot 0 is tracked again",
+            b"robot 2 is lost",
+            b"robot 2 is tracked again",
+            b"robot 1 did not get the command of step 0",
+            b"sequence used up (no signal left) after 2 control steps",
+        ),
+        strict=True,
+    ):
+        assert text in note

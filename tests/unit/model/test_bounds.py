@@ -1,0 +1,98 @@
+"""Lower bounds of the total error, against plans that a good optimiser finds."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.bounded import best_plan, seconds_of, spec
+
+from tetractl.model.bounds import drift, least_total_error, reach
+
+
+def widest_gap(a_1, a_2, turned, seconds, steps=4000):
+    """|w_1 - w_2| where u makes the headings part as fast as they can, and keeps them apart."""
+    dt, half = seconds / steps, turned / 2
+    first, second = -half, half
+    gap = np.zeros(2)
+    for _ in range(steps):
+        delta = second - first
+        # delta' = (a_2 - a_1) sin m cos(delta/2) - (a_1 + a_2) cos m sin(delta/2), greatest at:
+        m = math.atan2((a_2 - a_1) * math.cos(delta / 2), -(a_1 + a_2) * math.sin(delta / 2))
+        u = (first + second) / 2 + m
+        if delta < math.pi:
+            first += dt * a_1 * math.sin(u - first)
+            second += dt * a_2 * math.sin(u - second)
+        gap += dt * np.array(
+            [math.cos(second) - math.cos(first), math.sin(second) - math.sin(first)]
+        )
+    return float(np.hypot(*gap))
+
+
+@given(
+    a_1=st.floats(0.5, 8),
+    share=st.floats(0.5, 1),
+    turned=st.floats(0, 3),
+    seconds=st.floats(0.01, 3),
+)
+@settings(max_examples=60)
+def test_no_direction_drives_two_robots_further_apart(a_1, share, turned, seconds):
+    most = drift(*map(np.asarray, (a_1, a_1 * share, turned)), seconds)
+    assert widest_gap(a_1, a_1 * share, turned, seconds) <= most * (1 + 1e-3) + 1e-9
+    assert most <= 2 * seconds * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.1])
+@pytest.mark.parametrize("a", [(4.0, 3.0), (4.0, 3.99)])
+def test_for_a_short_time_the_limit_is_nearly_reached(a, turned):
+    most = drift(np.asarray(a[0]), np.asarray(a[1]), np.asarray(turned), 0.2)
+    assert widest_gap(*a, turned, 0.2) > 0.9 * most > 0
+
+
+def test_robots_alike_never_part():
+    assert drift(np.asarray(4.0), np.asarray(4.0), np.asarray(0.0), 1e6) == 0
+
+
+@pytest.mark.parametrize("motion", ["exact", "euler", "arc"])
+@pytest.mark.parametrize("seed", range(12))
+def test_no_plan_undercuts_the_bound(seed, motion):
+    """Random robots, some alike, some nearly so, with too little time or just enough."""
+    rng = np.random.default_rng(seed)
+    experiment = spec(
+        rng, robots=int(rng.integers(1, 5)), signals=int(rng.integers(4, 14)), motion=motion
+    )
+    least = least_total_error(experiment.setup, seconds_of(experiment))
+    found = best_plan(experiment)
+    assert found >= least - 1e-6
+    together = least_total_error(experiment.setup, seconds_of(experiment), alike=True)
+    assert together >= least - 1e-6
+
+
+def test_the_bound_of_two_robots_alike_is_reached():
+    rng = np.random.default_rng(3)
+    experiment = spec(rng, robots=2, signals=30, kind="equal")
+    least = least_total_error(experiment.setup, seconds_of(experiment))
+    assert least > 50
+    assert best_plan(experiment) < 1.01 * least
+
+
+def test_three_robots_alike_are_bounded_by_their_pairs_together():
+    """Targets at the corners of a triangle of side 300, as seen from the starts: half its girth."""
+    rng = np.random.default_rng(1)
+    setup = spec(rng, robots=3, signals=30, kind="equal").setup
+    corners = 300 * np.array([[0, 0], [1, 0], [0.5, math.sqrt(3) / 2]])
+    setup = replace(setup, speed=np.full(3, 100.0), targets=setup.starts.xy + corners)
+    assert least_total_error(setup, 60.0) == pytest.approx(450)
+
+
+def test_a_robot_that_stands_and_one_too_slow():
+    setup = spec(np.random.default_rng(1), robots=2, signals=5).setup
+    setup = replace(
+        setup,
+        speed=np.array([0.0, 100.0]),
+        targets=setup.starts.xy + np.array([[30, 40], [300, 400]]),
+    )
+    np.testing.assert_allclose(reach(setup, 2.0), [50, 300])
+    assert least_total_error(setup, 2.0) == pytest.approx(350)

@@ -1,0 +1,93 @@
+"""Whether a target is walled off: never said where there is a way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.bounded import best_plan, shapes, spec
+
+from tetractl.core.poses import Poses
+from tetractl.model.free_space import clearance, shut_out
+from tetractl.model.obstacles import Obstacles
+
+
+def wall(left, bottom, width, height):
+    return {"type": "rectangle", "left": left, "bottom": bottom, "width": width, "height": height}
+
+
+def setup(*obstacles, start=(100, 500), target=(900, 500)):
+    return placed(shapes(obstacles), start, target)
+
+
+def placed(obstacles, start, target):
+    found = spec(np.random.default_rng(1), robots=1, signals=5).setup
+    starts = Poses.of(np.array([[*start, 0.0]]))
+    return replace(found, starts=starts, targets=np.array([target]), obstacles=obstacles)
+
+
+WALL = wall(480, -100, 40, 1200)
+CUP = [wall(700, 300, 20, 400), wall(700, 300, 300, 20), wall(700, 680, 300, 20)]
+
+
+def test_a_wall_across_the_arena_shuts_out():
+    (apart,) = shut_out(setup(WALL), 0.0, walls=True)
+    assert 420 - 10 < apart <= 420  # from the wall's left side to the target
+
+
+def test_without_walls_the_way_round_through_the_outside_is_open():
+    inside = wall(480, 0, 40, 1000)
+    assert shut_out(setup(inside), 0.0, walls=False) == [0]
+    assert shut_out(setup(inside), 0.0, walls=True) > 0
+
+
+def test_a_target_in_a_cup_that_the_arenas_edge_closes():
+    assert shut_out(setup(*CUP), 0.0, walls=True) > 150
+    assert shut_out(setup(*CUP), 0.0, walls=False) == [0]
+
+
+@pytest.mark.parametrize(
+    ("gap", "margin", "open_"), [(20, 0, True), (20, 9, True), (20, 18, False)]
+)
+def test_a_gap_is_as_wide_as_the_margin_leaves_it(gap, margin, open_):
+    halves = [wall(480, -100, 40, 600 - gap / 2), wall(480, 500 + gap / 2, 40, 600)]
+    assert (shut_out(setup(*halves), margin, walls=True) == 0) == open_
+
+
+def test_a_start_inside_the_margin_is_not_judged():
+    assert shut_out(setup(WALL, start=(470, 500)), 50.0, walls=True) == [0]
+
+
+def test_the_clearance_counts_walls_where_there_are_any():
+    found = setup(WALL)
+    x, y = np.array([100.0, 20.0]), np.array([500.0, 500.0])
+    np.testing.assert_allclose(clearance(found, x, y, walls=True), [100, 20])
+    np.testing.assert_allclose(clearance(found, x, y, walls=False), [380, 460])
+
+
+@pytest.mark.parametrize("margin", [0.0, 15.0])
+@pytest.mark.parametrize("seed", range(12))
+def test_where_a_random_path_goes_nothing_is_shut_out(seed, margin):
+    """Obstacles anywhere but on a random path: however narrow what is left, it is a way."""
+    rng = np.random.default_rng(seed)
+    path = rng.uniform(50, 950, (6, 2))
+    things = []
+    for x, y, size in zip(*rng.uniform(0, 1000, (2, 150)), rng.uniform(5, 250, 150), strict=True):
+        things.append(wall(x, y, size, rng.uniform(5, 250)))
+        things.append({"type": "circle", "center": [x, y], "radius": size / 2})
+    apart = [
+        shape
+        for shape in shapes(things)
+        if not Obstacles.of([shape], margin).cross(*path[:-1].T, *path[1:].T).any()
+    ]
+    assert len(apart) > 20
+    assert shut_out(placed(apart, path[0], path[-1]), margin, walls=True) == [0]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 4, 5, 6])
+def test_what_the_optimiser_solves_is_not_shut_out(seed):
+    rng = np.random.default_rng(seed)
+    things = tuple(wall(*rng.uniform(200, 700, 2), *rng.uniform(20, 250, 2)) for _ in range(3))
+    experiment = spec(rng, robots=1, signals=40)
+    experiment = experiment.model_copy(update={"obstacles": shapes(things)})
+    assert best_plan(experiment) < 1
+    assert not shut_out(experiment.setup, 0.0, walls=True).any()

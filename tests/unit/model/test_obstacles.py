@@ -1,0 +1,154 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from support.geometry import gap, meets
+
+from tetractl.experiment.experiment import Circle, Rectangle
+from tetractl.model.obstacles import Obstacles
+from tetractl.model.path_check import PathJudge
+
+BOX = Rectangle(type="rectangle", left=1200, bottom=1100, width=200, height=200)
+DISC = Circle(type="circle", center=(750, 900), radius=120)
+COORDINATES = st.integers(-6, 6)  # a grid: touching, sliding along an edge and corners all occur
+
+
+@st.composite
+def obstacles(draw):
+    found = []
+    for _ in range(draw(st.integers(1, 3))):
+        x, y = draw(COORDINATES), draw(COORDINATES)
+        if draw(st.booleans()):
+            sides = draw(st.integers(1, 5)), draw(st.integers(1, 5))
+            box = Rectangle(type="rectangle", left=x, bottom=y, width=sides[0], height=sides[1])
+            found.append(box)
+        else:
+            found.append(Circle(type="circle", center=(x, y), radius=draw(st.integers(1, 4))))
+    return found
+
+
+def at(*numbers):
+    return [np.array([float(n)]) for n in numbers]
+
+
+@given(obstacles(), st.floats(-8, 8), st.floats(-8, 8))
+def test_distance_and_containment_follow_from_geometry(things, x, y):
+    world = Obstacles.of(things)
+    nearest = min(gap(thing, x, y) for thing in things)
+    assert world.distance(*at(x, y))[0] == pytest.approx(nearest, abs=1e-12)
+    assume(abs(nearest) > 1e-9)
+    assert world.contain(*at(x, y))[0] == (nearest < 0)
+    assert world.contain(*at(x, y))[0] == any(thing.contains(x, y) for thing in things)
+
+
+@given(obstacles(), COORDINATES, COORDINATES, COORDINATES, COORDINATES)
+def test_segments_cross_as_clipping_says(things, x0, y0, x1, y1):
+    crossed = Obstacles.of(things).cross(*at(x0, y0, x1, y1))[0]
+    if not any(isinstance(thing, Circle) for thing in things):
+        assert crossed == any(meets(thing, x0, y0, x1, y1) for thing in things)
+    t = np.linspace(0, 1, 2001)
+    dense = Obstacles.of(things).distance(x0 + t * (x1 - x0), y0 + t * (y1 - y0)).min()
+    step = math.dist((x0, y0), (x1, y1)) / 2000
+    if dense < -1e-9:
+        assert crossed
+    if dense > step + 1e-9:  # a sample is within half a step of every point of the segment
+        assert not crossed
+
+
+@given(obstacles(), st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8))
+def test_any_segment_crosses_as_clipping_says_but_for_rounding(things, x0, y0, x1, y1):
+    def crosses(margin):
+        return Obstacles.of(things, margin).cross(*at(x0, y0, x1, y1))[0]
+
+    clipped = any(meets(thing, x0, y0, x1, y1) for thing in things)
+    assert clipped <= crosses(1e-9)
+    assert crosses(-1e-9) <= clipped
+
+
+@given(obstacles(), COORDINATES, COORDINATES)
+def test_a_segment_without_length_is_a_point(things, x, y):
+    world = Obstacles.of(things)
+    assert world.cross(*at(x, y, x, y))[0] == world.contain(*at(x, y))[0]
+
+
+@pytest.mark.parametrize(
+    ("x", "y"),
+    [(1200, 1100), (1400, 1300), (1200, 1300), (1300, 1100), (1300, 1300), (750, 780), (870, 900)],
+)
+def test_edges_and_corners_belong_to_the_obstacle(x, y):
+    world = Obstacles.of([BOX, DISC])
+    assert world.contain(*at(x, y))[0]
+    assert world.distance(*at(x, y))[0] == 0
+    assert world.cross(*at(x, y, x, y))[0]
+
+
+@pytest.mark.parametrize(
+    ("segment", "crosses"),
+    [
+        ((1100, 1300, 1500, 1300), True),  # along the top edge
+        ((1100, 1300.001, 1500, 1300.001), False),
+        ((1100, 1400, 1300, 1200), True),  # into the box from a corner's side
+        ((1000, 1100, 1200, 1300), True),  # through the corner (1200, 1300) at its end
+        ((1000, 1101, 1200, 1301), False),  # just past that corner
+        ((1000, 1000, 1500, 1500), True),  # right across; both ends outside
+        ((1250, 1150, 1350, 1250), True),  # inside throughout
+        ((600, 1020, 900, 1020), True),  # tangent to the disc
+        ((600, 1020.01, 900, 1020.01), False),
+        ((700, 0, 700, 500), False),  # towards the disc but short of it
+    ],
+)
+def test_segments_against_the_papers_obstacle_and_a_disc(segment, crosses):
+    world = Obstacles.of([BOX, DISC])
+    assert world.cross(*at(*segment))[0] == crosses
+    assert world.cross(*at(*segment[2:], *segment[:2]))[0] == crosses
+
+
+def test_a_margin_grows_every_side_and_radius():
+    grown = Obstacles.of([BOX, DISC], margin=10)
+    assert grown.rectangles.tolist() == [[1190, 1090, 1410, 1310]]
+    assert grown.circles.tolist() == [[750, 900, 130]]
+
+
+def test_nothing_is_in_no_obstacle():
+    empty = Obstacles.of([])
+    assert not empty.contain(*at(1, 2))[0]
+    assert not empty.cross(*at(1, 2, 3, 4))[0]
+    assert empty.distance(*at(1, 2))[0] == math.inf
+
+
+def test_obstacles_broadcast():
+    x, y = np.linspace(500, 2000, 5)[:, None], np.linspace(500, 2000, 7)
+    world = Obstacles.of([BOX, DISC])
+    for table in (world.contain(x, y), world.distance(x, y), world.cross(x, y, x + 1, y)):
+        assert table.shape == (5, 7)
+    assert world.distance(x, y)[3, 2] == world.distance(x[3], y[2:3])[0]
+
+
+def test_the_judge_sees_what_happens_between_samples_and_between_calls():
+    judge = PathJudge(Obstacles.of([BOX]), 3)
+    # robot 0 stays clear, 1 jumps over the box between two calls, 2 between two samples of a call
+    judge.add(np.array([[0.0, 1300.0, 1100.0]]), np.array([[0.0, 1000.0, 1200.0]]))
+    assert judge.entered.tolist() == [False, False, False]
+    judge.add(
+        np.array([[900.0, 1300.0, 1500.0], [1100.0, 1300.0, 1600.0]]),
+        np.array([[1200.0, 1400.0, 1200.0], [1200.0, 1500.0, 1200.0]]),
+    )
+    assert judge.entered.tolist() == [False, True, True]
+    assert judge.clearance.tolist() == [100, 100, 100]  # at the samples
+
+
+def test_the_judge_remembers_the_deepest_visit():
+    judge = PathJudge(Obstacles.of([BOX]), 1)
+    for x in (1300.0, 1900.0):
+        judge.add(np.array([[x]]), np.array([[1150.0]]))
+    assert judge.entered.tolist() == [True]
+    assert judge.clearance.tolist() == [-50]
+
+
+def test_the_judge_has_nothing_to_say_without_obstacles():
+    judge = PathJudge(Obstacles.of([]), 2)
+    judge.add(np.zeros((4, 2)), np.zeros((4, 2)))
+    assert judge.entered.tolist() == [False, False]
+    assert judge.clearance.tolist() == [math.inf, math.inf]

@@ -1,0 +1,196 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from support.batches import REFERENCE, SCALE, batch, experiment, result, trial
+
+from tetractl.core.commands import Verdict
+from tetractl.core.errors import UsageError
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Poses
+from tetractl.stats.summary import compare, summarise
+
+ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
+
+
+def test_totals_and_robots_agree_with_numpy():
+    found = summarise(batch(ERRORS.tolist()))
+    totals = ERRORS.sum(axis=1)
+    assert (found.counted, found.unit) == (20, "mm")
+    assert found.total.mean == pytest.approx(totals.mean())
+    assert found.total.std == pytest.approx(totals.std(ddof=1))
+    for i, robot in enumerate(found.robots):
+        assert robot.mean == pytest.approx(ERRORS[:, i].mean())
+        assert robot.median == pytest.approx(np.median(ERRORS[:, i]))
+    assert sum(robot.mean for robot in found.robots) == pytest.approx(found.total.mean)
+
+
+@settings(max_examples=15)
+@given(st.randoms(use_true_random=False))
+def test_the_order_of_the_logs_changes_nothing(random):
+    trials = batch(ERRORS.tolist(), experiment(reference=REFERENCE, scale=SCALE))
+    mixed = random.sample(trials, len(trials))
+    one, other = summarise(trials), summarise(mixed)
+    assert other.total == one.total
+    assert other.robots == one.robots
+    assert (other.published, other.scaled) == (one.published, one.scaled)
+    assert other.solve_ms == one.solve_ms
+
+
+def test_only_trials_that_ran_to_their_end_enter_the_means():
+    trials = batch(ERRORS[:3].tolist())
+    spec = trials[0].experiment
+    for i, outcome in enumerate([Outcome.ABORTED, Outcome.INTERRUPTED], start=3):
+        trials.append(trial(f"{outcome}.mcap", spec, result([9e5] * 3, outcome=outcome), i))
+    trials.append(trial("lost.mcap", spec, result([math.nan, 1, 1]), 5))
+    found = summarise(trials)
+    assert (len(found.trials), found.counted) == (6, 3)
+    assert (found.aborted, found.interrupted) == (1, 1)
+    assert found.total.mean == pytest.approx(ERRORS[:3].sum(axis=1).mean())
+
+
+@pytest.mark.parametrize("outcome", [Outcome.ARRIVED, Outcome.SEQUENCE_USED_UP, Outcome.STEPS_MAX])
+def test_outcomes_decided_by_the_controller_count(outcome):
+    found = summarise(batch(ERRORS.tolist(), outcome=outcome))
+    assert found.counted == 20
+    assert found.arrived == (20 if outcome is Outcome.ARRIVED else 0)
+
+
+def test_no_complete_trial_leaves_no_mean():
+    found = summarise(batch(ERRORS.tolist(), outcome=Outcome.ABORTED))
+    assert found.counted == 0
+    assert math.isnan(found.total.mean)
+    assert found.total.ci95.reason == "no values"
+
+
+def test_violations_are_counted_in_trials_whatever_their_outcome():
+    trials = batch(ERRORS[:4].tolist())
+    both = Verdict(Poses.of(np.zeros((3, 3))), (True, False, True), (-1.0, 5.0, -2.0))
+    for i, outcome in ((0, Outcome.ABORTED), (2, Outcome.ARRIVED)):
+        trials[i] = replace(trials[i], result=result([1, 2, 3], verdict=both, outcome=outcome))
+    assert summarise(trials).obstacle_violations == 2
+
+
+def test_solve_times_are_over_all_steps_of_all_trials():
+    trials = batch([[1.0], [2.0]])
+    trials[0] = replace(
+        trials[0], result=result([1.0], solve_ns=tuple(range(0, 99_000_000, 1_000_000)))
+    )
+    trials[1] = replace(trials[1], result=result([2.0], solve_ns=(900_000_000,), deadline_misses=1))
+    found = summarise(trials)
+    times = [*range(99), 900]
+    assert found.solve_ms.p50 == pytest.approx(np.percentile(times, 50))
+    assert found.solve_ms.p99 == pytest.approx(np.percentile(times, 99))
+    assert found.solve_ms.max == 900
+    assert found.deadline_misses == 1
+
+
+def test_the_published_result_is_compared_by_welch():
+    found = summarise(batch(ERRORS.tolist(), experiment(reference=REFERENCE)))
+    assert found.published
+    totals = ERRORS.sum(axis=1)
+    test = stats.ttest_ind_from_stats(
+        totals.mean(), totals.std(ddof=1), 20, 648.6, 225.1, 20, equal_var=False
+    )
+    comparison = found.published.comparison
+    assert comparison.value == pytest.approx(totals.mean() - 648.6)
+    assert comparison.p_value == pytest.approx(test.pvalue)
+    assert comparison.ci95.low < comparison.value < comparison.ci95.high
+    assert summarise(batch(ERRORS.tolist())).published is None
+
+
+def test_errors_scale_by_the_ratio_of_speeds():
+    spec = experiment(reference=REFERENCE, scale=SCALE)
+    found = summarise(batch([[200, 300, 358.8]] * 3, spec)).scaled
+    assert found
+    speed = (180 + 200 + 150) / 3
+    assert found.error == pytest.approx(858.8 / 3 * 300 / speed)
+    assert found.body_lengths(found.error) == pytest.approx(found.error / 50)
+    assert found.published == pytest.approx(648.6 / 3 * 300 / speed)
+    assert not found.ci95.known
+
+
+def test_robots_that_stand_still_have_no_scaled_error():
+    still = experiment(1).robots[0].model_copy(update={"speed": 0.0})
+    spec = experiment(1, scale=SCALE).model_copy(update={"robots": (still,)})
+    found = summarise(batch([[1.0], [2.0]], spec)).scaled
+    assert found
+    assert math.isnan(found.error)
+    assert not found.ci95.known
+
+
+def test_two_experiments_in_one_batch_are_refused_with_what_differs():
+    trials = batch(ERRORS[:2].tolist())
+    other = experiment(controller={"model": "exact"}, plant={"dead_time": 0.15})
+    trials[1] = replace(trials[1], experiment=other)
+    with pytest.raises(UsageError) as caught:
+        summarise(trials)
+    assert "trial-000.mcap and trial-001.mcap are not the same experiment" in str(caught.value)
+    assert "controller.model: euler != exact" in str(caught.value)
+    assert "plant.dead_time: 0.0 != 0.15" in str(caught.value)
+    assert caught.value.hint
+    assert "--against" in caught.value.hint
+
+
+def test_other_seeds_and_counts_are_the_same_experiment():
+    trials = batch(ERRORS[:2].tolist(), experiment(trials={"count": 2, "seed": 1}))
+    more = batch(ERRORS[2:4].tolist(), experiment(trials={"count": 5, "seed": 2}))
+    assert summarise(trials + [replace(trial, seed=2) for trial in more]).counted == 4
+
+
+def test_a_trial_given_twice_is_refused():
+    trials = batch(ERRORS[:2].tolist())
+    with pytest.raises(UsageError, match="are the same trial"):
+        summarise([*trials, replace(trials[0], path="copy.mcap")])
+
+
+def test_a_trial_in_the_lab_can_be_done_again_but_not_given_twice():
+    lab = [replace(one, simulated=False, digest=one.path) for one in batch(ERRORS[:2].tolist())]
+    again = replace(lab[0], path="again.mcap", digest="other")
+    torn = replace(lab[0], path="torn.mcap", digest=None, recovered=True)
+    assert summarise([*lab, again, torn, replace(torn, path="too.mcap")]).counted == 5
+    with pytest.raises(UsageError, match="are the same trial"):
+        summarise([*lab, replace(lab[1], path="copy.mcap")])
+
+
+def test_no_trial_is_an_error():
+    with pytest.raises(UsageError, match="no trial"):
+        summarise([])
+
+
+def test_two_batches_compare():
+    ours = summarise(batch((ERRORS / 4).tolist(), experiment(controller={"model": "exact"})))
+    theirs = summarise(batch(ERRORS.tolist()))
+    found = compare(ours, theirs)
+    assert found.verdict == "lower"
+    assert found.welch.value == pytest.approx(ours.total.mean - theirs.total.mean)
+    assert found.bootstrap.high < 0
+    assert found.effect.value < -0.9
+    assert found.differs == ("controller.model: exact != euler",)
+    assert compare(theirs, ours).verdict == "higher"
+
+
+def test_a_batch_does_not_differ_from_itself():
+    found = summarise(batch(ERRORS.tolist()))
+    same = compare(found, found)
+    assert (same.verdict, same.effect.value, same.welch.value) == ("undecided", 0.0, 0.0)
+    assert same.differs == ()
+
+
+def test_few_trials_carry_no_verdict():
+    few = summarise(batch(ERRORS[:5].tolist()))
+    found = compare(few, summarise(batch((ERRORS + 1e4).tolist())))
+    assert found.verdict is None
+    assert found.reason == "a verdict needs 8 complete trials on each side"
+    assert not found.bootstrap.known
+
+
+def test_batches_in_other_units_do_not_compare():
+    ours = summarise(batch(ERRORS.tolist()))
+    theirs = summarise(batch(ERRORS.tolist(), experiment(units={"length": "um"})))
+    with pytest.raises(UsageError, match="errors in mm with errors in um"):
+        compare(ours, theirs)

@@ -1,0 +1,110 @@
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+from support.batches import REFERENCE, SCALE, batch, experiment, result
+
+from tetractl.core.plan import Outcome
+from tetractl.stats.summary import compare, summarise
+from tetractl.stats.table import as_latex, as_markdown, print_table
+
+ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
+SPEC = experiment(reference=REFERENCE, scale=SCALE)
+
+
+def printed(*args, **console):
+    out = io.StringIO()
+    summary, *comparison = args
+    print_table(summary, Console(file=out, **console), *comparison)
+    return out.getvalue()
+
+
+def test_the_published_result_stands_beside_ours():
+    lines = printed(summarise(batch(ERRORS, SPEC))).splitlines()
+    ours = next(line for line in lines if line.split()[:1] == ["total"])
+    published = next(line for line in lines if line.split()[:1] == ["published"])
+    assert f"{np.sum(ERRORS, axis=1).mean():.1f}" in ours
+    assert published.split()[:4] == ["published", "20", "648.6", "225.1"]
+
+
+def test_without_a_terminal_lines_are_plain_and_whole():
+    trials = batch(ERRORS, SPEC)
+    path = "/".join(["folder"] * 40) + "/trial.mcap"
+    trials[0] = replace(trials[0], path=path, recovered=True)
+    text = printed(summarise(trials))
+    assert "\x1b" not in text
+    assert path in text
+
+
+def test_a_terminal_of_80_columns_shows_the_whole_table():
+    text = printed(summarise(batch(ERRORS, SPEC)), width=80, force_terminal=True)
+    assert "…" not in text
+    # title, header, rule, five rows and a blank line: none is wrapped
+    assert text.split("Trials")[0].count("\n") == 9
+
+
+def test_control_codes_in_a_log_never_reach_the_screen():
+    trials = batch(ERRORS[:2])
+    sly = result([1, 2, 3], outcome=Outcome.ABORTED, reason="\x1b]0;gone\x07[red]x[/red]")
+    trials[0] = replace(trials[0], result=sly)
+    text = printed(summarise(trials))
+    assert "\x1b" not in text
+    assert "[red]x[/red]" in text
+
+
+def test_trials_left_out_are_listed_with_their_reason():
+    trials = batch(ERRORS[:4])
+    trials[1] = replace(
+        trials[1], result=result([1, 2, 3], outcome=Outcome.ABORTED, reason="pulled")
+    )
+    trials[2] = replace(trials[2], recovered=True)
+    text = printed(summarise(trials))
+    assert "3 of 4 trials complete" in text
+    assert "trial-001.mcap   aborted" in text
+    assert "not in the means, pulled" in text
+    assert "in the means, read from a damaged log" in text
+    assert "Trials to look at" not in printed(summarise(batch(ERRORS[:4])))
+
+
+@pytest.mark.parametrize(("scale", "mean"), [(1, "648.6"), (1e-3, "0.649"), (1e3, "648600")])
+def test_means_keep_three_digits_in_every_unit(scale, mean):
+    rows = [[600 * scale], [697.2 * scale]]
+    assert f" {mean} " in printed(summarise(batch(rows)))
+
+
+def test_small_errors_beside_a_large_published_one_keep_their_own_digits():
+    # down to a millionth of the arena, 2000 mm wide
+    rows = [[0.04123456, 0.01], [0.05543210, 0.01]]
+    text = printed(summarise(batch(rows, experiment(reference=REFERENCE, scale=SCALE, robots=2))))
+    assert " 0.058 " in text
+    assert " -648.5 " in text
+
+
+def test_arrivals_are_counted_only_where_the_spec_says_what_arriving_is():
+    def shown(tolerance):
+        spec = experiment(controller={"arrival_tolerance": tolerance})
+        text = printed(summarise(batch(ERRORS[:4], spec)))
+        return next(line for line in text.splitlines() if line.strip().startswith("arrived"))
+
+    assert "no arrival_tolerance set" in shown(0)
+    assert "0 of 4 (95 % interval" in shown(20)
+
+
+def test_markdown_has_as_many_cells_in_every_row():
+    ours = summarise(batch(ERRORS, SPEC))
+    for table in as_markdown(ours, compare(ours, ours)).split("**")[2::2]:
+        lines = table.strip().splitlines()
+        assert len({line.count("|") for line in lines}) == 1
+        assert set(lines[1]) <= set("|-: ")
+
+
+def test_latex_is_booktabs_with_special_characters_escaped():
+    scale = SCALE | {"name": "T_p & 100% ^"}
+    text = as_latex(summarise(batch(ERRORS, experiment(reference=REFERENCE, scale=scale))))
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 2
+    assert text.count(r"\toprule") == text.count(r"\bottomrule") == 2
+    assert r"T\_p \& 100\% \textasciicircum{}" in text
+    cells = [line.count(" & ") for line in text.splitlines() if line.startswith(("total", "green"))]
+    assert set(cells) == {7}

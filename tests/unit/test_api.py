@@ -1,0 +1,193 @@
+"""The face: every name of `import tetractl`, used as a notebook uses it."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pytest
+
+import tetractl
+from tetractl.core.errors import SpecError, UsageError
+from tetractl.experiment.plants import on_plant
+
+SPEC = """
+name: two
+arena: {left: 0, bottom: 0, width: 1000, height: 1000}
+robots:
+  - {name: a, start: [200, 500], target: [600, 500], a: 6, speed: 180}
+  - {name: b, start: [200, 700], target: [500, 800], a: 3, speed: 150}
+controller: {period: 0.2, horizon_max: 8, steps_max: 6}
+plant: {measurement_noise: {position: 2}}
+trials: {count: 3, seed: 4}
+"""
+
+
+class Watch:
+    """An observer that calls `on_step` alone."""
+
+    def __init__(self, on_step):
+        self.on_step = on_step
+
+    def on_start(self, start):
+        pass
+
+    on_samples = on_command = on_note = on_start
+
+    def on_stop(self, stop, result):
+        pass
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("batch")
+    results = {}
+    found = tetractl.run_batch(tetractl.parse_spec(SPEC), folder, on_result=results.__setitem__)
+    assert sorted(results) == [0, 1, 2]
+    return folder, found
+
+
+def test_a_notebook(tmp_path, batch):
+    """Load, run, read, tabulate, summarise, compare, draw, verify."""
+    (tmp_path / "two.yaml").write_text(SPEC, encoding="utf-8")
+    spec = tetractl.load_spec(tmp_path / "two.yaml", "trials.seed=9")
+    assert isinstance(spec.experiment, tetractl.Experiment)
+    assert spec.experiment.trials.seed == 9
+
+    trial = tetractl.run_trial(spec, 1, folder=tmp_path / "one")
+    logged = tetractl.read_log(tmp_path / "one" / "trial-001.mcap")
+    assert isinstance(trial, tetractl.TrialLog)
+    assert trial.digest == logged.digest
+    assert trial.path == logged.path
+
+    folder, ours = batch
+    theirs = tetractl.run_batch(spec, tmp_path / "theirs")
+    assert [len(found.trials) for found in (ours, tetractl.read_batch(folder), theirs)] == [3, 3, 3]
+    summary = tetractl.summarise(ours)
+    assert summary.counted == 3
+    comparison = tetractl.compare(summary, tetractl.summarise(theirs))
+    assert comparison.welch.value == pytest.approx(
+        summary.total.mean - tetractl.summarise(theirs).total.mean
+    )
+    for data in (trial, [trial, logged], summary, comparison):
+        tetractl.plot(data, file=tmp_path / "figure.png")
+        assert (tmp_path / "figure.png").stat().st_size > 5000
+        (tmp_path / "figure.png").unlink()
+    assert tetractl.plot(trial, "error").axes
+    assert tetractl.verify(folder / "trial-000.mcap").ok
+
+
+def test_a_trial_that_is_kept_nowhere_is_the_one_of_the_batch(batch, tmp_path):
+    folder, _ = batch
+    before = set(Path.cwd().iterdir())
+    steps = []
+    trial = tetractl.run_trial(tetractl.parse_spec(SPEC), 2, observers=[Watch(steps.append)])
+    logged = tetractl.read_log(folder / "trial-002.mcap")
+    assert trial.mocap.tobytes() == logged.mocap.tobytes()
+    assert trial.result is not None
+    assert trial.result.outcome in tetractl.Outcome
+    assert [step.k for step in steps] == list(range(len(trial.steps)))
+    assert isinstance(trial.steps[0].plan, tetractl.Plan)
+    assert isinstance(trial.steps[0].observation, tetractl.Observation)
+    assert isinstance(trial.steps[0].observation.poses, tetractl.Poses)
+    assert trial.path == "spec, trial 2"
+    assert set(Path.cwd().iterdir()) == before
+
+
+def test_arrays_and_tables_hold_the_trial(batch):
+    folder, found = batch
+    trial = tetractl.read_log(folder / "trial-000.mcap")
+    arrays = tetractl.to_arrays(trial)
+    frames, steps = len(trial.mocap_ns), len(trial.steps)
+    assert arrays.poses.shape == arrays.truth.shape == (frames, 2, 3)
+    assert arrays.distance.shape == arrays.valid.shape == (frames, 2)
+    assert arrays.direction.shape == arrays.cost.shape == arrays.solve_ms.shape == (steps,)
+    assert arrays.distance[0] == pytest.approx(np.hypot([400, 300], [0, 100]), abs=10)
+    assert np.diff(arrays.step_time_s) == pytest.approx(0.2)
+    assert arrays.length[0] == len(trial.steps[0].plan.signals)
+    assert arrays.evaluations[0] == trial.steps[0].plan.evaluations
+
+    course = tetractl.to_dataframe(trial)
+    assert isinstance(course, pandas.DataFrame)
+    assert len(course) == 2 * frames
+    b = course[course.robot == "b"]
+    assert b.distance_mm.to_numpy().tobytes() == arrays.distance[:, 1].tobytes()
+    assert b.true_y_mm.to_numpy().tobytes() == arrays.truth[:, 1, 1].tobytes()
+    ends = tetractl.to_dataframe(found)
+    assert list(ends.trial) == [0, 1, 2]
+    assert ends.total_error_mm.mean() == pytest.approx(tetractl.summarise(found).total.mean)
+
+
+def test_without_pandas_one_line_says_so(batch, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(tetractl.TetractlError, match="a DataFrame needs pandas") as raised:
+        tetractl.to_dataframe(batch[1])
+    assert "to_arrays" in str(raised.value.hint)
+
+
+def test_a_batch_goes_on_where_it_stopped(batch, tmp_path):
+    spec = tetractl.parse_spec(SPEC, "trials.count=1")
+    tetractl.run_batch(spec, tmp_path)
+    with pytest.raises(UsageError, match="holds logs already"):
+        tetractl.run_batch(spec, tmp_path)
+    run = []
+    found = tetractl.run_batch(
+        tetractl.parse_spec(SPEC), tmp_path, resume=True, on_result=lambda t, _: run.append(t)
+    )
+    assert run == [1, 2]
+    assert [t.result.total_error for t in found.trials] == [
+        t.result.total_error for t in batch[1].trials
+    ]
+
+
+def test_what_cannot_be_run_is_refused(tmp_path):
+    spec = tetractl.parse_spec(SPEC)
+    tetractl.run_trial(spec, folder=tmp_path)
+    with pytest.raises(UsageError, match=r"trial-000\.mcap: exists already"):
+        tetractl.run_trial(spec, folder=tmp_path)
+    with pytest.raises(SpecError, match="unknown key"):
+        tetractl.parse_spec(SPEC, "controller.perod=1")
+    lab = Path(__file__).parents[2] / "experiments" / "three_m3pi_lab.yaml"
+    with pytest.raises(UsageError, match="plant is the lab"):
+        tetractl.run_trial(on_plant(tetractl.load_spec(lab), "lab"))
+
+
+def test_ctrl_c_ends_a_trial_and_is_raised_again(tmp_path):
+    def interrupt(step):
+        if step.k == 1:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        tetractl.run_trial(tetractl.parse_spec(SPEC), folder=tmp_path, observers=[Watch(interrupt)])
+    (ended,) = tetractl.read_batch(tmp_path).trials
+    assert ended.outcome is tetractl.Outcome.INTERRUPTED
+    assert ended.result.steps == 2
+
+
+def test_every_name_is_there_and_no_other():
+    for name in tetractl.__all__:
+        assert getattr(tetractl, name) is not None, name
+    assert set(tetractl.__all__) <= set(dir(tetractl))
+    assert "properties" in tetractl.experiment_schema()
+    for protocol in ("Actuator", "Camera", "Controller", "Observer", "Optimizer"):
+        assert getattr(tetractl, protocol)._is_protocol, protocol
+    with pytest.raises(AttributeError, match="no attribute 'run_trail'"):
+        _ = tetractl.run_trail  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_importing_the_face_is_quick_and_imports_nothing_heavy():
+    code = (
+        "import sys, time; t = time.process_time(); import tetractl; t = time.process_time() - t;"
+        "print(t, *(m for m in ('numpy', 'numba', 'pydantic', 'typing') if m in sys.modules))"
+    )
+    command = [sys.executable, "-S", "-c", code]
+    path = {"PYTHONPATH": str(Path(tetractl.__file__).parents[1])}
+    runs = [
+        subprocess.run(command, env=path, capture_output=True, text=True, check=True)
+        for _ in range(3)
+    ]
+    told = [run.stdout.split() for run in runs]
+    assert all(len(words) == 1 for words in told), told
+    assert min(float(words[0]) for words in told) < 0.03

@@ -1,0 +1,307 @@
+"""What a notebook or a script needs: the functions that `import tetractl` gives.
+
+What is slow to import (numba, matplotlib, pandas) is imported by the function that needs it. A lab
+is driven by `tetractl run` alone, where a person can stop it.
+"""
+
+import logging
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Bools, Floats
+from tetractl.core.protocols import Observer
+from tetractl.core.trial import Result
+from tetractl.experiment import load
+from tetractl.experiment.load import LoadedSpec
+from tetractl.log.read.trial_log import ResultSummary, TrialLog
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+    from tetractl.replay.verify import Verification
+    from tetractl.run.interrupt import Interrupt
+    from tetractl.stats.summary import Comparison, Summary
+    from tetractl.stats.trials import Damaged
+
+Strings = NDArray[np.str_]
+
+
+def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
+    """Read and check a spec file; `sets` replace values of it, such as "trials.count=5".
+
+    Raises SpecError with one line a problem.
+    """
+    return load.load_spec(Path(path), sets)
+
+
+def parse_spec(text: str, *sets: str) -> LoadedSpec:
+    """Check a spec that is given as YAML; `sets` and errors are as in `load_spec`."""
+    return load.parse_spec(text, "spec", sets)
+
+
+def experiment_schema() -> dict[str, Any]:
+    """Return the JSON schema of a spec, with the kinds that installed packages add."""
+    from tetractl.experiment.yaml import schema
+
+    return schema.experiment_schema()
+
+
+def run_trial(
+    spec: LoadedSpec,
+    trial: int = 0,
+    *,
+    folder: str | Path | None = None,
+    observers: Sequence[Observer] = (),
+) -> TrialLog:
+    """Simulate one trial and return it; with a `folder` its log stays there as trial-000.mcap.
+
+    `trial` counts from 0; with the spec's seed it decides every random draw. `observers` watch the
+    trial. Raises UsageError for a spec whose plant is the lab and for a log that exists already,
+    KeyboardInterrupt after Ctrl-C has ended the trial.
+    """
+    from tetractl.log.read.reader import read_trial
+    from tetractl.run import batch
+    from tetractl.run.folder import make_folder
+
+    with TemporaryDirectory() as temporary, _running(spec) as interrupt:
+        place = Path(temporary if folder is None else folder)
+        path = batch.log_path(place, trial)
+        if path.exists():
+            raise UsageError(f"{path}: exists already", "name another folder")
+        make_folder(place)
+        batch.run_trial(spec, place, trial, observers, interrupt)
+        found = read_trial(path)
+    return replace(found, path=f"{spec.name}, trial {trial}") if folder is None else found
+
+
+def run_batch(
+    spec: LoadedSpec,
+    folder: str | Path,
+    *,
+    jobs: int = 1,
+    resume: bool = False,
+    on_result: Callable[[int, Result], object] = lambda trial, result: None,
+) -> "Batch":
+    """Simulate all trials of a spec, `jobs` at a time, and return what is in the folder afterwards.
+
+    The logs are trial-000.mcap and so on. `resume` runs only the trials that the folder lacks;
+    without it, a folder that holds logs is refused. `on_result` is called with each trial's number
+    and result. An aborted trial ends the batch. Errors are those of `run_trial`.
+    """
+    from tetractl.run import batch
+    from tetractl.run.folder import make_folder, set_aside, trials_to_run
+
+    place = Path(folder)
+    with _running(spec) as interrupt:
+        todo = trials_to_run(spec.experiment, place, resume)
+        make_folder(place)
+        for trial in todo:
+            set_aside(place, trial)
+        batch.run_batch(spec, place, todo, jobs, interrupt, _Watcher(on_result))
+    return read_batch(place)
+
+
+def read_log(path: str | Path) -> TrialLog:
+    """Read the whole trial from its log; of a damaged log what is intact, see its `damage`.
+
+    Raises LogError where nothing can be read.
+    """
+    from tetractl.log.read.reader import read_trial
+
+    return read_trial(Path(path))
+
+
+class Batch(NamedTuple):
+    """How the trials of a batch ended, and the logs from which no result could be read."""
+
+    trials: list[ResultSummary]
+    damaged: "list[Damaged]"
+
+
+def read_batch(*paths: str | Path) -> Batch:
+    """Read how trials ended, about a millisecond a log; paths are logs, folders or patterns.
+
+    Raises UsageError for a path without a log.
+    """
+    from tetractl.stats.trials import load_trials
+
+    return Batch(*load_trials(paths))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialArrays:
+    """A trial of M camera frames, K control steps and N robots.
+
+    Lengths are in `unit`, angles in radians, times from the trial's start. The last axis of poses
+    is x, y, heading. `truth` is NaN where the true poses are not known, as in a lab.
+    """
+
+    unit: str
+    robots: Strings  # (N,) names
+    time_s: Floats  # (M,) when each frame was exposed
+    frame: NDArray[np.int64]  # (M,) number of each frame
+    poses: Floats  # (M, N, 3) as measured
+    valid: Bools  # (M, N) whether the robot was tracked
+    truth: Floats  # (M, N, 3)
+    distance: Floats  # (M, N) of the measured position to the target
+    step_time_s: Floats  # (K,) when each command was sent
+    direction: Floats  # (K,) the common direction u
+    cost: Floats  # (K,) J of the chosen sequence, (7)
+    length: NDArray[np.int64]  # (K,) signals in the chosen sequence
+    evaluations: NDArray[np.int64]  # (K,) cost evaluations
+    solve_ms: Floats  # (K,) wall time
+
+
+def to_arrays(trial: TrialLog) -> TrialArrays:
+    """Return the course of a trial as arrays."""
+    setup, steps = trial.start.setup, trial.steps
+    unknown = np.full_like(trial.mocap, np.nan)
+    return TrialArrays(
+        unit=setup.unit,
+        robots=np.array(setup.names),
+        time_s=trial.mocap_ns / SECOND,
+        frame=trial.frames,
+        poses=trial.mocap,
+        valid=trial.valid,
+        truth=unknown if trial.truth is None else trial.truth,
+        distance=setup.distances(trial.mocap[..., :2]),
+        step_time_s=np.array([step.command.sent_ns for step in steps], dtype=float) / SECOND,
+        direction=np.array([step.plan.signals[0] for step in steps], dtype=float),
+        cost=np.array([step.plan.cost for step in steps], dtype=float),
+        length=np.array([len(step.plan.signals) for step in steps], dtype=np.int64),
+        evaluations=np.array([step.plan.evaluations for step in steps], dtype=np.int64),
+        solve_ms=np.array([step.solve_ns for step in steps], dtype=float) / 1e6,
+    )
+
+
+def to_dataframe(data: TrialLog | Batch) -> "pandas.DataFrame":
+    """Return a trial with one row for each frame and robot, or a batch with one row for each trial.
+
+    Units are in the names of the columns. Raises UsageError where pandas is not installed.
+    """
+    try:
+        import pandas
+    except ModuleNotFoundError:
+        raise UsageError(
+            "a DataFrame needs pandas, which is not installed",
+            "pip install pandas, or use to_arrays",
+        ) from None
+    if isinstance(data, TrialLog):
+        return pandas.DataFrame(_columns(to_arrays(data)))
+    from tetractl.stats.export import row
+
+    return pandas.DataFrame([row(trial, trial.experiment.units.length) for trial in data.trials])
+
+
+def summarise(batch: Batch) -> "Summary":
+    """Return the statistics of a batch: errors with intervals, outcomes, the published result.
+
+    Raises UsageError where the trials are not of one experiment.
+    """
+    from tetractl.stats import summary
+
+    return summary.summarise(batch.trials, batch.damaged)
+
+
+def compare(ours: "Summary", theirs: "Summary") -> "Comparison":
+    """Compare the total errors of two batches; differences are `ours` minus `theirs`."""
+    from tetractl.stats import summary
+
+    return summary.compare(ours, theirs)
+
+
+def plot(
+    data: "TrialLog | Sequence[TrialLog] | Summary | Comparison",
+    kind: Literal["trajectory", "convergence", "error", "timing"] = "trajectory",
+    *,
+    file: str | Path | None = None,
+) -> "Figure":
+    """Draw a matplotlib figure, and write it to a .png, .svg or .pdf file if one is named.
+
+    Trials are drawn as `kind` says, and only trajectories of several in one figure; statistics and
+    comparisons have one figure each, every trial a dot.
+    """
+    from tetractl.stats.figure import batch_figure
+    from tetractl.stats.summary import Comparison, Summary
+    from tetractl.view import style
+    from tetractl.view.figures.figures import draw
+
+    if isinstance(data, Comparison):
+        figure = batch_figure(data.ours, data)
+    elif isinstance(data, Summary):
+        figure = batch_figure(data)
+    else:
+        figure = draw(kind, [data] if isinstance(data, TrialLog) else data)
+    if file is not None:
+        style.save(figure, Path(file))
+    return figure
+
+
+def verify(path: str | Path) -> "Verification":
+    """Compute every decision in a log again, and check the log against itself."""
+    from tetractl.replay import verify
+
+    return verify.verify(Path(path))
+
+
+@contextmanager
+def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
+    """Check and compile what a spec needs; give an interrupt that Ctrl-C requests."""
+    from tetractl.control.build import warm_up
+    from tetractl.run.interrupt import Interrupt
+    from tetractl.run.limits import check
+
+    experiment = spec.experiment
+    if experiment.plant.type == "lab":
+        raise UsageError("the spec's plant is the lab", "drive it by `tetractl run`")
+    check(experiment)
+    warm_up(experiment, logging.getLogger("tetractl").info)
+    interrupt = Interrupt()
+    if threading.current_thread() is threading.main_thread():
+        with interrupt.watch():
+            yield interrupt
+    else:  # only the main thread gets signals
+        yield interrupt
+    if interrupt.requested:
+        raise KeyboardInterrupt
+
+
+@dataclass(frozen=True, slots=True)
+class _Watcher:
+    """A `Watcher` of a batch that passes each result on."""
+
+    on_result: Callable[[int, Result], object]
+
+    def trial_started(self, index: int, n: int) -> None:
+        """Nothing is shown."""
+
+    def trial_finished(self, index: int, result: Result) -> None:
+        """Pass the result on."""
+        self.on_result(index, result)
+
+
+def _columns(trial: TrialArrays) -> dict[str, NDArray[Any]]:
+    """Return the columns of a trial, one row for each frame and robot."""
+    frames, robots = trial.valid.shape
+    columns: dict[str, NDArray[Any]] = {
+        "time_s": np.repeat(trial.time_s, robots),
+        "frame": np.repeat(trial.frame, robots),
+        "robot": np.tile(trial.robots, frames),
+    }
+    for prefix, poses in (("", trial.poses), ("true_", trial.truth)):
+        for i, name in enumerate((f"x_{trial.unit}", f"y_{trial.unit}", "heading_rad")):
+            columns[prefix + name] = poses[..., i].ravel()
+    columns["valid"] = trial.valid.ravel()
+    columns[f"distance_{trial.unit}"] = trial.distance.ravel()
+    return columns

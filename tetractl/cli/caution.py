@@ -1,0 +1,34 @@
+"""The warnings of a spec on the command line: one line each on stderr, and `--strict`."""
+
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tetractl.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.run.plausibility.warnings import SpecWarning
+
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Exit with code 2 where a spec has warnings.")
+]
+
+
+def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[SpecWarning, ...]":
+    """Print what is doubtful in a spec that was loaded with `sets`, and return it."""
+    from tetractl.run.plausibility.warnings import find_warnings
+
+    found = find_warnings(loaded, sets)
+    for warning in found:
+        print(f"warning: {warning}", file=sys.stderr)
+    return found
+
+
+def refuse(found: "Sequence[SpecWarning]") -> None:
+    """Raise UsageError where there are warnings, as `--strict` asks."""
+    if found:
+        count = "a warning" if len(found) == 1 else f"{len(found)} warnings"
+        raise UsageError(f"the spec has {count}, and --strict allows none; nothing was run")

@@ -1,0 +1,156 @@
+"""The common direction as a magnetic field that turns cells.
+
+A cell turns towards the field as in (3), at a rate proportional to the field's strength B: the
+spec's a is the rate at `strength_mt`, so the turning rate is a (B / strength_mt) sin(u - heading).
+"""
+
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Health, RobotStatus, Transmission
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Floats, Pose
+from tetractl.lab.actuators.field.check import inspect
+from tetractl.lab.actuators.field.coils import Pair, approach
+from tetractl.lab.actuators.field.driver import HINT, Driver
+from tetractl.lab.actuators.field.protocol import Flag
+from tetractl.lab.actuators.field.section import FieldSection
+from tetractl.lab.wire_tap import NO_TAP, Tap
+
+STOPS = 3  # frames of one stop, so that a damaged byte does not cost it
+OFF: Pair = (0.0, 0.0)
+
+
+class FieldActuator:
+    """Turns N cells by one field; see `tetractl.core.protocols.Actuator`.
+
+    No cell can be held: every transmission says that all move, at their own speed, a stop too.
+    Its outputs are the currents asked of the driver, `current_x_a` and `current_y_a` [A], and the
+    field they make, `field_mt` and `field_direction_rad`. Times are ns on `clock`.
+    """
+
+    individual = False
+
+    def __init__(
+        self, section: FieldSection, a: Floats, speed: Floats, clock: Clock, tap: Tap = NO_TAP
+    ) -> None:
+        self.section, self.coils = section, section.calibrated_coils()
+        self.driver = Driver(section.port, section.baud, clock, tap)
+        self._a, self._speed, self._clock = np.array(a, float), np.array(speed, float), clock
+        self._lock = threading.Lock()
+        self._currents = OFF  # asked of the driver [A], held from `_sent_ns` ...
+        self._sent_ns = clock.now() - self.period_ns
+        self._held_until_ns = self._sent_ns  # ... until then, when the driver goes to 0
+
+    def __enter__(self) -> Self:
+        try:
+            self.driver.open()
+        except BaseException:
+            self.driver.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with suppress(AbortError):
+            self.stop()
+        self.driver.close()
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two commands under a held direction [ns]."""
+        return round(SECOND / self.section.rate)
+
+    @property
+    def failure(self) -> str | None:
+        """Why there is no field any more, None while all is well."""
+        return self.driver.failure
+
+    def steer(
+        self,
+        direction: float,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        """Turn the field to a direction [rad], as far as the slew limit lets it in one period.
+
+        The currents go there in a straight line, so a field turned by half a circle passes through
+        a weak one. `turning` is that of the field really asked for, 0 for cells without a pose;
+        `moving` cannot be obeyed. AbortError where the driver has failed.
+        """
+        if (failure := self.failure) is not None:
+            raise AbortError(failure, HINT)
+        with self._lock:
+            now_ns = self._clock.now()
+            wished = self.coils.currents(direction, self.section.strength_mt)
+            passed_ns = min(now_ns - self._sent_ns, self.period_ns)
+            self._currents = approach(self._now(now_ns), wished, self._room(passed_ns))
+            x_ma, y_ma = (round(1000 * current) for current in self._currents)
+            self._sent_ns = self.driver.send(Flag.RUN, x_ma, y_ma)
+            self._held_until_ns = self._sent_ns + round(self.section.watchdog * SECOND)
+        headings = np.array([np.nan if pose is None else pose.heading for pose in poses])
+        return self._transmission(direction, (x_ma / 1000, y_ma / 1000), headings)
+
+    def stop(self, emergency: bool = False) -> Transmission:
+        """Switch the field off: both currents go to 0 at the slew limit, and the cells swim on.
+
+        After an `emergency` stop the driver makes no field until it is switched off and on.
+        AbortError where the port has failed.
+        """
+        with self._lock:
+            self._currents = self._now(self._clock.now())
+            flag = Flag.EMERGENCY_STOP if emergency else Flag(0)
+            self._sent_ns = [self.driver.send(flag) for _ in range(STOPS)][-1]
+            self._held_until_ns = self._sent_ns
+        return self._transmission(None, OFF, np.full(len(self._a), np.nan))
+
+    def poll(self, timeout_s: float) -> list[RobotStatus]:
+        """Return that no cell can answer; `check` asks the driver."""
+        return [RobotStatus(answers=None)] * len(self._a)
+
+    def check(self) -> Health:
+        """Ask the driver what it is, what it bears and how it is; switches the field off."""
+        try:
+            reply = self.driver.ask()
+        except AbortError as error:
+            return Health(problems=(str(error),))
+        return inspect(reply, self.section)
+
+    def _room(self, passed_ns: int) -> float:
+        """Return how far a current may change in a time [A]."""
+        return self.section.slew_max_a_s * passed_ns / SECOND
+
+    def _now(self, now_ns: int) -> Pair:
+        """Return the driver's set points: those asked for, or on their way to 0."""
+        return approach(self._currents, OFF, self._room(max(0, now_ns - self._held_until_ns)))
+
+    def _transmission(
+        self, direction: float | None, currents: Pair, headings: Floats
+    ) -> Transmission:
+        x_mt, y_mt = self.coils.field(currents)
+        strength, towards = float(np.hypot(x_mt, y_mt)), float(np.arctan2(y_mt, x_mt))
+        turning = self._a * (strength / self.section.strength_mt) * np.sin(towards - headings)
+        return Transmission(
+            self._sent_ns,
+            direction,
+            (True,) * len(self._a),
+            self._speed.copy(),
+            np.nan_to_num(turning),
+            outputs={
+                "current_x_a": currents[0],
+                "current_y_a": currents[1],
+                "field_mt": strength,
+                "field_direction_rad": towards,
+            },
+        )

@@ -1,0 +1,108 @@
+"""The current driver at the other end of a serial port: numbered frames out, replies in."""
+
+import threading
+from contextlib import suppress
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.lab.actuators.field.protocol import (
+    Command,
+    Flag,
+    Reply,
+    Status,
+    decode_reply,
+    encode_command,
+)
+from tetractl.lab.actuators.m3pi.cobs import Splitter
+from tetractl.lab.errors import WireError
+from tetractl.lab.serial_port import SerialPort
+from tetractl.lab.wire_tap import NO_TAP, Tap
+
+SILENCE_NS = SECOND // 2
+UNANSWERED_MAX = 5  # so many frames over that time without any reply: the driver is off
+TRIES = 5
+ANSWER_S = 0.1  # a driver replies within 4 ms at 115200 baud, 50 ms at 9600
+HINT = "the driver switches the field off by its watchdog; cells swim on"
+
+
+class Driver:
+    """A current driver on a port that is opened by `open`. Times are ns on `clock`.
+
+    Every frame polls, so that a driver which is off, latched or hot is noticed during a run:
+    `failure` then says so.
+    """
+
+    def __init__(self, port: str, baud: int, clock: Clock, tap: Tap = NO_TAP) -> None:
+        self.sent = self.replies = 0
+        self.newest: Reply | None = None
+        self._clock = clock
+        self._port = SerialPort(
+            port, baud, "the current driver", clock, self._hear, HINT, tap, "field"
+        )
+        self._splitter = Splitter()
+        self._changed = threading.Condition()
+        self._sequence = 0
+        self._unanswered = 0  # frames since the last reply, and when the first of them left
+        self._unanswered_ns = 0
+
+    @property
+    def failure(self) -> str | None:
+        """Why the driver makes no field any more, None while all is well."""
+        newest, now_ns = self.newest, self._clock.now()
+        if self._port.failure is not None:
+            return self._port.failure
+        if self._unanswered > UNANSWERED_MAX and now_ns - self._unanswered_ns > SILENCE_NS:
+            return "the current driver does not answer any more"
+        if newest is not None and Status.HOT in newest.status:
+            return f"the current driver stopped: it is {newest.temperature_dc / 10:.0f} °C hot"
+        if newest is not None and Status.EMERGENCY_STOPPED in newest.status:
+            return "the current driver is emergency-stopped"
+        return None
+
+    def open(self) -> None:
+        """Open the port; AbortError where that cannot be."""
+        self._port.open()
+
+    def send(self, flags: Flag, x_ma: int = 0, y_ma: int = 0) -> int:
+        """Send a command that polls; return when it left. AbortError where the port has failed."""
+        with self._changed:
+            self._sequence = (self._sequence + 1) % 256
+            command = Command(self._sequence, flags | Flag.POLL, x_ma, y_ma)
+            sent_ns = self._port.write(encode_command(command))
+            self.sent += 1
+            if self._unanswered == 0:
+                self._unanswered_ns = sent_ns
+            self._unanswered += 1
+        return sent_ns
+
+    def ask(self) -> Reply | None:
+        """Poll without running, up to five times 0.1 s; return the reply, None where none came.
+
+        This switches a field off. AbortError where the port has failed.
+        """
+        self.newest = None
+        for _ in range(TRIES):
+            self.send(Flag(0))
+            wanted = self._sequence
+            with self._changed:
+                self._changed.wait_for(
+                    lambda w=wanted: self._port.failure is not None or self._answered(w), ANSWER_S
+                )
+            if self._answered(wanted):
+                return self.newest
+        return None
+
+    def close(self) -> None:
+        """Close the port; idempotent, never raises."""
+        self._port.close()
+
+    def _answered(self, sequence: int) -> bool:
+        return self.newest is not None and self.newest.sequence == sequence
+
+    def _hear(self, data: bytes, now_ns: int) -> None:
+        with self._changed:
+            for frame in self._splitter.feed(data):
+                with suppress(WireError):  # a damaged reply is one that did not come
+                    self.newest = decode_reply(frame)
+                    self.replies += 1
+                    self._unanswered = 0
+            self._changed.notify_all()

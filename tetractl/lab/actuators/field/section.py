@@ -1,0 +1,92 @@
+"""The section of the spec for a field of two coil pairs: `actuator: {type: field, ...}`."""
+
+from typing import TYPE_CHECKING, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from tetractl.core.clock import Clock
+from tetractl.core.poses import Floats
+from tetractl.experiment.base import Finite, Model, NonNegative, Positive, inconsistent
+from tetractl.lab.actuators.field.coils import Coils
+from tetractl.lab.wire_tap import NO_TAP, Tap
+
+if TYPE_CHECKING:
+    from tetractl.lab.actuators.field.actuator import FieldActuator
+
+FRAMES_PER_WATCHDOG = 3
+
+
+class CoilPair(Model):
+    """One coil pair: the field along its axis is offset + gain * current."""
+
+    gain_mt_a: Finite
+    """Field per current [mT/A]; negative where the winding is reversed."""
+    offset_mt: Finite = 0.0
+    """Ambient field along its axis [mT], such as the earth's; the current cancels it."""
+
+    @field_validator("gain_mt_a")
+    @classmethod
+    def _makes_a_field(cls, gain: float) -> float:
+        if gain == 0:
+            raise ValueError("a gain of 0 makes no field")
+        return gain
+
+
+class CoilsSection(Model):
+    """Two orthogonal coil pairs."""
+
+    x: CoilPair
+    """The pair whose axis is the spec's x axis turned by `rotation`."""
+    y: CoilPair
+    """The pair a right angle anticlockwise from it."""
+    rotation: Finite = 0.0
+    """Turn from the spec's x axis to that of the x pair [rad]."""
+
+
+class FieldSection(Model):
+    """A magnetic field steers all cells; a current driver on a serial port feeds the coils."""
+
+    type: Literal["field"]
+    port: str = Field(min_length=1, max_length=500)
+    """The serial port, such as /dev/ttyACM0."""
+    baud: Literal[9600, 19200, 38400, 57600, 115200] = 115200
+    """Bits a second on the port."""
+    rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
+    """Commands a second [Hz]."""
+    strength_mt: Positive
+    """Field at which the cells have their `a` [mT]; less where the current limit binds."""
+    coils: CoilsSection
+    """The coils, as measured by a probe where the cells are."""
+    current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
+    """Greatest current of each coil pair [A]."""
+    slew_max_a_s: float = Field(ge=1, le=10_000, allow_inf_nan=False)
+    """Greatest change of each current [A/s]."""
+    watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
+    """The driver switches the field off after this long without a command [s]; as built into it."""
+    supply_min_v: NonNegative = 0.0
+    """A run does not start below this supply voltage of the driver [V]; 0 does not look."""
+    temperature_max_c: Positive = 60.0
+    """A run does not start with the coils this warm [degrees Celsius]."""
+
+    @model_validator(mode="after")
+    def _limits_agree(self) -> Self:
+        for name, pair in (("x", self.coils.x), ("y", self.coils.y)):
+            if abs(pair.offset_mt) >= abs(pair.gain_mt_a) * self.current_max_a:
+                message = f"too small to cancel the ambient field of coils.{name}"
+                raise inconsistent("current_max_a", message)
+        if self.rate * self.watchdog < FRAMES_PER_WATCHDOG:
+            least = FRAMES_PER_WATCHDOG / self.rate
+            raise inconsistent("watchdog", f"at {self.rate:g} Hz it must be {least:.3g} s or more")
+        return self
+
+    def build(self, a: Floats, speed: Floats, clock: Clock, tap: Tap = NO_TAP) -> "FieldActuator":
+        """Return the actuator of N cells: a [rad/s] and speed [length unit/s], each (N,)."""
+        from tetractl.lab.actuators.field.actuator import FieldActuator  # needs pyserial
+
+        return FieldActuator(self, a, speed, clock, tap)
+
+    def calibrated_coils(self) -> Coils:
+        """Return the coils as numbers."""
+        x, y = self.coils.x, self.coils.y
+        gain, offset = (x.gain_mt_a, y.gain_mt_a), (x.offset_mt, y.offset_mt)
+        return Coils(gain, offset, self.coils.rotation, self.current_max_a)

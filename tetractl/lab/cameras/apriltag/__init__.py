@@ -1,0 +1,1 @@
+"""AprilTags seen by an ordinary camera: pictures to the planar poses of robots."""

@@ -1,0 +1,209 @@
+"""What is wrong with an `apriltag` camera, and what is worth knowing; no I/O."""
+
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Health
+from tetractl.lab.cameras.apriltag.floor import MISFIT_MM
+from tetractl.lab.cameras.apriltag.plane import Plane
+from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
+from tetractl.lab.cameras.apriltag.track import ODD_SIZE, Seen
+
+LOOKS = 20  # pictures
+SILENT_NS = SECOND // 2
+SLOW_HZ = 20.0  # below, one lost picture looks like a lost stream
+SLOWER = 0.8  # of the declared rate
+BLURRED = 0.36  # modules: from here on, tags begin not to be read
+ODD = 0.03  # a tag of another size than the spec says, as a share
+MISPLACED_MM = 3.0
+DOUBTFUL_MM = 3.0
+OFTEN = 0.5  # a tag seen in fewer of the pictures is not seen
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One picture: its number, arrival, the time that searching it took, and what it shows."""
+
+    number: int
+    received_ns: int
+    search_ns: int
+    seen: Seen
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The camera beside its pictures; `ended` says why the source ended, "" where it has not.
+
+    `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the floor as
+    calibrated, even where it does not fit the spec.
+    """
+
+    source: str
+    ended: str
+    now_ns: int
+    rate_hz: float | None
+    size: tuple[int, ...] | None
+    plane: Plane | None
+    damaged: int
+    skipped: int
+
+
+def judged(
+    section: AprilTagSection, robots: Sequence[RobotTag], looks: Sequence[Look], state: State
+) -> Health:
+    """Return the health of a camera from its last looks, oldest first."""
+    problems, warnings = _stream(looks, state)
+    seen, twice = _seen(looks)
+    floor = [tag.tag for tag in section.floor]
+    for each in (
+        _floor_seen(floor, seen, twice),
+        _floor_placed(state.plane, section.lens is None),
+        _robots(robots, looks, seen, twice),
+        _sharpness(looks),
+    ):
+        problems += each[0]
+        warnings += each[1]
+    return Health(tuple(problems), tuple(warnings), _facts(section, looks, state))
+
+
+Lines = tuple[list[str], list[str]]
+"""Problems and warnings."""
+
+
+def rate_hz(looks: Sequence[Look]) -> float | None:
+    """Return how many pictures a second came, skipped ones included."""
+    if len(looks) < 2 or looks[-1].received_ns <= looks[0].received_ns:
+        return None
+    span = looks[-1].received_ns - looks[0].received_ns
+    return (looks[-1].number - looks[0].number) * SECOND / span
+
+
+def _stream(looks: Sequence[Look], state: State) -> Lines:
+    problems: list[str] = []
+    warnings: list[str] = []
+    if state.ended:
+        problems.append(state.ended)
+    elif not looks or state.now_ns - looks[-1].received_ns > SILENT_NS:
+        problems.append(f"no picture comes from {state.source} any more")
+    rate = rate_hz(looks)
+    if rate is not None and state.rate_hz is not None and rate < SLOWER * state.rate_hz:
+        warnings.append(
+            f"{rate:.0f} pictures a second come instead of {state.rate_hz:.0f}: too little light "
+            "for short exposures, or too slow a cable?"
+        )
+    elif rate is not None and rate < SLOW_HZ:
+        warnings.append(f"only {rate:.0f} pictures a second come: {SLOW_HZ:.0f} or more are wanted")
+    if looks and (missed := looks[-1].number - looks[0].number + 1 - len(looks)):
+        warnings.append(
+            f"{missed} of the last {len(looks) + missed} pictures were not searched: searching one "
+            f"takes {_search_ms(looks):.0f} ms"
+        )
+    if state.damaged:
+        warnings.append(f"{state.damaged} pictures were damaged")
+    return problems, warnings
+
+
+def _seen(looks: Sequence[Look]) -> tuple[list[int], list[int]]:
+    """Return the tags seen in most pictures, and those seen twice in any."""
+    counts = Counter(tag for look in looks for tag in set(look.seen.tags))
+    twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
+    return sorted(tag for tag, n in counts.items() if n >= OFTEN * len(looks)), sorted(twice)
+
+
+def _floor_seen(floor: Sequence[int], seen: Sequence[int], twice: Sequence[int]) -> Lines:
+    problems: list[str] = []
+    if missing := [tag for tag in floor if tag not in seen]:
+        problems.append(f"floor {_tags(missing)} not seen; tags seen: {_listed(seen)}")
+    if double := [tag for tag in floor if tag in twice]:
+        problems.append(f"floor {_tags(double)} seen twice: every number may be used once only")
+    return problems, []
+
+
+def _floor_placed(plane: Plane | None, estimated: bool) -> Lines:
+    if plane is None:
+        return [], []
+    problems: list[str] = []
+    warnings: list[str] = []
+    if not plane.worst_mm <= MISPLACED_MM:  # NaN is far off too
+        line = (
+            f"the floor tags lie up to {plane.worst_mm:.1f} mm off where lab.camera.floor puts "
+            "them: measure at, size_mm and heading again"
+        )
+        (warnings if plane.worst_mm <= MISFIT_MM else problems).append(line)
+    if estimated and plane.doubt_mm > DOUBTFUL_MM:
+        line = (
+            f"the floor tags tell too little of the lens: robots may be {plane.doubt_mm:.0f} mm "
+            "off; tilt the camera more or set lab.camera.lens"
+        )
+        (problems if plane.doubt_mm > MISFIT_MM else warnings).append(line)
+    return problems, warnings
+
+
+def _robots(
+    robots: Sequence[RobotTag], looks: Sequence[Look], seen: Sequence[int], twice: Sequence[int]
+) -> Lines:
+    problems: list[str] = []
+    warnings: list[str] = []
+    for i, robot in enumerate(robots):
+        sizes = [look.seen.sizes[i] for look in looks]
+        measured = [size for size in sizes if size is not None]
+        if robot.tag in twice:
+            problems.append(f"{robot.name}: tag {robot.tag} is seen twice, so it is not tracked")
+        elif robot.tag not in seen:
+            problems.append(
+                f"{robot.name}: tag {robot.tag} is not seen; tags seen: {_listed(seen)}"
+            )
+        elif measured and abs(size := statistics.median(measured) - 1) > ODD:
+            line = (
+                f"{robot.name}: its tag looks {abs(100 * size):.0f} % "
+                f"{'larger' if size > 0 else 'smaller'} than it should: are size_mm and height_mm "
+                "right?"
+            )
+            (problems if abs(size) >= ODD_SIZE else warnings).append(line)
+    return problems, warnings
+
+
+def _sharpness(looks: Sequence[Look]) -> Lines:
+    blurs = [look.seen.blur for look in looks if look.seen.blur is not None]
+    sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
+    if not blurs or statistics.median(blurs) <= BLURRED:
+        return [], []
+    return [], [
+        f"tags are too small or blurred, {min(sides):.0f} px wide at least: focus the lens, use "
+        "larger tags or more pixels, or shorten the exposure"
+    ]
+
+
+def _facts(section: AprilTagSection, looks: Sequence[Look], state: State) -> dict[str, str]:
+    facts = {"source": state.source, "latency": f"{section.latency:g} s, as the spec says"}
+    if state.size is not None:
+        facts["resolution"] = f"{state.size[1]}x{state.size[0]}"
+    if (rate := rate_hz(looks)) is not None:
+        facts["rate"] = f"{rate:.1f} Hz"
+    if looks:
+        facts["search"] = f"{_search_ms(looks):.1f} ms"
+    if (plane := state.plane) is not None:
+        facts["floor_error"] = f"{plane.error_mm:.2f} mm"
+        origin = "the spec's" if section.lens is not None else "estimated"
+        facts["focal_length"] = f"{plane.focal_px:.0f} px, {origin}"
+    sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
+    if sides:
+        facts["smallest_tag"] = f"{min(sides):.0f} px"
+    facts["damaged"] = str(state.damaged)
+    facts["skipped"] = str(state.skipped)
+    return facts
+
+
+def _search_ms(looks: Sequence[Look]) -> float:
+    return statistics.median(look.search_ns for look in looks) / 1e6
+
+
+def _tags(numbers: Sequence[int]) -> str:
+    return f"tag{'s' * (len(numbers) > 1)} {_listed(numbers)} {'are' if len(numbers) > 1 else 'is'}"
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers)) or "none"

@@ -1,0 +1,90 @@
+"""The parts of a multipart/x-mixed-replace stream, whatever arrives; without sockets.
+
+    --boundary CRLF  header lines CRLF  CRLF  body CRLF   --boundary CRLF ...
+
+A body ends after its Content-Length or, without one, at the next boundary. What cannot be read is
+dropped up to the next boundary and counted.
+"""
+
+HEAD_MAX = 4096  # bytes of a part's header lines
+BODY_MAX = 1 << 23
+_BLANK = b"\r\n\r\n"
+
+
+class Multipart:
+    """Cuts a stream of bytes into bodies; holds one part at most."""
+
+    def __init__(self, boundary: str) -> None:
+        self.damaged = 0
+        self._mark = b"--" + boundary.lstrip("-").encode("latin-1", "replace")
+        self._held = bytearray()
+        self._inside = False  # the bytes held begin after a boundary
+        self._scanned = 0  # bytes held that are known to contain no end of the part
+        self._bodies: list[bytes] = []
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the bodies that are complete with these bytes, oldest first."""
+        self._held += data
+        while self._part() if self._inside else self._find():
+            pass
+        bodies, self._bodies = self._bodies, []
+        return bodies
+
+    def _find(self) -> bool:
+        """Drop everything up to the next boundary; return whether there is one."""
+        at = self._held.find(self._mark)
+        if at < 0:
+            del self._held[: max(0, len(self._held) - len(self._mark) + 1)]
+            return False
+        self._cut(at + len(self._mark), inside=True)
+        return True
+
+    def _part(self) -> bool:
+        """Finish the part that the held bytes begin; return whether it is finished."""
+        head = self._held.find(_BLANK, 0, HEAD_MAX)
+        cut = self._held.find(self._mark, 0, head if head >= 0 else HEAD_MAX)
+        if cut >= 0 or (head < 0 and len(self._held) >= HEAD_MAX):
+            return self._drop()
+        if head < 0:
+            return False
+        start = head + len(_BLANK)
+        length = _content_length(bytes(self._held[:head]))
+        if length is not None and not 0 <= length <= BODY_MAX:
+            return self._drop()
+        end = self._held.find(self._mark, max(start, self._scanned))
+        self._scanned = max(start, len(self._held) - len(self._mark) + 1)
+        if length is None:
+            return self._unmeasured(start, end)
+        if 0 <= end < start + length:  # the boundary comes before the body is full
+            return self._drop()
+        if len(self._held) < start + length:
+            return False
+        self._bodies.append(bytes(self._held[start : start + length]))
+        self._cut(start + length, inside=False)
+        return True
+
+    def _unmeasured(self, start: int, end: int) -> bool:
+        if end < 0:
+            return self._drop() if len(self._held) - start > BODY_MAX else False
+        self._bodies.append(bytes(self._held[start:end]).removesuffix(b"\r\n"))
+        self._cut(end, inside=False)
+        return True
+
+    def _drop(self) -> bool:
+        self.damaged += 1
+        self._cut(0, inside=False)
+        return True
+
+    def _cut(self, at: int, inside: bool) -> None:
+        del self._held[:at]
+        self._inside, self._scanned = inside, 0
+
+
+def _content_length(head: bytes) -> int | None:
+    """Return a part's Content-Length, None without one, -1 where it is no number."""
+    for line in head.split(b"\r\n"):
+        name, _, value = line.partition(b":")
+        if name.strip().lower() == b"content-length":
+            digits = value.strip()
+            return int(digits) if digits.isdigit() and len(digits) < 12 else -1
+    return None

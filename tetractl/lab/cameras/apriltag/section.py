@@ -1,0 +1,170 @@
+"""The `apriltag` camera's part of a spec, and what builds the camera from it.
+
+Lengths whose name ends in `_mm` are millimetres, whatever the spec's length unit; times are
+seconds. OpenCV is imported only where the camera is built.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from tetractl.core.clock import Clock
+from tetractl.core.errors import AbortError, SpecError
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive, inconsistent
+
+if TYPE_CHECKING:
+    from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
+
+TAGS = 587  # of the family 36h11, numbered from 0
+
+Tag = Annotated[int, Field(ge=0, lt=TAGS)]
+Pixels = Annotated[int, Field(ge=64, le=8192)]
+
+
+class DeviceSource(Model):
+    """A camera at this computer, as OpenCV opens it."""
+
+    type: Literal["device"]
+    index: int = Field(default=0, ge=0, le=63)
+    """Its number: 0 for /dev/video0."""
+    width: Pixels = 1280
+    """Columns of a picture [px]."""
+    height: Pixels = 720
+    """Rows of a picture [px]."""
+    rate: Positive = 30.0
+    """Pictures a second [Hz]."""
+    format: Literal["MJPG", "YUYV"] = "MJPG"
+    """Pixel format on the cable; most USB cameras reach their full rate only in `MJPG`."""
+
+
+class FileSource(Model):
+    """A video file, played once at its own rate."""
+
+    type: Literal["file"]
+    path: str = Field(min_length=1, max_length=500)
+    """The file, absolute or relative to the working directory."""
+
+
+class MjpegSource(Model):
+    """A network camera: JPEG pictures in one endless HTTP answer (multipart/x-mixed-replace)."""
+
+    type: Literal["mjpeg"]
+    url: str = Field(pattern=r"^http://[^\s/?#@]+(/[^\s]*)?$", max_length=500)
+    """Address of the stream, such as http://192.168.1.30:8080/stream."""
+
+
+Source = Annotated[DeviceSource | FileSource | MjpegSource, Field(discriminator="type")]
+
+
+class Lens(Model):
+    """A calibrated lens, for pictures of the size that the source delivers."""
+
+    focal_px: Positive
+    """Focal length [px]."""
+    centre: Point | None = None
+    """Principal point, column and row [px]; the middle of the picture by default."""
+    distortion: tuple[Finite, ...] = ()
+    """OpenCV's distortion coefficients: k1, k2, p1, p2 and, optionally, k3; none by default."""
+
+    @model_validator(mode="after")
+    def _known_model(self) -> Self:
+        if len(self.distortion) not in (0, 4, 5):
+            raise inconsistent("distortion", "needs 4 or 5 coefficients: k1, k2, p1, p2 and k3")
+        return self
+
+
+class RobotTag(Model):
+    """The tag on a robot; its centre is the robot's position."""
+
+    name: Name
+    """Name of a robot of the spec."""
+    tag: Tag
+    """Number of its tag."""
+    size_mm: Positive
+    """Side of the tag's black square [mm]."""
+    height_mm: NonNegative
+    """Height of the tag above the floor [mm]."""
+    heading_offset: Finite = 0.0
+    """Added to the heading of the tag, which is the direction of reading it upright [rad]."""
+
+
+class FloorTag(Model):
+    """A tag that lies on the floor at a known place."""
+
+    tag: Tag
+    """Number of the tag."""
+    at: Point
+    """Its centre in the spec's coordinates [length unit]."""
+    size_mm: Positive
+    """Side of the tag's black square [mm]."""
+    heading: Finite = 0.0
+    """Direction of reading it upright, from the spec's x axis [rad]."""
+
+
+class AprilTagSection(Model):
+    """A camera that looks down on robots with AprilTags."""
+
+    type: Literal["apriltag"]
+    source: Source
+    """Where pictures come from."""
+    family: Literal["36h11"] = "36h11"
+    """The family of the tags."""
+    robots: tuple[RobotTag, ...] = Field(min_length=1, max_length=32)
+    """Every robot of the spec, once."""
+    floor: tuple[FloorTag, ...] = Field(min_length=4, max_length=16)
+    """Tags round the arena that tell where the floor is; all must be seen at once."""
+    lens: Lens | None = None
+    """The calibrated lens; by default focal length and distortion are found from the floor tags."""
+    latency: NonNegative = 0.05
+    """From exposure to arrival of a picture [s]; no source tells it."""
+    connect: Positive = 5.0
+    """How long the source may take to open, and then to deliver [s]."""
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        for name in _twice([robot.name for robot in self.robots]):
+            raise inconsistent("robots", f"{name} stands here twice")
+        for tag in _twice([str(each.tag) for each in (*self.robots, *self.floor)]):
+            raise inconsistent("floor", f"tag {tag} is used twice among robots and floor")
+        if _flat([tag.at for tag in self.floor]):
+            raise inconsistent("floor", "the floor tags must not stand in one line")
+        return self
+
+    def ordered(self, names: Sequence[str]) -> tuple[RobotTag, ...]:
+        """Return the tags of robots in the order of their names; SpecError where one has none."""
+        by_name = {robot.name: robot for robot in self.robots}
+        if missing := [name for name in names if name not in by_name]:
+            raise SpecError(f"lab.camera.robots: no tag for {', '.join(missing)}")
+        return tuple(by_name[name] for name in names)
+
+    def build(
+        self, names: Sequence[str], metres: float, clock: Clock, wake: Callable[[], None]
+    ) -> "AprilTagCamera":
+        """Return the camera of robots in this order; AbortError without OpenCV.
+
+        `metres` is the length of the spec's unit; `wake` is called after every frame.
+        """
+        try:
+            from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
+        except ModuleNotFoundError as error:
+            if error.name != "cv2":
+                raise
+            raise AbortError(
+                "the apriltag camera needs OpenCV, which is not installed",
+                "pip install 'tetractl[vision]'",
+            ) from error
+        return AprilTagCamera(self, names, metres, clock, wake)
+
+
+def _twice(values: Sequence[str]) -> list[str]:
+    return [value for i, value in enumerate(values) if value in values[:i]]
+
+
+def _flat(points: Sequence[Point]) -> bool:
+    """Whether the points span no area: the widest triangle is a sliver of its longest side."""
+    (x0, y0), *others = points
+    spans = [(x - x0, y - y0) for x, y in others]
+    longest = max(x * x + y * y for x, y in spans)
+    area = max(abs(ax * by - ay * bx) for ax, ay in spans for bx, by in spans)
+    return area < 0.01 * longest

@@ -1,0 +1,243 @@
+"""Where pictures come from: a camera at this computer, a video file, a network camera."""
+
+import http.client
+import socket
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, assert_never
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.errors import AbortError
+from tetractl.lab.cameras.apriltag.detect import Grey
+from tetractl.lab.cameras.apriltag.multipart import Multipart
+from tetractl.lab.cameras.apriltag.section import DeviceSource, FileSource, MjpegSource, Source
+
+CHUNK = 1 << 16
+JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+
+
+class SourceEndedError(Exception):
+    """No picture will come any more; the message is a clause that tells why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture as it came: pixels (height, width, 3) or a JPEG file, and its time of arrival."""
+
+    content: np.ndarray | bytes
+    received_ns: int
+
+
+class Feed(Protocol):
+    """An open source. One thread reads and closes; any may interrupt.
+
+    Pictures of a `live` source come whether they are read or not. `rate_hz` is what it promises,
+    None where it promises nothing.
+    """
+
+    live: bool
+    rate_hz: float | None
+
+    @property
+    def damaged(self) -> int:
+        """Parts of a stream that could not be read; only grows."""
+        ...
+
+    def read(self) -> Picture:
+        """Wait for the next picture; SourceEndedError where none will come."""
+        ...
+
+    def interrupt(self) -> None:
+        """Make a `read` that waits end soon."""
+        ...
+
+    def close(self) -> None:
+        """Release the source."""
+        ...
+
+
+def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
+    """Open a source; AbortError says why it cannot be."""
+    match source:
+        case DeviceSource():
+            return DeviceFeed(source, clock)
+        case FileSource():
+            return FileFeed(source, clock)
+        case MjpegSource():
+            return MjpegFeed(source, clock, timeout_s)
+        case _:
+            assert_never(source)
+
+
+def decoded(picture: Picture) -> Grey | None:
+    """Return the grey levels (height, width) of a picture, None where its JPEG is damaged.
+
+    cv2.error where OpenCV refuses it.
+    """
+    content = picture.content
+    if isinstance(content, np.ndarray):
+        grey = cv2.cvtColor(content, cv2.COLOR_BGR2GRAY) if content.ndim == 3 else content
+        return grey.astype(np.uint8, copy=False)
+    # a JPEG cut short is decoded into a picture that is partly grey: look for its end first
+    if not content.startswith(JPEG_START) or JPEG_END not in content[-64:]:
+        return None
+    grey = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+    return None if grey is None else grey.astype(np.uint8, copy=False)
+
+
+class DeviceFeed:
+    """A camera at this computer through OpenCV; never tried on a real one."""
+
+    live = True
+    damaged = 0
+
+    def __init__(self, source: DeviceSource, clock: Clock) -> None:
+        self.rate_hz: float | None = source.rate
+        self._name, self._clock = f"camera {source.index}", clock
+        system = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
+        self._capture = capture = cv2.VideoCapture(source.index, system)
+        if not capture.isOpened():
+            raise AbortError(
+                f"{self._name} cannot be opened",
+                "is it plugged in, is lab.camera.source.index its number, does another program "
+                "use it?",
+            )
+        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*source.format))
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, source.width)
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, source.height)
+        capture.set(cv2.CAP_PROP_FPS, source.rate)
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # old pictures are of no use
+        width = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        height = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        if (width, height) != (source.width, source.height):
+            capture.release()
+            raise AbortError(
+                f"{self._name} gives {width}x{height}, not {source.width}x{source.height}",
+                "choose a size that it can: v4l2-ctl --list-formats-ext",
+            )
+
+    def read(self) -> Picture:
+        """Wait for the next picture."""
+        if not self._capture.grab():
+            raise SourceEndedError(f"{self._name} delivers no more")
+        received = self._clock.now()  # before it is decompressed
+        read, pixels = self._capture.retrieve()
+        if not read:
+            raise SourceEndedError(f"{self._name} delivers no more")
+        return Picture(pixels, received)
+
+    def interrupt(self) -> None:
+        """Nothing to do: the driver's own timeout ends a wait."""
+
+    def close(self) -> None:
+        """Release the camera."""
+        self._capture.release()
+
+
+class FileFeed:
+    """A video file, each picture at its time; without one to spare on a virtual clock."""
+
+    live = False
+    damaged = 0
+
+    def __init__(self, source: FileSource, clock: Clock) -> None:
+        self._path, self._clock = source.path, clock
+        if not Path(source.path).is_file():
+            raise AbortError(f"there is no file {source.path}", "lab.camera.source.path")
+        self._capture = cv2.VideoCapture(source.path)
+        rate = self._capture.get(cv2.CAP_PROP_FPS) if self._capture.isOpened() else 0.0
+        if not rate > 0:
+            self._capture.release()
+            raise AbortError(f"{source.path} is no video that OpenCV can read")
+        self.rate_hz: float | None = rate
+        self._start_ns: int | None = None
+        self._read = 0
+
+    def read(self) -> Picture:
+        """Wait until the next picture is due."""
+        read, pixels = self._capture.read()
+        if not read:
+            raise SourceEndedError(f"{self._path} has ended")
+        if self._start_ns is None:
+            self._start_ns = self._clock.now()
+        assert self.rate_hz is not None
+        self._clock.sleep_until(self._start_ns + round(self._read * SECOND / self.rate_hz))
+        self._read += 1
+        return Picture(pixels, self._clock.now())
+
+    def interrupt(self) -> None:
+        """Nothing to do: no wait is longer than a picture's time."""
+
+    def close(self) -> None:
+        """Close the file."""
+        self._capture.release()
+
+
+class MjpegFeed:
+    """A network camera's multipart stream over HTTP."""
+
+    live = True
+    rate_hz: float | None = None
+
+    def __init__(self, source: MjpegSource, clock: Clock, timeout_s: float) -> None:
+        self._url, self._clock = source.url, clock
+        url = urlsplit(source.url)
+        self._connection = connection = http.client.HTTPConnection(url.netloc, timeout=timeout_s)
+        try:
+            connection.connect()
+            self._socket: socket.socket = connection.sock
+            connection.request("GET", (url.path or "/") + (f"?{url.query}" if url.query else ""))
+            self._answer = connection.getresponse()
+        except (OSError, ValueError, http.client.HTTPException) as error:
+            connection.close()
+            raise AbortError(
+                f"{source.url} does not answer: {error or type(error).__name__}",
+                "is the camera on, is lab.camera.source.url its address?",
+            ) from error
+        kind, boundary = self._answer.headers.get_content_type(), self._boundary()
+        if self._answer.status != 200 or kind != "multipart/x-mixed-replace" or not boundary:
+            self.close()
+            raise AbortError(
+                f"{source.url} is no MJPEG stream: it answers {self._answer.status}, {kind}",
+                "a stream is multipart/x-mixed-replace with a boundary",
+            )
+        self._socket.settimeout(None)  # from here on, who reads is interrupted by closing
+        self._parts = Multipart(boundary)
+        self._waiting: list[bytes] = []
+
+    @property
+    def damaged(self) -> int:
+        """Parts that could not be read."""
+        return self._parts.damaged
+
+    def read(self) -> Picture:
+        """Wait for the next part."""
+        while not self._waiting:
+            try:
+                data = self._answer.read1(CHUNK)
+            except (OSError, ValueError, http.client.HTTPException) as error:
+                raise SourceEndedError(f"{self._url} failed: {error}") from error
+            if not data:
+                raise SourceEndedError(f"{self._url} closed the stream")
+            self._waiting = self._parts.feed(data)
+        return Picture(self._waiting.pop(0), self._clock.now())
+
+    def interrupt(self) -> None:
+        """Shut the connection down, which ends a wait for data."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._answer.close()
+        self._connection.close()
+
+    def _boundary(self) -> str:
+        boundary = self._answer.headers.get_param("boundary", "")
+        return boundary if isinstance(boundary, str) else boundary[2]

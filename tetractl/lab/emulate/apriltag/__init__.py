@@ -1,0 +1,1 @@
+"""An emulated camera that looks at tags: a renderer of pictures and a network camera."""

@@ -1,0 +1,157 @@
+"""A serial port of the lab's devices: opened for one process, written without waiting.
+
+A port that takes nothing for 20 ms is stuck and raises, one that is gone raises at once; either is
+final. A thread reads.
+"""
+
+import os
+import select
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+import serial
+
+from tetractl.core.clock import Clock
+from tetractl.core.errors import AbortError
+from tetractl.lab.wire_tap import NO_TAP, Tap
+
+WRITE_TIMEOUT_S = 0.02
+READ_TIMEOUT_S = 0.05
+MAX_BUFFER = 2048  # bytes the system may still have to send before the port counts as stuck
+
+Heard = Callable[[bytes, int], None]
+
+
+class SerialPort:
+    """The port `name` at `baud` bits a second, with `device` (such as "the radio") behind it.
+
+    `heard` is called in the reader's thread with bytes and their time [ns on `clock`], and with no
+    bytes once the port has failed. `wire` is what the tap calls the port, `hint` what an error
+    advises.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        baud: int,
+        device: str,
+        clock: Clock,
+        heard: Heard,
+        hint: str,
+        tap: Tap = NO_TAP,
+        wire: str = "serial",
+    ) -> None:
+        self.failure: str | None = None
+        self._name, self._baud, self._device, self._hint = name, baud, device, hint
+        self._clock, self._heard, self._tap, self._wire = clock, heard, tap, wire
+        self._sending = threading.Lock()
+        self._closing = threading.Event()
+        self._port: serial.Serial | None = None
+        self._thread = threading.Thread(target=self._read, name=device, daemon=True)
+
+    def open(self) -> None:
+        """Open the port for this process alone and start to read; AbortError where it cannot."""
+        try:
+            self._port = serial.Serial(
+                self._name,
+                self._baud,
+                timeout=READ_TIMEOUT_S,
+                write_timeout=WRITE_TIMEOUT_S,
+                exclusive=True,
+            )
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise _cannot_open(self._name, self._device, error) from error
+        self._thread.start()
+
+    def write(self, data: bytes) -> int:
+        """Send bytes; return when they were given to the system [ns].
+
+        AbortError where the port is stuck, gone or not open.
+        """
+        with self._sending:
+            if self.failure or self._port is None:
+                raise AbortError(self.failure or f"the port {self._name} is not open", self._hint)
+            try:
+                _put(self._port.fileno(), data)
+                waiting = self._port.out_waiting
+            except TimeoutError:
+                raise self._fail(f"takes no more bytes: {self._device} is stuck") from None
+            except (serial.SerialException, OSError, TypeError) as error:
+                raise self._fail(f"is gone: {_why(error)}") from error
+            if waiting > MAX_BUFFER:
+                raise self._fail(f"holds {waiting} bytes back: {self._device} is stuck")
+            now = self._clock.now()
+        self._tap.sent(self._wire, now, data)
+        return now
+
+    def set_baud(self, baud: int) -> None:
+        """Change the speed of the open port [bits a second]."""
+        assert self._port is not None
+        self._port.baudrate = baud
+
+    def close(self) -> None:
+        """End the thread and close the port; idempotent, never raises."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+        if self._port is not None:
+            with suppress(OSError, serial.SerialException):
+                self._port.close()
+            self._port = None
+
+    def _fail(self, what: str) -> AbortError:
+        self.failure = self.failure or f"the port {self._name} of {self._device} {what}"
+        return AbortError(self.failure, self._hint)
+
+    def _read(self) -> None:
+        port = self._port
+        assert port is not None
+        while not self._closing.is_set():
+            try:
+                data = port.read(1)
+                if data:
+                    data += port.read(port.in_waiting)
+            except (serial.SerialException, OSError, TypeError, ValueError) as error:
+                if not self._closing.is_set():
+                    self._fail(f"is gone: {_why(error)}")
+                    self._heard(b"", self._clock.now())
+                return
+            if data:
+                now = self._clock.now()
+                self._tap.received(self._wire, now, data)
+                self._heard(data, now)
+
+
+def _put(fd: int, data: bytes) -> None:
+    """Write to a file descriptor; TimeoutError where it takes nothing for 20 ms.
+
+    pyserial's own write also times out where this process was merely not scheduled for that long.
+    """
+    rest = memoryview(data)
+    while rest:
+        with suppress(BlockingIOError):
+            rest = rest[os.write(fd, rest) :]
+        if rest and not select.select([], [fd], [], WRITE_TIMEOUT_S)[1]:
+            raise TimeoutError
+
+
+def _why(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
+def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
+    number = getattr(error, "errno", None)
+    text = str(error)
+    if number == 11 or "exclusively lock" in text:
+        return AbortError(
+            f"{name}: another program has this port open",
+            "one run at a time; end the other, or `tetractl lab stop` if it left robots moving",
+        )
+    if number == 2 or "No such file" in text:
+        return AbortError(f"{name}: there is no such port", f"is {device} plugged in?")
+    if number == 13:
+        return AbortError(
+            f"{name}: this user may not open it", "join the group that owns it, often dialout"
+        )
+    return AbortError(f"{name}: cannot be opened: {_why(error)}")

@@ -1,0 +1,105 @@
+"""Lower bounds of the error that any sequence of common directions leaves.
+
+N robots move by (1)-(3) for t seconds at most: theta_i' = a_i sin(u - theta_i), with one u for all.
+Let g_i be the way from a robot's start to its target, e_i its distance to the target at the end,
+and w_i the integral of its unit heading vector, so that it moves by v_i w_i.
+
+Reach. |w_i| <= t, hence e_i >= |g_i| - v_i t.
+
+Pairs. For two robots let delta = theta_1 - theta_2, s = a_1 + a_2, d = |a_1 - a_2| and m be u minus
+the mean heading. Then delta' = a_1 sin(m - delta/2) - a_2 sin(m + delta/2)
+= (a_1 - a_2) sin m cos(delta/2) - s cos m sin(delta/2), and over all m
+
+    |delta|' <= sqrt(d^2 cos^2(delta/2) + s^2 sin^2(delta/2)) <= sqrt(d^2 + (s delta/2)^2).
+
+So |delta| never exceeds the solution D of D' = sqrt(d^2 + (s D/2)^2) from D(0) = |delta(0)|, the
+difference of the start headings:
+
+    D(t) = D(0) cosh(k t) + B sinh(k t),   k = s/2,   B = sqrt((2d/s)^2 + D(0)^2).
+
+Unit vectors that differ by delta are 2 |sin(delta/2)| <= min(|delta|, 2) apart, hence
+|w_1 - w_2| <= G(t), the integral of min(D, 2). With p_i = g_i / v_i,
+
+    e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
+
+Robots of equal a and start heading have D = 0: their ways keep one shape, and for two of them the
+bound is exact where they have the time. The bounds hold for the Euler model (4)-(6) and for held
+wheel speeds (24)-(25) too: the right-hand side of D' grows with D, so a step of length T along the
+tangent stays below D, and a left Riemann sum of a growing function below its integral.
+
+All robots. The total error is at least the minimum of e_1 + ... + e_N under all these inequalities,
+a linear programme.
+"""
+
+import numpy as np
+
+from tetractl.core.poses import Floats, wrap
+from tetractl.core.setup import Setup
+
+PAIRS_MAX = 1000
+"""Pairs that enter the linear programme at most; leaving pairs out only lowers the bound."""
+
+
+def reach(setup: Setup, seconds: float) -> Floats:
+    """Return the least error of each robot by its speed alone, (N,) [length unit]."""
+    gaps = np.linalg.norm(setup.targets - setup.starts.xy, axis=1)
+    return np.maximum(gaps - setup.speed * seconds, 0.0)
+
+
+def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
+    """Return G, the largest |w_1 - w_2| of pairs of robots [s].
+
+    `turned` >= 0 is the difference of their start headings [rad]; all arguments broadcast.
+    """
+    rate = (a_1 + a_2) / 2
+    relative = np.abs(a_1 - a_2) / rate
+    both = np.hypot(relative, turned)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # e^(k t) at the time when D = 2, from the quadratic equation for it
+        growth = (2 + np.sqrt(np.maximum(4 + relative**2, 0.0))) / (turned + both)
+        until = np.clip(np.log(growth) / rate, 0.0, seconds)
+        grown = (turned * np.sinh(rate * until) + both * (np.cosh(rate * until) - 1)) / rate
+        found = np.minimum(grown, 2 * until) + 2 * (seconds - until)
+    return np.where(turned + both > 0, found, 0.0)
+
+
+def least_total_error(setup: Setup, seconds: float, alike: bool = False) -> float:
+    """Return a lower bound of the total error of any sequence of directions [length unit].
+
+    With `alike`, the bound is that of robots whose a and start headings do not differ.
+    """
+    alone = reach(setup, seconds)
+    one, other = np.triu_indices(len(alone), 1)
+    moving = (setup.speed[one] > 0) & (setup.speed[other] > 0)
+    one, other = one[moving], other[moving]
+    turned = np.abs(wrap(setup.starts.heading[one] - setup.starts.heading[other]))
+    apart = np.zeros(len(one)) if alike else drift(setup.a[one], setup.a[other], turned, seconds)
+    with np.errstate(over="ignore", invalid="ignore"):
+        way = (setup.targets - setup.starts.xy) / np.where(setup.speed > 0, setup.speed, 1)[:, None]
+        gaps = np.linalg.norm(way[one] - way[other], axis=1) - apart
+        both = np.minimum(setup.speed[one], setup.speed[other]) * gaps
+        gain = both - alone[one] - alone[other]
+    telling = np.flatnonzero(gain > 0)
+    telling = telling[np.argsort(-gain[telling], kind="stable")[:PAIRS_MAX]]
+    if not telling.size or not np.isfinite(alone).all() or not np.isfinite(both[telling]).all():
+        return float(alone.sum())
+    return _least_sum(alone, np.column_stack([one, other])[telling], both[telling])
+
+
+def _least_sum(alone: Floats, pairs: np.ndarray, both: Floats) -> float:
+    """Return the least e_1 + ... + e_N with e_i >= alone_i, and e_i + e_j >= both for each pair."""
+    from scipy.optimize import linprog
+    from scipy.sparse import coo_array
+
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    sums = coo_array((-np.ones(rows.size), (rows, pairs.ravel())), (len(pairs), len(alone)))
+    scale = max(both.max(), 1.0)  # the solver's tolerances are absolute
+    solved = linprog(
+        np.ones(len(alone)),
+        A_ub=sums.tocsr(),
+        b_ub=-both / scale,
+        bounds=np.column_stack([alone / scale, np.full(len(alone), np.inf)]),
+    )
+    # any one pair bounds the total too, should the solver give up
+    fallback = alone.sum() + np.max(both - alone[pairs].sum(axis=1))
+    return float(solved.fun * scale if solved.success else fallback)

@@ -1,0 +1,79 @@
+"""Whether obstacles wall a target off, for a robot taken as a point.
+
+The arena is covered with square cells. A cell is free unless its centre is deeper in an obstacle
+than half a side, and cells are neighbours across corners too. Then what is not connected in the
+grid is not connected at all: inscribe a circle in each cell. A way past the obstacles goes through
+discs, and from one to the next either where two touch or through the gap between four, all of which
+are neighbours; and a disc with a free point in it has a centre no deeper than its radius, so its
+cell is free. The reverse does not hold: a wall thinner than a cell is not seen.
+"""
+
+import math
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
+from tetractl.model.obstacles import Obstacles
+
+CELLS = 200
+"""Cells along the longer side of the arena."""
+TOUCHING = 1e-6
+"""Gaps narrower than this share of a cell are closed: obstacles that touch a wall leave none."""
+
+
+def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
+    """Return the distance of points to the nearest obstacle [length unit], negative inside.
+
+    With `walls`, all outside the arena is an obstacle.
+    """
+    nearest = Obstacles.of(setup.obstacles).distance(x, y)
+    if not walls:
+        return nearest
+    arena = setup.arena
+    inside = np.minimum(
+        np.minimum(x - arena.left, arena.right - x), np.minimum(y - arena.bottom, arena.top - y)
+    )
+    return np.minimum(nearest, inside)
+
+
+def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
+    """Return how far from its target each robot stays, at least, (N,) [length unit].
+
+    0 where no wall is found between start and target. Robots keep `margin` from obstacles; with
+    `walls` they stay in the arena, without they may go round through its outside. A start nearer to
+    an obstacle than the margin is in no free space, and gives 0.
+    """
+    from scipy.ndimage import label
+
+    arena = setup.arena
+    side = max(arena.width, arena.height) / CELLS
+    x = _centres(arena.left, arena.width, side, walls)
+    y = _centres(arena.bottom, arena.height, side, walls)
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = margin - clearance(setup, x[None, :], y[:, None], walls)
+        free = ~(depth >= (0.5 - TOUCHING) * side)
+    if not walls:  # the outside is one free region, whatever stands in it
+        free[[0, -1], :] = free[:, [0, -1]] = True
+    regions, _ = label(free, np.ones((3, 3)))
+
+    def around(point: Floats) -> set[int]:
+        """Return the regions at a point, which may lie between the discs of neighbours."""
+        row, column = np.abs(y - point[1]).argmin(), np.abs(x - point[0]).argmin()
+        near = regions[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        return set(near[near > 0].tolist())
+
+    found = np.zeros(len(setup.targets))
+    for i, (start, target) in enumerate(zip(setup.starts.xy, setup.targets, strict=True)):
+        reached = around(start)
+        if reached and not reached & around(target):
+            rows, columns = np.nonzero(np.isin(regions, list(reached)))
+            nearest = np.hypot(x[columns] - target[0], y[rows] - target[1]).min()
+            found[i] = max(nearest - side / math.sqrt(2), 0.0)
+    return found
+
+
+def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
+    """Return the centres of the cells along an extent; without walls, of two more at either end."""
+    beyond = 0 if walls else 2
+    return begin + (np.arange(-beyond, math.ceil(extent / side - 1e-9) + beyond) + 0.5) * side

@@ -165,14 +165,14 @@ def closed(settings: Settings) -> Report:
 
 
 def replace_control(spec: Experiment, **fields: object) -> Experiment:
-    return spec.model_copy(update={"controller": spec.controller.model_copy(update=fields)})
+    return spec.model_copy(update={"controller": spec.controller.motion_copy(update=fields)})
 
 
 def _budgets(report: Report, settings: Settings) -> None:
     """Whole control steps and whole sweeps of the compiled swarm, with the budget fully spent."""
     rows = []
     euler, count = printed(), settings.repeats * 5
-    models = [("Euler", euler), ("exact", replace(euler, model="exact"))]
+    models = [("Euler", euler), ("exact", replace(euler, motion="exact"))]
     models.append(("exact, swept, walls", recommended()))
     for name, problem in models:
         step = _timed(partial(_control_step, problem), count)

@@ -34,7 +34,7 @@ class Shooter:
         u = ca.MX.sym("u", length)
         states = ca.MX.sym("s", 3 * count, length)
         start, robots = ca.MX.sym("p", 3 * count), ca.MX.sym("r", 2 * count + 2)
-        step = _step(ca, problem.model, count)
+        step = _step(ca, problem.motion, count)
         before = ca.horzcat(start, states[:, :-1])
         held = ca.horzcat(robots[-2], ca.repmat(robots[-1], 1, length - 1))
         after = step.map(length)(before, u.T, ca.repmat(robots[:-2], 1, length), held)
@@ -44,7 +44,7 @@ class Shooter:
         kept = [ca.vec(after - states)]
         low = [np.zeros(3 * count * length)]
         high = [np.zeros(3 * count * length)]
-        for left, bottom, right, top in problem.obstacles.rectangles:
+        for left, bottom, right, top in (box.row() for box in problem.obstacles.shapes):
             wall = _wall(problem, left, bottom, right, top)
             if wall is not None:
                 axis, bound, sign = wall
@@ -135,7 +135,7 @@ _built: dict[tuple, Shooter] = {}
 
 def shooter(problem: Problem, length: int, cap_s: float) -> Shooter:
     """Return the programme for a length, built once: building is not timed."""
-    key = (problem.model, problem.obstacles.rectangles.tobytes(), length, cap_s)
+    key = (problem.motion, problem.obstacles.shapes, length, cap_s)
     if key not in _built:
         _built[key] = Shooter(problem, length, cap_s)
     return _built[key]

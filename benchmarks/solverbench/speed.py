@@ -8,9 +8,10 @@ from numba import njit
 
 from tetractl.control.cost import Problem, evaluate
 from tetractl.control.kernels import pso as kernel
-from tetractl.control.kernels.math import KERNEL, horner
+from tetractl.control.kernels.options import KERNEL, inlined
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers import compiled, pso
+from tetractl.model.motion.polynomials import horner
 
 from .peers import OPTIONS, available
 from .problems import PARTICLES, SIGNALS, SWARM, plain_cost, printed, recommended, tuned_cost
@@ -18,6 +19,7 @@ from .report import Pair, Report, Settings, in_pairs, load
 
 SHORT = 20
 """Iterations timed at once: few, so that most repetitions run through without an interruption."""
+polynomial = inlined(horner)
 ROBOT_STEPS = 3 * PARTICLES * SIGNALS
 EULER_WORK = 42
 """Vector instructions of one robot-step of (4)-(6), counted in the source: 26 for the motion, 9 for
@@ -103,7 +105,7 @@ def floor(settings: Settings) -> Report:
     """The rollout kernel against what the processor can do at all."""
     report = Report("(e) Time per robot-step against a floor")
     euler = printed()
-    exact = replace(euler, model="exact")
+    exact = replace(euler, motion="exact")
     rows = np.zeros((11, PARTICLES * 3))
     rng = np.random.default_rng(0)
     signals = rng.uniform(-np.pi, np.pi, (SIGNALS, PARTICLES))
@@ -115,7 +117,7 @@ def floor(settings: Settings) -> Report:
     work = in_pairs(roll, lambda: _arithmetic(q, rows, SIGNALS), count)
     move = in_pairs(roll, lambda: _traffic(rows, SIGNALS), count)
     models = in_pairs(roll, lambda: costs(other, signals, total), count)
-    swept = [lay_out(replace(recommended(), model=m), PARTICLES) for m in ("euler", "exact")]
+    swept = [lay_out(replace(recommended(), motion=m), PARTICLES) for m in ("euler", "exact")]
     walls = in_pairs(
         lambda: costs(swept[0], signals, total), lambda: costs(swept[1], signals, total), count
     )
@@ -170,8 +172,8 @@ def _arithmetic(q, rows, times):
     for _ in range(times):
         for n in range(q.size):
             z = q[n]
-            left, right = horner(_A, z) * horner(_B, z), horner(_C, z) * horner(_D, z)
-            out[n] = left * right * (horner(_E, z) * horner(_F, z)) + z
+            left, right = polynomial(_A, z) * polynomial(_B, z), polynomial(_C, z) * polynomial(_D, z)
+            out[n] = left * right * (polynomial(_E, z) * polynomial(_F, z)) + z
         q[0] = 0.5 * out[0]  # so that no pass can be left out
     return out[0]
 

@@ -120,11 +120,11 @@ def test_a_torn_log_is_flagged_and_the_rest_printed(work):
 
 
 def test_two_batches_are_compared(work):
-    write(work / "exact", 12, controller={"model": "exact"})
+    write(work / "exact", 12, controller={"motion": "exact"})
     done = stats("exact", "--against", "ten", "--plot", "both.png", cwd=work)
     assert done.returncode == 0
     assert "differs in" in done.stdout
-    assert "controller.model: exact != euler" in done.stdout
+    assert "controller.motion: exact != euler" in done.stdout
     assert (work / "both.png").read_bytes().startswith(b"\x89PNG")
     shown = stats("exact", "--against", "ten", "--format", "json", cwd=work).stdout
     found = json.loads(shown)["comparison"]
@@ -133,10 +133,10 @@ def test_two_batches_are_compared(work):
 
 
 def test_two_experiments_in_one_batch_are_refused(work):
-    write(work / "exact", 2, first=20, controller={"model": "exact"})
+    write(work / "exact", 2, first=20, controller={"motion": "exact"})
     done = stats("ten", "exact", cwd=work)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "not the same experiment: controller.model: euler != exact" in done.stderr
+    assert "not the same experiment: controller.motion: euler != exact" in done.stderr
     assert "--against" in done.stderr
 
 

@@ -7,8 +7,9 @@ from tetractl.control.cost import Problem, evaluate
 from tetractl.control.optimizers.pso import Swarm
 from tetractl.core.poses import Poses
 from tetractl.experiment.controller import SwarmSpec
-from tetractl.experiment.experiment import Circle, Rectangle
 from tetractl.model.obstacles import Obstacles
+from tetractl.model.shapes.circle import Circle
+from tetractl.model.shapes.rectangle import Rectangle
 
 
 def world(
@@ -51,7 +52,7 @@ def problem(world: World) -> Problem:
         targets=robots[:, 3:5],
         a=robots[:, 5],
         speed=robots[:, 6],
-        model=world.model,
+        motion=world.model,
         period=world.period,
         first_period=world.period,
         obstacles=Obstacles.of(world.obstacles),

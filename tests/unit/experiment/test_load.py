@@ -90,8 +90,8 @@ def changed(old, new):
         ),
         (
             "controller:\n",
-            "controller:\n  model: exactt\n",
-            "s.yaml:10:10: controller.model: exactt: must be one of euler, arc, exact; "
+            "controller:\n  motion: exactt\n",
+            "s.yaml:10:10: controller.motion: exactt: must be one of euler, arc, exact; "
             "did you mean 'exact'?",
         ),
         (
@@ -334,7 +334,7 @@ def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_the_controller_
     paper = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment
     ours = load_spec(EXPERIMENTS / "three_m3pi.yaml").experiment
     assert paper.controller.swarm.stop.type == "paper"
-    assert paper.controller.model == "euler"
+    assert paper.controller.motion == "euler"
     assert paper.controller.collision.check == "samples"
     same = {"name": paper.name, "controller": paper.controller}
     assert ours.model_copy(update=same) == paper

@@ -68,17 +68,10 @@ def test_the_continuous_plant_solves_1_to_3():
             state = done.y[:, -1]
 
 
-@pytest.mark.parametrize(("motion", "model"), [("euler", "euler"), ("arc", "arc")])
-def test_the_plant_reproduces_the_planners_prediction(motion, model):
+@pytest.mark.parametrize("motion", ["euler", "arc", "exact"])
+def test_the_plant_reproduces_the_planners_prediction(motion):
     path = truths(steered(plant(motion=motion), DIRECTIONS))[::24]
-    spec = experiment(controller={"model": model})
-    predicted = predict(Problem.of(spec, Poses.of(path[0])), np.array(DIRECTIONS))
-    assert path == pytest.approx(predicted, abs=1e-9)
-
-
-def test_the_continuous_plant_reproduces_the_exact_planners_prediction():
-    path = truths(steered(plant(), DIRECTIONS))[::24]
-    spec = experiment(controller={"model": "exact"})
+    spec = experiment(controller={"motion": motion})
     predicted = predict(Problem.of(spec, Poses.of(path[0])), np.array(DIRECTIONS))
     assert path == pytest.approx(predicted, abs=1e-9)
 
@@ -118,7 +111,7 @@ def test_held_wheels_turn_each_period_as_far_as_6():
 def test_the_camera_rate_does_not_change_the_motion():
     ends = []
     for rates in ({"camera_rate": 5}, {"camera_rate": 1000, "truth_rate": 1000}):
-        simulated = plant(motion="continuous", **rates)
+        simulated = plant(motion="exact", **rates)
         steered(simulated, DIRECTIONS)
         simulated.stop()
         ends.append(simulated.settle().final.array())

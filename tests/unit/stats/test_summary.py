@@ -125,12 +125,12 @@ def test_robots_that_stand_still_have_no_scaled_error():
 
 def test_two_experiments_in_one_batch_are_refused_with_what_differs():
     trials = batch(ERRORS[:2].tolist())
-    other = experiment(controller={"model": "exact"}, plant={"dead_time": 0.15})
+    other = experiment(controller={"motion": "exact"}, plant={"dead_time": 0.15})
     trials[1] = replace(trials[1], experiment=other)
     with pytest.raises(UsageError) as caught:
         summarise(trials)
     assert "trial-000.mcap and trial-001.mcap are not the same experiment" in str(caught.value)
-    assert "controller.model: euler != exact" in str(caught.value)
+    assert "controller.motion: euler != exact" in str(caught.value)
     assert "plant.dead_time: 0.0 != 0.15" in str(caught.value)
     assert caught.value.hint
     assert "--against" in caught.value.hint
@@ -163,14 +163,14 @@ def test_no_trial_is_an_error():
 
 
 def test_two_batches_compare():
-    ours = summarise(batch((ERRORS / 4).tolist(), experiment(controller={"model": "exact"})))
+    ours = summarise(batch((ERRORS / 4).tolist(), experiment(controller={"motion": "exact"})))
     theirs = summarise(batch(ERRORS.tolist()))
     found = compare(ours, theirs)
     assert found.verdict == "lower"
     assert found.welch.value == pytest.approx(ours.total.mean - theirs.total.mean)
     assert found.bootstrap.high < 0
     assert found.effect.value < -0.9
-    assert found.differs == ("controller.model: exact != euler",)
+    assert found.differs == ("controller.motion: exact != euler",)
     assert compare(theirs, ours).verdict == "higher"
 
 

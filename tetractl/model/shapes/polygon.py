@@ -150,6 +150,7 @@ class Polygon(ShapeSection):
             if (ax, ay) == (bx, by):
                 message = f"has the corner {_text(self.vertices[i])} twice in a row; leave one out"
                 raise inconsistent("vertices", message)
+        for i, (ax, ay, bx, by) in enumerate(edges):
             cx, cy = self.vertices[(i + 1) % count]
             back = (bx - ax) * (cx - bx) + (by - ay) * (cy - by) < 0
             if back and turn(ax, ay, bx, by, cx, cy) == 0:
@@ -164,7 +165,7 @@ class Polygon(ShapeSection):
                     )
                     raise inconsistent("vertices", message)
         if _doubled_area(np.array(self.vertices)) == 0:
-            raise inconsistent("vertices", "has no area; move a corner off the line")
+            raise inconsistent("vertices", "has no area that a number could hold; use another length unit")
         return self
 
     def row(self) -> tuple[float, ...]:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tetractl.control.cost import Problem
+from tetractl.control.optimizers.pso import Pso
+from tetractl.control.stop import BudgetStop
 from tetractl.core.poses import Floats, Poses
-from tetractl.experiment.controller import BudgetStop, SwarmSpec
+from tetractl.core.problem import Problem
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
 
@@ -16,21 +17,26 @@ EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 PAPER, OURS = "three_m3pi_paper.yaml", "three_m3pi.yaml"
 PARTICLES, SIGNALS, ITERATIONS = 128, 41, 100
 LENGTH, LONGEST = 44, 51
-SWARM = SwarmSpec(particles=PARTICLES, iterations=ITERATIONS, stop=BudgetStop(type="budget"))
+SWARM = Pso(particles=PARTICLES, iterations=ITERATIONS, stop=BudgetStop(type="budget"))
 
 
 def experiment(name: str, *settings: str) -> Experiment:
     return load_spec(EXPERIMENTS / name, settings).experiment
 
 
+def _problem(name: str) -> Problem:
+    spec = experiment(name)
+    return spec.controller.problem(spec.setup)
+
+
 def printed() -> Problem:
     """Step 0 of the reference experiment as printed: Euler, obstacle tested at the samples."""
-    return Problem.of(experiment(PAPER))
+    return _problem(PAPER)
 
 
 def recommended() -> Problem:
     """The same as we recommend it: exact motion, obstacle and walls swept, with a margin."""
-    return Problem.of(experiment(OURS))
+    return _problem(OURS)
 
 
 def crowd(robots: int) -> Problem:

@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from tetractl.control.cost import Problem, evaluate
+from tetractl.control.cost import evaluate
 from tetractl.control.kernels import pso as kernel
 from tetractl.control.kernels.options import KERNEL, inlined
 from tetractl.control.kernels.rollout import costs, lay_out
-from tetractl.control.optimizers import compiled, pso
+from tetractl.control.optimizers import compiled_pso, pso
+from tetractl.core.plan import Limits
+from tetractl.core.problem import Problem
 from tetractl.model.motion.polynomials import horner
 
 from .peers import OPTIONS, available
@@ -66,8 +68,8 @@ class _Iterations:
 
     def __init__(self, problem: Problem) -> None:
         self.course = lay_out(problem, PARTICLES)
-        self.swarm, _ = compiled.scatter(problem, self.course, SIGNALS, None, SWARM, 1)
-        self.rules = compiled.make_rules(SWARM, 1, 0, None)
+        self.swarm, _ = compiled_pso.scatter(SWARM, problem, self.course, SIGNALS, None, 1)
+        self.rules = compiled_pso.make_rules(SWARM, 1, 0, Limits())
 
     def run(self, count: int) -> None:
         kernel.iterate(self.course, self.swarm, self.rules, 0, count)
@@ -172,7 +174,10 @@ def _arithmetic(q, rows, times):
     for _ in range(times):
         for n in range(q.size):
             z = q[n]
-            left, right = polynomial(_A, z) * polynomial(_B, z), polynomial(_C, z) * polynomial(_D, z)
+            left, right = (
+                polynomial(_A, z) * polynomial(_B, z),
+                polynomial(_C, z) * polynomial(_D, z),
+            )
             out[n] = left * right * (polynomial(_E, z) * polynomial(_F, z)) + z
         q[0] = 0.5 * out[0]  # so that no pass can be left out
     return out[0]

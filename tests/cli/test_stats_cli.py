@@ -155,7 +155,7 @@ def test_a_batch_given_twice_is_refused(work):
         (["empty"], 2, "empty: no logs"),
         (["*.nothing"], 2, "matches no log"),
         (["notes.txt"], 1, "none of 1 logs can be read"),
-        (["ten", "--plot", "batch.gif"], 2, "batch.gif: cannot plot to this kind of file"),
+        (["ten", "--plot", "batch.gif"], 2, "batch.gif: cannot write '.gif' pictures"),
         (["ten", "--format", "yaml"], 2, "yaml"),
     ],
 )

@@ -169,11 +169,11 @@ def calibrate(
 
 
 def _lab(spec: Path, sets: list[str] | None) -> "tuple[Experiment, LabSpec]":
+    from tetractl.cli.spec import load
     from tetractl.experiment.lab import LabSpec
-    from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import on_plant
 
-    experiment = on_plant(load_spec(spec, sets or []), "lab").experiment
+    experiment = on_plant(load(spec, sets or []), "lab").experiment
     assert isinstance(experiment.plant, LabSpec)
     return experiment, experiment.plant
 

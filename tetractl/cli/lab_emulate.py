@@ -65,12 +65,12 @@ def emulate(
     import gc
     import signal
 
-    from tetractl.experiment.load import load_spec
+    from tetractl.cli.spec import load
     from tetractl.experiment.plants import lab_of
     from tetractl.lab.emulate.lab import EmulatedLab, Options
     from tetractl.lab.emulate.script import NOTHING, load_script
 
-    loaded = load_spec(spec, sets or [])
+    loaded = load(spec, sets or [])
     lab = lab_of(loaded.experiment, loaded.name)
     play = load_script(script) if script else NOTHING
     options = Options(address, command_port, data_port, port_link, record, replace_after, seed)

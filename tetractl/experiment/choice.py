@@ -41,9 +41,18 @@ class Choice:
     ) -> JsonSchemaValue:
         sections = self.registry.usable()  # a broken package must not hide another mistake
         options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
+        for name, option in options.items():
+            if name != self.default:  # without a type, only the default kind is meant
+                kind = handler.resolve_ref_schema(option)
+                kind["required"] = list(dict.fromkeys(["type", *kind.get("required", ())]))
         mapping = {name: option["$ref"] for name, option in options.items() if "$ref" in option}
         discriminator = {"mapping": mapping, "propertyName": "type"}
-        return {"discriminator": discriminator, "oneOf": list(options.values())}
+        choice = {"discriminator": discriminator, "oneOf": list(options.values())}
+        return choice | ({"default": {"type": self.default}} if self.default else {})
+
+    def make(self) -> Any:
+        """Return the section of the default type with its own defaults, for a field's default."""
+        return self._section({}).model_validate({})
 
     def _section(self, value: Any) -> Any:
         if not isinstance(value, dict):

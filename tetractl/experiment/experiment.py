@@ -10,8 +10,8 @@ from tetractl.core.poses import Poses
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.choice import Choice
-from tetractl.experiment.controller import PsoMpcSpec
-from tetractl.experiment.kinds import SHAPES
+from tetractl.experiment.controller import ControllerSection
+from tetractl.experiment.kinds import CONTROLLERS, SHAPES
 from tetractl.experiment.lab import LabSpec
 from tetractl.experiment.plant import SimSpec, Wheels
 from tetractl.experiment.shape import ShapeSection
@@ -113,6 +113,9 @@ Plant = Annotated[
 ]
 
 
+_CONTROLLER = Choice(CONTROLLERS, default="mpc")
+
+
 class Experiment(Model):
     """One experiment, as read from a YAML spec."""
 
@@ -131,7 +134,7 @@ class Experiment(Model):
     """Where no robot may go."""
     wheels: Wheels | None = None
     """Wheel geometry; given, the log holds the wheel speeds of (24)-(25) of every command."""
-    controller: PsoMpcSpec = PsoMpcSpec()
+    controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
     """What chooses the direction."""
     plant: Plant = SimSpec()
     """What the direction steers; a simulation where no `type` is given."""
@@ -168,6 +171,6 @@ class Experiment(Model):
             obstacles=self.obstacles,
             period_s=control.period,
             steps_max=control.steps_max,
-            iterations_max=control.swarm.iterations,
+            iterations_max=control.iterations_max,
             wheel_radius=self.wheels.radius if self.wheels else None,
         )

@@ -20,6 +20,7 @@ from tetractl.experiment.yaml.document import parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.overrides import override
 from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.experiment.yaml.upgrade import upgrade
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,7 @@ class LoadedSpec:
     name: str  # file name, without its folder
     path: Path | None = None
     attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
+    notices: tuple[str, ...] = ()  # lines for people on names that have changed
 
 
 def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
@@ -40,12 +42,14 @@ def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
     what would be right`.
     """
     text = read_text(path)
-    return LoadedSpec(_experiment(text, str(path), sets), text, path.name, path)
+    experiment, notices = _experiment(text, str(path), sets)
+    return LoadedSpec(experiment, text, path.name, path, notices=notices)
 
 
 def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:
     """Check the text of a spec, as `load_spec` does; `name` is what problems call it."""
-    return LoadedSpec(_experiment(text, name, sets), text, name)
+    experiment, notices = _experiment(text, name, sets)
+    return LoadedSpec(experiment, text, name, notices=notices)
 
 
 def resolved_yaml(experiment: Experiment) -> str:
@@ -79,8 +83,10 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
     )
 
 
-def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:
+def _experiment(text: str, origin: str, sets: Sequence[str]) -> tuple[Experiment, tuple[str, ...]]:
+    """Return the experiment and what names have changed."""
     document = parse_document(text, origin)
+    upgrade(document)
     for setting in sets:
         override(document, setting)
     experiment = None
@@ -96,7 +102,7 @@ def _experiment(text: str, origin: str, sets: Sequence[str]) -> Experiment:
         document.problems.append(place.problem(loc, message, place.text))
     if document.found or experiment is None:
         raise InvalidSpecError(document.found)
-    return experiment
+    return experiment, tuple(document.notices)
 
 
 def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:

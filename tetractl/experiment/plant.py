@@ -5,8 +5,9 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from tetractl.experiment.base import Fraction, Model, NonNegative, Positive, inconsistent
-from tetractl.experiment.choice import OneOf
-from tetractl.experiment.kinds import MOTIONS
+from tetractl.experiment.choice import Choice, OneOf
+from tetractl.experiment.disturbance import DisturbanceSection
+from tetractl.experiment.kinds import DISTURBANCES, MOTIONS
 
 
 class MeasurementNoise(Model):
@@ -44,6 +45,10 @@ class SimSpec(Model):
     trial and robot."""
     speed_error: Fraction = 0.0
     """As `a_error`, for the speed."""
+    disturbances: tuple[Annotated[DisturbanceSection, Choice(DISTURBANCES)], ...] = Field(
+        default=(), max_length=100
+    )
+    """Further disturbances, which act one after another."""
 
     @model_validator(mode="after")
     def _truth_is_as_fine_as_the_camera(self) -> Self:

@@ -37,6 +37,7 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
     return np.minimum(nearest, inside)
 
 
+@np.errstate(all="ignore")
 def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     """Return how far from its target each robot stays, at least, (N,) [length unit].
 
@@ -50,9 +51,8 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     side = max(arena.width, arena.height) / CELLS
     x = _centres(arena.left, arena.width, side, walls)
     y = _centres(arena.bottom, arena.height, side, walls)
-    with np.errstate(over="ignore", invalid="ignore"):
-        depth = margin - clearance(setup, x[None, :], y[:, None], walls)
-        free = ~(depth >= (0.5 - TOUCHING) * side)
+    depth = margin - clearance(setup, x[None, :], y[:, None], walls)
+    free = ~(depth >= (0.5 - TOUCHING) * side)  # a depth that is no number shuts nothing out
     if not walls:  # the outside is one free region, whatever stands in it
         free[[0, -1], :] = free[:, [0, -1]] = True
     regions, _ = label(free, np.ones((3, 3)))

@@ -19,9 +19,7 @@ class Obstacles:
     shapes: tuple[Shape, ...]
 
     @classmethod
-    def of(
-        cls, shapes: Sequence[Shape], margin: float = 0.0, walls: Bounds | None = None
-    ) -> Self:
+    def of(cls, shapes: Sequence[Shape], margin: float = 0.0, walls: Bounds | None = None) -> Self:
         """Return the union of shapes, each grown by `margin` [length unit].
 
         With `walls`, everything outside that arena belongs to it too, as four broad rectangles.

@@ -6,13 +6,14 @@ integrated: its error does not depend on the sampling rate.
 
 import json
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.experiment.disturbance import Order
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.kinds import MOTIONS
 from tetractl.experiment.plant import SimSpec
@@ -20,15 +21,6 @@ from tetractl.model.motion.base import Held, Motion
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
-
-
-@dataclass(frozen=True, slots=True)
-class _Order:
-    """A command on its way: `direction` None is a stop; it acts from `due` [ns]."""
-
-    due: int
-    direction: float | None
-    delivered: Floats
 
 
 class SimPlant:
@@ -48,9 +40,15 @@ class SimPlant:
         self.nominal_speed = np.array([robot.speed for robot in robots])
         self.a = self.nominal_a * (1 + self.spec.a_error * erring.uniform(-1, 1, count))
         self.speed = self.nominal_speed * (1 + self.spec.speed_error * erring.uniform(-1, 1, count))
+        self._disturbances = [
+            section.build(experiment.setup, np.random.default_rng(*seed.spawn(1)))
+            for section in self.spec.disturbances
+        ]
+        for disturbance in self._disturbances:
+            self.a, self.speed = disturbance.parameters(self.a, self.speed)
         self.poses = Poses.of(np.array([(*robot.start, robot.heading) for robot in robots]))
         self._held = Held(*(np.zeros(count) for _ in range(4)))
-        self._orders: deque[_Order] = deque()
+        self._orders: deque[Order] = deque()
         self._path_check = PathCheck(Obstacles.of(experiment.obstacles), count)
         self._time = 0
         self._frames = 0  # frames exposed so far
@@ -79,15 +77,18 @@ class SimPlant:
         now = self.clock.now()
         self._advance(now)
         count = self.a.size
-        delivered = self._losing.uniform(size=count) >= self.spec.lost_commands
-        self._send(_Order(now + self._delay(), direction, delivered.astype(np.float64)))
+        reached = self._losing.uniform(size=count) >= self.spec.lost_commands
+        order = Order(now + self._delay(), direction, reached)
+        for disturbance in self._disturbances:
+            order = disturbance.sent(order)
+        self._send(order)
         left = right = None
         if self.wheels and self._newest:
             heading = self._newest.poses.heading
             left, right = wheel_speeds(
                 heading, direction, self.nominal_a, self.nominal_speed, self.wheels.radius
             )
-        return Command(direction, now, tuple(delivered.tolist()), left, right)
+        return Command(direction, now, tuple(order.reached.tolist()), left, right)
 
     def samples(self) -> list[Sample]:
         """Return, once, every camera frame since the last call, oldest first."""
@@ -107,13 +108,13 @@ class SimPlant:
             count = self.a.size
             still = np.zeros(count) if self.wheels else None
             self._stop = Command(None, now, (True,) * count, still, still)
-            self._send(_Order(now + self._delay(), None, np.ones(count)))
+            self._send(Order(now + self._delay(), None, np.ones(count, dtype=np.bool_)))
         return self._stop
 
     def settle(self) -> Verdict:
         """Wait for the stop to act and for one more camera frame, and judge the true path."""
-        wait = self._delay() + round(2 * SECOND / self.spec.camera_rate)
-        self.clock.sleep_until(self.clock.now() + wait)
+        stopped = self._orders[-1].due_ns if self._orders else self.clock.now()
+        self.clock.sleep_until(stopped + round(2 * SECOND / self.spec.camera_rate))
         self._advance(self.clock.now())
         entered = tuple(bool(e) for e in self._path_check.entered)
         return Verdict(self.poses, entered, tuple(self._path_check.clearance.tolist()))
@@ -124,21 +125,24 @@ class SimPlant:
     def _delay(self) -> int:
         return round(self.spec.dead_time * SECOND)
 
-    def _send(self, order: _Order) -> None:
-        self._orders.append(order)
+    def _send(self, order: Order) -> None:
+        earliest = self._orders[-1].due_ns if self._orders else self._time
+        self._orders.append(replace(order, due_ns=max(order.due_ns, earliest)))
         self._advance(self.clock.now())
 
     def _advance(self, until: int) -> None:
         """Move the robots on, block by block; nothing changes what is held inside a block."""
-        noisy = self.spec.heading_noise > 0
+        noisy = self.spec.heading_noise > 0 or bool(self._disturbances)
         while True:
             frame = self._next_frame()
             end = min(until, frame) if noisy else until
-            order = self._orders.popleft() if self._orders and self._orders[0].due <= end else None
-            reached = order.due if order else end
+            order = (
+                self._orders.popleft() if self._orders and self._orders[0].due_ns <= end else None
+            )
+            reached = order.due_ns if order else end
             self._glide(reached)
             if noisy and reached == frame:
-                self._swerve()
+                self._disturb()
             if order:
                 self._take(order)
             elif reached == until:
@@ -147,9 +151,9 @@ class SimPlant:
     def _next_frame(self) -> int:
         return round(self._frames * SECOND / self.spec.camera_rate)
 
-    def _take(self, order: _Order) -> None:
+    def _take(self, order: Order) -> None:
         """Let an order act on the robots that received it."""
-        got = order.delivered > 0
+        got = order.reached
         held, heading = self._held, self.poses.heading
         if order.direction is None:
             held.moving = np.where(got, 0.0, held.moving)
@@ -160,8 +164,15 @@ class SimPlant:
         held.course = np.where(got, heading, held.course)
         held.moving = np.where(got, 1.0, held.moving)
 
+    def _disturb(self) -> None:
+        """Add the random walk that the heading took since the last frame, and disturb the poses."""
+        if self.spec.heading_noise > 0:
+            self._swerve()
+        seconds, moving = 1 / self.spec.camera_rate, self._held.moving
+        for disturbance in self._disturbances:
+            self.poses = disturbance.moved(self.poses, moving, seconds)
+
     def _swerve(self) -> None:
-        """Add the random walk that the heading took since the last frame."""
         step = self.spec.heading_noise / np.sqrt(self.spec.camera_rate)
         walk = step * self._swerving.standard_normal(self.a.size)
         self.poses = Poses(
@@ -203,5 +214,10 @@ class SimPlant:
                 truth.heading + noise.heading * heading,
             )
         valid = np.ones(self.a.size, dtype=np.bool_)
+        for disturbance in self._disturbances:
+            measured, valid = disturbance.measured(measured, valid, when / SECOND)
+        if self._newest is not None and not valid.all():  # who is not tracked keeps the last pose
+            last, now = self._newest.poses.array(), measured.array()
+            measured = Poses.of(np.where(valid[:, None], now, last))
         self._newest = Observation(number, when, when, measured, valid)
         self._fresh.append(Sample(self._newest, truth))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.geometry import gap, meets
 from pydantic import ValidationError
+from support.geometry import gap, meets
 from support.shapes import GRID, L_SHAPE, POLYGONS, SHAPES, circles, combs, rectangles
 
 from tetractl.control.kernels.options import inlined

@@ -8,9 +8,8 @@ from scipy.integrate import solve_ivp
 from support.plants import sim
 from support.trials import experiment
 
-from tetractl.control.cost import Problem, predict
-from tetractl.control.mpc import PsoMpc
-from tetractl.control.optimizers import compiled
+from tetractl.control.build import build_controller
+from tetractl.control.cost import predict
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
@@ -72,7 +71,9 @@ def test_the_continuous_plant_solves_1_to_3():
 def test_the_plant_reproduces_the_planners_prediction(motion):
     path = truths(steered(plant(motion=motion), DIRECTIONS))[::24]
     spec = experiment(controller={"motion": motion})
-    predicted = predict(Problem.of(spec, Poses.of(path[0])), np.array(DIRECTIONS))
+    predicted = predict(
+        spec.controller.problem(spec.setup, Poses.of(path[0])), np.array(DIRECTIONS)
+    )
     assert path == pytest.approx(predicted, abs=1e-9)
 
 
@@ -80,11 +81,11 @@ def test_an_euler_planner_meets_its_own_plan_on_an_euler_plant():
     """The loop of Algorithm 2: what is predicted for the next step is what is observed then."""
     spec = experiment(
         plant={"motion": "euler"},
-        controller={"horizon_max": 20, "swarm": {"particles": 20, "iterations": 20}},
+        controller={"horizon_max": 20, "optimizer": {"particles": 20, "iterations": 20}},
     )
     clock = VirtualClock()
     simulated = sim(spec, 1, clock)
-    controller = PsoMpc(spec, 7, compiled.pso)
+    controller = build_controller(spec, 7)
     simulated.open()
     expected = None
     for k in range(15):

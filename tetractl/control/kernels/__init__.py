@@ -32,7 +32,9 @@ def sources() -> Iterator[Path]:
     yield from Path(__file__).parent.glob("*.py")
     for registry in (MOTIONS, SHAPES):
         for file in registry.files():
-            yield from file.parent.glob("*.py") if (file.parent / "__init__.py").exists() else [file]
+            yield from (
+                file.parent.glob("*.py") if (file.parent / "__init__.py").exists() else [file]
+            )
 
 
 if "NUMBA_CACHE_DIR" not in os.environ:

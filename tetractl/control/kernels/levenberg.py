@@ -15,11 +15,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tetractl.control.cost import Problem
 from tetractl.control.kernels.gradient import backward, trace
 from tetractl.control.kernels.obstacles import count_deepest, outward
 from tetractl.control.kernels.options import KERNEL, PART
 from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
 
 Integers = NDArray[np.int64]

@@ -11,16 +11,15 @@ import numpy as np
 from numba import njit
 from numba.extending import overload
 
-from tetractl.control.cost import Problem
 from tetractl.control.kernels.motion import advance
 from tetractl.control.kernels.obstacles import Sole, count_hits, row
 from tetractl.control.kernels.options import KERNEL, PART, PIECE, entries, inlined
 from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
 from tetractl.model.motion.polynomials import sincos
 
 LINE = 8  # numbers in a cache line
-
 
 
 class Rollout(NamedTuple):

@@ -27,7 +27,7 @@ def prism(outline: Floats, height: float) -> tuple[Floats, Indices]:
 
 
 def triangulate(outline: Floats) -> Indices:
-    """Return triangles (M - 2, 3) that cover a simple anticlockwise polygon (M, 2), by ear clipping.
+    """Return triangles (M - 2, 3) of a simple anticlockwise polygon (M, 2), by ear clipping.
 
     An ear is a corner that turns left and whose triangle holds no other corner.
     """
@@ -35,11 +35,7 @@ def triangulate(outline: Floats) -> Indices:
     triangles = []
     while len(left) > 3:
         ears = (i for i in range(len(left)) if _is_ear(outline, left, i))
-        # rounding may leave no ear among nearly collinear corners: then the sharpest turn goes
-        i = next(ears, None)
-        if i is None:
-            turns = [_turn(*outline[[left[k - 1], left[k], left[k + 1 - len(left)]]]) for k in range(len(left))]
-            i = int(np.argmax(turns))
+        i = next(ears, 0)  # none only where rounding blurs nearly collinear corners: any may go
         triangles.append((left[i - 1], left[i], left[i + 1 - len(left)]))
         del left[i]
     return np.array([*triangles, left], dtype=np.int64)

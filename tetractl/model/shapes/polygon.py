@@ -28,9 +28,7 @@ def nearest_on_edge(
     return ax + along * ex, ay + along * ey
 
 
-def squared_to_edge(
-    x: float, y: float, ax: float, ay: float, bx: float, by: float
-) -> float:
+def squared_to_edge(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Return the squared distance of (x, y) to the edge from (ax, ay) to (bx, by)."""
     qx, qy = nearest_on_edge(x, y, ax, ay, bx, by)
     return (x - qx) * (x - qx) + (y - qy) * (y - qy)
@@ -58,7 +56,7 @@ def meet(
         return False
     a, b = turn(x0, y0, x1, y1, ax, ay), turn(x0, y0, x1, y1, bx, by)
     c, d = turn(ax, ay, bx, by, x0, y0), turn(ax, ay, bx, by, x1, y1)
-    return not (a > 0 and b > 0 or a < 0 and b < 0 or c > 0 and d > 0 or c < 0 and d < 0)
+    return not ((a > 0 and b > 0) or (a < 0 and b < 0) or (c > 0 and d > 0) or (c < 0 and d < 0))
 
 
 def nearest_edge(x: float, y: float, p: Any) -> tuple[float, float, float, int]:
@@ -165,7 +163,9 @@ class Polygon(ShapeSection):
                     )
                     raise inconsistent("vertices", message)
         if _doubled_area(np.array(self.vertices)) == 0:
-            raise inconsistent("vertices", "has no area that a number could hold; use another length unit")
+            raise inconsistent(
+                "vertices", "has no area that a number could hold; use another length unit"
+            )
         return self
 
     def row(self) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ from rich.style import Style
 
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Shape
-from tetractl.replay.frame import Frame
+from tetractl.replay.recording import Moment
 from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
 
 ACROSS, DOWN = 2, 4  # dots of a braille cell; a cell is twice as high as wide, so dots are square
@@ -116,7 +116,7 @@ class Canvas:
         return self._styles.index(style)
 
 
-def draw(frame: Frame, colors: list[str], glyphs: Glyphs, width: int, height: int) -> Canvas:
+def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: int) -> Canvas:
     """Draw a frame on a canvas of at most `width` x `height` cells.
 
     Obstacles, then the plan (dotted), trails, starts (circles), targets (squares), robots. On an
@@ -169,7 +169,9 @@ def _filling(shape: Shape, view: Projection) -> Floats:
 
 def _ticks(low: float, high: float, step: float) -> Floats:
     """Return points from low to high at most a step apart; none where high < low."""
-    return np.linspace(low, high, math.ceil((high - low) / step) + 1) if high >= low else np.empty(0)
+    return (
+        np.linspace(low, high, math.ceil((high - low) / step) + 1) if high >= low else np.empty(0)
+    )
 
 
 def _target(

@@ -1,0 +1,51 @@
+"""The optimal control problem of one control step, as data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.setup import Shape
+
+
+class Region(Protocol):
+    """The obstacle region O of (13); its edge belongs to it. Lengths in the spec's unit."""
+
+    def contain(self, x: Floats, y: Floats) -> Bools:
+        """Return whether each point lies in the region, p(s) of (13)."""
+        ...
+
+    def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
+        """Return whether each straight segment from (x0, y0) to (x1, y1) touches the region."""
+        ...
+
+    @property
+    def shapes(self) -> Sequence[Shape]:
+        """Return the shapes whose union the region is."""
+        ...
+
+    def packed(self) -> tuple[Any, ...]:
+        """Return the shapes as compiled code takes them, one `PackedShapes` for each kind."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What one control step has to solve for N robots; lengths in the spec's unit.
+
+    targets (N, 2); a (N,) rad/s; speed (N,) length unit/s; `motion` names the model of the
+    prediction. Signal j is held for `period` seconds, except the first, held for `first_period`.
+    `obstacle_weight` is omega_p of (7). `swept` tests the segments between predicted positions
+    instead of the positions alone.
+    """
+
+    poses: Poses
+    targets: Floats
+    a: Floats
+    speed: Floats
+    motion: str
+    period: float
+    first_period: float
+    obstacles: Region
+    obstacle_weight: float
+    swept: bool

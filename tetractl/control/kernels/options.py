@@ -41,7 +41,8 @@ def entries(rows: Any, i: int, columns: Any) -> Any:
 def _entries(rows, i, columns):
     def several(rows, i, columns):
         a, b, c = columns[:3]
-        return (rows[i, a], rows[i, b], rows[i, c]) + entries(rows, i, columns[3:])
+        first = rows[i, a], rows[i, b], rows[i, c]
+        return first + entries(rows, i, columns[3:])
 
     match len(columns):
         case 0:

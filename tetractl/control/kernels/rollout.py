@@ -135,22 +135,22 @@ def _follow_past_sole(constants, obstacles):
 
     def follow(rollout, lanes, scratch, signals, j):
         x, y, cos, sin, hits = lanes
-        cos_u, sin_u, x0, y0, gap = scratch
+        cos_u, sin_u = scratch[0], scratch[1]
         constants = rollout.first if j == 0 else rollout.rest
         p = row(rollout.obstacles.shape, 0)
         last = j == signals.shape[0] - 1
         if not last:
-            for n in range(gap.size):
+            for n in range(cos_u.size):
                 sin_u[n], cos_u[n] = sincos_of(signals[j, n])
         for i in range(x.shape[0]):
             k = entries(constants.rows, i, columns)
             if last:
-                for n in range(gap.size):
+                for n in range(cos_u.size):
                     new_x, new_y = finish(x[i, n], y[i, n], cos[i, n], sin[i, n], k)
                     x[i, n], y[i, n] = new_x, new_y
                     hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
             else:
-                for n in range(gap.size):
+                for n in range(cos_u.size):
                     new_x, new_y, c, s = step(
                         x[i, n], y[i, n], cos[i, n], sin[i, n], cos_u[n], sin_u[n], k
                     )

@@ -44,7 +44,7 @@ def spec(
     ]
     controller = {
         "type": "pso-mpc",
-        "model": motion,
+        "motion": motion,
         "horizon_max": signals,
         "collision": {"check": "swept", "walls": bool(obstacles)},
         "swarm": {"type": "multistart", "rounds": 3},

@@ -52,7 +52,7 @@ CONTROLLER = """
 controller:
   type: pso-mpc
   period: 0.2             # s: a new direction five times a second
-  model: exact            # predict by the closed form of the motion
+  motion: exact           # predict by the closed form of the motion
   estimate: true          # learn each robot's a and speed on the way
   horizon_max: 51         # signals: the longest plan is 10.2 s
   steps_max: 100          # control steps of a trial at most
@@ -66,7 +66,7 @@ controller:
   type: pso-mpc
   period: 0.05            # s: control at 20 Hz ...
   hold: 4                 # ... of a plan whose directions are held for 0.2 s
-  model: exact            # predict by the closed form of the motion
+  motion: exact           # predict by the closed form of the motion
   estimate: true          # learn each robot's a and speed on the way
   dead_time: 0.05         # s: cameras (`tetractl lab check` tells), radio, the wheels' lag
   horizon_max: 51         # signals: the longest plan is 10.2 s

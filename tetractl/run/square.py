@@ -15,7 +15,7 @@ from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats
 from tetractl.experiment.controller import Square
 from tetractl.experiment.experiment import Experiment
-from tetractl.model.cell import exact
+from tetractl.model.motion.exact import step
 from tetractl.model.obstacles import Obstacles
 
 SAMPLES = 64  # of a side, when a square is checked against the arena
@@ -42,7 +42,7 @@ def check_square(experiment: Experiment, square: Square) -> None:
     a, speed = np.array([robot.a for robot in robots]), np.array([robot.speed for robot in robots])
     t = np.linspace(0, square.side, SAMPLES)[:, None]
     for direction in directions(headings):
-        path_x, path_y, turned = exact(x, y, headings, np.array(direction), a, speed, t)
+        path_x, path_y, turned = step(x, y, headings, np.array(direction), a, speed, t)
         for i, robot in enumerate(robots):
             where = zip(path_x[:, i], path_y[:, i], strict=True)
             if not all(experiment.arena.contains(px, py) for px, py in where):

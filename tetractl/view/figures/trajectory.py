@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
 
 from tetractl.core.clock import SECOND, seconds
@@ -74,11 +74,7 @@ def _scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
     for side in ("top", "right"):
         axes.spines[side].set_visible(True)
     for obstacle in setup.obstacles:
-        patch = (
-            Circle(obstacle.center, obstacle.radius)
-            if obstacle.type == "circle"
-            else Rectangle((obstacle.left, obstacle.bottom), obstacle.width, obstacle.height)
-        )
+        patch = Polygon(obstacle.outline(), closed=True)
         patch.set(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, linewidth=0.6, zorder=1)
         axes.add_patch(patch)
     starts = setup.starts.xy

@@ -34,7 +34,7 @@ def run_in_lab(
 
     from tetractl.lab.recorder import WireRecorder
     from tetractl.plant.lab import Hands
-    from tetractl.run.batch import run_lab_batch
+    from tetractl.run.batch import run_batch
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
     quiet, console = console, Console(stderr=True)  # what concerns safety is always said
@@ -55,7 +55,7 @@ def run_in_lab(
                 if isinstance(tap, WireRecorder) and tap.error:
                     console.print(f"{tap.path}: recording ended: {tap.error}", highlight=False)
 
-        return run_lab_batch(loaded, folder, todo, interrupt, watch, [watch], hands)
+        return run_batch(loaded, folder, todo, 1, interrupt, watch, [watch], hands)
 
 
 def _recorder(stack: ExitStack, folder: Path | None, trial: int) -> "Tap":

@@ -1,4 +1,4 @@
-"""`tetractl run --from LOG`: a trial once more, from its own log."""
+"""`tetractl run --from LOG`: run a trial again from its own log, and compare the two logs."""
 
 import sys
 from pathlib import Path
@@ -22,9 +22,9 @@ def recorded(log: Path) -> "tuple[LoadedSpec, int]":
 
 
 def compare(log: Path, again: Path) -> int:
-    """Say whether a trial came out as before; exit code FAILED where it did not."""
+    """Print whether two logs of a trial have the same content; FAILED where they have not."""
     from tetractl.log.read.reader import content_digest, read_result, read_trial
-    from tetractl.replay.verify import differing_facts
+    from tetractl.replay.verify import host_differences
 
     first = read_result(log)
     if not first.simulated:
@@ -39,6 +39,6 @@ def compare(log: Path, again: Path) -> int:
         print(f"  {log} is of a trial that did not run to its end, or damaged", file=sys.stderr)
     if first.experiment.controller.deadline is not None:
         print("  its spec sets a deadline: plans depend on how fast the host is", file=sys.stderr)
-    for fact in differing_facts(read_trial(log)):
-        print(f"  {fact}", file=sys.stderr)
+    for line in host_differences(read_trial(log)):
+        print(f"  {line}", file=sys.stderr)
     return Exit.FAILED

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -66,11 +66,6 @@ class Shape(Protocol):
 
     def row(self) -> tuple[float, ...]:
         """Return the shape's numbers for the compiled functions of `packed`."""
-        ...
-
-    @property
-    def packed(self) -> type[Any]:
-        """Return the class of these shapes for compiled code: a `PackedShapes`."""
         ...
 
 

@@ -1,5 +1,6 @@
 """Shapes by textbook geometry, one point or segment at a time."""
 
+import itertools
 import math
 from typing import assert_never
 
@@ -88,7 +89,7 @@ def cuts(polygon: Polygon, x0: float, y0: float, x1: float, y1: float) -> bool:
         if begin != end and 0 <= (t := begin / (begin - end)) <= 1:
             cut.append(t)
     cut.sort()
-    tests = cut + [(s + t) / 2 for s, t in zip(cut, cut[1:], strict=False)]
+    tests = cut + [(s + t) / 2 for s, t in itertools.pairwise(cut)]
     points = [(x0 + t * (x1 - x0), y0 + t * (y1 - y0)) for t in tests]
     corner = any(to_segment(*corner, x0, y0, x1, y1) <= 1e-12 for corner in polygon.vertices)
     return corner or any(gap(polygon, x, y) <= 1e-12 for x, y in points)

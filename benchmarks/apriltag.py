@@ -197,7 +197,7 @@ def corners(scale: float) -> None:
                         square = card.mean(axis=0) + (card - card.mean(axis=0)) * MODULES / CARD
                         gaps = [np.roll(place, k, axis=0) - square for k in range(4)]
                         off.append(min(gaps, key=lambda gap: np.square(gap).sum()))
-            own = "our fit of the sides" if name == "sides" else f"OpenCV, {name}"
+            own = "sides" if name == "sides" else f"OpenCV, {name}"
             rms = math.sqrt(np.mean(np.square(off)))
             row(told(size), own, f"{rms:.3f}", f"{1e3 * np.median(took):.1f}")
 

@@ -23,15 +23,15 @@ sys.path.insert(0, str(ROOT / "tests" / "emulated"))
 
 from stage import SPEC, TETRACTL, Emulator, flags  # noqa: E402
 
-from tetractl.lab.cameras.optitrack.messages import Frame, RigidBody, Ticks, Version  # noqa: E402
+from tetractl.lab.cameras.optitrack.messages import NatNetFrame, RigidBody, Ticks, Version  # noqa: E402
 from tetractl.lab.cameras.optitrack.wire import HEADER, pack, parse  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 
 LOCAL = (
-    "lab.mocap.transport=unicast",
-    "lab.mocap.server=127.0.0.1",
-    "lab.mocap.interface=127.0.0.1",
+    "lab.camera.transport=unicast",
+    "lab.camera.server=127.0.0.1",
+    "lab.camera.interface=127.0.0.1",
     "lab.limits.placing=60",
     "lab.limits.late_steps=100000",
 )
@@ -51,7 +51,7 @@ def parse_cost() -> None:
         bodies = tuple(
             RigidBody(i, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0), 0.0, True) for i in range(count)
         )
-        data = pack(Frame(1, bodies, timestamp_s=1.0, ticks=Ticks(1, 2, 3)), version)
+        data = pack(NatNetFrame(1, bodies, timestamp_s=1.0, ticks=Ticks(1, 2, 3)), version)
         ours = best_of(lambda data=data: parse(data, version))
         theirs = best_of(
             lambda data=data: DataFrame.read_from_buffer(
@@ -80,8 +80,8 @@ def batch(folder: Path, sets: Sequence[str], trials: int) -> list[TrialLog]:
     try:
         ready = emulator.wait_for("ready")
         settings += (
-            f"lab.mocap.command_port={ready['command_port']}",
-            f"lab.radio.port={ready['port']}",
+            f"lab.camera.command_port={ready['command_port']}",
+            f"lab.actuator.port={ready['port']}",
         )
         for _ in range(ATTEMPTS):  # an aborted trial ends a batch; it is run again
             if run(folder, "--plant", "lab", "--resume", *flags(settings)):

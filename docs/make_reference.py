@@ -104,7 +104,7 @@ def _scalar(field: dict[str, Any]) -> str:
     if "prefixItems" in field:
         return f"[{', '.join(_scalar(dereferenced(item)) for item in field['prefixItems'])}]"
     if "items" in field:
-        return f"list of at least {field['minItems']}, each {_scalar(dereferenced(field['items']))}"
+        return f"list, each {_scalar(dereferenced(field['items']))}"
     limits = [f"{sign} {_number(field[key])}" for key, sign in LIMITS.items() if key in field]
     return " ".join([WORDS[field["type"]], ", ".join(limits)]).strip()
 

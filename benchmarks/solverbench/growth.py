@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from tetractl.core.colors import BLUE, GREEN, RED
 from tetractl.core.plan import Limits
 from tetractl.core.problem import Problem
-from tetractl.view.style import BLUE, GREEN, GREY, RED, figure, panel, save, styled
+from tetractl.view.style import GREY, figure, panel, save, styled
 
 from .problems import PARTICLES, SIGNALS, SWARM, crowd, printed
 from .report import Report, Settings, least, load, progress

@@ -10,6 +10,7 @@ import numpy as np
 from tetractl.control.build import build_controller
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import PlantInfo
+from tetractl.core.operators import Operators
 from tetractl.core.plan import Limits, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.problem import Problem
@@ -17,7 +18,6 @@ from tetractl.core.protocols import Controller
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
-from tetractl.plant.build import build_plant
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
@@ -95,7 +95,7 @@ def run(experiment: Experiment, trials: int, build: Build = build_controller) ->
         batch.results.append(
             Trial(
                 start=start_of(LoadedSpec(experiment, "", ""), trial, nowhere, EPOCH_NS),
-                plant=build_plant(experiment, clock, seed),
+                plant=experiment.plant.build(experiment.setup, clock, seed, Operators()),
                 controller=_Timed(build(experiment, key), times),
                 first_plan=experiment.controller.first_plan,
                 clock=clock,
@@ -166,7 +166,7 @@ def closed(settings: Settings) -> Report:
 
 
 def replace_control(spec: Experiment, **fields: object) -> Experiment:
-    return spec.model_copy(update={"controller": spec.controller.motion_copy(update=fields)})
+    return spec.model_copy(update={"controller": spec.controller.model_copy(update=fields)})
 
 
 def _budgets(report: Report, settings: Settings) -> None:

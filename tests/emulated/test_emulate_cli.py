@@ -6,7 +6,7 @@ import subprocess
 import pytest
 from support.lab_processes import PATIENCE_S, SPEC, TETRACTL
 
-UNICAST = ("--set", "lab.mocap.transport=unicast", "--command-port", "0", "--data-port", "0")
+UNICAST = ("--set", "lab.camera.transport=unicast", "--command-port", "0", "--data-port", "0")
 
 
 def emulate(folder, *options, spec=SPEC):

@@ -9,44 +9,45 @@ from support.lab_processes import play
 from tetractl.lab.emulate.script import load_script
 from tetractl.log.read.reader import read_trial
 
-SLAVES = tuple(f"lab.robots.{i}.address={i + 1}" for i in range(3))
+SLAVES = tuple(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3))
 UNEVEN = """
 emulation:
-  version: '4.3'
-  robots:
-    - {name: green, left: {gain_mm: 7.2, dead_zone: 6}, right: {gain_mm: 8.4, dead_zone: 4}}
-    - {name: blue, swap: true, lag: 0.08}
+  camera: {version: '4.3'}
+  actuator:
+    robots:
+      - {name: green, left: {gain_mm: 7.2, dead_zone: 6}, right: {gain_mm: 8.4, dead_zone: 4}}
+      - {name: blue, swap: true, lag: 0.08}
 """
-OFFSET = "lab.robots.2.heading_offset=0.4"
+OFFSET = "lab.camera.robots.2.heading_offset=0.4"
 RUNS = {
     "multicast, two trials": (
         "",
-        ("lab.mocap.transport=multicast", "trials.count=2", "lab.limits.placing=30"),
+        ("lab.camera.transport=multicast", "trials.count=2", "lab.limits.placing=30"),
         ("--replace-after", "0.5"),
     ),
     "version 2.9, z up, elsewhere": (
-        "emulation: {version: '2.9'}",
+        "emulation: {camera: {version: '2.9'}}",
         (
-            "lab.mocap.up_axis=z",
-            "lab.mocap.origin=[300, -200]",
-            "lab.mocap.rotation=1.1",
+            "lab.camera.up_axis=z",
+            "lab.camera.origin=[300, -200]",
+            "lab.camera.rotation=1.1",
             OFFSET,
         ),
         (),
     ),
     "version asked for, plain API frames at 38400": (
-        "emulation: {version: '4.2'}",
-        ("lab.mocap.version='3.1'", "lab.radio.mode=api1", "lab.radio.baud=38400"),
+        "emulation: {camera: {version: '4.2'}}",
+        ("lab.camera.version='3.1'", "lab.actuator.mode=api1", "lab.actuator.baud=38400"),
         (),
     ),
     "transparent radio, uneven robots": (
         UNEVEN,
-        ("lab.radio.mode=transparent", "lab.robots.1.swap=true"),
+        ("lab.actuator.mode=transparent", "lab.actuator.robots.1.swap=true"),
         (),
     ),
     "serial slaves": (
         "",
-        ("lab.protocol={type: slave, accept_no_watchdog: true}", *SLAVES),
+        ("lab.actuator.protocol={type: slave, accept_no_watchdog: true}", *SLAVES),
         (),
     ),
 }

@@ -11,25 +11,26 @@ from support.terminal import Terminal
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import on_plant, parse_calibration
+from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab.actuators.m3pi.broadcast import Flag, decode_command
 from tetractl.lab.actuators.m3pi.cobs import Splitter
 from tetractl.lab.actuators.xbee.framing import Decoder
-from tetractl.lab.recorder import replay_cameras
-from tetractl.lab.rig import Session
+from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
+from tetractl.lab.cameras.optitrack.replay import replay_cameras
 from tetractl.log.format.wire import read_wire
 from tetractl.log.read.reader import read_trial
 
 UNEVEN = """
 about: robots that differ from their spec
 emulation:
-  robots:
-    - name: green
-      swap: true
-      left: {gain_mm: 7.1, dead_zone: 9, invert: true}
-      right: {gain_mm: 8.2, dead_zone: 12}
-      radius_mm: 43
-      heading_offset: 0.3
+  camera: {robots: [{name: green, heading_offset: 0.3}]}
+  actuator:
+    robots:
+      - name: green
+        swap: true
+        left: {gain_mm: 7.1, dead_zone: 9, invert: true}
+        right: {gain_mm: 8.2, dead_zone: 12}
+        radius_mm: 43
 """
 
 
@@ -47,8 +48,8 @@ def lab(tmp_path):
         ready = emulator.wait_for("ready")
         return emulator, (
             *SMALL,
-            f"lab.mocap.command_port={ready['command_port']}",
-            f"lab.radio.port={ready['port']}",
+            f"lab.camera.command_port={ready['command_port']}",
+            f"lab.actuator.port={ready['port']}",
         )
 
     yield start
@@ -151,7 +152,8 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
     )
     assert done.returncode == 0, done.stderr
     text = (tmp_path / "calibration.yaml").read_text()
-    (green,) = parse_calibration(text, "calibration.yaml").robots
+    lab = calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "calibration.yaml").plant
+    green = lab.actuator.robot("green")
     assert green.swap
     assert (green.left.invert, green.right.invert) == (True, False)
     assert green.left.gain_mm == pytest.approx(7.1, rel=0.06)
@@ -159,7 +161,7 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
     assert abs(green.left.dead_zone - 9) <= 1
     assert abs(green.right.dead_zone - 12) <= 1
     assert green.radius_mm == pytest.approx(43, rel=0.05)
-    assert green.heading_offset == pytest.approx(0.3, abs=0.03)
+    assert lab.camera.heading_offset("green") == pytest.approx(0.3, abs=0.03)
     sets = flags(
         (
             *settings,
@@ -171,7 +173,7 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
     done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--out", "logs", *sets)
     assert done.returncode == 0, done.stderr
     trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
-    assert trial.experiment.plant.robots[0].radius_mm == green.radius_mm
+    assert trial.experiment.plant.actuator.robots[0].radius_mm == green.radius_mm
     assert attachment(tmp_path / "logs" / "trial-000.mcap", "calibration.yaml") == text
 
 
@@ -193,9 +195,9 @@ def test_a_recorded_wire_gives_the_same_poses_and_commands_again(lab, tmp_path):
 
     loaded = on_plant(load_spec(SPEC, settings), "lab").experiment
     seen = {}
-    session = Session(loaded, loaded.plant, MonotonicClock(), None)
-    stream = session.client.stream
-    stream._on_snapshot = lambda snapshot: seen.setdefault(snapshot.number, snapshot)
+    camera = OptitrackCamera(loaded.plant.camera, loaded.setup, MonotonicClock())
+    stream = camera.stream
+    stream._on_frame = lambda frame: seen.setdefault(frame.number, frame)
     replay_cameras(passages, stream)
     assert stream.counts.bad == 0
     for number, sampled_ns, poses in zip(trial.frames, trial.mocap_ns, trial.mocap, strict=True):
@@ -217,7 +219,7 @@ def test_a_recorded_wire_gives_the_same_poses_and_commands_again(lab, tmp_path):
     assert len(driven) == len(moves)
     plant = on_plant(load_spec(SPEC, settings), "lab").experiment.plant
     for frame, command in zip(driven, moves, strict=True):
-        left = [pair[0] * plant.robots[0].left.gain_mm for pair in frame.wheels]
+        left = [pair[0] * plant.actuator.robots[0].left.gain_mm for pair in frame.wheels]
         np.testing.assert_allclose(command.left, left, rtol=1e-9)
 
 

@@ -11,10 +11,10 @@ from support.lab_processes import SMALL, SPEC, Emulator
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.commands import Command
 from tetractl.core.errors import AbortError
+from tetractl.core.operators import Operators
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
-from tetractl.plant.build import build_plant
-from tetractl.plant.lab import Hands, LabPlant
+from tetractl.plant.lab import LabPlant
 
 DIRECTIONS = (0.5, -0.4, 0.6)
 PERIOD = SECOND // 5
@@ -28,8 +28,8 @@ def addresses(tmp_path_factory):
         ready = emulator.wait_for("ready")
         yield (
             *SMALL,
-            f"lab.mocap.command_port={ready['command_port']}",
-            f"lab.radio.port={ready['port']}",
+            f"lab.camera.command_port={ready['command_port']}",
+            f"lab.actuator.port={ready['port']}",
             "lab.limits.placing=30",
         )
     finally:
@@ -40,10 +40,12 @@ def addresses(tmp_path_factory):
 def make(addresses):
     made = []
 
-    def plant(*sets, hands=None):
+    def plant(*sets, operators=None):
         experiment = on_plant(load_spec(SPEC, (*addresses, *sets)), "lab").experiment
         clock = MonotonicClock()
-        made.append(build_plant(experiment, clock, np.random.SeedSequence(1), hands or Hands()))
+        seed = np.random.SeedSequence(1)
+        operators = operators or Operators()
+        made.append(experiment.plant.build(experiment.setup, clock, seed, operators))
         return made[-1], clock, experiment
 
     yield plant
@@ -115,11 +117,11 @@ def test_stop_and_close_need_no_open(make):
 
 
 def test_the_operators_stop_ends_every_call(make):
-    hands = Hands()
-    plant, _, _ = make(hands=hands)
+    operators = Operators()
+    plant, _, _ = make(operators=operators)
     plant.open()
     plant.steer(0.5)
-    hands.operator.set()
+    operators.emergency.set()
     with pytest.raises(AbortError, match="emergency stop by the operator"):
         while True:
             plant.observe()
@@ -130,6 +132,6 @@ def test_the_operators_stop_ends_every_call(make):
 
 
 def test_a_port_that_is_not_there_refuses(make, tmp_path):
-    plant, _, _ = make(f"lab.radio.port={tmp_path}/none")
+    plant, _, _ = make(f"lab.actuator.port={tmp_path}/none")
     with pytest.raises(AbortError, match="there is no such port"):
         plant.open()

@@ -7,8 +7,9 @@ from pathlib import Path
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import lab_of
 from tetractl.lab.cameras.optitrack.wire import pack, parse
-from tetractl.lab.emulate.lab import EmulatedLab, Options
+from tetractl.lab.emulate.lab import EmulatedLab
 from tetractl.lab.emulate.script import NOTHING, parse_script
+from tetractl.lab.emulate.sides import Options
 
 SPEC = """
 name: emulated
@@ -19,11 +20,15 @@ robots:
   - {name: blue, start: [500, 1500], heading: -2, target: [1500, 1500], a: 4, speed: 200}
 wheels: {radius: 40}
 lab:
-  mocap: {server: 127.0.0.1, transport: unicast}
-  radio: {port: nowhere}
-  robots:
-    - {name: green, body: Green, index: 0, address: 1}
-    - {name: blue, body: 7, index: 1, address: 2}
+  camera:
+    type: optitrack
+    server: 127.0.0.1
+    transport: unicast
+    robots: [{name: green, body: Green}, {name: blue, body: 7}]
+  actuator:
+    type: m3pi-xbee
+    port: nowhere
+    robots: [{name: green, index: 0, address: 1}, {name: blue, index: 1, address: 2}]
 """
 
 
@@ -38,8 +43,8 @@ def emulated(folder, *sets, script=NOTHING, tell=None, **options):
         record=Path(folder) / "record.jsonl",
         **options,
     )
-    extra = {} if tell is None else {"tell": tell}
-    return EmulatedLab(loaded.experiment, lab, script, chosen, **extra)
+    extra = {} if tell is None else {"report": tell}
+    return EmulatedLab(lab, loaded.experiment.setup, script, chosen, **extra)
 
 
 def turn_until(lab, condition, turns=20_000):
@@ -56,14 +61,14 @@ class Client:
 
     def __init__(self, lab):
         self.lab = lab
-        self.version = lab.motive.streaming.version
+        self.version = lab.camera.motive.streaming.version
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setblocking(False)
         self.socket.bind(("127.0.0.1", 0))
         self.got = []
 
     def send(self, message):
-        self.socket.sendto(pack(message), ("127.0.0.1", self.lab.motive.command_port))
+        self.socket.sendto(pack(message), ("127.0.0.1", self.lab.camera.motive.command_port))
 
     def poll(self):
         try:

@@ -21,9 +21,9 @@ TETRACTL = str(Path(sys.executable).with_name("tetractl"))
 PATIENCE_S = 60  # until a step counts as hung: generous, for loaded machines
 RUN = 1  # the flag of a command
 SMALL = (  # a small swarm and under two seconds of driving
-    "lab.mocap.transport=unicast",
-    "lab.mocap.server=127.0.0.1",
-    "lab.mocap.interface=127.0.0.1",
+    "lab.camera.transport=unicast",
+    "lab.camera.server=127.0.0.1",
+    "lab.camera.interface=127.0.0.1",
     "controller.optimizer={particles: 20, iterations: 10, stop: {type: budget}}",
     "controller.horizon_max=20",
     "controller.period=0.2",  # 5 Hz is enough to stop at, and light
@@ -188,9 +188,9 @@ def play(path, script, folder, *options, sets=()):
     try:
         ready = emulator.wait_for("ready")
         settings += (
-            f"lab.mocap.command_port={ready['command_port']}",
-            f"lab.mocap.data_port={ready['data_port']}",
-            f"lab.radio.port={ready['port']}",
+            f"lab.camera.command_port={ready['command_port']}",
+            f"lab.camera.data_port={ready['data_port']}",
+            f"lab.actuator.port={ready['port']}",
         )
         runners.append(Runner(folder, "first", settings))
         _attend(emulator, runners, script, folder, settings)

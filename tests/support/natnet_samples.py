@@ -8,9 +8,9 @@ from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
     Channels,
     Clutter,
-    Frame,
     Kind,
     ModelDef,
+    NatNetFrame,
     RigidBody,
     Version,
 )
@@ -36,7 +36,7 @@ def full_frame(version):
         force_plates=(Channels(1, ((1.0, 2.0), ())),),
         devices=(Channels(2, ((3.0,),)),),
     )
-    return pack_full_frame(Frame(1234, (body, body)), version, clutter)
+    return pack_full_frame(NatNetFrame(1234, (body, body)), version, clutter)
 
 
 def full_modeldef(version, awkward=True):

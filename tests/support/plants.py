@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from support.labs import CAMERA_HZ, fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import Clock, VirtualClock
 from tetractl.core.protocols import Plant
 from tetractl.experiment.experiment import Experiment
-from tetractl.plant.simulation import SimPlant
+from tetractl.plant.simulation import SimPlant, SimSection
 
 
 @dataclass(frozen=True)
@@ -21,18 +22,31 @@ class Rig:
     clock: Clock
     spec: Experiment
     true_to: float  # how far a robot's measured position may be from the truth, if known [mm]
+    kind: str
+    camera_rate_hz: float
+    disturbed: bool  # whether the seed makes a difference
 
 
 def sim(spec: Experiment, seed: int = 1, clock: Clock | None = None) -> SimPlant:
     """A simulated plant, seeded, on a clock of its own unless one is given."""
-    return SimPlant(spec, clock or VirtualClock(), np.random.SeedSequence(seed))
+    section = spec.plant
+    assert isinstance(section, SimSection)
+    return SimPlant(section, spec.setup, clock or VirtualClock(), np.random.SeedSequence(seed))
 
 
 def sim_rig(seed: int, **plant: Any) -> Rig:
     spec = experiment(plant=plant, wheels={"radius": 40})
     clock = VirtualClock()
     noise = plant.get("measurement_noise", {}).get("position", 0.0)
-    return Rig(sim(spec, seed, clock), clock, spec, 8 * noise)
+    disturbed = bool(plant.keys() - {"motion", "camera_rate", "truth_rate", "dead_time"})
+    rate = plant.get("camera_rate", 120.0)
+    return Rig(sim(spec, seed, clock), clock, spec, 8 * noise, "sim", rate, disturbed)
+
+
+def lab_rig(seed: int) -> Rig:
+    spec = experiment(wheels={"radius": 40})
+    lab = fake_lab(spec.setup)
+    return Rig(lab.plant, lab.clock, spec, 0.0, "lab", CAMERA_HZ, disturbed=False)
 
 
 DISTURBANCES: dict[str, dict[str, Any]] = {
@@ -60,5 +74,5 @@ DISTURBANCES: dict[str, dict[str, Any]] = {
 RIGS: dict[str, Callable[[int], Rig]] = {
     f"sim, {name}": lambda seed, plant=plant: sim_rig(seed, **plant)
     for name, plant in DISTURBANCES.items()
-}
+} | {"lab, fake devices": lab_rig}
 """Each makes a rig from a seed. A further plant joins the contract by an entry here."""

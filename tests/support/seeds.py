@@ -16,8 +16,8 @@ from tetractl.lab.actuators.xbee import framing
 from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
     EchoResponse,
-    Frame,
     ModelDef,
+    NatNetFrame,
     Request,
     Response,
     RigidBody,
@@ -35,13 +35,13 @@ HZ = 10_000_000  # of the server's clock
 
 
 def calibrations() -> list[bytes]:
-    wheel = {"gain_mm": 7.5, "dead_zone": 9, "invert": False}
-    robots = [
-        {"name": name, "heading_offset": 0.25, "radius_mm": 41.5}
-        | {"left": wheel, "right": wheel, "swap": False}
-        for name in ("green", "blue")
-    ]
-    found = Calibration.model_validate({"measured": "2026-01-01", "robots": robots})
+    wheel = {"gain_mm": 7.0, "dead_zone": 9, "invert": False}
+    blue = {"name": "blue", "radius_mm": 41.5, "left": wheel, "right": wheel, "swap": True}
+    found = Calibration(
+        measured="2026-01-01T00:00:00Z",
+        camera={"robots": [{"name": "blue", "heading_offset": 0.25}]},
+        actuator={"robots": [blue]},
+    )
     return [calibration_yaml(found).encode()]
 
 
@@ -65,7 +65,7 @@ def datagrams() -> list[bytes]:
         for k, number in enumerate((1, 2, 4)):
             exposed = HZ * (2490 + 500 * k) // 1000
             ticks = Ticks(exposed, exposed + 1, exposed + 2) if version >= (3, 0) else None
-            parts.append(pack(Frame(number, (body,), ticks=ticks, **since), version))
+            parts.append(pack(NatNetFrame(number, (body,), ticks=ticks, **since), version))
         found.append(bytes([i]) + b"".join(parts))
         found += [bytes([i]) + part for part in parts[-2:]]
     return found

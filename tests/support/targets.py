@@ -21,7 +21,7 @@ from tetractl.core.errors import LogError, SpecError, UsageError
 from tetractl.core.poses import CameraFrame
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
-from tetractl.experiment.plants import apply, calibration_yaml, lab_of, parse_calibration
+from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab.actuators.m3pi import broadcast, cobs, slave
 from tetractl.lab.actuators.xbee import framing
 from tetractl.lab.cameras.optitrack.messages import (
@@ -29,11 +29,11 @@ from tetractl.lab.cameras.optitrack.messages import (
 )
 from tetractl.lab.cameras.optitrack.placement import Placement
 from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.replay import replay_cameras
 from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.emulate.script import parse_script
 from tetractl.lab.errors import WireError
-from tetractl.lab.recorder import replay_cameras
 from tetractl.log.format.wire import read_wire
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.overview import overview
@@ -98,29 +98,27 @@ def script(data: bytes) -> None:
 
 def calibration(data: bytes) -> None:
     with only(SpecError, one_line=False):
-        found = parse_calibration(text(data), "c.yaml")
-        assert parse_calibration(calibration_yaml(found), "again") == found
-        apply(_lab(), found, "c.yaml")
+        assert isinstance(calibrated(_lab(), text(data), "c.yaml"), Experiment)
 
 
 @cache
 def _lab():
-    return lab_of(parse_spec(LAB_SPEC.read_text("utf-8"), "lab").experiment, "lab")
+    return on_plant(parse_spec(LAB_SPEC.read_text("utf-8"), "lab"), "lab").experiment
 
 
 # NatNet
 
 
-def sound(snapshot: CameraFrame) -> None:
+def sound(frame: CameraFrame) -> None:
     """No number reaches the controller or the log that they cannot hold."""
-    for pose in (*snapshot.poses, *snapshot.strangers):
+    for pose in (*frame.poses, *frame.strangers):
         assert pose is None or all(map(math.isfinite, (pose.x, pose.y, pose.heading)))
-    assert 0 <= snapshot.received_ns - snapshot.sampled_ns <= AGE_MAX_NS
+    assert 0 <= frame.received_ns - frame.sampled_ns <= AGE_MAX_NS
 
 
 def stream(up: UpAxis | None = None) -> Stream:
     robots = (Tracked("green"), Tracked(12, heading_offset=0.5))
-    return Stream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up, on_snapshot=sound)
+    return Stream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up, on_frame=sound)
 
 
 def natnet(data: bytes) -> None:

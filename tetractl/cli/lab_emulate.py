@@ -37,7 +37,7 @@ def emulate(
     port_link: Annotated[
         Path | None,
         typer.Option(
-            metavar="PATH", help="Name of the radio's serial port.  [spec: lab.radio.port]"
+            metavar="PATH", help="Name of the actuator's serial port.  [spec: lab.actuator.port]"
         ),
     ] = None,
     record: Annotated[
@@ -55,7 +55,7 @@ def emulate(
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of jitter and loss.")] = 1,
     json: Annotated[bool, typer.Option("--json", help="Print events as JSON lines.")] = False,
 ) -> int:
-    """Emulate the lab of an experiment: cameras over UDP, a radio on a pseudo-terminal, robots.
+    """Emulate the lab of an experiment: its camera, its actuator on a pseudo-terminal, robots.
 
     NO HARDWARE is involved. It runs in real time until Ctrl-C, and says `ready` when others can
     connect.
@@ -67,20 +67,16 @@ def emulate(
 
     from tetractl.cli.spec import load
     from tetractl.experiment.plants import lab_of
-    from tetractl.lab.emulate.lab import EmulatedLab, Options
+    from tetractl.lab.emulate.lab import EmulatedLab
     from tetractl.lab.emulate.script import NOTHING, load_script
+    from tetractl.lab.emulate.sides import Options
 
     loaded = load(spec, sets or [])
     lab = lab_of(loaded.experiment, loaded.name)
-    play = load_script(script) if script else NOTHING
+    play = load_script(script, lab.camera.type, lab.actuator.type) if script else NOTHING
     options = Options(address, command_port, data_port, port_link, record, replace_after, seed)
-    emulation = EmulatedLab(
-        loaded.experiment,
-        lab,
-        play,
-        options,
-        _tell_json if json else _tell,
-    )
+    report = _report_json if json else _report
+    emulation = EmulatedLab(lab, loaded.experiment.setup, play, options, report)
 
     def end(number: int, frame: object) -> None:
         emulation.loop.end()
@@ -94,17 +90,17 @@ def emulate(
     return Exit.DONE
 
 
-def _tell_json(event: str, facts: dict[str, Any]) -> None:
+def _report_json(event: str, facts: dict[str, Any]) -> None:
     from json import dumps
 
     print(dumps({"event": event, **facts}), flush=True)
 
 
-def _tell(event: str, facts: dict[str, Any]) -> None:
+def _report(event: str, facts: dict[str, Any]) -> None:
     match event:
         case "ready":
-            where = f"{facts['address']}:{facts['command_port']} ({facts['transport']})"
-            line = f"ready: cameras at {where}, radio at {facts['port']}; EMULATION, no hardware"
+            where = f"cameras at {facts['camera']}, {facts['actuator']}"
+            line = f"ready: {where}; EMULATION, no hardware"
         case "client":
             line = f"emulated cameras: {facts['address']} connected"
         case "run":

@@ -147,9 +147,7 @@ def _describe(loaded: "LoadedSpec", folder: Path, todo: list[int]) -> None:
 
 
 def _check_lab_options(loaded: "LoadedSpec", jobs: int, record_wire: Path | None) -> None:
-    from tetractl.experiment.lab import LabSpec
-
-    in_lab = isinstance(loaded.experiment.plant, LabSpec)
+    in_lab = not loaded.experiment.plant.simulated
     if in_lab and jobs > 1:
         raise UsageError("--jobs: the lab runs one trial at a time")
     if record_wire is not None and not in_lab:
@@ -167,7 +165,6 @@ def _run(
     from rich.console import Console
 
     from tetractl.control.build import warm_up
-    from tetractl.experiment.lab import LabSpec
     from tetractl.run.batch import run_batch
     from tetractl.run.folder import make_folder, set_aside
     from tetractl.run.interrupt import Interrupt
@@ -182,7 +179,7 @@ def _run(
     live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not quiet
     with ExitStack() as stack:
         stack.enter_context(interrupt.watch())
-        if isinstance(loaded.experiment.plant, LabSpec):
+        if not loaded.experiment.plant.simulated:
             from tetractl.cli.lab_run import run_in_lab
 
             return run_in_lab(loaded, folder, todo, console, interrupt, live, record_wire)

@@ -69,7 +69,7 @@ class Transmission:
     """One transmission of an actuator to N robots.
 
     `sent_ns` is when it left, on the run's clock; `direction` the common direction u [rad], None
-    for a stop; `moving` (N,) tells which robots it lets move. `speed` (N,) [length unit/s] and
+    for a stop; `moving` (N,) tells which robots move by it. `speed` (N,) [length unit/s] and
     `turning` (N,) [rad/s] are the motion it asks of each robot. `left`, `right` (N,) are the wheel
     speeds [length unit/s] of robots with wheels. `outputs` are the actuator's own numbers by a name
     with its unit, such as `current_x_a`.

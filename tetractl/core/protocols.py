@@ -62,7 +62,7 @@ class Plant(Protocol):
 
 
 class Device(Protocol):
-    """Something of the lab that is opened, looked at and closed; a context manager.
+    """A device of the lab that is opened, looked at and closed; a context manager.
 
     Entering connects and raises AbortError where that cannot be; leaving releases everything, is
     idempotent and never raises.
@@ -78,15 +78,18 @@ class Device(Protocol):
     ) -> None: ...
 
     def check(self) -> Health:
-        """Return what is wrong and what is worth knowing; only looks, moves nothing."""
+        """Return what is wrong and what is worth knowing; moves nothing.
+
+        Called after the device was entered and before a run, perhaps many times.
+        """
         ...
 
 
 class Camera(Device, Protocol):
     """Tracks N robots in the spec's coordinates.
 
-    Frames come in by themselves once the camera is entered; a camera calls the `wake` it was made
-    with after each. Times are ns on the clock it was made with.
+    Once entered, the camera has a frame, and further ones come in by themselves: it calls the
+    `wake` it was made with after each. Times are ns on the clock it was made with.
     """
 
     @property
@@ -96,7 +99,7 @@ class Camera(Device, Protocol):
 
     @property
     def damaged(self) -> int:
-        """Deliveries dropped so far because they could not be read; only grows."""
+        """Deliveries dropped so far because they could not be read; never falls."""
         ...
 
     def frames(self) -> list[CameraFrame]:
@@ -107,11 +110,19 @@ class Camera(Device, Protocol):
 class Actuator(Device, Protocol):
     """Turns the common direction into motion of N robots.
 
-    `individual` tells whether one robot can be held still while the others move. Sending raises
-    AbortError where the device does not take it; `failure` says why from then on.
+    Sending raises AbortError where the device does not take it; `failure` says why from then on.
+    Times are ns on the clock it was made with.
     """
 
-    individual: bool
+    @property
+    def individual(self) -> bool:
+        """Whether one robot can be held still while the others move."""
+        ...
+
+    @property
+    def halts(self) -> bool:
+        """Whether robots stand still once they are stopped; cells under a field swim on."""
+        ...
 
     @property
     def period_ns(self) -> int:
@@ -133,7 +144,8 @@ class Actuator(Device, Protocol):
         """Send the common direction u [rad] and return what was really sent.
 
         `poses` are the newest of each robot, exposed at `exposed_ns`; None where a robot is not
-        tracked. Robots that may not be `moving` are held still where that is possible.
+        tracked. Robots that may not be `moving` are held still where that is possible; an actuator
+        that is not `individual` is only steered while all may move.
         """
         ...
 

@@ -1,7 +1,7 @@
 """The numbers of an experiment as arrays, computed once and handed to whoever needs them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -99,6 +99,21 @@ class Setup:
     steps_max: int
     iterations_max: int
     wheel_radius: float | None
+
+    def only(self, name: str) -> "Setup":
+        """Return the setup of one robot alone."""
+        i = self.names.index(name)
+        one = slice(i, i + 1)
+        starts = Poses(self.starts.x[one], self.starts.y[one], self.starts.heading[one])
+        return replace(
+            self,
+            names=self.names[one],
+            colors=self.colors[one],
+            starts=starts,
+            targets=self.targets[one],
+            a=self.a[one],
+            speed=self.speed[one],
+        )
 
     def distances(self, xy: Floats) -> Floats:
         """Return the distances (..., N) of positions (..., N, 2) to the targets."""

@@ -17,17 +17,20 @@ class Choice:
 
     `Annotated[Base, Choice(REGISTRY)]` accepts an instance of Base, or a mapping whose `type` is a
     name in the registry; `default` is the type of a mapping without one. Each class of the
-    registry is a `Model` derived from Base, with its own name as the `Literal` of its `type`. A
-    class is imported when it is first chosen; PluginError where another package offers one that
-    cannot be used.
+    registry is a `Model` with its own name as the `Literal` of its `type`; those not derived from
+    Base cannot be chosen here. A class is imported when it is first chosen; PluginError where
+    another package offers one that cannot be used.
     """
 
     def __init__(self, registry: Registry, default: str | None = None) -> None:
         self.registry, self.default = registry, default
+        self._base: type[Any] = object
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler
     ) -> CoreSchema:
+        self._base = source
+
         def validate(value: Any, info: core_schema.ValidationInfo) -> Any:
             if isinstance(value, source):
                 return value
@@ -39,7 +42,8 @@ class Choice:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        sections = self.registry.usable()  # a broken package must not hide another mistake
+        usable = self.registry.usable()  # a broken package must not hide another mistake
+        sections = {name: kind for name, kind in usable.items() if issubclass(kind, self._base)}
         options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
         for name, option in options.items():
             if name != self.default:  # without a type, only the default kind is meant
@@ -63,7 +67,11 @@ class Choice:
             raise PydanticCustomError("union_tag_not_found", "has no type", {"known": known})
         if not isinstance(name, str) or name not in self.registry:
             raise PydanticCustomError("union_tag_invalid", "has an unknown type", {"known": known})
-        return self.registry.load(name)
+        section = self.registry.load(name)
+        if not issubclass(section, self._base):
+            fitting = {"known": {k: v for k, v in known.items() if k != name}}
+            raise PydanticCustomError("union_tag_invalid", "does not fit here", fitting)
+        return section
 
 
 class OneOf:

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from tetractl.experiment.experiment import Arena, Experiment, Robot
-from tetractl.experiment.lab import LabSpec, Slave
 from tetractl.experiment.shape import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
@@ -35,44 +34,12 @@ def contradictions(
             yield ("obstacles", j), message
 
 
-def lab_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield where a lab contradicts the experiment or itself, and how."""
-    for section, lab in (("plant", experiment.plant), ("lab", experiment.lab)):
-        if not isinstance(lab, LabSpec):
-            continue
-        if experiment.wheels is None:
-            yield (section,), "needs the robots' wheels; add 'wheels: {radius: ..}'"
-        yield from _robots_of_lab((section, "robots"), lab, experiment)
-        if lab.mocap.version is not None and lab.mocap.transport == "multicast":
-            message = "can only be asked for in unicast; leave it out"
-            yield (section, "mocap", "version"), message
-        if isinstance(lab.protocol, Slave) and lab.radio.mode == "transparent":
-            message = "cannot address one robot, which the slave protocol needs; use api2"
-            yield (section, "radio", "mode"), message
-
-
-def _robots_of_lab(loc: Loc, lab: LabSpec, experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    names = [robot.name for robot in experiment.robots]
-    for missing in sorted(set(names) - {robot.name for robot in lab.robots}):
-        yield loc, f"has no {missing}; every robot of the spec must be here"
-    taken: dict[tuple[str, object], int] = {}
-    for i, robot in enumerate(lab.robots):
-        if robot.name not in names:
-            yield (*loc, i, "name"), f"is no robot of the spec; those are {', '.join(names)}"
-        mine = {"name": robot.name, "body": robot.body, "index": lab.index(robot)}
-        if robot.address is not None:
-            mine["address"] = robot.address
-        elif isinstance(lab.protocol, Slave):
-            yield (*loc, i, "address"), "is missing; the slave protocol addresses each robot"
-        for field, value in mine.items():
-            if (first := taken.setdefault((field, value), i)) != i:
-                yield (*loc, i, field), f"is that of {lab.robots[first].name}; must differ"
-        limit = robot.limit
-        if isinstance(lab.protocol, Slave):
-            limit = min(limit, lab.protocol.limit)
-        for side in ("left", "right"):
-            if getattr(robot, side).dead_zone >= limit:
-                yield (*loc, i, side, "dead_zone"), f"must be below its limit, {limit}"
+def plant_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
+    """Yield where a plant contradicts the experiment or itself, and how."""
+    for name, plant in (("plant", experiment.plant), ("lab", experiment.lab)):
+        if plant is not None:
+            for loc, message in plant.contradictions(experiment.setup):
+                yield (name, *loc), message
 
 
 def _extent(arena: Arena) -> str:

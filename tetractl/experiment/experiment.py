@@ -1,19 +1,19 @@
 """The experiment: everything a batch of trials depends on."""
 
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field
 
 from tetractl.core.poses import Poses
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.choice import Choice
 from tetractl.experiment.controller import ControllerSection
-from tetractl.experiment.kinds import CONTROLLERS, SHAPES
-from tetractl.experiment.lab import LabSpec
-from tetractl.experiment.plant import SimSpec, Wheels
+from tetractl.experiment.kinds import CONTROLLERS, PLANTS, SHAPES
+from tetractl.experiment.lab import LabSection
+from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.shape import ShapeSection
 
 
@@ -101,18 +101,7 @@ class Scale(Model):
     """Their body length [unit]."""
 
 
-def _kind_of_plant(value: Any) -> Any:
-    """Return the tag of a plant; without one it is a simulation."""
-    if isinstance(value, dict):
-        return value.get("type", "sim")
-    return getattr(value, "type", "sim")
-
-
-Plant = Annotated[
-    Annotated[SimSpec, Tag("sim")] | Annotated[LabSpec, Tag("lab")], Discriminator(_kind_of_plant)
-]
-
-
+_PLANT = Choice(PLANTS, default="sim")
 _CONTROLLER = Choice(CONTROLLERS, default="mpc")
 
 
@@ -136,9 +125,9 @@ class Experiment(Model):
     """Wheel geometry; given, the log holds the wheel speeds of (24)-(25) of every command."""
     controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
     """What chooses the direction."""
-    plant: Plant = SimSpec()
+    plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
     """What the direction steers; a simulation where no `type` is given."""
-    lab: LabSpec | None = None
+    lab: Annotated[LabSection, Choice(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     trials: Trials = Trials()
     """How often the experiment is repeated."""

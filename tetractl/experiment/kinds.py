@@ -44,17 +44,32 @@ SHAPES = Registry(
     },
     SECTION,
 )
+PLANTS = Registry(
+    "tetractl.plants",
+    "plant",
+    {
+        "sim": "tetractl.plant.simulation:SimSection",
+        "lab": "tetractl.plant.lab:LabPlantSection",
+    },
+    "tetractl.experiment.plant:PlantSection",
+)
 CAMERAS = Registry(
     "tetractl.cameras",
     "camera",
-    {},
-    SECTION,
+    {
+        "optitrack": "tetractl.lab.cameras.optitrack.section:OptitrackSection",
+        "apriltag": "tetractl.lab.cameras.apriltag.section:AprilTagSection",
+    },
+    "tetractl.experiment.lab:CameraSection",
 )
 ACTUATORS = Registry(
     "tetractl.actuators",
     "actuator",
-    {},
-    SECTION,
+    {
+        "m3pi-xbee": "tetractl.lab.actuators.m3pi.section:M3piSection",
+        "field": "tetractl.lab.actuators.field.section:FieldSection",
+    },
+    "tetractl.experiment.lab:ActuatorSection",
 )
 DISTURBANCES = Registry(
     "tetractl.disturbances",
@@ -62,7 +77,16 @@ DISTURBANCES = Registry(
     {"tracking-loss": "tetractl.plant.disturbances.tracking_loss:TrackingLossSection"},
     "tetractl.experiment.disturbance:DisturbanceSection",
 )
-SEAMS = (OPTIMIZERS, CONTROLLERS, MOTIONS, SHAPES, DISTURBANCES, CAMERAS, ACTUATORS)
+SEAMS = (
+    OPTIMIZERS,
+    CONTROLLERS,
+    MOTIONS,
+    SHAPES,
+    PLANTS,
+    DISTURBANCES,
+    CAMERAS,
+    ACTUATORS,
+)
 
 
 def packages(spec: Model) -> dict[str, str]:

@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from tetractl.core.commands import PlantInfo
 from tetractl.core.trial import Start
 from tetractl.experiment.choice import STRICT
-from tetractl.experiment.consistency import contradictions, lab_contradictions
+from tetractl.experiment.consistency import contradictions, plant_contradictions
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.kinds import packages
 from tetractl.experiment.yaml.core_yaml import dump
@@ -96,7 +96,7 @@ def _experiment(text: str, origin: str, sets: Sequence[str]) -> tuple[Experiment
         document.problems.extend(explain(error, document))
     found = list(contradictions(*_valid_parts(document.data)))
     if experiment is not None:
-        found += lab_contradictions(experiment)
+        found += plant_contradictions(experiment)
     for loc, message in found:
         place = document.place(loc)
         document.problems.append(place.problem(loc, message, place.text))

@@ -1,50 +1,39 @@
-"""Which plant an experiment is run on, and what a calibration adds to its robots."""
+"""Which plant an experiment is run on, and what a calibration changes in its lab."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
 from tetractl.core.errors import SpecError
-from tetractl.experiment.base import Finite, Model, Name
-from tetractl.experiment.consistency import lab_contradictions
+from tetractl.experiment.base import Model
+from tetractl.experiment.choice import STRICT, Choice
+from tetractl.experiment.consistency import plant_contradictions
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.lab import LabRobot, LabSpec, LabWheel
+from tetractl.experiment.kinds import PLANTS
+from tetractl.experiment.lab import LabSection
 from tetractl.experiment.load import LoadedSpec, frozen
-from tetractl.experiment.plant import SimSpec
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.experiment.yaml.document import parse_document, read_text
+from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
-from tetractl.experiment.yaml.problems import InvalidSpecError, dotted
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted, printable
+from tetractl.experiment.yaml.upgrade_lab import is_old_calibration, upgrade_calibration
 
 PlantKind = Literal["sim", "lab"]
-
-
-class RobotCalibration(Model):
-    """What was measured of one robot; see the fields of the same name in the spec's lab."""
-
-    name: Name
-    """Name of the robot."""
-    heading_offset: Finite
-    """Added to the rigid body's heading [rad]."""
-    radius_mm: float = Field(gt=0, le=1000, allow_inf_nan=False)
-    """Distance r from a wheel to its centre [mm]."""
-    left: LabWheel
-    """The left wheel."""
-    right: LabWheel
-    """The right wheel."""
-    swap: bool
-    """The left wheel hangs on the motor meant for the right."""
+DEVICES = ("camera", "actuator")
 
 
 class Calibration(Model):
-    """What `tetractl lab calibrate` found."""
+    """What `tetractl lab calibrate` found: parts of the lab's sections."""
 
     measured: str = Field(max_length=100)
     """When it was measured."""
-    robots: tuple[RobotCalibration, ...] = Field(min_length=1, max_length=32)
-    """The robots measured."""
+    camera: dict[str, Any] = Field(default={})
+    """Values that take the places of those in `lab.camera`."""
+    actuator: dict[str, Any] = Field(default={})
+    """Values that take the places of those in `lab.actuator`."""
 
 
 def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
@@ -54,10 +43,10 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     goes with the spec into the log. A `lab` section that is not used stays for another run.
     """
     experiment = loaded.experiment
-    if kind == "sim" and isinstance(experiment.plant, LabSpec):
-        updated = {"plant": SimSpec(), "lab": experiment.plant}
+    if kind == "sim" and not experiment.plant.simulated:
+        updated = {"plant": Choice(PLANTS, default="sim").make(), "lab": experiment.plant}
         return replace(loaded, experiment=experiment.model_copy(update=updated))
-    if kind != "lab" and isinstance(experiment.plant, SimSpec):
+    if kind != "lab" and experiment.plant.simulated:
         return loaded
     lab = lab_of(experiment, loaded.name)
     loaded = replace(loaded, experiment=experiment.model_copy(update={"plant": lab, "lab": None}))
@@ -65,34 +54,18 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
         return loaded
     path = (loaded.path.parent if loaded.path else Path()) / lab.calibration
     text = read_text(path)
-    calibrated = apply(lab, parse_calibration(text, str(path)), str(path))
-    experiment = loaded.experiment.model_copy(update={"plant": calibrated})
-    for loc, message in lab_contradictions(experiment):
-        raise SpecError(f"{path}: with this calibration, {dotted(loc)} {message}")
+    experiment = calibrated(loaded.experiment, text, str(path))
     return replace(loaded, experiment=experiment, attached=((path.name, text),))
 
 
-def lab_of(experiment: Experiment, name: str) -> LabSpec:
+def lab_of(experiment: Experiment, name: str) -> LabSection:
     """Return the lab of an experiment; SpecError where it has none."""
-    if isinstance(experiment.plant, LabSpec):
-        return experiment.plant
-    if experiment.lab is None:
+    lab = experiment.lab if experiment.plant.simulated else experiment.plant
+    if not isinstance(lab, LabSection):
         raise SpecError(
             f"{name}: has no lab", "add a 'lab:' section; experiments/three_m3pi_lab.yaml has one"
         )
-    return experiment.lab
-
-
-def parse_calibration(text: str, origin: str) -> Calibration:
-    """Read a calibration file; problems are told as a spec's are."""
-    document = parse_document(text, origin)
-    try:
-        found = Calibration.model_validate(frozen(document.data), strict=True)
-    except ValidationError as error:
-        raise InvalidSpecError([*document.found, *explain(error, document)]) from None
-    if document.found:
-        raise InvalidSpecError(document.found)
-    return found
+    return lab
 
 
 def calibration_yaml(calibration: Calibration) -> str:
@@ -100,16 +73,73 @@ def calibration_yaml(calibration: Calibration) -> str:
     return dump(calibration.model_dump(mode="json"))
 
 
-def apply(lab: LabSpec, calibration: Calibration, origin: str) -> LabSpec:
-    """Return the lab with the measured values in place of its robots' own."""
-    measured = {robot.name: robot for robot in calibration.robots}
-    unknown = sorted(set(measured) - {robot.name for robot in lab.robots})
-    if unknown:
-        raise SpecError(f"{origin}: {unknown[0]} is no robot of the lab", "calibrate this lab")
+def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
+    """Return an experiment in the lab with a calibration's values in place of its lab's own.
 
-    def calibrated(robot: LabRobot) -> LabRobot:
-        if robot.name not in measured:
-            return robot
-        return robot.model_copy(update=dict(measured[robot.name]))
+    `text` is the calibration file, `origin` its name; problems are told as a spec's are.
+    """
+    document = parse_document(text, origin)
+    if is_old_calibration(document.data):
+        data = upgrade_calibration(document.data)
+        document.data.clear()
+        document.data.update(data)
+    try:
+        calibration = Calibration.model_validate(frozen(document.data), strict=True)
+    except ValidationError as error:
+        raise InvalidSpecError([*document.found, *explain(error, document)]) from None
+    if document.found:
+        raise InvalidSpecError(document.found)
+    data = experiment.model_dump()
+    places: dict[Loc, Place] = {}
+    for device in DEVICES:
+        found = _Merge(origin, document, (device,), places)
+        values = getattr(calibration, device)
+        data["plant"][device] = found.merged(data["plant"][device], values, ("plant", device))
+    try:
+        updated = Experiment.model_validate(frozen(data), strict=True, context=STRICT)
+    except ValidationError as error:
+        merged = Document(document.origin, data, values=places)
+        raise InvalidSpecError(explain(error, merged)) from None
+    for loc, message in plant_contradictions(updated):
+        raise SpecError(f"{origin}: with this calibration, {dotted(loc)} {message}")
+    return updated
 
-    return lab.model_copy(update={"robots": tuple(map(calibrated, lab.robots))})
+
+class _Merge:
+    """Puts the values of a calibration into a section and keeps where each was written."""
+
+    def __init__(
+        self, origin: str, document: Document, start: Loc, places: dict[Loc, Place]
+    ) -> None:
+        self._origin, self._document, self._start = origin, document, start
+        self._places = places
+
+    def merged(self, base: Any, over: Any, loc: Loc, over_loc: Loc | None = None) -> Any:
+        """Return `base`, at `loc` of the spec, with the values of `over` in place of its own."""
+        over_loc = over_loc or self._start
+        self._places[loc] = self._document.place(over_loc)
+        if isinstance(base, Mapping) and isinstance(over, Mapping):
+            values = {
+                key: self.merged(base.get(key), value, (*loc, key), (*over_loc, key))
+                for key, value in over.items()
+            }
+            return {**base, **values}
+        if _named(base) and _named(over):
+            entries = list(base)
+            for j, entry in enumerate(over):
+                i = next((i for i, b in enumerate(base) if b["name"] == entry["name"]), None)
+                if i is None:
+                    name = printable(str(entry["name"]), 60)
+                    raise SpecError(
+                        f"{self._origin}: {name} is no robot of the lab", "calibrate this lab"
+                    )
+                entries[i] = self.merged(entries[i], entry, (*loc, i), (*over_loc, j))
+            return entries
+        return over
+
+
+def _named(value: Any) -> bool:
+    """Return whether a value is a list of mappings with names."""
+    if not isinstance(value, list | tuple):
+        return False
+    return all(isinstance(entry, Mapping) and "name" in entry for entry in value)

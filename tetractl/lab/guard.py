@@ -4,7 +4,8 @@
                              ^              |        |
                              +---- rest() --+--------+      any --> abort, for good
 
-In `hold` some robot, or all, are stopped while the fault may still pass. Nothing leaves `abort`.
+In `hold` some robot, or all, are stopped while the fault may still pass; robots that can only be
+stopped together are steered on while one of them is not tracked. Nothing leaves `abort`.
 Lengths are in the spec's length unit, times ns on the run's clock.
 """
 
@@ -16,12 +17,12 @@ from enum import StrEnum
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.compliance import Conduct
+from tetractl.lab.compliance import Compliance
 
 FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
 
 
-class State(StrEnum):
+class GuardState(StrEnum):
     """Where the guard stands."""
 
     PREFLIGHT = "preflight"
@@ -32,12 +33,16 @@ class State(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
-    """What the guard goes by; see the fields of the same name in the spec's limits."""
+class GuardRules:
+    """Limits of a run; see the fields of the same name in the spec's limits.
+
+    `speeds` (N,) are v of each robot [length unit/s], `turning` (N,) the fastest it turns [rad/s].
+    Robots that are not `individual` can only be stopped together.
+    """
 
     names: tuple[str, ...]
-    speeds: tuple[float, ...]  # v of each robot [length unit/s]
-    turning: tuple[float, ...]  # the fastest it may turn [rad/s]
+    speeds: tuple[float, ...]
+    turning: tuple[float, ...]
     left: float
     bottom: float
     right: float
@@ -50,17 +55,21 @@ class Rules:
     untracked_stop_ns: int = SECOND // 20
     untracked_abort_ns: int = 3 * SECOND // 10
     reaction_ns: int = 15 * SECOND // 100
-    bad_datagrams: int = 20
+    damaged_frames: int = 20
     late_steps: int = 5
-    silence_ns: int = 2 * SECOND  # the controller must say something that often
+    silence_ns: int = 2 * SECOND  # the controller must give a direction that often
     disobedience_ns: int = SECOND
+    individual: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Ruling:
-    """What a tick decides: `moving` by robot; the poses that may be believed; what to warn of."""
+    """The decision of a tick: which robots may move (N,), and the poses that are believed (N,).
 
-    state: State
+    A pose is None where a robot is not tracked. `reason` says why a run was aborted.
+    """
+
+    state: GuardState
     moving: tuple[bool, ...]
     poses: tuple[Pose | None, ...]
     reason: str = ""
@@ -69,7 +78,7 @@ class Ruling:
 
 @dataclass(slots=True)
 class _Track:
-    """What is believed of one robot."""
+    """The last believed pose of one robot."""
 
     pose: Pose | None = None
     seen_ns: int = 0
@@ -78,25 +87,25 @@ class _Track:
 
 @dataclass(slots=True)
 class Guard:
-    """Watches N robots by the rules; feed it every snapshot, in order, and tick it often."""
+    """Decides by the rules for N robots, from every camera frame, in order, at frequent ticks."""
 
-    rules: Rules
-    state: State = State.PREFLIGHT
+    rules: GuardRules
+    state: GuardState = GuardState.PREFLIGHT
     reason: str = ""
     emergency: bool = False
     _tracks: list[_Track] = field(default_factory=list)
-    _conduct: Conduct | None = None
+    _compliance: Compliance | None = None
     _last_frame_ns: int | None = None
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
-    _bad: deque[tuple[int, int]] = field(default_factory=deque)
+    _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     _late: int = 0
     _jumps: int = 0
 
     def __post_init__(self) -> None:
         rules = self.rules
         self._tracks = [_Track() for _ in rules.names]
-        self._conduct = Conduct(rules.names, rules.disobedience_ns)
+        self._compliance = Compliance(rules.names, rules.disobedience_ns)
 
     @property
     def jumps(self) -> int:
@@ -104,75 +113,79 @@ class Guard:
         return self._jumps
 
     def ready(self) -> None:
-        """The preflight is passed."""
-        if self.state is State.PREFLIGHT:
-            self.state = State.READY
+        """Note that the preflight is passed."""
+        if self.state is GuardState.PREFLIGHT:
+            self.state = GuardState.READY
 
     def go(self, now_ns: int) -> None:
         """Let the robots move; only from `ready`."""
-        if self.state is State.READY:
-            self.state = State.RUN
+        if self.state is GuardState.READY:
+            self.state = GuardState.RUN
             self._last_tick_ns = self._steered_ns = now_ns
-            for track in self._tracks:  # what they did before does not count
+            for track in self._tracks:  # jumps before the run do not count
                 track.jumped = False
 
     def rest(self) -> None:
-        """The run has ended well; the robots are stopped."""
-        if self.state in (State.RUN, State.HOLD):
-            self.state = State.READY
+        """Note that the run has ended well and the robots are stopped."""
+        if self.state in (GuardState.RUN, GuardState.HOLD):
+            self.state = GuardState.READY
 
     def abort(self, reason: str, emergency: bool = False) -> None:
         """End everything; the first reason stays."""
         self.emergency |= emergency
-        if self.state is not State.ABORT:
-            self.state, self.reason = State.ABORT, reason
+        if self.state is not GuardState.ABORT:
+            self.state, self.reason = GuardState.ABORT, reason
 
     def steered(self, now_ns: int) -> None:
-        """The controller is alive: it gave a direction."""
+        """Note that the controller gave a direction."""
         self._steered_ns = now_ns
 
     def late(self, missed: bool) -> None:
-        """Tell whether a control step missed its deadline."""
+        """Count the control steps in a row that missed their deadline."""
         self._late = self._late + 1 if missed else 0
         if self._late >= self.rules.late_steps and self._active:
             self.abort(f"{self._late} control steps in a row were late")
 
-    def told(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Tell what the robots were last sent: speeds [length unit/s], turning rates [rad/s]."""
-        assert self._conduct is not None
-        self._conduct.told(now_ns, speed, turning)
+    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Note the last transmission: speeds [length unit/s] and turning rates [rad/s]."""
+        assert self._compliance is not None
+        self._compliance.sent(now_ns, speed, turning)
 
-    def believed(self, snapshot: CameraFrame) -> tuple[tuple[Pose | None, bool], ...]:
-        """Return each robot's last believed pose and whether it is of this snapshot."""
+    def believed(self, frame: CameraFrame) -> tuple[tuple[Pose | None, bool], ...]:
+        """Return each robot's last believed pose and whether it is of this frame."""
         return tuple(
-            (track.pose, track.pose is not None and track.seen_ns == snapshot.sampled_ns)
+            (track.pose, track.pose is not None and track.seen_ns == frame.sampled_ns)
             for track in self._tracks
         )
 
-    def see(self, snapshot: CameraFrame) -> None:
-        """Take one camera frame."""
-        if snapshot.fault:
-            self.abort(snapshot.fault)
-        self._last_frame_ns = max(self._last_frame_ns or 0, snapshot.sampled_ns)
-        for i, (track, pose) in enumerate(zip(self._tracks, snapshot.poses, strict=True)):
+    def see(self, frame: CameraFrame) -> None:
+        """Judge one camera frame."""
+        if frame.fault:
+            self.abort(frame.fault)
+        self._last_frame_ns = max(self._last_frame_ns or 0, frame.sampled_ns)
+        for i, (track, pose) in enumerate(zip(self._tracks, frame.poses, strict=True)):
             if pose is None:
                 continue
-            if self._jumped(i, track, pose, snapshot.sampled_ns):
+            if self._jumped(i, track, pose, frame.sampled_ns):
                 track.jumped = True
                 self._jumps += 1
                 continue
-            if track.pose is not None and self._conduct is not None:
-                dt = snapshot.sampled_ns - track.seen_ns
-                self._conduct.moved(i, snapshot.sampled_ns, dt, track.pose, pose)
-            track.pose, track.seen_ns, track.jumped = pose, snapshot.sampled_ns, False
+            if track.pose is not None and self._compliance is not None:
+                dt = frame.sampled_ns - track.seen_ns
+                self._compliance.moved(i, frame.sampled_ns, dt, track.pose, pose)
+            track.pose, track.seen_ns, track.jumped = pose, frame.sampled_ns, False
 
-    def tick(self, now_ns: int, bad_datagrams: int = 0, link_failure: str | None = None) -> Ruling:
-        """Decide. `bad_datagrams` only grows; `link_failure` says what is wrong with the radio."""
+    def tick(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
+        """Decide which robots may move now.
+
+        `damaged` counts the camera's damaged deliveries so far, `failure` says why the actuator
+        can send nothing any more.
+        """
         asleep_ns = 0 if self._last_tick_ns is None else now_ns - self._last_tick_ns
         self._last_tick_ns = now_ns
-        if link_failure:
-            self.abort(link_failure)
-        self._count_bad(now_ns, bad_datagrams)
+        if failure:
+            self.abort(failure)
+        self._count_damaged(now_ns, damaged)
         tracked = self._tracked(now_ns)
         believed = tuple(
             track.pose if ok else None for track, ok in zip(self._tracks, tracked, strict=True)
@@ -190,19 +203,20 @@ class Guard:
             self._check_stream(now_ns)
             self._check_tracking(now_ns)
             self._check_places(believed)
-            if self._conduct is not None:
-                warnings = self._conduct.complaints(now_ns)
+            if self._compliance is not None:
+                warnings = self._compliance.warnings(now_ns)
         still = (False,) * len(self._tracks)
         if not self._active:
             return Ruling(self.state, still, believed, self.reason, warnings)
         fresh = now_ns - (self._last_frame_ns or 0) <= self.rules.stale_ns
-        moving = tracked if fresh else still
-        self.state = State.RUN if all(moving) else State.HOLD
+        let = tracked if self.rules.individual else (True,) * len(tracked)
+        moving = let if fresh else still
+        self.state = GuardState.RUN if all(moving) and all(tracked) else GuardState.HOLD
         return Ruling(self.state, moving, believed, "", warnings)
 
     @property
     def _active(self) -> bool:
-        return self.state in (State.RUN, State.HOLD)
+        return self.state in (GuardState.RUN, GuardState.HOLD)
 
     def _jumped(self, i: int, track: _Track, pose: Pose, sampled_ns: int) -> bool:
         """Whether a robot cannot have come here from where it was last seen."""
@@ -260,7 +274,7 @@ class Guard:
                     self.abort(f"{other} and {name} are too close: {before:.0f} apart")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
-        """Whether a robot gets further out: one at the edge may drive back in."""
+        """Whether a robot gets further out: one at the edge may move back in."""
         return self._outside(then) > self._outside(now) or self._outside(now) == 0.0
 
     def _outside(self, pose: Pose) -> float:
@@ -270,11 +284,11 @@ class Guard:
             max(rules.bottom - pose.y, 0.0, pose.y - rules.top),
         )
 
-    def _count_bad(self, now_ns: int, total: int) -> None:
-        """Abort on too many damaged datagrams within a second."""
-        self._bad.append((now_ns, total))
-        while self._bad and self._bad[0][0] < now_ns - SECOND:
-            self._bad.popleft()
-        within = total - self._bad[0][1]
-        if within > self.rules.bad_datagrams and self._active:
-            self.abort(f"{within} damaged datagrams within a second")
+    def _count_damaged(self, now_ns: int, total: int) -> None:
+        """Abort on too many damaged deliveries within a second."""
+        self._damaged.append((now_ns, total))
+        while self._damaged and self._damaged[0][0] < now_ns - SECOND:
+            self._damaged.popleft()
+        within = total - self._damaged[0][1]
+        if within > self.rules.damaged_frames and self._active:
+            self.abort(f"{within} damaged camera frames within a second")

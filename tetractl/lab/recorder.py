@@ -1,15 +1,13 @@
-"""A wire recorded and played back: every datagram and every serial byte, in an MCAP file, which
+"""Records every byte that passes between a run and its devices, in an MCAP file, which
 `tetractl.log.format.wire` reads.
 
-Each message is one datagram, or the bytes of one read or write of the port, as they passed;
-channels are `/natnet/received`, `/natnet/sent`, `/radio/received` and `/radio/sent`. Times are ns
-on the run's clock.
+Each message is one datagram, or the bytes of one read or write of a port, as they passed. Each
+wire has two channels, such as `/natnet/received` and `/natnet/sent`. Times are ns on the run's
+clock.
 """
 
 import queue
 import threading
-from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -19,10 +17,6 @@ from mcap.writer import CompressionType, Writer
 
 from tetractl import __version__
 from tetractl.core.errors import LogError
-from tetractl.lab.cameras.optitrack.messages import Request
-from tetractl.lab.cameras.optitrack.stream import Stream
-from tetractl.lab.cameras.optitrack.wire import parse
-from tetractl.lab.errors import WireError
 
 QUEUE = 100_000  # passages that may wait for the disk
 
@@ -99,16 +93,3 @@ class WireRecorder:
             self.error = error.strerror or str(error)
             while self._queue.get() is not None:
                 pass
-
-
-def replay_cameras(passages: Iterable[Passage], stream: Stream) -> None:
-    """Feed what came from the cameras into a stream, as it was fed live."""
-    for passage in passages:
-        if passage.wire != "natnet":
-            continue
-        if passage.received:
-            stream.feed(passage.data, passage.t_ns)
-            continue
-        with suppress(WireError):  # a file may claim that we sent anything
-            if isinstance(message := parse(passage.data), Request):
-                stream.asked(message)

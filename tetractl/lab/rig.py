@@ -1,98 +1,118 @@
-"""A lab in use: cameras, radio, guard and drive, put together from a spec."""
+"""A lab in use: a camera and an actuator with the guard and the inner loop between them."""
 
-import math
 import threading
-from collections.abc import Callable
+from collections import deque
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Self
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.poses import CameraFrame
-from tetractl.core.setup import METRES
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.lab import LabRobot, LabSpec, LabWheel, Slave
-from tetractl.lab.actuators.m3pi.command import Drivetrain, Wheel
-from tetractl.lab.actuators.m3pi.protocols import Voice, build_voice
-from tetractl.lab.actuators.xbee.link import Link
-from tetractl.lab.cameras.optitrack.client import NatNetClient
-from tetractl.lab.cameras.optitrack.stream import Tracked
-from tetractl.lab.guard import Guard, Rules
-from tetractl.lab.inner_loop import Body, Drive
-from tetractl.lab.wire_tap import NO_TAP, Tap
+from tetractl.core.protocols import Actuator, Camera
+from tetractl.core.setup import Setup
+from tetractl.core.wire_tap import NO_TAP, Tap
+from tetractl.experiment.lab import LabSection, Limits
+from tetractl.lab.guard import Guard, GuardRules
+from tetractl.lab.inner_loop import InnerLoop, OnFrame
 
 MM = 1e-3  # m
+RECENT = 512  # camera frames that are kept to look at
 
 
-class Session:
-    """Everything between the wires and a plant; robots are in the order of the experiment."""
+class Rig:
+    """Everything between the devices and a plant; a context manager. Times are ns on `clock`.
+
+    Entering opens the actuator and the camera and begins to watch: in a thread or, where
+    `threaded` is False, at each call of `loop.step`. `wake` must be what the camera was made with.
+    `on_frame` is called, in that thread, with each frame after the guard judged it.
+    """
 
     def __init__(
         self,
-        experiment: Experiment,
-        lab: LabSpec,
+        camera: Camera,
+        actuator: Actuator,
+        limits: Limits,
+        setup: Setup,
         clock: Clock,
-        operator: threading.Event,
-        tap: Tap = NO_TAP,
-        on_snapshot: Callable[[CameraFrame, Guard], None] = lambda snapshot, guard: None,
+        emergency: threading.Event | None = None,
+        wake: threading.Event | None = None,
+        threaded: bool = True,
     ) -> None:
-        by_name = {robot.name: robot for robot in lab.robots}
-        robots = [by_name[robot.name] for robot in experiment.robots]
-        indices = {robot.name: lab.index(robot) for robot in robots}
-        robots = [r.model_copy(update={"index": indices[r.name]}) for r in robots]
-        self.experiment = experiment
-        self.lab = lab = lab.model_copy(update={"robots": tuple(robots)})
-        self.clock = clock
-        self.metres = METRES[experiment.units.length]
-        self.mm = self.metres / MM  # millimetres in a length unit
-        self.guard = Guard(rules(experiment, lab))
-        tracked = [Tracked(robot.body, robot.heading_offset) for robot in robots]
-        self.client = NatNetClient(lab.mocap, tracked, self.metres, clock, tap, self._woken)
-        self.link = Link(lab.radio, clock, tap)
-        self.voice: Voice = build_voice(lab, self.link, clock)
-        self.bodies = [body(experiment, lab, i) for i in range(len(robots))]
-        self.drive = Drive(
-            self.bodies,
-            self.mm,
-            self.client,
-            self.link,
-            self.voice,
+        self.camera, self.actuator, self.limits = camera, actuator, limits
+        self.setup, self.clock = setup, clock
+        self.mm = setup.metres / MM  # millimetres in a length unit
+        self.recent: deque[CameraFrame] = deque(maxlen=RECENT)
+        self.guard = Guard(guard_rules(setup, limits, actuator.individual))
+        self.loop = InnerLoop(
+            camera,
+            actuator,
             self.guard,
             clock,
-            round(SECOND / lab.radio.rate),
-            operator,
-            on_snapshot,
+            wake or threading.Event(),
+            emergency or threading.Event(),
+            self._see,
         )
+        self.on_frame: OnFrame = lambda frame: None
+        self._threaded = threaded
+        self._opened = ExitStack()
 
-    def open(self) -> None:
-        """Open the radio, connect to the cameras, and watch; AbortError says what is wrong."""
-        self.link.open()
-        self.client.open()
-        self.client.wait_connected(self.lab.limits.connect)
-        self.drive.start()
+    def __enter__(self) -> Self:
+        """Open the devices and begin to watch; AbortError says what is wrong."""
+        try:
+            self._opened.enter_context(self.actuator)
+            self._opened.enter_context(self.camera)
+            if self._threaded:
+                self.loop.start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
 
     def close(self) -> None:
-        """Let go of everything; idempotent, never raises."""
-        self.drive.close()
-        self.client.close()
-        self.link.close()
+        """End the watch and release the devices; idempotent, never raises."""
+        self.loop.close()
+        self._opened.close()
 
-    def _woken(self) -> None:
-        self.drive.wake.set()
+    def _see(self, frame: CameraFrame) -> None:
+        self.recent.append(frame)
+        self.on_frame(frame)
 
 
-def rules(experiment: Experiment, lab: LabSpec) -> Rules:
-    """Return what the guard goes by, in the spec's length unit."""
-    limits, arena, robots = lab.limits, experiment.arena, experiment.robots
-    per_mm = MM / METRES[experiment.units.length]
+def build_rig(
+    lab: LabSection,
+    setup: Setup,
+    clock: Clock,
+    emergency: threading.Event | None = None,
+    tap: Tap = NO_TAP,
+) -> Rig:
+    """Return the rig of a spec; nothing is opened yet."""
+    wake = threading.Event()
+    camera = lab.camera.build(setup, clock, tap, wake.set)
+    actuator = lab.actuator.build(setup, clock, tap)
+    return Rig(camera, actuator, lab.limits, setup, clock, emergency, wake)
+
+
+def guard_rules(setup: Setup, limits: Limits, individual: bool = True) -> GuardRules:
+    """Return the guard's limits in the spec's length unit."""
+    arena, per_mm = setup.arena, MM / setup.metres
     edge = limits.edge_mm * per_mm
-    control = experiment.controller
-    silence = control.period * (limits.late_steps + 1)
-    return Rules(
-        names=tuple(robot.name for robot in robots),
-        speeds=tuple(robot.speed for robot in robots),
-        turning=tuple(robot.a for robot in robots),
+    silence_s = setup.period_s * (limits.late_steps + 1)
+    return GuardRules(
+        names=setup.names,
+        speeds=tuple(setup.speed.tolist()),
+        turning=tuple(setup.a.tolist()),
         left=arena.left + edge,
         bottom=arena.bottom + edge,
-        right=arena.left + arena.width - edge,
-        top=arena.bottom + arena.height - edge,
+        right=arena.right - edge,
+        top=arena.top - edge,
         separation=limits.separation_mm * per_mm,
         jump=limits.jump_mm * per_mm,
         stale_ns=round(limits.stale * SECOND),
@@ -100,36 +120,9 @@ def rules(experiment: Experiment, lab: LabSpec) -> Rules:
         untracked_stop_ns=round(limits.untracked_stop * SECOND),
         untracked_abort_ns=round(limits.untracked_abort * SECOND),
         reaction_ns=round(limits.reaction * SECOND),
-        bad_datagrams=limits.bad_datagrams,
+        damaged_frames=limits.damaged_frames,
         late_steps=limits.late_steps,
-        silence_ns=round(max(silence, 0.5) * SECOND),
+        silence_ns=round(max(silence_s, 0.5) * SECOND),
         disobedience_ns=round(limits.disobedience * SECOND),
+        individual=individual,
     )
-
-
-def body(experiment: Experiment, lab: LabSpec, i: int) -> Body:
-    """Return what turns a direction into counts for robot i, in millimetres."""
-    robot, mine = experiment.robots[i], lab.robots[i]
-    mm = METRES[experiment.units.length] / MM
-    radius = mine.radius_mm
-    if radius is None:
-        assert experiment.wheels is not None, "the spec's check asks for wheels in a lab"
-        radius = experiment.wheels.radius * mm
-    return Body(robot.a, robot.speed * mm, radius, drivetrain(mine, lab))
-
-
-def drivetrain(robot: LabRobot, lab: LabSpec) -> Drivetrain:
-    """Return a robot's wheels, capped where its program has no watchdog."""
-    limit = robot.limit
-    if isinstance(lab.protocol, Slave):
-        limit = min(limit, lab.protocol.limit)
-    return Drivetrain(_wheel(robot.left), _wheel(robot.right), robot.swap, limit)
-
-
-def _wheel(wheel: LabWheel) -> Wheel:
-    return Wheel(wheel.gain_mm, wheel.dead_zone, wheel.invert)
-
-
-def heading_gap(a: float, b: float) -> float:
-    """Return the angle from b to a, in [-pi, pi]."""
-    return math.remainder(a - b, math.tau)

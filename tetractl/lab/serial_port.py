@@ -14,7 +14,7 @@ import serial
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
-from tetractl.lab.wire_tap import NO_TAP, Tap
+from tetractl.core.wire_tap import NO_TAP, Tap
 
 WRITE_TIMEOUT_S = 0.02
 READ_TIMEOUT_S = 0.05

@@ -7,49 +7,112 @@ integrated: its error does not depend on the sampling rate.
 import json
 from collections import deque
 from dataclasses import replace
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import SECOND, Clock, VirtualClock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
+from tetractl.core.operators import Operators
 from tetractl.core.poses import Floats, Observation, Poses
-from tetractl.experiment.disturbance import Order
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.kinds import MOTIONS
-from tetractl.experiment.plant import SimSpec
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Fraction, Model, NonNegative, inconsistent
+from tetractl.experiment.choice import Choice, OneOf
+from tetractl.experiment.disturbance import DisturbanceSection, Order
+from tetractl.experiment.kinds import DISTURBANCES, MOTIONS
+from tetractl.experiment.plant import PlantSection
 from tetractl.model.motion.base import Held, Motion
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
 
 
+class MeasurementNoise(Model):
+    """Standard deviations of what the camera measures, drawn anew in every frame."""
+
+    position: NonNegative = 0.0
+    """Of x and of y [length unit]."""
+    heading: NonNegative = 0.0
+    """Of the heading [rad]."""
+
+
+class SimSection(PlantSection):
+    """A simulated plant in virtual time. Every disturbance is off by default and is drawn from the
+    trial's seed."""
+
+    simulated: ClassVar[bool] = True
+    type: Literal["sim"] = "sim"
+    motion: Annotated[str, OneOf(MOTIONS)] = "exact"
+    """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25) between two commands;
+    `euler` moves by (4)-(6) themselves, on straight chords."""
+    camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
+    """Measurements a second [Hz]."""
+    truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
+    """Samples a second of the true path that decides errors and obstacle violations [Hz]; at least
+    the camera rate."""
+    measurement_noise: MeasurementNoise = MeasurementNoise()
+    """What the camera adds to the true poses."""
+    heading_noise: NonNegative = 0.0
+    """Random walk of the true heading [rad/sqrt(s)]."""
+    dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
+    """From measurement to actuation [s]; a stop takes as long."""
+    lost_commands: Fraction = 0.0
+    """Probability that a command never arrives and the one before it stays in force."""
+    a_error: Fraction = 0.0
+    """The true a is the spec's times 1 + e, with e uniform in [-a_error, a_error], drawn once a
+    trial and robot."""
+    speed_error: Fraction = 0.0
+    """As `a_error`, for the speed."""
+    disturbances: tuple[Annotated[DisturbanceSection, Choice(DISTURBANCES)], ...] = Field(
+        default=(), max_length=100
+    )
+    """Further disturbances, which act one after another."""
+
+    @model_validator(mode="after")
+    def _truth_is_as_fine_as_the_camera(self) -> Self:
+        if self.truth_rate < self.camera_rate:
+            message = f"must be at least camera_rate, {self.camera_rate:g}"
+            raise inconsistent("truth_rate", message)
+        return self
+
+    def clock(self) -> Clock:
+        """Return virtual time."""
+        return VirtualClock()
+
+    def build(
+        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, operators: Operators
+    ) -> "SimPlant":
+        """Return the simulation of one trial."""
+        return SimPlant(self, setup, clock, seed)
+
+
 class SimPlant:
     """A `Plant` of simulated robots; `seed` feeds every disturbance."""
 
-    def __init__(self, experiment: Experiment, clock: Clock, seed: np.random.SeedSequence) -> None:
-        assert isinstance(experiment.plant, SimSpec), "build_plant chooses by the spec's plant"
-        self.spec = experiment.plant
-        self.wheels = experiment.wheels
-        self._motion: Motion = MOTIONS.load(self.spec.motion)
+    def __init__(
+        self, section: SimSection, setup: Setup, clock: Clock, seed: np.random.SeedSequence
+    ) -> None:
+        self.spec = section
+        self.wheel_radius = setup.wheel_radius
+        self._motion: Motion = MOTIONS.load(section.motion)
         self.clock = clock
         streams = (np.random.default_rng(child) for child in seed.spawn(4))
         self._measuring, self._swerving, self._losing, erring = streams
-        robots = experiment.robots
-        count = len(robots)
-        self.nominal_a = np.array([robot.a for robot in robots])
-        self.nominal_speed = np.array([robot.speed for robot in robots])
+        count = len(setup.names)
+        self.nominal_a, self.nominal_speed = setup.a, setup.speed
         self.a = self.nominal_a * (1 + self.spec.a_error * erring.uniform(-1, 1, count))
         self.speed = self.nominal_speed * (1 + self.spec.speed_error * erring.uniform(-1, 1, count))
         self._disturbances = [
-            section.build(experiment.setup, np.random.default_rng(*seed.spawn(1)))
-            for section in self.spec.disturbances
+            disturbance.build(setup, np.random.default_rng(*seed.spawn(1)))
+            for disturbance in section.disturbances
         ]
         for disturbance in self._disturbances:
             self.a, self.speed = disturbance.parameters(self.a, self.speed)
-        self.poses = Poses.of(np.array([(*robot.start, robot.heading) for robot in robots]))
+        self.poses = setup.starts
         self._held = Held(*(np.zeros(count) for _ in range(4)))
         self._orders: deque[Order] = deque()
-        self._path_check = PathCheck(Obstacles.of(experiment.obstacles), count)
+        self._path_check = PathCheck(Obstacles.of(setup.obstacles), count)
         self._time = 0
         self._frames = 0  # frames exposed so far
         self._ticks = 0  # true samples judged so far
@@ -83,10 +146,10 @@ class SimPlant:
             order = disturbance.sent(order)
         self._send(order)
         left = right = None
-        if self.wheels and self._newest:
+        if self.wheel_radius is not None and self._newest:
             heading = self._newest.poses.heading
             left, right = wheel_speeds(
-                heading, direction, self.nominal_a, self.nominal_speed, self.wheels.radius
+                heading, direction, self.nominal_a, self.nominal_speed, self.wheel_radius
             )
         return Command(direction, now, tuple(order.reached.tolist()), left, right)
 
@@ -106,7 +169,7 @@ class SimPlant:
             now = self.clock.now()
             self._advance(now)
             count = self.a.size
-            still = np.zeros(count) if self.wheels else None
+            still = None if self.wheel_radius is None else np.zeros(count)
             self._stop = Command(None, now, (True,) * count, still, still)
             self._send(Order(now + self._delay(), None, np.ones(count, dtype=np.bool_)))
         return self._stop

@@ -15,16 +15,15 @@ from pathlib import Path
 from typing import Protocol
 
 from tetractl.control.build import build_controller
-from tetractl.core.clock import Clock, MonotonicClock, VirtualClock
+from tetractl.core.clock import Clock
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import AbortError, TetractlError
+from tetractl.core.operators import Operators
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.log.write.writer import LogWriter
-from tetractl.plant.build import build_plant
-from tetractl.plant.lab import Hands
 from tetractl.run.interrupt import SIGNALS, Interrupt
 from tetractl.run.relay import Relay
 from tetractl.run.seeds import trial_seeds
@@ -77,14 +76,14 @@ def run_lab_trial(
     trial: int,
     observers: Sequence[Observer],
     interrupt: Interrupt,
-    hands: Hands,
+    operators: Operators,
 ) -> Result:
     """Run one trial in real time and write its log; no observer can hold it up."""
-    clock, start_ns = MonotonicClock(), time.time_ns()
+    clock, start_ns = spec.experiment.plant.clock(), time.time_ns()
     with ExitStack() as stack:
         log = stack.enter_context(LogWriter(log_path(folder, trial), real_time=True))
         relays = [log, *(stack.enter_context(Relay(observer)) for observer in observers)]
-        return _made(spec, trial, clock, start_ns, relays, interrupt, hands).run()
+        return _made(spec, trial, clock, start_ns, relays, interrupt, operators).run()
 
 
 def run_trial(
@@ -93,7 +92,8 @@ def run_trial(
     """Run one trial in virtual time and write its log."""
     with LogWriter(log_path(folder, trial)) as writer:
         watching = (writer, *observers)
-        return _made(spec, trial, VirtualClock(), EPOCH_NS, watching, interrupt).run()
+        clock = spec.experiment.plant.clock()
+        return _made(spec, trial, clock, EPOCH_NS, watching, interrupt).run()
 
 
 def _made(
@@ -103,14 +103,16 @@ def _made(
     start_unix_ns: int,
     observers: Sequence[Observer],
     interrupt: Interrupt,
-    hands: Hands | None = None,
+    operators: Operators | None = None,
 ) -> Trial:
-    """Make a trial from its spec and its number; `hands` are for the lab."""
+    """Make a trial from its spec and its number; `operators` are for the lab."""
     experiment = spec.experiment
     key, seed = trial_seeds(experiment.trials.seed, trial)
     return Trial(
-        start=start_of(spec, trial, PlantInfo("", hands is None, 0.0, {}), start_unix_ns),
-        plant=build_plant(experiment, clock, seed, hands),
+        start=start_of(
+            spec, trial, PlantInfo("", experiment.plant.simulated, 0.0, {}), start_unix_ns
+        ),
+        plant=experiment.plant.build(experiment.setup, clock, seed, operators or Operators()),
         controller=build_controller(experiment, key),
         first_plan=experiment.controller.first_plan,
         clock=clock,
@@ -126,11 +128,11 @@ def run_lab_batch(
     interrupt: Interrupt,
     watcher: Watcher,
     observers: Sequence[Observer],
-    hands: Callable[[int], AbstractContextManager[Hands]],
+    operators: Callable[[int], AbstractContextManager[Operators]],
 ) -> Report:
     """Run trials in the lab, one after another, in this process.
 
-    `hands` gives, for each trial, who and what has a hand in it. A lab that refuses to start a
+    `operators` gives, for each trial, the people and files at it. A lab that refuses to start a
     trial ends the batch, as does an interruption or an aborted trial.
     """
     report = Report()
@@ -141,7 +143,7 @@ def run_lab_batch(
             break
         watcher.trial_started(trial, spec.experiment.trials.count)
         try:
-            with hands(trial) as mine:
+            with operators(trial) as mine:
                 result = run_lab_trial(spec, folder, trial, observers, interrupt, mine)
         except TetractlError as error:
             report.refused = error

@@ -2,7 +2,6 @@
 
 from tetractl.experiment.controller import Square
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.lab import LabSpec, Slave
 from tetractl.run.square import check_square
 
 
@@ -21,25 +20,7 @@ def limits(experiment: Experiment) -> dict[str, str]:
     if isinstance(control.first_plan, Square):
         square = control.first_plan
         found["before step 0"] = f"{square.laps} squares of {4 * square.side:g} s"
-    return found | (_in_lab(experiment.plant) if isinstance(experiment.plant, LabSpec) else {})
-
-
-def _in_lab(lab: LabSpec) -> dict[str, str]:
-    limits = lab.limits
-    cap = min(robot.limit for robot in lab.robots)
-    if isinstance(lab.protocol, Slave):
-        cap = min(cap, lab.protocol.limit)
-    return {
-        "cameras": f"{lab.mocap.server}:{lab.mocap.command_port}, {lab.mocap.transport}",
-        "radio": f"{lab.radio.port}, {lab.radio.rate:g} commands a second",
-        "wheel counts": f"at most {cap} of 127",
-        "all robots stop": f"{limits.stale:g} s after the last camera frame",
-        "a robot stops": f"{limits.untracked_stop:g} s after it was last tracked",
-        "the trial aborts": (
-            f"{limits.stream_lost:g} s after the last frame, {limits.untracked_abort:g} s after a "
-            f"robot was last tracked, or {limits.late_steps} late control steps in a row"
-        ),
-    }
+    return found | experiment.plant.bounds()
 
 
 def check(experiment: Experiment) -> None:

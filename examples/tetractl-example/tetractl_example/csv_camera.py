@@ -13,13 +13,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
 
-from tetractl.core.wire_tap import Tap
-
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
+from tetractl.core.wire_tap import Tap
 from tetractl.experiment.base import Positive
 from tetractl.experiment.lab import CameraSection
 

@@ -17,7 +17,7 @@ def drive(settings, steps, after_step):
     """Drive the simulated robots in varying directions; after_step(k, plant, observation, u)."""
     experiment = load_spec(EXPERIMENT, settings).experiment
     clock = VirtualClock()
-    plant = SimPlant(experiment, clock, np.random.SeedSequence(3))
+    plant = SimPlant(experiment.plant, experiment.setup, clock, np.random.SeedSequence(3))
     plant.open()
     directions = np.random.default_rng(1).uniform(-2, 2, steps)
     for k, direction in enumerate(directions):

@@ -2,45 +2,59 @@ import pytest
 from support.paths import ROOT
 
 from tetractl.core.errors import SpecError
-from tetractl.experiment.lab import LabSpec
 from tetractl.experiment.load import load_spec, parse_spec, resolved_yaml
-from tetractl.experiment.plant import SimSpec
 from tetractl.experiment.plants import (
     Calibration,
-    RobotCalibration,
+    calibrated,
     calibration_yaml,
     lab_of,
     on_plant,
-    parse_calibration,
 )
 from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.plant.simulation import SimSection
 
 EXPERIMENTS = ROOT / "experiments"
 SPEC = EXPERIMENTS / "three_m3pi_lab.yaml"
 
 
-def calibration():
-    robot = load_spec(SPEC).experiment.lab.robots[1]
-    measured = RobotCalibration(
-        name="blue",
-        heading_offset=0.25,
-        radius_mm=41.5,
-        left=robot.left.model_copy(update={"gain_mm": 7.0, "dead_zone": 9}),
-        right=robot.right.model_copy(update={"invert": True}),
-        swap=True,
-    )
-    return Calibration(measured="2026-01-01T00:00:00Z", robots=(measured,))
+SLAVE = "lab.actuator.protocol={type: slave, accept_no_watchdog: true}"
+MEASURED = """
+measured: 2026-01-01T00:00:00Z
+camera: {robots: [{name: blue, heading_offset: 0.25}]}
+actuator:
+  robots:
+    - {name: blue, radius_mm: 41.5, left: {gain_mm: 7.0, dead_zone: 9}, right: {invert: true},
+       swap: true}
+"""
+OLD_MEASURED = """
+measured: 2026-01-01T00:00:00Z
+robots:
+  - {name: blue, heading_offset: 0.25, radius_mm: 41.5, left: {gain_mm: 7.0, dead_zone: 9},
+     right: {invert: true}, swap: true}
+"""
+OLD = """
+name: old
+arena: {left: 0, bottom: 0, width: 2000, height: 2000}
+robots: [{name: green, start: [500, 500], target: [1500, 500], a: 6, speed: 180}]
+wheels: {radius: 40}
+lab:
+  mocap: {server: 127.0.0.1, transport: unicast, rotation: 0.5}
+  radio: {port: nowhere, rate: 30}
+  protocol: {type: slave, accept_no_watchdog: true}
+  robots: [{name: green, body: 7, heading_offset: 0.1, address: 3, swap: true}]
+  limits: {connect: 3, bad_datagrams: 7, battery_warn: 4.5, edge_mm: 20}
+"""
 
 
 def test_the_plant_is_chosen_by_kind():
     loaded = load_spec(SPEC)
-    assert isinstance(on_plant(loaded, None).experiment.plant, SimSpec)
-    assert isinstance(on_plant(loaded, "sim").experiment.plant, SimSpec)
+    assert isinstance(on_plant(loaded, None).experiment.plant, SimSection)
+    assert isinstance(on_plant(loaded, "sim").experiment.plant, SimSection)
     lab = on_plant(loaded, "lab").experiment
     assert lab.plant == loaded.experiment.lab
     assert lab.lab is None
     back = on_plant(parse_spec(resolved_yaml(lab), "again"), "sim").experiment
-    assert (back.plant, back.lab) == (SimSpec(), lab.plant)
+    assert (back.plant, back.lab) == (SimSection(), lab.plant)
 
 
 def test_a_resolved_lab_experiment_loads_as_itself():
@@ -54,53 +68,119 @@ def test_a_spec_without_a_lab_has_none():
         on_plant(loaded, "lab")
 
 
-def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
+@pytest.mark.parametrize("text", [MEASURED, OLD_MEASURED])
+def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path, text):
     (tmp_path / "spec.yaml").write_text(SPEC.read_text())
-    (tmp_path / "m.yaml").write_text(calibration_yaml(calibration()))
+    (tmp_path / "m.yaml").write_text(text)
     loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
     plain = lab_of(loaded.experiment, "spec")
     run = on_plant(loaded, "lab")
-    assert isinstance(run.experiment.plant, LabSpec)
-    green, blue, _ = run.experiment.plant.robots
-    assert green == plain.robots[0]
-    assert (blue.heading_offset, blue.radius_mm, blue.swap) == (0.25, 41.5, True)
-    assert (blue.left.gain_mm, blue.right.invert) == (7.0, True)
-    assert (blue.body, blue.index) == ("blue", 1)
-    assert run.attached == (("m.yaml", calibration_yaml(calibration())),)
+    lab = lab_of(run.experiment, "spec")
+    green, blue, _ = lab.actuator.robots
+    assert green == plain.actuator.robots[0]
+    assert (blue.radius_mm, blue.swap) == (41.5, True)
+    assert (blue.left.gain_mm, blue.left.dead_zone, blue.right.invert) == (7.0, 9, True)
+    assert blue.index == 1
+    assert [lab.camera.heading_offset(name) for name in ("green", "blue")] == [0.0, 0.25]
+    assert run.attached == (("m.yaml", text),)
 
 
-def test_a_calibration_round_trips_and_tells_what_is_wrong():
-    text = calibration_yaml(calibration())
-    assert parse_calibration(text, "m") == calibration()
-    with pytest.raises(InvalidSpecError, match=r"m:\d+:\d+: robots.0.radius_mm: -1"):
-        parse_calibration(text.replace("41.5", "-1"), "m")
+def test_a_calibration_is_written_as_it_is_read():
+    data = {"robots": [{"name": "blue", "heading_offset": 0.25}]}
+    text = calibration_yaml(Calibration(measured="now", camera=data))
+    lab = calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "m").plant
+    assert lab.camera.heading_offset("blue") == 0.25
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("41.5", "-1", r"m:6:\d+: plant.actuator.robots.1.radius_mm: -1: must be greater than 0"),
+        (
+            "swap",
+            "swop",
+            r"m:7:\d+: plant.actuator.robots.1.swop: .*did you mean 'swap'",
+        ),
+        ("name: blue", "name: pink", "m: pink is no robot of the lab"),
+        ("dead_zone: 9", "dead_zone: 60}, limit: 50, x: {", "unknown key"),
+        ("measured: 2026", "meshured: 2026", "measured: is missing"),
+    ],
+)
+def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
+    experiment = on_plant(load_spec(SPEC), "lab").experiment
+    with pytest.raises(SpecError, match=message):
+        calibrated(experiment, MEASURED.replace(before, after), "m")
+
+
+def test_a_lab_of_the_old_form_is_read_and_its_owner_gets_the_new_lines():
+    loaded = parse_spec(OLD, "old")
+    lab = loaded.experiment.lab
+    assert (lab.camera.type, lab.actuator.type) == ("optitrack", "m3pi-xbee")
+    assert (lab.camera.server, lab.camera.rotation, lab.camera.connect) == ("127.0.0.1", 0.5, 3)
+    assert lab.camera.robots[0].model_dump() == {
+        "name": "green",
+        "body": 7,
+        "heading_offset": 0.1,
+    }
+    assert (lab.actuator.port, lab.actuator.rate, lab.actuator.battery_warn) == ("nowhere", 30, 4.5)
+    assert (lab.actuator.robots[0].address, lab.actuator.robots[0].swap) == (3, True)
+    assert lab.actuator.protocol.type == "slave"
+    assert (lab.limits.damaged_frames, lab.limits.edge_mm) == (7, 20)
+    (notice,) = loaded.notices
+    old = OLD[OLD.index("lab:") :]
+    lines = notice[notice.index("lab:") :]
+    again = parse_spec(OLD.replace(old, lines), "new")
+    assert again.experiment == loaded.experiment
+    assert again.notices == ()
+
+
+def test_problems_of_an_old_lab_are_told_at_their_old_places():
+    with pytest.raises(InvalidSpecError, match=r"old:7:19: lab.camera.server: 127.0.0.1x"):
+        parse_spec(OLD.replace("127.0.0.1", "127.0.0.1x"), "old")
+    with pytest.raises(InvalidSpecError, match=r"old:10:\d+: lab.actuator.robots.0.swap: 1"):
+        parse_spec(OLD.replace("swap: true", "swap: 1"), "old")
+
+
+def test_settings_of_an_old_lab_go_by_the_new_names():
+    lab = parse_spec(OLD, "old", ["lab.actuator.port=/dev/x"]).experiment.lab
+    assert lab.actuator.port == "/dev/x"
+
+
+@pytest.mark.parametrize("lab", ["3", "{mocap: 3}", "{robots: 3}", "{robots: [3]}", "{radio: {}}"])
+def test_an_old_lab_that_is_none_is_refused(lab):
+    with pytest.raises(InvalidSpecError):
+        parse_spec(OLD[: OLD.index("lab:")] + f"lab: {lab}", "old")
 
 
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        (["wheels=null"], "lab: needs the robots' wheels"),
-        (["lab.robots.red.name=rod"], "lab.robots: has no red"),
-        (["lab.robots.red.name=rod"], "lab.robots.2.name: rod: is no robot of the spec"),
-        (["lab.robots.2.body=green"], "lab.robots.2.body: green: is that of green; must differ"),
-        (["lab.robots.2.index=0"], "lab.robots.2.index: 0: is that of green; must differ"),
-        (["lab.mocap.version=4.1"], "lab.mocap.version: must be text; put it in quotes"),
-        (["lab.mocap.version='4.1'"], "lab.mocap.version: '4.1': can only be asked for in unicast"),
-        (["lab.mocap.server=256.1.1.1"], "lab.mocap.server: must be IPv4, such as"),
-        (["lab.protocol.type=slave"], "lab.protocol.accept_no_watchdog: is missing"),
+        (["wheels=null"], "lab.actuator.robots.0.radius_mm: is missing; add it, or 'wheels:"),
+        (["lab.camera.robots.red.name=rod"], "lab.camera.robots: has no red"),
+        (["lab.camera.robots.red.name=rod"], "robots.2.name: rod: is no robot of the spec"),
+        (["lab.actuator.robots.red.name=rod"], "lab.actuator.robots: has no red"),
+        (["lab.camera.robots.2.body=green"], "robots.2.body: green: is that of green; must differ"),
+        (["lab.actuator.robots.2.index=0"], "robots.2.index: 0: is that of green; must differ"),
+        (["lab.camera.version=4.1"], "lab.camera.version: must be text; put it in quotes"),
+        (["lab.camera.version='4.1'"], "camera.version: '4.1': can only be asked for in unicast"),
+        (["lab.camera.server=256.1.1.1"], "lab.camera.server: must be IPv4, such as"),
+        (["lab.camera.type=kinect"], "lab.camera.type: must be one of optitrack"),
+        (["lab.actuator.type=m3pi"], "did you mean 'm3pi-xbee'?"),
+        (["lab.type=sim"], "lab.type: must be one of lab"),
+        (["lab.actuator.protocol.type=slave"], "protocol.accept_no_watchdog: is missing"),
+        ([SLAVE], "lab.actuator.robots.1.address: is missing; the slave protocol addresses"),
         (
-            ["lab.protocol={type: slave, accept_no_watchdog: true}"],
-            "lab.robots.1.address: is missing; the slave protocol addresses each robot",
+            ["lab.actuator.protocol={type: slave, accept_no_watchdog: false}"],
+            "lab.actuator.protocol.accept_no_watchdog: must be one of True",
         ),
         (
-            ["lab.protocol={type: slave, accept_no_watchdog: false}"],
-            "lab.protocol.accept_no_watchdog: must be one of True",
+            [SLAVE, "lab.actuator.mode=transparent"],
+            "lab.actuator.mode: transparent: cannot address one robot",
         ),
         (
-            ["lab.protocol={type: slave, accept_no_watchdog: true}", "lab.radio.mode=transparent"],
-            "lab.radio.mode: transparent: cannot address one robot",
+            ["lab.actuator.robots.0.limit=9", "lab.actuator.robots.0.left.dead_zone=9"],
+            "must be below its limit, 9",
         ),
-        (["lab.robots.0.limit=9", "lab.robots.0.left.dead_zone=9"], "must be below its limit, 9"),
     ],
 )
 def test_labs_that_cannot_be_are_refused(settings, line):

@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.guard import Guard, Rules, State
+from tetractl.lab.guard import Guard, GuardRules, GuardState
 
 MS = 1_000_000
 FRAME = 8 * MS
-RULES = Rules(
+RULES = GuardRules(
     names=("green", "blue"),
     speeds=(200.0, 100.0),
     turning=(6.0, 3.0),
@@ -62,9 +62,9 @@ def test_nothing_moves_before_go():
     course = Course()
     assert not any(course.frames(5).moving)
     course.guard.go(course.at)  # not passed the preflight yet
-    assert course.frames(1).state is State.PREFLIGHT
+    assert course.frames(1).state is GuardState.PREFLIGHT
     course.guard.ready()
-    assert course.frames(1).state is State.READY
+    assert course.frames(1).state is GuardState.READY
     assert not any(course.frames(1).moving)
 
 
@@ -72,11 +72,11 @@ def test_a_stream_that_stops_stops_all_at_100_ms_and_aborts_at_500():
     course = running()
     assert course.tick(after=100 * MS).moving == (True, True)
     held = course.tick(after=101 * MS)
-    assert (held.state, held.moving) == (State.HOLD, (False, False))
+    assert (held.state, held.moving) == (GuardState.HOLD, (False, False))
     for late in range(120, 500, 20):
-        assert course.tick(after=late * MS).state is State.HOLD
+        assert course.tick(after=late * MS).state is GuardState.HOLD
     ended = course.tick(after=500 * MS)
-    assert ended.state is State.ABORT
+    assert ended.state is GuardState.ABORT
     assert ended.reason == "no new camera frame for 0.50 s"
 
 
@@ -84,7 +84,7 @@ def test_a_stream_that_comes_back_lets_the_robots_go_on():
     course = running()
     for late in (50, 110, 200, 300):
         course.tick(after=late * MS)
-    assert course.frame(step=310 * MS).state is State.RUN
+    assert course.frame(step=310 * MS).state is GuardState.RUN
 
 
 def test_old_frames_that_come_late_are_no_new_frames():
@@ -102,11 +102,11 @@ def test_an_untracked_robot_stops_after_50_ms_alone_and_the_run_aborts_at_300():
     moving = [course.frames(1, lost).moving for _ in range(10)]
     assert moving[5] == (True, True)  # 48 ms
     assert moving[6] == (False, True)  # 56 ms
-    assert course.guard.state is State.HOLD
+    assert course.guard.state is GuardState.HOLD
     course.frames(26, lost)
-    assert course.guard.state is State.HOLD
+    assert course.guard.state is GuardState.HOLD
     course.frames(2, lost)
-    assert course.guard.state is State.ABORT
+    assert course.guard.state is GuardState.ABORT
     assert course.guard.reason.startswith("green is not tracked")
 
 
@@ -119,7 +119,7 @@ def test_a_robot_tracked_again_moves_again():
 @pytest.mark.parametrize("fault", ["edit mode", "the frame counter went back"])
 def test_a_stream_not_of_now_aborts_at_once(fault):
     course = running()
-    assert course.frame(fault=fault).state is State.ABORT
+    assert course.frame(fault=fault).state is GuardState.ABORT
     assert course.guard.reason == fault
 
 
@@ -127,19 +127,19 @@ def test_one_jump_is_dropped_and_a_jump_that_stays_aborts():
     course = running()
     away = (Pose(900.0, 500.0, 0.3), PLACES[1])
     assert course.frame(away).poses[0] == PLACES[0]
-    assert course.frames(1).state is State.RUN
+    assert course.frames(1).state is GuardState.RUN
     assert course.guard.jumps == 1
     course.frames(8, away)
-    assert course.guard.state is State.HOLD
+    assert course.guard.state is GuardState.HOLD
     course.frames(40, away)
-    assert course.guard.state is State.ABORT
+    assert course.guard.state is GuardState.ABORT
     assert course.guard.reason.startswith("green is not tracked: its pose jumped")
 
 
 def test_swapped_identities_abort():
     course = running()
     course.frames(50, PLACES[::-1])
-    assert course.guard.state is State.ABORT
+    assert course.guard.state is GuardState.ABORT
     assert "its pose jumped" in course.guard.reason
 
 
@@ -158,7 +158,7 @@ def test_driving_is_no_jump():
         course.frame((Pose(x, 500.0, 0.3), PLACES[1]))
         course.guard.steered(course.at)
     assert course.guard.jumps == 0
-    assert course.guard.state is State.RUN
+    assert course.guard.state is GuardState.RUN
 
 
 def test_a_robot_about_to_leave_the_arena_stops_before_the_edge():
@@ -168,7 +168,7 @@ def test_a_robot_about_to_leave_the_arena_stops_before_the_edge():
     course.guard.ready()
     course.guard.go(course.at)
     x = 1960.0
-    while course.guard.state is not State.ABORT and x < 2000.0:
+    while course.guard.state is not GuardState.ABORT and x < 2000.0:
         x += 200.0 * FRAME / 1e9
         course.frame((Pose(x, 500.0, 0.0), PLACES[1]))
     assert course.guard.reason == "green is about to leave the arena"
@@ -182,29 +182,29 @@ def test_robots_that_come_too_close_abort():
     course.guard.ready()
     course.guard.go(course.at)
     gap = 300.0
-    while course.guard.state is not State.ABORT and gap > 0:
+    while course.guard.state is not GuardState.ABORT and gap > 0:
         gap -= 300.0 * FRAME / 1e9
         course.frame((Pose(500.0, 500.0, 0.0), Pose(500.0 + gap, 500.0, math.pi)))
     assert course.guard.reason.startswith("green and blue are too close")
     assert gap > 110.0
 
 
-def test_bad_datagrams_abort_above_a_rate_only():
+def test_damaged_frames_abort_above_a_rate_only():
     course = running()
     for _ in range(200):  # 12.5 a second
         course.bad += course.number % 10 == 0
         course.frames(1)
-    assert course.guard.state is State.RUN
+    assert course.guard.state is GuardState.RUN
     for _ in range(25):
         course.bad += 1
         course.frames(1)
-    assert course.guard.state is State.ABORT
-    assert course.guard.reason.endswith("damaged datagrams within a second")
+    assert course.guard.state is GuardState.ABORT
+    assert course.guard.reason.endswith("damaged camera frames within a second")
 
 
 def test_a_radio_that_fails_aborts():
     course = running()
-    assert course.tick(failure="the radio's port is gone").state is State.ABORT
+    assert course.tick(failure="the radio's port is gone").state is GuardState.ABORT
     assert course.guard.reason == "the radio's port is gone"
 
 
@@ -214,7 +214,7 @@ def test_late_steps_abort_in_a_row_only():
         for _ in range(RULES.late_steps - 1):
             course.guard.late(True)
         course.guard.late(False)
-    assert course.guard.state is State.RUN
+    assert course.guard.state is GuardState.RUN
     for _ in range(RULES.late_steps):
         course.guard.late(True)
     assert course.guard.reason == "5 control steps in a row were late"
@@ -222,7 +222,7 @@ def test_late_steps_abort_in_a_row_only():
 
 def test_a_controller_that_falls_silent_stops_the_robots():
     course = running()
-    while course.guard.state is not State.ABORT:
+    while course.guard.state is not GuardState.ABORT:
         course.frame()
         assert course.at < 3000 * MS
     assert course.guard.reason.startswith("5 control steps in a row were late: no direction")
@@ -232,7 +232,7 @@ def test_a_program_that_slept_does_not_go_on():
     course = running()
     course.at += 2000 * MS
     ruling = course.frame()
-    assert ruling.state is State.ABORT
+    assert ruling.state is GuardState.ABORT
     assert ruling.reason == "this program stood still for 2.0 s"
 
 
@@ -247,17 +247,17 @@ def test_the_operators_stop_is_an_emergency_and_the_first_reason_stays():
 def drive(told, done, turning=(0.0, 0.0), turned=0.0, seconds=1.3):
     """Tell green to drive at `told` [mm/s, rad/s]; it does `done`; return the warnings."""
     course = running()
-    course.guard.told(course.at, (told, 0.0), turning)
+    course.guard.sent(course.at, (told, 0.0), turning)
     x, y, heading, warnings = 500.0, 500.0, 0.3, []
     for _ in range(round(seconds * 1e9 / FRAME)):
         dt = FRAME / 1e9
         heading += turned * dt
         x += done * dt * math.cos(heading)
         y += done * dt * math.sin(heading)
-        course.guard.told(course.at, (told, 0.0), turning)
+        course.guard.sent(course.at, (told, 0.0), turning)
         warnings += course.frame((Pose(x, y, heading), PLACES[1])).warnings
         course.guard.steered(course.at)
-    assert course.guard.state is State.RUN
+    assert course.guard.state is GuardState.RUN
     return warnings
 
 
@@ -265,9 +265,9 @@ def test_robots_that_do_not_do_as_told_are_warned_of_once():
     assert drive(200.0, 200.0) == []
     assert drive(200.0, 170.0) == []
     stuck = drive(200.0, 0.0, seconds=2.5)
-    assert stuck == ["green does not move as told: battery, motor or radio?"]
+    assert stuck == ["green does not move as told: power, drive or link?"]
     (backward,) = drive(200.0, -200.0)
-    assert backward.startswith("green drives backward")
+    assert backward.startswith("green moves backward")
     (swapped,) = drive(200.0, 150.0, turning=(1.5, 0.0), turned=-1.5)
     assert swapped.startswith("green turns the wrong way")
 
@@ -275,7 +275,7 @@ def test_robots_that_do_not_do_as_told_are_warned_of_once():
 def test_rest_lets_nothing_move_and_needs_a_new_go():
     course = running()
     course.guard.rest()
-    assert course.frames(1).state is State.READY
+    assert course.frames(1).state is GuardState.READY
     assert not any(course.frames(1).moving)
     course.guard.go(course.at)
     assert all(course.frames(1).moving)
@@ -354,8 +354,8 @@ class GuardMachine(RuleBasedStateMachine):
         if not hasattr(self, "guard"):
             return
         if self.aborted:
-            assert (self.guard.state, self.guard.reason) == (State.ABORT, self.aborted)
-        assert bool(self.guard.reason) == (self.guard.state is State.ABORT)
+            assert (self.guard.state, self.guard.reason) == (GuardState.ABORT, self.aborted)
+        assert bool(self.guard.reason) == (self.guard.state is GuardState.ABORT)
         self.aborted = self.guard.reason
 
     @invariant()
@@ -364,9 +364,9 @@ class GuardMachine(RuleBasedStateMachine):
         self.ruling = None
         if ruling is None:
             return
-        if ruling.state not in (State.RUN, State.HOLD):
+        if ruling.state not in (GuardState.RUN, GuardState.HOLD):
             assert not any(ruling.moving)
-        assert (ruling.state is State.RUN) <= all(ruling.moving)
+        assert (ruling.state is GuardState.RUN) <= all(ruling.moving)
         for i, moving in enumerate(ruling.moving):
             if moving:
                 assert self.now - self.exposed <= RULES.stale_ns

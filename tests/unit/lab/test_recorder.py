@@ -9,9 +9,10 @@ from support.paths import ROOT
 from tetractl.core.errors import LogError
 from tetractl.lab.cameras.optitrack.messages import Request
 from tetractl.lab.cameras.optitrack.placement import Placement
+from tetractl.lab.cameras.optitrack.replay import replay_cameras
 from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, Stream
 from tetractl.lab.cameras.optitrack.wire import pack
-from tetractl.lab.recorder import Passage, WireRecorder, replay_cameras
+from tetractl.lab.recorder import Passage, WireRecorder
 from tetractl.log.format.wire import read_wire
 from tetractl.log.read import salvage
 

@@ -11,6 +11,7 @@ from typing import Any, TypeVar, cast
 
 from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import Loc, Problem, dotted
+from tetractl.experiment.yaml.upgrade_lab import upgrade_labs
 
 Note = TypeVar("Note")
 
@@ -76,6 +77,7 @@ def upgrade(document: Document) -> None:
     """Bring a document to today's names; what was changed joins its notices."""
     for change in UPGRADES:
         change.apply(document)
+    upgrade_labs(document)
 
 
 def upgraded_path(steps: list[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The emulated radio's serial port: a pseudo-terminal under a name of its own."""
+"""An emulated device's serial port: a pseudo-terminal under a name of its own."""
 
 import errno
 import os
@@ -74,15 +74,15 @@ class PseudoPort:
             self.link.symlink_to(target)
         except FileExistsError:
             raise UsageError(
-                f"{self.link} is there already, perhaps a real radio",
+                f"{self.link} is there already, perhaps a real device",
                 hint="choose another name with --port-link, and give it to the runner by "
-                "--set lab.radio.port=NAME",
+                "--set lab.actuator.port=NAME",
             ) from None
         except OSError as error:
             raise UsageError(
                 f"cannot make the port {self.link}: {error.strerror}",
                 hint="choose another name with --port-link, and give it to the runner by "
-                "--set lab.radio.port=NAME",
+                "--set lab.actuator.port=NAME",
             ) from None
         self._target = target
 

@@ -1,144 +1,62 @@
 """A script for the emulated lab: how it differs from the spec, which faults happen when, and what
 is expected of whoever drives it."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
+from pydantic_core import ErrorDetails, PydanticCustomError
 
+from tetractl.core.errors import SpecError
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
-from tetractl.experiment.lab import LabWheel
 from tetractl.experiment.load import frozen
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, Problem
-
-Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=-127, le=127)]
-
-FAULTS: dict[str, tuple[str, ...]] = {
-    "no_server": (),
-    "no_frames": (),
-    "freeze": (),
-    "counter_back": ("frames",),
-    "edit_mode": (),
-    "bad_datagrams": ("share",),
-    "other_version": ("version",),
-    "untracked": ("robot",),
-    "jump": ("robot", "by"),
-    "swap": ("robot", "other"),
-    "nan": ("robot",),
-    "bad_quaternion": ("robot",),
-    "veer": ("robot", "counts"),
-    "wheel_stuck": ("robot", "wheel"),
-    "unplug": (),
-    "stuck_port": (),
-    "loss": ("share",),
-    "off": ("robot",),
-    "wrong_id": ("robot", "id"),
-    "low_battery": ("robot", "millivolts"),
-    "mark": ("name",),
-}
-"""Each fault and the keys it needs; it takes no others but `at`, `since` and `for`."""
+from tetractl.lab.emulate.faults import Fault, Mark
+from tetractl.lab.emulate.kinds import ACTUATORS, CAMERAS
 
 
-class Fault(Model):
-    """One thing that goes wrong."""
-
-    fault: str
-    """What: a key of `FAULTS`."""
-    at: NonNegative = 0.0
-    """When, after `since` [s]."""
-    since: Literal["start", "client", "run"] = "run"
-    """`start` of the emulation, the first `client` of the cameras, or the first wheel command of a
-    `run`."""
-    duration: Positive | None = Field(default=None, alias="for")
-    """How long [s]; for good by default."""
-    robot: Name | None = None
-    """The robot it happens to."""
-    other: Name | None = None
-    """The robot whose identity it takes."""
-    by: Point | None = None
-    """How far its pose jumps [mm]."""
-    counts: tuple[Count, Count] | None = None
-    """What its motors get instead of any count but 0, as sent."""
-    wheel: Literal["left", "right", "both"] | None = None
-    """Which wheel does not turn any more."""
-    share: Share | None = None
-    """How many of all, 0 to 1."""
-    frames: int | None = Field(default=None, ge=1, le=1_000_000)
-    """How far the frame counter goes back."""
-    id: int | None = Field(default=None, ge=0, le=31)
-    """The number in broadcasts that its firmware was built with."""
-    millivolts: int | None = Field(default=None, ge=0, le=9000)
-    """The battery's voltage."""
-    version: str | None = Field(default=None, pattern=r"^[2-4]\.\d{1,2}$")
-    """Protocol version of the frames, whatever the server told."""
-    name: Name | None = None
-    """What the mark is called."""
-
-    @model_validator(mode="after")
-    def _has_what_it_needs(self) -> Self:
-        if self.fault not in FAULTS:
-            raise ValueError(f"fault must be one of {', '.join(FAULTS)}")
-        every = {key for keys in FAULTS.values() for key in keys}
-        given = {key for key in every if getattr(self, key) is not None}
-        needed = set(FAULTS[self.fault])
-        if missing := needed - given:
-            raise ValueError(f"{self.fault} needs {', '.join(sorted(missing))}")
-        if surplus := given - needed:
-            raise ValueError(f"{self.fault} does not take {', '.join(sorted(surplus))}")
-        return self
+def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
+    """Return the fault that a mapping's `fault` names among those of the script's devices."""
+    if isinstance(value, Fault):
+        return value
+    kinds = _sides(info).faults
+    name = value.get("fault") if isinstance(value, dict) else None
+    if name not in kinds:
+        text = f"fault must be one of {', '.join(kinds)}"
+        raise PydanticCustomError("fault", "{text}", {"text": text})
+    return kinds[name].model_validate(value, strict=True)
 
 
-class TrueRobot(Model):
-    """A robot as it truly is, where that differs from what the spec says of it."""
+def _camera_settings(value: Any, info: ValidationInfo) -> Model:
+    return _sides(info).camera.Settings.model_validate(value, strict=True)
+
+
+def _actuator_settings(value: Any, info: ValidationInfo) -> Model:
+    return _sides(info).actuator.Settings.model_validate(value, strict=True)
+
+
+class Placed(Model):
+    """Where a robot truly stands at first, where that is not its start."""
 
     name: Name
     """Name of a robot of the spec."""
     start: Point | None = None
-    """Where it stands at first [length unit]."""
+    """Where it stands [length unit]."""
     heading: Finite | None = None
-    """How it stands at first [rad]."""
-    left: LabWheel | None = None
-    """Its left wheel."""
-    right: LabWheel | None = None
-    """Its right wheel."""
-    swap: bool | None = None
-    """Whether its left wheel hangs on the motor meant for the right."""
-    radius_mm: Positive | None = None
-    """Distance r from a wheel to its centre [mm]."""
-    heading_offset: Finite | None = None
-    """Heading of the robot less that of its rigid body [rad]."""
-    lag: Annotated[float, Field(gt=0, le=1)] = 0.04
-    """Time constant of its wheels [s]."""
-    battery_mv: int = Field(default=5100, ge=0, le=9000)
-    """Its battery's voltage without load."""
+    """How it stands [rad]."""
 
 
 class Emulation(Model):
     """How the emulated lab differs from what the spec says."""
 
-    version: str = Field(default="4.1", pattern=r"^[2-4]\.\d{1,2}$")
-    """The camera server's protocol version, 2.6 to 4.3."""
-    rate: float = Field(default=120.0, ge=1, le=500)
-    """Camera frames a second [Hz]."""
-    latency: float = Field(default=0.0054, ge=0, le=1)
-    """From exposure to transmission [s]."""
-    up: Literal["y", "z"] | None = None
-    """The cameras' vertical axis; the spec's, or y."""
-    knows_up_axis: bool = True
-    """Whether the server answers `UpAxis`."""
-    firmware: Literal["802.15.4", "zigbee"] = "802.15.4"
-    """What the radio's module runs."""
-    baud: Literal[9600, 19200, 38400, 57600, 115200] | None = None
-    """The module's speed; the spec's by default."""
-    mode: Literal["api2", "api1", "transparent"] | None = None
-    """The module's mode; the spec's by default."""
-    loss: Share = 0.0
-    """Probability that a robot does not hear a transmission."""
-    robots: tuple[TrueRobot, ...] = ()
-    """The robots that are not as the spec says."""
+    camera: Annotated[Model, PlainValidator(_camera_settings)] | None = None
+    """The camera's side; its fields depend on the camera's type."""
+    actuator: Annotated[Model, PlainValidator(_actuator_settings)] | None = None
+    """The actuator's side; its fields depend on the actuator's type."""
+    robots: tuple[Placed, ...] = ()
+    """The robots that do not stand on their starts at first."""
 
 
 class Runner(Model):
@@ -166,7 +84,7 @@ class Expect(Model):
     says: str = ""
     """A regular expression for what the runner says, in its output or its log."""
     tolerance: NonNegative | None = None
-    """The fault's own tolerance [s]; the stop frame leaves within 0.1 s more."""
+    """The fault's own tolerance [s]; the stop leaves within 0.1 s more."""
     robots: tuple[Name, ...] = ()
     """The robots that have to stop; all by default."""
     still: Positive | None = None
@@ -186,7 +104,9 @@ class Script(Model):
     """The kind of fault it stands for."""
     emulation: Emulation = Emulation()
     """How the emulated lab differs from what the spec says."""
-    faults: tuple[Fault, ...] = Field(default=(), max_length=100)
+    faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
+        default=(), max_length=100
+    )
     """What goes wrong, and when."""
     runner: Runner = Runner()
     """What a test does to whoever drives the lab."""
@@ -197,22 +117,53 @@ class Script(Model):
 NOTHING = Script(about="nothing goes wrong")
 
 
-def load_script(path: Path) -> Script:
-    """Read a script; InvalidSpecError with a line for each problem."""
-    return parse_script(read_text(path), str(path))
+@dataclass(frozen=True, slots=True)
+class Sides:
+    """The classes that emulate a lab's camera and actuator."""
+
+    camera: Any
+    actuator: Any
+
+    @classmethod
+    def of(cls, camera: str, actuator: str) -> Self:
+        """Return the classes for a lab's types; SpecError where one cannot be emulated."""
+        for registry, name in ((CAMERAS, camera), (ACTUATORS, actuator)):
+            if name not in registry:
+                known = ", ".join(registry.names())
+                raise SpecError(f"{name} cannot be emulated", f"what can: {known}")
+        return cls(CAMERAS.load(camera), ACTUATORS.load(actuator))
+
+    @property
+    def faults(self) -> dict[str, type[Fault]]:
+        """Every fault that the lab can have, by name."""
+        kinds = (*self.camera.faults, *self.actuator.faults, Mark)
+        return {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in kinds}
 
 
-def parse_script(text: str, origin: str) -> Script:
+def load_script(path: Path, camera: str = "optitrack", actuator: str = "m3pi-xbee") -> Script:
+    """Read a script for a lab of these types; InvalidSpecError with a line for each problem."""
+    return parse_script(read_text(path), str(path), camera, actuator)
+
+
+def parse_script(
+    text: str, origin: str, camera: str = "optitrack", actuator: str = "m3pi-xbee"
+) -> Script:
     """Read the text of a script; `origin` is what problems call it."""
     document = parse_document(text, origin)
+    sides = Sides.of(camera, actuator)
     try:
-        script = Script.model_validate(frozen(document.data), strict=True)
+        script = Script.model_validate(frozen(document.data), strict=True, context={"sides": sides})
     except ValidationError as error:
         problems = [_problem(details, document) for details in error.errors(include_url=False)]
         raise InvalidSpecError([*document.found, *problems]) from None
     if document.found:
         raise InvalidSpecError(document.found)
     return script
+
+
+def _sides(info: ValidationInfo) -> Sides:
+    assert info.context is not None, "parse_script gives the sides"
+    return info.context["sides"]
 
 
 def _problem(details: ErrorDetails, document: Document) -> Problem:

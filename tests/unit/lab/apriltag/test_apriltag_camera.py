@@ -10,6 +10,7 @@ from tagscene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Poses
+from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.section import FloorTag
 from tetractl.lab.emulate.apriltag.mjpeg import EmulatedNetworkCamera
 from tetractl.lab.emulate.apriltag.renderer import Renderer
@@ -41,7 +42,7 @@ def standing(t_ns):
 def built(source, clock=None, **changes):
     woken = Woken()
     made = section(source, **{"connect": PATIENCE_S, **changes})
-    return made.build(NAMES, MM, clock or VirtualClock(), woken), woken
+    return AprilTagCamera(made, NAMES, MM, clock or VirtualClock(), woken), woken
 
 
 def pictures(renderer, count, poses_at=standing):

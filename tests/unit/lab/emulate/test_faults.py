@@ -8,13 +8,16 @@ import pytest
 import serial
 from support.emulated_lab import Client, emulated, turn_until
 
-from tetractl.lab.actuators.m3pi.broadcast import Command, Flag, decode_reply, encode_command
+from tetractl.lab.actuators.m3pi.broadcast import (
+    BroadcastCommand,
+    Flag,
+    decode_reply,
+    encode_command,
+)
 from tetractl.lab.actuators.xbee.frames import AtCommand, Receive16, Transmit16
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
-from tetractl.lab.cameras.optitrack.messages import Connect, Frame, ServerInfo
+from tetractl.lab.cameras.optitrack.messages import Connect, NatNetFrame, ServerInfo
 from tetractl.lab.cameras.optitrack.wire import parse
-from tetractl.lab.emulate.faults import ACTS
-from tetractl.lab.emulate.script import FAULTS
 from tetractl.lab.errors import WireError
 
 RUN = ((60, 60), (60, 60))
@@ -45,15 +48,11 @@ def faulty(tmp_path):
 
 def frames(lab, client, count=3):
     client.ask(Connect(), ServerInfo)
-    return client.next(Frame, count)
+    return client.next(NatNetFrame, count)
 
 
 def fault_seen(lab, name):
     turn_until(lab, lambda: ("fault", name, "start") in lab.told)
-
-
-def test_every_fault_is_done_by_something():
-    assert set(FAULTS) == set(ACTS)
 
 
 def test_no_server(faulty):
@@ -70,18 +69,18 @@ def test_no_frames(faulty):
     assert client.ask(Connect(), ServerInfo)
     before = lab.timeline.now_ns
     turn_until(lab, lambda: lab.timeline.now_ns > before + 100_000_000)
-    assert not [message for message in client.poll() if isinstance(message, Frame)]
+    assert not [message for message in client.poll() if isinstance(message, NatNetFrame)]
 
 
 def test_freeze_repeats_one_frame(faulty):
     lab, client = faulty("fault: freeze, for: 0.2")
     client.ask(Connect(), ServerInfo)
     turn_until(lab, lambda: ("fault", "freeze", "end") in lab.told)
-    client.next(Frame, 4)
-    got = [frame.number for frame in client.got if isinstance(frame, Frame)]
+    client.next(NatNetFrame, 4)
+    got = [frame.number for frame in client.got if isinstance(frame, NatNetFrame)]
     while got[-1] == got[0]:
-        client.next(Frame, len(got) + 1)
-        got = [frame.number for frame in client.got if isinstance(frame, Frame)]
+        client.next(NatNetFrame, len(got) + 1)
+        got = [frame.number for frame in client.got if isinstance(frame, NatNetFrame)]
     assert got.count(got[0]) > 5
     assert got[-1] > got[0] + 5
 
@@ -90,8 +89,8 @@ def test_counter_back(faulty):
     lab, client = faulty("fault: counter_back, frames: 500, at: 0.1", since="client")
     client.ask(Connect(), ServerInfo)
     fault_seen(lab, "counter_back")
-    client.next(Frame)
-    numbers = [frame.number for frame in client.poll() if isinstance(frame, Frame)]
+    client.next(NatNetFrame)
+    numbers = [frame.number for frame in client.poll() if isinstance(frame, NatNetFrame)]
     steps = {b - a for a, b in itertools.pairwise(numbers)}
     assert steps == {1, -499}
 
@@ -138,9 +137,9 @@ def test_untracked_holds_the_last_pose(faulty):
     lab, client = faulty("fault: untracked, robot: blue", since="client")
     client.ask(Connect(), ServerInfo)
     fault_seen(lab, "untracked")
-    lab.robot("blue").place(900, 900, 0)
+    lab.actuator.robot("blue").place(900, 900, 0)
     client.got.clear()
-    frame = client.next(Frame, 3)[-1]
+    frame = client.next(NatNetFrame, 3)[-1]
     green, blue = frame.bodies
     assert (green.tracking_valid, blue.tracking_valid) == (True, False)
     assert blue.mean_error == 0.0
@@ -181,12 +180,12 @@ def driven(faulty):
 
     def start(fault):
         lab, _ = faulty(fault)
-        port = serial.Serial(str(lab.port.link), 57600, timeout=0, write_timeout=0.02)
+        port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.02)
         ports.append(port)
         turn_until(lab, lambda: ("fault", fault.split()[1].strip(","), "start") in lab.told)
 
         def send(sequence, *wheels, flags=Flag.RUN):
-            payload = encode_command(Command(sequence, flags, wheels))
+            payload = encode_command(BroadcastCommand(sequence, flags, wheels))
             port.write(encode(Transmit16(0, 0xFFFF, 0, payload)))
 
         return lab, port, send
@@ -199,17 +198,17 @@ def driven(faulty):
 def test_veer_and_stop(driven):
     lab, _, send = driven("fault: veer, robot: green, counts: [80, 40]")
     send(1, *RUN)
-    turn_until(lab, lambda: lab.robot("blue").counts() == (60, 60))
-    assert lab.robot("green").counts() == (80, 40)
+    turn_until(lab, lambda: lab.actuator.robot("blue").counts() == (60, 60))
+    assert lab.actuator.robot("green").counts() == (80, 40)
     send(2, flags=Flag(0))
-    turn_until(lab, lambda: all(robot.standing for robot in lab.robots))
+    turn_until(lab, lambda: all(robot.standing for robot in lab.actuator.robots))
 
 
 def test_wheel_stuck(driven):
     lab, _, send = driven("fault: wheel_stuck, robot: green, wheel: left")
     send(1, *RUN)
-    turn_until(lab, lambda: lab.robot("green").right > 100)
-    assert lab.robot("green").left == 0.0
+    turn_until(lab, lambda: lab.actuator.robot("green").right > 100)
+    assert lab.actuator.robot("green").left == 0.0
 
 
 def replies(lab, port, send, count):
@@ -246,15 +245,15 @@ def test_loss_of_everything(driven):
     send(1, *RUN)
     before = lab.timeline.now_ns
     turn_until(lab, lambda: lab.timeline.now_ns > before + 50_000_000)
-    assert not any(any(robot.counts()) for robot in lab.robots)
+    assert not any(any(robot.counts()) for robot in lab.actuator.robots)
 
 
 def test_unplug(faulty):
     lab, _ = faulty("fault: unplug, at: 0.05")
-    port = serial.Serial(str(lab.port.link), 57600, timeout=0, write_timeout=0.02)
+    port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.02)
     try:
         fault_seen(lab, "unplug")
-        assert not lab.port.link.exists()
+        assert not lab.actuator.port.link.exists()
         with pytest.raises(serial.SerialException):
             port.write(b"x")
     finally:
@@ -284,15 +283,15 @@ def test_robots_are_put_back_and_restarted(tmp_path):
     told = []
     lab = emulated(tmp_path, replace_after=0.1, tell=lambda event, facts: told.append(event))
     with lab:
-        green = lab.robot("green")
-        green.hear(encode_command(Command(1, Flag.RUN, RUN)))
+        green = lab.actuator.robot("green")
+        green.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
         turn_until(lab, lambda: green.x > 510)
-        green.hear(encode_command(Command(2, Flag.EMERGENCY_STOP)))
-        turn_until(lab, lambda: not lab.sights[0].tracked)
+        green.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
+        turn_until(lab, lambda: not lab.camera.tracked[0].tracked)
         assert not green.powered
         turn_until(lab, lambda: "placed" in told)
         assert (green.x, green.y, green.heading) == (500, 500, 0.5)
-        green.hear(encode_command(Command(3, Flag.RUN, RUN)))
+        green.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
         assert green.counts() == (60, 60)
 
 
@@ -304,7 +303,7 @@ def test_nothing_is_left_open(tmp_path):
     before = open_files()
     for _ in range(3):
         with emulated(tmp_path) as lab:
-            lab.unplug()
-            lab.plug()
+            lab.actuator.unplug()
+            lab.actuator.plug()
     assert open_files() == before
     assert [path.name for path in tmp_path.iterdir()] == ["record.jsonl"]

@@ -17,9 +17,9 @@ from tetractl.lab.cameras.optitrack.messages import (
     Connect,
     EchoRequest,
     EchoResponse,
-    Frame,
     Kind,
     ModelDef,
+    NatNetFrame,
     Request,
     Response,
     ServerInfo,
@@ -28,11 +28,11 @@ from tetractl.lab.cameras.optitrack.messages import (
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 from tetractl.lab.cameras.optitrack.wire import pack
 from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.motive import Motive
-from tetractl.lab.emulate.motive_server import ticks
-from tetractl.lab.emulate.streaming import Streaming
+from tetractl.lab.emulate.optitrack.motive import Motive
+from tetractl.lab.emulate.optitrack.server import ticks
+from tetractl.lab.emulate.optitrack.streaming import Streaming
 
-MULTICAST = ("lab.mocap.transport=multicast", "lab.mocap.group=239.255.42.98")
+MULTICAST = ("lab.camera.transport=multicast", "lab.camera.group=239.255.42.98")
 
 
 @pytest.fixture
@@ -53,16 +53,16 @@ def opened(tmp_path):
 
 @pytest.mark.parametrize("version", ["2.6", "2.9", "3.0", "3.1", "4.0", "4.1", "4.2", "4.3"])
 def test_handshake_models_and_frames(opened, version):
-    lab, client = opened(script=f"emulation: {{version: '{version}'}}")
+    lab, client = opened(script=f"emulation: {{camera: {{version: '{version}'}}}}")
     info = client.ask(Connect("a test"), ServerInfo)
     assert str(info.version) == version
     assert "EMULATED" in info.name
     if info.version >= (3, 0):
-        assert info.data_port == lab.motive.data_port
+        assert info.data_port == lab.camera.motive.data_port
         assert info.multicast is False
     models = client.ask(Bare(Kind.REQUEST_MODELDEF), ModelDef)
     assert models.ids() == {"Green": 1, "blue": 7}
-    first, second = client.next(Frame, 2)
+    first, second = client.next(NatNetFrame, 2)
     assert second.number == first.number + 1
     assert [body.id for body in first.bodies] == [1, 7]
     assert first.params == 0
@@ -75,13 +75,13 @@ def test_handshake_models_and_frames(opened, version):
 
 def test_axes_origin_rotation_and_heading_offset(opened):
     _lab, client = opened(
-        "lab.mocap.origin=[100, -50]",
-        "lab.mocap.rotation=0.7",
-        "lab.robots.0.heading_offset=0.2",
-        script="emulation: {up: z}",
+        "lab.camera.origin=[100, -50]",
+        "lab.camera.rotation=0.7",
+        "lab.camera.robots.0.heading_offset=0.2",
+        script="emulation: {camera: {up: z}}",
     )
     client.ask(Connect(), ServerInfo)
-    body = client.next(Frame).bodies[0]
+    body = client.next(NatNetFrame).bodies[0]
     pose = planar_pose(body, UpAxis.Z, 0.2)
     cos, sin = math.cos(0.7), math.sin(0.7)
     assert 100 + 1000 * (cos * pose.x - sin * pose.y) == pytest.approx(500, abs=1e-3)
@@ -98,7 +98,7 @@ def test_requests(opened):
 
 
 def test_up_axis_may_be_unknown(opened):
-    _, client = opened(script="emulation: {knows_up_axis: false}")
+    _, client = opened(script="emulation: {camera: {knows_up_axis: false}}")
     assert client.ask(Request("UpAxis"), Bare).kind is Kind.UNRECOGNIZED
 
 
@@ -114,41 +114,41 @@ def test_echo_tells_a_clock_of_its_own(opened):
 
 
 def test_a_client_can_pin_the_version(opened):
-    lab, client = opened(script="emulation: {version: '4.2'}")
+    lab, client = opened(script="emulation: {camera: {version: '4.2'}}")
     client.version = Version(3, 1)
     info = client.ask(Connect(bitstream=(3, 1, 0, 0)), ServerInfo)
     assert info.version == (4, 2)
-    assert client.next(Frame).precision is None
+    assert client.next(NatNetFrame).precision is None
     client.version = Version(2, 9)
     client.got.clear()
     client.send(Request("Bitstream,2.9"))
-    turn_until(lab, lambda: next(iter(lab.motive.desk.clients.values())).version == (2, 9))
+    turn_until(lab, lambda: next(iter(lab.camera.motive.server.clients.values())).version == (2, 9))
     while True:  # a frame of the old version may still be on its way
         try:
             client.poll()
             break
         except ValueError:
             client.got.clear()
-    assert client.next(Frame).ticks is None
+    assert client.next(NatNetFrame).ticks is None
 
 
 def test_unicast_clients_time_out_and_are_kept_alive(opened):
     lab, client = opened()
     client.ask(Connect(), ServerInfo)
-    (known,) = lab.motive.desk.clients.values()
+    (known,) = lab.camera.motive.server.clients.values()
     known.heard_ns -= 4_000_000_000
     before = known.heard_ns
     client.send(Bare(Kind.KEEPALIVE))
     turn_until(lab, lambda: known.heard_ns != before)
-    client.next(Frame)
+    client.next(NatNetFrame)
     known.heard_ns -= 6_000_000_000
-    turn_until(lab, lambda: not lab.motive.desk.clients)
-    assert lab.motive.counts.timed_out == 1
+    turn_until(lab, lambda: not lab.camera.motive.server.clients)
+    assert lab.camera.motive.counts.timed_out == 1
     client.send(Bare(Kind.KEEPALIVE))  # too late: it has to connect again
     client.ask(Request("FrameRate"), Response)
-    assert not lab.motive.desk.clients
+    assert not lab.camera.motive.server.clients
     client.ask(Connect(), ServerInfo)
-    client.next(Frame)
+    client.next(NatNetFrame)
 
 
 def test_latency_and_jitter_are_those_of_the_real_capture():
@@ -177,14 +177,14 @@ def test_latency_and_jitter_are_those_of_the_real_capture():
 def test_garbage_is_counted_and_survived(opened):
     lab, client = opened()
     for noise in (b"", b"\0", b"\xff" * 300, pack(Connect())[:-1]):
-        client.socket.sendto(noise, ("127.0.0.1", lab.motive.command_port))
-    turn_until(lab, lambda: lab.motive.counts.refused == 4)
+        client.socket.sendto(noise, ("127.0.0.1", lab.camera.motive.command_port))
+    turn_until(lab, lambda: lab.camera.motive.counts.refused == 4)
     assert client.ask(Connect(), ServerInfo)
 
 
 def test_multicast(opened):
     lab, client = opened(*MULTICAST)
-    port = lab.motive.data_port
+    port = lab.camera.motive.data_port
     info = client.ask(Connect(), ServerInfo)
     assert (info.multicast, info.group, info.data_port) == (True, (239, 255, 42, 98), port)
     data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -194,10 +194,10 @@ def test_multicast(opened):
         group = socket.inet_aton("239.255.42.98") + socket.inet_aton("127.0.0.1")
         data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
         own, client.socket = client.socket, data
-        first, second = client.next(Frame, 2)
+        first, second = client.next(NatNetFrame, 2)
         client.socket = own
         assert second.number == first.number + 1
-        assert client.got and not lab.motive.desk.clients
+        assert client.got and not lab.camera.motive.server.clients
     finally:
         data.close()
 
@@ -206,7 +206,7 @@ def test_a_port_that_is_taken_is_refused(opened, tmp_path):
     lab, _ = opened()
     other = tmp_path / "other"
     other.mkdir()
-    taken = emulated(other, command_port=lab.motive.command_port)
+    taken = emulated(other, command_port=lab.camera.motive.command_port)
     with pytest.raises(TetractlError, match="cannot take UDP"), taken:
         pass
     assert list(other.glob("radio")) == []
@@ -230,8 +230,8 @@ def test_the_public_client_reads_our_frames(opened, transport):
         "127.0.0.1",
         "127.0.0.1",
         multicast_address="239.255.42.98",
-        command_port=lab.motive.command_port,
-        data_port=lab.motive.data_port,
+        command_port=lab.camera.motive.command_port,
+        data_port=lab.camera.motive.data_port,
         use_multicast=multicast,
     )
     try:
@@ -256,7 +256,7 @@ def test_the_public_client_reads_our_frames(opened, transport):
 def test_the_record_tells_what_was_exposed(opened, tmp_path):
     lab, client = opened()
     client.ask(Connect(), ServerInfo)
-    turn_until(lab, lambda: lab.motive.counts.frames > 5)
+    turn_until(lab, lambda: lab.camera.motive.counts.frames > 5)
     lab.close()
     events = [json.loads(line) for line in (tmp_path / "record.jsonl").read_text().splitlines()]
     assert events[0]["event"] == "ready"

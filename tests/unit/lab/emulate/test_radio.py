@@ -6,7 +6,7 @@ from support.emulated_lab import emulated, turn_until
 
 from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import (
-    Command,
+    BroadcastCommand,
     Flag,
     Reply,
     Status,
@@ -26,7 +26,7 @@ from tetractl.lab.actuators.xbee.frames import (
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
 
-POLL = encode_command(Command(9, Flag.POLL))
+POLL = encode_command(BroadcastCommand(9, Flag.POLL))
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def opened(tmp_path):
         lab.__enter__()
         open_now.append(lab)
         port = serial.Serial(
-            str(lab.port.link), baud, timeout=0, write_timeout=0.02, exclusive=True
+            str(lab.actuator.port.link), baud, timeout=0, write_timeout=0.02, exclusive=True
         )
         open_now.append(port)
         return lab, port
@@ -65,7 +65,7 @@ def ask(lab, port, frame, count=1, escaped=True):
 
 @pytest.mark.parametrize(("mode", "escaped"), [("api2", True), ("api1", False)])
 def test_at_commands(opened, mode, escaped):
-    lab, port = opened(f"lab.radio.mode={mode}")
+    lab, port = opened(f"lab.actuator.mode={mode}")
     for command, value in (
         (b"HV", b"\x17\x44"),
         (b"VR", b"\x10\xec"),
@@ -83,14 +83,14 @@ def test_at_commands(opened, mode, escaped):
 
 
 def test_zigbee_firmware_says_so(opened):
-    lab, port = opened(script="emulation: {firmware: zigbee}")
+    lab, port = opened(script="emulation: {actuator: {firmware: zigbee}}")
     (hardware,) = ask(lab, port, AtCommand(1, b"HV"))
     (firmware,) = ask(lab, port, AtCommand(1, b"VR"))
     assert (hardware.data, firmware.data) == (b"\x19\x44", b"\x21\xa7")
 
 
 def test_every_robot_answers_a_poll_in_its_slot(opened):
-    lab, port = opened(script="emulation: {robots: [{name: blue, battery_mv: 4444}]}")
+    lab, port = opened(script="emulation: {actuator: {robots: [{name: blue, battery_mv: 4444}]}}")
     status, *replies = ask(lab, port, Transmit16(5, 0xFFFF, 0, POLL), 3)
     assert status == TransmitStatus(5, 0)
     assert [(reply.source, type(reply)) for reply in replies] == [(1, Receive16), (2, Receive16)]
@@ -109,30 +109,32 @@ def test_unicasts_are_acknowledged_and_broadcasts_never_fail(opened):
     long = ask(lab, port, Transmit(4, 0x0013A200_40000001, 0xFFFE, 0, 0, b"x"))
     assert long == [TransmitStatusLong(4, 0xFFFE, 0, 0, 0)]
     assert ask(lab, port, Transmit64(5, 0xFFFF, 0, b"x")) == [TransmitStatus(5, 0)]
-    lab.radio.loss = 1.0
+    lab.actuator.radio.loss = 1.0
     assert ask(lab, port, Transmit16(6, 0xFFFF, 0, b"x")) == [TransmitStatus(6, 0)]
     assert ask(lab, port, Transmit16(7, 1, 0, b"x")) == [TransmitStatus(7, 1)]
 
 
 def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
     lab, port = opened()
-    frame = encode(Transmit16(0, 0xFFFF, 0, encode_command(Command(1, Flag.RUN, ((60, 60),) * 2))))
+    frame = encode(
+        Transmit16(0, 0xFFFF, 0, encode_command(BroadcastCommand(1, Flag.RUN, ((60, 60),) * 2)))
+    )
     heard = []
-    lab.radio._on_heard = lambda robot, data: heard.append(lab.timeline.now_ns)
+    lab.actuator.radio._on_heard = lambda robot, data: heard.append(lab.timeline.now_ns)
     read = []
-    tell = lab.radio._on_wire
-    lab.radio._on_wire = lambda data: (read.append(lab.timeline.now_ns), tell(data))
+    tell = lab.actuator.radio._on_wire
+    lab.actuator.radio._on_wire = lambda data: (read.append(lab.timeline.now_ns), tell(data))
     port.write(frame)
     turn_until(lab, lambda: len(heard) == 2)
     took = heard[0] - read[0]
     serial_ns = (len(frame) + 12) * 10 * 10**9 // 57600  # 12 bytes leave the robot's module
     assert serial_ns + 500_000 < took < serial_ns + 2_000_000
-    turn_until(lab, lambda: lab.robots[0].left > 100)
-    assert lab.robots[1].counts() == (60, 60)
+    turn_until(lab, lambda: lab.actuator.robots[0].left > 100)
+    assert lab.actuator.robots[1].counts() == (60, 60)
 
 
 def test_transparent_mode_and_its_command_mode(opened):
-    lab, port = opened("lab.radio.mode=transparent")
+    lab, port = opened("lab.actuator.mode=transparent")
     got = bytearray()
 
     def said(text):
@@ -145,7 +147,9 @@ def test_transparent_mode_and_its_command_mode(opened):
     port.write(POLL)
     turn_until(lab, lambda: said(b"\0")() and got.count(0) == 2)
     assert [decode_reply(part).id for part in bytes(got).split(b"\0")[:2]] == [0, 1]
-    lab.radio._module._heard_ns = -2_000_000_000  # a second of silence, without waiting for it
+    lab.actuator.radio._module._heard_ns = (
+        -2_000_000_000
+    )  # a second of silence, without waiting for it
     port.write(b"+++")
     turn_until(lab, said(b"OK\r"))
     port.write(b"ATHV\rATBD\rATQQ\rATCN\r")
@@ -156,11 +160,11 @@ def test_transparent_mode_and_its_command_mode(opened):
 
 
 def test_slaves_hear_only_their_own_unicasts(opened):
-    slave = "lab.protocol={type: slave, accept_no_watchdog: true}"
+    slave = "lab.actuator.protocol={type: slave, accept_no_watchdog: true}"
     lab, port = opened(slave)
     ask(lab, port, Transmit16(1, 2, 0, encode_wheels(40, -40)))
-    turn_until(lab, lambda: lab.robots[1].counts() == (40, -40))
-    assert lab.robots[0].counts() == (0, 0)
+    turn_until(lab, lambda: lab.actuator.robots[1].counts() == (40, -40))
+    assert lab.actuator.robots[0].counts() == (0, 0)
     battery = ask(lab, port, Transmit16(0, 1, 0, b"\xb1"))
     assert battery == [Receive16(1, 40, 0, (5100).to_bytes(2, "little"))]
 
@@ -168,7 +172,7 @@ def test_slaves_hear_only_their_own_unicasts(opened):
 def test_at_another_speed_the_module_hears_nothing(opened):
     lab, port = opened(baud=9600)
     port.write(encode(AtCommand(1, b"HV")))
-    turn_until(lab, lambda: lab.radio.garbled)
+    turn_until(lab, lambda: lab.actuator.radio.garbled)
     assert port.read(100) == b""
     port.baudrate = 57600
     assert ask(lab, port, AtCommand(1, b"HV"))[0].status == 0
@@ -177,17 +181,17 @@ def test_at_another_speed_the_module_hears_nothing(opened):
 def test_a_second_opener_is_refused(opened):
     lab, _ = opened()
     with pytest.raises(serial.SerialException, match="lock"):
-        serial.Serial(str(lab.port.link), 57600, exclusive=True)
+        serial.Serial(str(lab.actuator.port.link), 57600, exclusive=True)
 
 
 def test_a_port_that_is_taken_away_raises_and_comes_back(opened):
     lab, port = opened()
-    lab.unplug()
-    assert not lab.port.link.is_symlink()
+    lab.actuator.unplug()
+    assert not lab.actuator.port.link.is_symlink()
     with pytest.raises(serial.SerialException):
         port.write(b"x")
-    lab.plug()
-    again = serial.Serial(str(lab.port.link), 57600, timeout=0, write_timeout=0.02)
+    lab.actuator.plug()
+    again = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.02)
     try:
         assert ask(lab, again, AtCommand(1, b"HV"))[0].status == 0
     finally:
@@ -196,10 +200,10 @@ def test_a_port_that_is_taken_away_raises_and_comes_back(opened):
 
 def test_a_stuck_port_times_out_and_recovers(opened):
     lab, port = opened()
-    lab.port.stall(True)
+    lab.actuator.port.stall(True)
     with pytest.raises(serial.SerialTimeoutException):
         port.write(b"x")
-    lab.port.stall(False)
+    lab.actuator.port.stall(False)
     assert ask(lab, port, AtCommand(1, b"HV"))[0].status == 0
 
 
@@ -213,5 +217,5 @@ def test_a_name_that_is_taken_is_refused_and_left(tmp_path):
 def test_a_name_left_by_a_killed_emulation_is_taken_over(tmp_path):
     (tmp_path / "radio").symlink_to("/dev/pts/no-such-one")
     with emulated(tmp_path) as lab:
-        assert lab.port.link.exists()
+        assert lab.actuator.port.link.exists()
     assert not (tmp_path / "radio").is_symlink()

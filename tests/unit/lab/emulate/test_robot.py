@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tetractl.lab.actuators.m3pi.broadcast import Command, Flag, encode_command
+from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
 from tetractl.lab.actuators.m3pi.command import Drivetrain, Wheel
 from tetractl.lab.actuators.m3pi.slave import encode_wheels
-from tetractl.lab.emulate.robot import Battery, Firmware, Robot, Slave
+from tetractl.lab.emulate.m3pi.robot import Battery, EmulatedRobot, FirmwareProgram, SlaveProgram
 
 MS = 1_000_000
 LAG = 0.04
@@ -17,14 +17,14 @@ LAG = 0.04
 
 def robot(boot, **facts):
     wheels = Drivetrain(Wheel(5.0, 4), Wheel(5.0, 4))
-    return Robot("green", boot, **{"drivetrain": wheels, "radius": 40.0} | facts, **AT)
+    return EmulatedRobot("green", boot, **{"drivetrain": wheels, "radius": 40.0} | facts, **AT)
 
 
 AT = {"x": 100.0, "y": 200.0, "heading": 0.3}
 
 
 def frame(sequence, *wheels, flags=Flag.RUN):
-    return encode_command(Command(sequence, flags, wheels))
+    return encode_command(BroadcastCommand(sequence, flags, wheels))
 
 
 def covered(speed, seconds):
@@ -35,7 +35,7 @@ def covered(speed, seconds):
 @settings(max_examples=60, deadline=None)
 @given(st.integers(-127, 127), st.integers(-127, 127), st.integers(1, 2000))
 def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
-    one = robot(Slave)
+    one = robot(SlaveProgram)
     one.hear(encode_wheels(left, right))
     one.advance(millis * MS)
     speeds = one.drivetrain.left.speed(left), one.drivetrain.right.speed(right)
@@ -49,7 +49,7 @@ def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
 
 
 def test_a_count_inside_the_dead_zone_does_not_move():
-    one = robot(Slave)
+    one = robot(SlaveProgram)
     one.hear(encode_wheels(4, -4))
     one.advance(500 * MS)
     assert (one.x, one.y, one.heading) == (100.0, 200.0, 0.3)
@@ -57,7 +57,7 @@ def test_a_count_inside_the_dead_zone_does_not_move():
 
 
 def test_a_slave_drives_on_in_silence_and_firmware_stops():
-    slave, firmware = robot(Slave), robot(lambda: Firmware(0))
+    slave, firmware = robot(SlaveProgram), robot(lambda: FirmwareProgram(0))
     slave.hear(encode_wheels(40, 40))
     firmware.hear(frame(1, (40, 40)))
     for one in (slave, firmware):
@@ -70,7 +70,7 @@ def test_a_slave_drives_on_in_silence_and_firmware_stops():
 
 
 def test_a_latched_robot_moves_again_only_after_it_was_switched_off():
-    one = robot(lambda: Firmware(0))
+    one = robot(lambda: FirmwareProgram(0))
     one.hear(frame(1, flags=Flag.EMERGENCY_STOP))
     one.advance(10 * MS)
     one.hear(frame(2, (60, 60)))
@@ -85,7 +85,7 @@ def test_a_latched_robot_moves_again_only_after_it_was_switched_off():
 
 def test_swapped_inverted_and_uneven_wheels():
     wheels = Drivetrain(Wheel(5.0), Wheel(6.0, 0, invert=True), swap=True)
-    one = robot(Slave, drivetrain=wheels)
+    one = robot(SlaveProgram, drivetrain=wheels)
     one.hear(encode_wheels(10, 20))
     one.advance(2000 * MS)
     assert one.left == pytest.approx(100.0)
@@ -93,7 +93,7 @@ def test_swapped_inverted_and_uneven_wheels():
 
 
 def test_a_stuck_wheel_stops_and_the_other_goes_on():
-    one = robot(Slave, stuck=(True, False))
+    one = robot(SlaveProgram, stuck=(True, False))
     one.hear(encode_wheels(44, 44))
     one.advance(1000 * MS)
     assert one.left == 0.0
@@ -102,7 +102,7 @@ def test_a_stuck_wheel_stops_and_the_other_goes_on():
 
 
 def test_a_robot_that_veers_still_stops():
-    one = robot(lambda: Firmware(0), veer=(50, 20))
+    one = robot(lambda: FirmwareProgram(0), veer=(50, 20))
     one.hear(frame(1, (30, 30)))
     assert one.counts() == (50, 20)
     one.hear(frame(2, (0, 0)))
@@ -119,7 +119,7 @@ def test_the_battery_sags_under_load_and_drains():
 
 
 def test_a_slave_answers_signature_and_battery():
-    one = robot(Slave)
+    one = robot(SlaveProgram)
     one.hear(b"\x81\xb1")
     assert one.answer() == b"3pi1.1" + (5100).to_bytes(2, "little")
     assert one.answer() == b""

@@ -5,7 +5,7 @@ from support.emulated_lab import emulated
 from support.paths import ROOT
 
 from tetractl.core.errors import SpecError
-from tetractl.lab.emulate.script import FAULTS, load_script, parse_script
+from tetractl.lab.emulate.script import Sides, load_script, parse_script
 
 FOLDER = ROOT / "experiments" / "faults"
 SCRIPTS = sorted(FOLDER.glob("*.yaml"))
@@ -16,14 +16,15 @@ def test_shipped_scripts_are_valid_and_say_what_they_expect(path):
     script = load_script(path)
     assert script.expect is not None
     assert script.row
-    assert {fault.robot for fault in script.faults} <= {None, "green", "blue", "red"}
+    named = {name for fault in script.faults for name in fault.names()}
+    assert named <= {"green", "blue", "red"}
     marks = {fault.name for fault in script.faults if fault.fault == "mark"}
     assert set(script.runner.on_mark) <= marks
 
 
 def test_every_fault_has_a_script():
     used = {fault.fault for path in SCRIPTS for fault in load_script(path).faults}
-    assert used == set(FAULTS)
+    assert used == set(Sides.of("optitrack", "m3pi-xbee").faults)
 
 
 @pytest.mark.parametrize(
@@ -31,15 +32,17 @@ def test_every_fault_has_a_script():
     [
         ("faults: [{fault: nan, robot: green, speed: 3}]", "speed: unknown key"),
         ("faults: [{fault: nam, robot: green}]", "fault must be one of no_server"),
-        ("faults: [{fault: nan}]", "nan needs robot"),
-        ("faults: [{fault: unplug, robot: green}]", "unplug does not take robot"),
+        ("faults: [{fault: nan}]", "faults.0.robot: field required"),
+        ("faults: [{fault: unplug, robot: green}]", "robot: unknown key"),
         ("faults: [{fault: unplug, at: -1}]", "greater than or equal to 0"),
         ("faults: [{fault: unplug, at: .inf}]", "finite"),
         ("faults: [{fault: unplug, since: tomorrow}]", "'start', 'client' or 'run'"),
         ("faults: [{fault: jump, robot: green, by: [1]}]", "field required"),
         ("faults: 3", "should be a valid tuple"),
         ("expect: {outcome: nice, exit: 0}", "should be 'done'"),
-        ("emulation: {version: 4.1}", "string"),
+        ("emulation: {camera: {version: 4.1}}", "string"),
+        ("emulation: {version: '4.1'}", "version: unknown key"),
+        ("emulation: {actuator: {version: '4.1'}}", "version: unknown key"),
         ("faults: [{fault: unplug, at: 1, at: 2}]", "given twice"),
         ("emulation: !!python/object:os.system {}", "line|tag"),
     ],
@@ -54,4 +57,4 @@ def test_a_script_for_another_spec_is_refused(tmp_path):
     with pytest.raises(SpecError, match="pink is no robot"):
         emulated(tmp_path, script="faults: [{fault: off, robot: pink}]")
     with pytest.raises(SpecError, match=r"cannot emulate NatNet 2\.5"):
-        emulated(tmp_path, script="emulation: {version: '2.5'}")
+        emulated(tmp_path, script="emulation: {camera: {version: '2.5'}}")

@@ -16,12 +16,12 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
+from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.field.check import inspect
 from tetractl.lab.actuators.field.coils import Pair, approach
 from tetractl.lab.actuators.field.driver import HINT, Driver
 from tetractl.lab.actuators.field.protocol import Flag
 from tetractl.lab.actuators.field.section import FieldSection
-from tetractl.lab.wire_tap import NO_TAP, Tap
 
 STOPS = 3  # frames of one stop, so that a damaged byte does not cost it
 OFF: Pair = (0.0, 0.0)
@@ -36,6 +36,7 @@ class FieldActuator:
     """
 
     individual = False
+    halts = False
 
     def __init__(
         self, section: FieldSection, a: Floats, speed: Floats, clock: Clock, tap: Tap = NO_TAP

@@ -4,6 +4,7 @@ import threading
 from contextlib import suppress
 
 from tetractl.core.clock import SECOND, Clock
+from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.field.protocol import (
     Command,
     Flag,
@@ -15,7 +16,6 @@ from tetractl.lab.actuators.field.protocol import (
 from tetractl.lab.actuators.m3pi.cobs import Splitter
 from tetractl.lab.errors import WireError
 from tetractl.lab.serial_port import SerialPort
-from tetractl.lab.wire_tap import NO_TAP, Tap
 
 SILENCE_NS = SECOND // 2
 UNANSWERED_MAX = 5  # so many frames over that time without any reply: the driver is off

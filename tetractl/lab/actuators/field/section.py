@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from tetractl.core.clock import Clock
-from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
+from tetractl.core.wire_tap import Tap
 from tetractl.experiment.base import Finite, Model, NonNegative, Positive, inconsistent
+from tetractl.experiment.lab import ActuatorSection
 from tetractl.lab.actuators.field.coils import Coils
-from tetractl.lab.wire_tap import NO_TAP, Tap
 
 if TYPE_CHECKING:
     from tetractl.lab.actuators.field.actuator import FieldActuator
@@ -43,7 +44,7 @@ class CoilsSection(Model):
     """Turn from the spec's x axis to that of the x pair [rad]."""
 
 
-class FieldSection(Model):
+class FieldSection(ActuatorSection):
     """A magnetic field steers all cells; a current driver on a serial port feeds the coils."""
 
     type: Literal["field"]
@@ -79,11 +80,18 @@ class FieldSection(Model):
             raise inconsistent("watchdog", f"at {self.rate:g} Hz it must be {least:.3g} s or more")
         return self
 
-    def build(self, a: Floats, speed: Floats, clock: Clock, tap: Tap = NO_TAP) -> "FieldActuator":
-        """Return the actuator of N cells: a [rad/s] and speed [length unit/s], each (N,)."""
+    def bounds(self) -> dict[str, str]:
+        """Return the driver's port and rate, and how strong the field may be."""
+        return {
+            "current driver": f"{self.port}, {self.rate:g} commands a second",
+            "coil currents": f"at most {self.current_max_a:g} A",
+        }
+
+    def build(self, setup: Setup, clock: Clock, tap: Tap) -> "FieldActuator":
+        """Return the actuator of the setup's cells."""
         from tetractl.lab.actuators.field.actuator import FieldActuator  # needs pyserial
 
-        return FieldActuator(self, a, speed, clock, tap)
+        return FieldActuator(self, setup.a, setup.speed, clock, tap)
 
     def calibrated_coils(self) -> Coils:
         """Return the coils as numbers."""

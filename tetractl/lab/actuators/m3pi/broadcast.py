@@ -1,4 +1,4 @@
-"""The broadcast to all robots and their replies, way (b): mbed firmware with a watchdog.
+"""The broadcast to all robots and their replies: the mbed firmware, which has a watchdog.
 
 Command: 51 sequence flags n {i8 left, i8 right} * n, CRC. Reply, only when polled:
 52 id sequence flags, u16 battery [mV], u16 frames received, u16 frames rejected, CRC; all
@@ -39,7 +39,7 @@ class Status(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class BroadcastCommand:
     """One frame for all robots: robot i obeys `wheels[i]`, and stops where there is none."""
 
     sequence: int
@@ -62,7 +62,7 @@ class Reply:
     rejected: int
 
 
-def encode_command(command: Command) -> bytes:
+def encode_command(command: BroadcastCommand) -> bytes:
     """Pack a command, with its closing 00."""
     if not 0 <= command.sequence <= 255:
         raise WireError(f"sequence {command.sequence} is not one byte")
@@ -75,7 +75,7 @@ def encode_command(command: Command) -> bytes:
     return seal(head + struct.pack(f"{len(counts)}b", *counts))
 
 
-def decode_command(frame: bytes) -> Command:
+def decode_command(frame: bytes) -> BroadcastCommand:
     """Read a command, given without its closing 00."""
     payload = unseal(frame)
     if len(payload) < 4 or payload[0] != COMMAND:
@@ -86,7 +86,9 @@ def decode_command(frame: bytes) -> Command:
     counts = struct.unpack_from(f"{2 * robots}b", payload, 4)
     if min(counts, default=0) < -COUNT_MAX:
         raise WireError("a wheel count of -128")
-    return Command(sequence, _flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True)))
+    return BroadcastCommand(
+        sequence, _flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
+    )
 
 
 def encode_reply(reply: Reply) -> bytes:

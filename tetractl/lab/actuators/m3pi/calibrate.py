@@ -11,19 +11,20 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.lab import LabSpec, LabWheel
-from tetractl.experiment.plants import Calibration, RobotCalibration
+from tetractl.core.setup import Setup
+from tetractl.core.wire_tap import NO_TAP
+from tetractl.experiment.lab import LabSection, Measured
+from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.actuators.m3pi.broadcast import Counts
-from tetractl.lab.guard import Guard
-from tetractl.lab.rig import Session
+from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
+from tetractl.lab.rig import Rig
 
 FIRST, STEP = 6, 4  # counts of the ramp
 BURST_S = 0.4
@@ -35,6 +36,8 @@ POINTS = 3  # speeds a line is fitted through, at least
 GAP_NS = 60_000_000  # between frames of a burst
 TRIES = 4
 SILENCE_NS = 3 * SECOND
+POLL_S = 1.0
+FASTEST_MM_S, FASTEST_RAD_S = 500.0, 12.0  # faster than any robot moves under measurement
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,27 +62,63 @@ class Channel:
         return round(turning / self.k) + self.dead_zone
 
 
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What was measured of one robot; see the fields of the same name in the spec."""
+
+    heading_offset: float
+    radius_mm: float
+    left: WheelSection
+    right: WheelSection
+    swap: bool
+
+    def wheels(self) -> dict[str, Any]:
+        """Return the actuator's fields, as they stand in a calibration file."""
+        left, right = self.left.model_dump(), self.right.model_dump()
+        return {"radius_mm": self.radius_mm, "left": left, "right": right, "swap": self.swap}
+
+    def __str__(self) -> str:
+        return (
+            f"r {self.radius_mm:.1f} mm, heading offset {self.heading_offset:+.3f} rad"
+            f", left {self.left.gain_mm:.2f} mm/s a count from {self.left.dead_zone}"
+            f", right {self.right.gain_mm:.2f} from {self.right.dead_zone}"
+            f"{', swapped' if self.swap else ''}"
+        )
+
+
 def calibrate_robots(
-    experiment: Experiment,
-    lab: LabSpec,
+    section: M3piSection,
+    lab: LabSection,
+    setup: Setup,
     names: Sequence[str],
     limit: int,
-    operator: threading.Event,
-    tell: Callable[[str], None],
-) -> Calibration:
+    emergency: threading.Event,
+    report: Callable[[str], None],
+) -> Measured:
     """Measure robots one after another; AbortError says which would not be measured and why."""
-    found: list[RobotCalibration] = []
+    offsets, wheels, lines = [], [], []
     for name in names:
-        tell(f"{name}: measuring")
-        alone = tuple(robot for robot in experiment.robots if robot.name == name)
-        bench = _Bench(experiment.model_copy(update={"robots": alone}), lab, limit, operator)
+        report(f"{name}: measuring")
+        bench = _Bench(section, lab, setup.only(name), limit, emergency)
         try:
             bench.open()
-            found.append(bench.measure())
+            found = bench.measure()
         finally:
             bench.close()
-    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    return Calibration(measured=now, robots=tuple(found))
+        offsets.append({"name": name, "heading_offset": found.heading_offset})
+        wheels.append({"name": name, **found.wheels()})
+        lines.append(f"{name}: {found}")
+    return Measured({"robots": offsets}, {"robots": wheels}, tuple(lines))
+
+
+class ManualActuator(M3piActuator):
+    """Sends the counts it was last given, whatever the direction."""
+
+    held: tuple[Counts, ...] = ()
+
+    def counts(self, direction: float, poses: Sequence[Pose | None], age_ns: int) -> list[Counts]:
+        """Return the counts that are held."""
+        return list(self.held)
 
 
 @dataclass(slots=True)
@@ -93,43 +132,49 @@ class _Bench:
     """One robot under measurement; the guard watches as in a run."""
 
     def __init__(
-        self, experiment: Experiment, lab: LabSpec, limit: int, operator: threading.Event
+        self,
+        section: M3piSection,
+        lab: LabSection,
+        setup: Setup,
+        limit: int,
+        emergency: threading.Event,
     ) -> None:
         self.clock = MonotonicClock()
-        self.name = experiment.robots[0].name
-        self.limit = limit
+        (self.name,) = setup.names
         self._trace = _Trace()
         self._home: Pose | None = None
-        session = self.session = Session(
-            experiment, lab, self.clock, operator, on_snapshot=self._see
-        )
-        self.robot = session.lab.robots[0]
-        self.limit = min(limit, session.bodies[0].drivetrain.limit)
-        session.guard.rules = replace(
-            session.guard.rules,
-            speeds=(500.0 / session.mm,),
-            turning=(12.0,),
+        self._offset = lab.camera.heading_offset(self.name)
+        wake = threading.Event()
+        camera = lab.camera.build(setup, self.clock, NO_TAP, wake.set)
+        self.actuator = ManualActuator(section, setup, self.clock)
+        self.rig = Rig(camera, self.actuator, lab.limits, setup, self.clock, emergency, wake)
+        self.rig.on_frame = self._see
+        self.limit = min(limit, self.actuator.drivetrains[0].limit)
+        guard = self.rig.guard
+        guard.rules = replace(
+            guard.rules,
+            speeds=(FASTEST_MM_S / self.rig.mm,),
+            turning=(FASTEST_RAD_S,),
             silence_ns=SILENCE_NS,
         )
 
     def open(self) -> None:
         """Connect; the robot must be tracked and answer."""
-        session = self.session
-        session.open()
-        if session.client.stream.missing():
-            raise AbortError(f"the cameras know no rigid body {self.robot.body}")
-        (answer,) = session.voice.poll(1.0)
-        if answer is None:
+        rig = self.rig.__enter__()
+        if problems := rig.camera.check().problems:
+            raise AbortError("; ".join(problems))
+        (status,) = rig.actuator.poll(POLL_S)
+        if not status.answers:
             raise AbortError(f"{self.name} does not answer", "see `tetractl lab check`")
-        session.guard.ready()
+        rig.guard.ready()
 
     def close(self) -> None:
-        """Stop the robot and let go."""
-        self.session.drive.stop()
-        self.session.close()
+        """Stop the robot and release the devices."""
+        self.rig.loop.stop()
+        self.rig.close()
 
-    def measure(self) -> RobotCalibration:
-        """Do all of it."""
+    def measure(self) -> Found:
+        """Move the robot and return what its motion says of it."""
         channels = [self._channel(0), self._channel(1)]
         turning = 0.6 * min(channel.k * (self.limit - channel.dead_zone) for channel in channels)
         sizes = [channel.count(turning) for channel in channels]
@@ -155,20 +200,13 @@ class _Bench:
                 "give heading_offset roughly in the spec, or define the rigid body anew",
             )
         wheels = [
-            LabWheel(gain_mm=2 * radius * c.k, dead_zone=c.dead_zone, invert=sign < 0)
+            WheelSection(gain_mm=round(2 * radius * c.k, 4), dead_zone=c.dead_zone, invert=sign < 0)
             for c, sign in zip(channels, signs, strict=True)
         ]
         swap = channels[0].sign * signs[0] > 0  # forward on the right turns left
         left, right = reversed(wheels) if swap else wheels
-        whole = math.remainder(self.robot.heading_offset + offset, math.tau)
-        return RobotCalibration(
-            name=self.name,
-            heading_offset=round(whole, 5),
-            radius_mm=round(radius, 3),
-            left=_rounded(left),
-            right=_rounded(right),
-            swap=swap,
-        )
+        whole = math.remainder(self._offset + offset, math.tau)
+        return Found(round(whole, 5), round(radius, 3), left, right, swap)
 
     def _channel(self, which: int) -> Channel:
         """Ramp one channel, to and fro; fit turning rates against counts."""
@@ -205,32 +243,38 @@ class _Bench:
         """
         for _ in range(TRIES):
             self._trace = trace = _Trace()
-            began = self.session.drive.hold((counts,)).t_ns
+            began = self._hold(counts)
             end = began + round(seconds * SECOND)
             self.clock.sleep_until(end)
-            if self.session.guard.reason:
-                raise AbortError(f"{self.name}: {self.session.guard.reason}")
+            if self.rig.guard.reason:
+                raise AbortError(f"{self.name}: {self.rig.guard.reason}")
             seen = [(t, pose) for t, pose in tuple(trace.poses) if t >= began]
             times = [began, *(t for t, _ in seen), end]
             if max(np.diff(times)) <= GAP_NS:
-                return _steady(seen, began + round(SETTLING_S * SECOND), self.session.mm)
-            self.session.drive.hold((_pair((-1, -1), counts),))  # back, so that it stays near
+                return _steady(seen, began + round(SETTLING_S * SECOND), self.rig.mm)
+            self._hold(_pair((-1, -1), counts))  # back, so that it stays near
             self.clock.sleep_until(self.clock.now() + end - began)
         raise AbortError(f"{self.name}: frames are missing again and again")
 
+    def _hold(self, counts: Counts) -> int:
+        """Send counts from now on; return when they left [ns]."""
+        self.actuator.held = (counts,)
+        return self.rig.loop.steer(0.0).sent_ns
+
     def _stand(self) -> None:
-        self.session.drive.hold(((0, 0),))
+        self._hold((0, 0))
         self.clock.sleep_until(self.clock.now() + SECOND // 4)
 
-    def _see(self, snapshot: CameraFrame, guard: Guard) -> None:
-        ((pose, here),) = guard.believed(snapshot)
+    def _see(self, frame: CameraFrame) -> None:
+        guard = self.rig.guard
+        ((pose, here),) = guard.believed(frame)
         if pose is None or not here:
             return
         self._home = self._home or pose
-        away = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.session.mm
+        away = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.rig.mm
         if away > ROAM_MM:
             guard.abort(f"{away:.0f} mm away from where it stood")
-        self._trace.poses.append((snapshot.sampled_ns, pose))
+        self._trace.poses.append((frame.sampled_ns, pose))
 
 
 def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> Motion:
@@ -250,7 +294,3 @@ def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> Motion:
 
 def _pair(signs: Sequence[int], sizes: Sequence[int]) -> Counts:
     return signs[0] * sizes[0], signs[1] * sizes[1]
-
-
-def _rounded(wheel: LabWheel) -> LabWheel:
-    return wheel.model_copy(update={"gain_mm": round(wheel.gain_mm, 4)})

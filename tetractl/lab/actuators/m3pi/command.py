@@ -81,29 +81,29 @@ def wheel_counts(
     if left == 0 and right == 0:
         return STOP, Residue()
     wheels = drivetrain.left, drivetrain.right
-    rooms = [drivetrain.limit - wheel.dead_zone for wheel in wheels]
+    spans = [drivetrain.limit - wheel.dead_zone for wheel in wheels]
     ratios = [
-        abs(speed) / wheel.gain / room
-        for speed, wheel, room in zip((left, right), wheels, rooms, strict=True)
+        abs(speed) / wheel.gain / span
+        for speed, wheel, span in zip((left, right), wheels, spans, strict=True)
     ]
     scale = 1.0 / max(1.0, *ratios)
-    left_steps, left_owed = _diffuse(left * scale / wheels[0].gain, residue.left, rooms[0])
-    right_steps, right_owed = _diffuse(right * scale / wheels[1].gain, residue.right, rooms[1])
+    left_steps, left_owed = _diffuse(left * scale / wheels[0].gain, residue.left, spans[0])
+    right_steps, right_owed = _diffuse(right * scale / wheels[1].gain, residue.right, spans[1])
     first, second = wheels[0]._count(left_steps), wheels[1]._count(right_steps)
     counts = (second, first) if drivetrain.swap else (first, second)
     return counts, Residue(left_owed, right_owed)
 
 
-def wheel_speeds(counts: Counts, drivetrain: Drivetrain) -> tuple[float, float]:
+def speeds_of_counts(counts: Counts, drivetrain: Drivetrain) -> tuple[float, float]:
     """Return the left and right speeds [mm/s] that counts, as sent, really ask for."""
     left, right = counts[::-1] if drivetrain.swap else counts
     return drivetrain.left.speed(left), drivetrain.right.speed(right)
 
 
-def _diffuse(wish: float, owed: float, room: int) -> tuple[int, float]:
-    """Round wish + owed to a whole step within the room; return it and what is owed then."""
+def _diffuse(wish: float, owed: float, span: int) -> tuple[int, float]:
+    """Round wish + owed to a whole step within the span; return it and what is owed then."""
     if wish == 0:
         return 0, owed
     total = wish + owed
-    steps = max(-room, min(room, round(total)))
+    steps = max(-span, min(span, round(total)))
     return steps, max(-0.5, min(0.5, total - steps))

@@ -1,15 +1,14 @@
-"""How robots are spoken to over a link: one broadcast for all, or a message each."""
+"""The two protocols of m3pi robots over a link: one broadcast for all, or a message each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.experiment.lab import LabSpec, Slave
 from tetractl.lab.actuators.m3pi import slave
 from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
-    Command,
+    BroadcastCommand,
     Counts,
     Flag,
     Status,
@@ -17,10 +16,11 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
 )
 from tetractl.lab.actuators.m3pi.cobs import Splitter
+from tetractl.lab.actuators.m3pi.command import STOP
+from tetractl.lab.actuators.m3pi.section import M3piSection, SlaveSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.errors import WireError
 
-STOP: Counts = (0, 0)
 TRIES = 5
 
 
@@ -34,8 +34,8 @@ class Answer:
     rejected: int = 0
 
 
-class Voice(Protocol):
-    """Speaks to N robots, in the order of the lab's list; sending returns the time [ns]."""
+class RobotProtocol(Protocol):
+    """Sends to N robots, in the order of their names; sending returns the time [ns]."""
 
     def drive(self, counts: Sequence[Counts]) -> int:
         """Send every robot its wheel counts."""
@@ -54,15 +54,17 @@ class Voice(Protocol):
         ...
 
 
-def build_voice(lab: LabSpec, link: Link, clock: Clock) -> Voice:
-    """Return the voice of a lab."""
-    if isinstance(lab.protocol, Slave):
-        addresses = [robot.address or 0 for robot in lab.robots]
-        return SlaveVoice(link, clock, addresses)
-    return BroadcastVoice(link, clock, [lab.index(robot) for robot in lab.robots])
+def build_protocol(
+    section: M3piSection, names: Sequence[str], link: Link, clock: Clock
+) -> RobotProtocol:
+    """Return the protocol of a spec for the robots of these names."""
+    if isinstance(section.protocol, SlaveSection):
+        addresses = [section.robot(name).address or 0 for name in names]
+        return SlaveProtocol(link, clock, addresses)
+    return BroadcastProtocol(link, clock, [section.index(name) for name in names])
 
 
-class BroadcastVoice:
+class BroadcastProtocol:
     """One sealed frame for all; robot i of the list has the number `indices[i]`."""
 
     def __init__(self, link: Link, clock: Clock, indices: Sequence[int]) -> None:
@@ -106,10 +108,10 @@ class BroadcastVoice:
 
     def _send(self, flags: Flag, wheels: tuple[Counts, ...] = ()) -> int:
         self._sequence = (self._sequence + 1) % 256
-        return self._link.send(encode_command(Command(self._sequence, flags, wheels)))
+        return self._link.send(encode_command(BroadcastCommand(self._sequence, flags, wheels)))
 
 
-class SlaveVoice:
+class SlaveProtocol:
     """A unicast to each robot's module. There is no watchdog and no latched emergency stop."""
 
     def __init__(self, link: Link, clock: Clock, addresses: Sequence[int]) -> None:

@@ -1,4 +1,4 @@
-"""Way (a): the 3pi's own serial-slave program, without an mbed.
+"""The bytes of the 3pi's own serial-slave program, which runs without an mbed.
 
 Bytes from 0x80 on are commands, others their data. **This program has no watchdog**: without
 commands the motors run on. A lost data byte leaves the old speed until the next command.
@@ -24,7 +24,7 @@ class Motor(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class MotorCount:
     """A motor and its count in -127..127."""
 
     motor: Motor
@@ -73,9 +73,9 @@ class SlaveDecoder:
         self.ignored = 0
         self._pending: tuple[Motor, int] | None = None  # motor and sign that wait for data
 
-    def feed(self, data: bytes) -> list[Drive | Query]:
+    def feed(self, data: bytes) -> list[MotorCount | Query]:
         """Take bytes as they came; return the commands they complete."""
-        commands: list[Drive | Query] = []
+        commands: list[MotorCount | Query] = []
         for byte in data:
             if byte < 0x80:
                 if self._pending is None:
@@ -83,7 +83,7 @@ class SlaveDecoder:
                     continue
                 motor, sign = self._pending
                 self._pending = None
-                commands.append(Drive(motor, sign * byte))
+                commands.append(MotorCount(motor, sign * byte))
                 continue
             self.ignored += self._pending is not None
             self._pending = _MOTORS.get(byte)

@@ -7,7 +7,7 @@ the rate of wheel commands; Zigbee allows about one broadcast a second and DigiM
 from typing import Protocol
 
 from tetractl.core.errors import AbortError
-from tetractl.experiment.lab import Radio
+from tetractl.lab.actuators.xbee.section import XbeeSection
 
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # by the value of BD
 MODES = {0: "transparent", 1: "api1", 2: "api2"}  # by the value of AP
@@ -23,7 +23,7 @@ FAMILIES: dict[tuple[int, ...], tuple[str, dict[int, str]]] = {
 }
 
 
-class Module(Protocol):
+class AskedModule(Protocol):
     """What is asked of a link."""
 
     def ask(self, command: bytes, timeout_s: float = ...) -> bytes | None:
@@ -35,7 +35,7 @@ class Module(Protocol):
         ...
 
 
-def module(link: Module, radio: Radio) -> None:
+def module(link: AskedModule, radio: XbeeSection) -> None:
     """Raise AbortError unless an 802.15.4 module in the spec's mode and rate answers."""
     hardware = link.ask(b"HV") or link.ask(b"HV")  # the first may meet the end of a broken frame
     if hardware is None:
@@ -50,18 +50,18 @@ def module(link: Module, radio: Radio) -> None:
     if rate is not None and rate < len(BAUDS) and BAUDS[rate] != radio.baud:
         raise AbortError(
             f"{radio.port}: the module says {BAUDS[rate]} baud, the spec {radio.baud}",
-            f"set radio.baud to {BAUDS[rate]}, or BD in the module",
+            f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
         )
     mode = MODES.get(_number(link.ask(b"AP")) or 0, "an unknown mode")
     if mode != radio.mode:
         raise AbortError(
             f"{radio.port}: the module is in {mode}, the spec says {radio.mode}",
-            f"set radio.mode to {mode}, or AP in the module",
+            f"set lab.actuator.mode to {mode}, or AP in the module",
         )
     if radio.baud == 115_200 and hardware[0] in SERIES_1:
         raise AbortError(
             f"{radio.port}: a Series 1 module loses API frames at 115200 baud",
-            "use 57600 (BD=6) and set radio.baud to it",
+            "use 57600 (BD=6) and set lab.actuator.baud to it",
         )
 
 
@@ -76,7 +76,7 @@ def firmware(hardware: bytes, version: bytes) -> str:
     return f"unknown (HV {hardware.hex().upper()}, VR {version.hex().upper()})"
 
 
-def _silent(link: Module, radio: Radio) -> AbortError:
+def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:
     """Find out why nothing answers: try the other rates."""
     for baud in OTHER_BAUDS:
         if baud == radio.baud:
@@ -85,7 +85,7 @@ def _silent(link: Module, radio: Radio) -> AbortError:
         if link.ask(b"HV") is not None:
             return AbortError(
                 f"{radio.port}: the module speaks {baud} baud, the spec says {radio.baud}",
-                f"set radio.baud to {baud}, or BD in the module",
+                f"set lab.actuator.baud to {baud}, or BD in the module",
             )
     return AbortError(
         f"{radio.port}: no XBee module answers at {radio.baud} baud or another",

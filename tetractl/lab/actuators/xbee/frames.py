@@ -15,7 +15,7 @@ BROADCAST_64 = 0x000000000000FFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class XbeeFrame:
     """A frame type: `API` is its id, `LAYOUT` its fields; a last field `data` takes the rest."""
 
     API: ClassVar[int]
@@ -24,7 +24,7 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True)
-class Transmit64(Frame):
+class Transmit64(XbeeFrame):
     """0x00: send to a 64-bit address; a `frame_id` of 0 asks for no status."""
 
     API = 0x00
@@ -36,7 +36,7 @@ class Transmit64(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class Transmit16(Frame):
+class Transmit16(XbeeFrame):
     """0x01: send to a 16-bit address, 0xFFFF to all, which is never acknowledged."""
 
     API = 0x01
@@ -48,7 +48,7 @@ class Transmit16(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class AtCommand(Frame):
+class AtCommand(XbeeFrame):
     """0x08: set or, without data, ask for a parameter of the local module."""
 
     API = 0x08
@@ -59,7 +59,7 @@ class AtCommand(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class Transmit(Frame):
+class Transmit(XbeeFrame):
     """0x10: send to a 64- and a 16-bit address (newer firmware)."""
 
     API = 0x10
@@ -73,7 +73,7 @@ class Transmit(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class RemoteAt(Frame):
+class RemoteAt(XbeeFrame):
     """0x17: an AT command for another module."""
 
     API = 0x17
@@ -87,7 +87,7 @@ class RemoteAt(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class Receive64(Frame):
+class Receive64(XbeeFrame):
     """0x80: data from a 64-bit address; `rssi` in -dBm."""
 
     API = 0x80
@@ -99,7 +99,7 @@ class Receive64(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class Receive16(Frame):
+class Receive16(XbeeFrame):
     """0x81: data from a 16-bit address; `rssi` in -dBm."""
 
     API = 0x81
@@ -111,7 +111,7 @@ class Receive16(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class AtResponse(Frame):
+class AtResponse(XbeeFrame):
     """0x88: what became of an AT command; status 0 is good."""
 
     API = 0x88
@@ -123,7 +123,7 @@ class AtResponse(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class TransmitStatus(Frame):
+class TransmitStatus(XbeeFrame):
     """0x89: what became of a 0x00 or 0x01; of a broadcast it proves nothing."""
 
     API = 0x89
@@ -134,7 +134,7 @@ class TransmitStatus(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class TransmitStatusLong(Frame):
+class TransmitStatusLong(XbeeFrame):
     """0x8B: what became of a 0x10."""
 
     API = 0x8B
@@ -148,7 +148,7 @@ class TransmitStatusLong(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class Receive(Frame):
+class Receive(XbeeFrame):
     """0x90: data, from newer firmware."""
 
     API = 0x90
@@ -160,7 +160,7 @@ class Receive(Frame):
 
 
 @dataclass(frozen=True, slots=True)
-class RemoteAtResponse(Frame):
+class RemoteAtResponse(XbeeFrame):
     """0x97: what became of a 0x17."""
 
     API = 0x97
@@ -181,7 +181,7 @@ class Other:
     data: bytes
 
 
-FRAME_TYPES: dict[int, type[Frame]] = {
+FRAME_TYPES: dict[int, type[XbeeFrame]] = {
     kind.API: kind
     for kind in (
         Transmit64,
@@ -200,7 +200,7 @@ FRAME_TYPES: dict[int, type[Frame]] = {
 }
 
 
-def pack_content(frame: Frame | Other) -> bytes:
+def pack_content(frame: XbeeFrame | Other) -> bytes:
     """Pack a frame's content: what stands between its length and its checksum."""
     if isinstance(frame, Other):
         if not 0 <= frame.api <= 0xFF:
@@ -218,7 +218,7 @@ def pack_content(frame: Frame | Other) -> bytes:
         raise WireError(f"cannot pack a {type(frame).__name__}: {error}") from None
 
 
-def parse_content(content: bytes) -> Frame | Other:
+def parse_content(content: bytes) -> XbeeFrame | Other:
     """Read a frame's content; WireError where it is too short or too long for its type."""
     if not content:
         raise WireError("an empty frame")

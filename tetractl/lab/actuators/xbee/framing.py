@@ -4,7 +4,7 @@ Escaped, a 0x7E is always the start of a frame, so a lost byte costs one frame. 
 be data: after a frame that does not check, the search goes on behind its delimiter.
 """
 
-from tetractl.lab.actuators.xbee.frames import Frame, Other, pack_content, parse_content
+from tetractl.lab.actuators.xbee.frames import Other, XbeeFrame, pack_content, parse_content
 from tetractl.lab.errors import WireError
 
 START, ESCAPE = 0x7E, 0x7D
@@ -12,7 +12,7 @@ _ESCAPED = frozenset((START, ESCAPE, 0x11, 0x13))  # 0x11 and 0x13: XON, XOFF
 CONTENT_MAX = 128  # 100 bytes of 802.15.4 payload and the longest header, rounded up
 
 
-def encode(frame: Frame | Other, escaped: bool = True) -> bytes:
+def encode(frame: XbeeFrame | Other, escaped: bool = True) -> bytes:
     """Pack one API frame, for AP=2 or, not `escaped`, for AP=1."""
     content = pack_content(frame)
     if len(content) > CONTENT_MAX:
@@ -40,16 +40,16 @@ class Decoder:
         self._escaped = escaped
         self._buffer = bytearray()
 
-    def feed(self, data: bytes) -> list[Frame | Other]:
+    def feed(self, data: bytes) -> list[XbeeFrame | Other]:
         """Take bytes as they came; return the frames they complete."""
-        frames: list[Frame | Other] = []
+        frames: list[XbeeFrame | Other] = []
         for start in range(0, len(data), CONTENT_MAX):  # so that the buffer stays small
             self._buffer += data[start : start + CONTENT_MAX]
             while self._step(frames):
                 pass
         return frames
 
-    def _step(self, frames: list[Frame | Other]) -> bool:
+    def _step(self, frames: list[XbeeFrame | Other]) -> bool:
         """Take one frame or drop some bytes; False where more bytes are needed."""
         start = self._buffer.find(START)
         if start != 0:

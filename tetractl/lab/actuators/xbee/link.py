@@ -8,23 +8,23 @@ from collections import deque
 from dataclasses import dataclass
 
 from tetractl.core.clock import Clock
-from tetractl.experiment.lab import Radio
+from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.xbee import check
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
     AtCommand,
     AtResponse,
-    Frame,
     Other,
     Receive,
     Receive16,
     Receive64,
     Transmit16,
     TransmitStatus,
+    XbeeFrame,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
+from tetractl.lab.actuators.xbee.section import XbeeSection
 from tetractl.lab.serial_port import SerialPort
-from tetractl.lab.wire_tap import NO_TAP, Tap
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
 NO_ACK = 0x01  # transmit option: do not wait for the receiver's acknowledgement
@@ -53,7 +53,7 @@ class LinkCounts:
 class Link:
     """An open port. Times are ns on `clock`; every failure is an AbortError and final."""
 
-    def __init__(self, radio: Radio, clock: Clock, tap: Tap = NO_TAP) -> None:
+    def __init__(self, radio: XbeeSection, clock: Clock, tap: Tap = NO_TAP) -> None:
         self.radio = radio
         self.counts = LinkCounts()
         self.decoder = Decoder(escaped=radio.mode == "api2")
@@ -77,15 +77,6 @@ class Link:
         if checked and self._api:
             check.module(self, self.radio)
 
-    @property
-    def facts(self) -> dict[str, str]:
-        """What was sent and lost, for the log."""
-        return {
-            "radio_frames_sent": str(self.counts.frames_sent),
-            "radio_undelivered": str(self.counts.undelivered),
-            "radio_bad_checksums": str(self.decoder.bad_checksums),
-        }
-
     def send(self, data: bytes, address: int = BROADCAST_16) -> int:
         """Send to one module or to all; return when the bytes were handed over [ns]."""
         if not self._api:
@@ -94,7 +85,7 @@ class Link:
         frame = Transmit16(self._next_id() if acknowledged else 0, address, 0, data)
         return self._write(self.packed(frame))
 
-    def packed(self, frame: Frame | Other) -> bytes:
+    def packed(self, frame: XbeeFrame | Other) -> bytes:
         """Pack a frame as the module's mode wants it."""
         return encode(frame, escaped=self.radio.mode == "api2")
 
@@ -151,7 +142,7 @@ class Link:
         with self._came:
             self._came.notify_all()
 
-    def _sort(self, frame: Frame | Other, now: int) -> None:
+    def _sort(self, frame: XbeeFrame | Other, now: int) -> None:
         match frame:
             case AtResponse():
                 self._answers.append(frame)

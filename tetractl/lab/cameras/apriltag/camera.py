@@ -95,7 +95,7 @@ class AprilTagCamera:
             self.__exit__(None, None, None)
             damaged = f"{self.damaged} pictures were damaged" if self.damaged else None
             raise AbortError(
-                f"no picture comes from {_told(self.section)} ({patience:g} s)",
+                f"no picture comes from {self.section.source_name} ({patience:g} s)",
                 self._ended or damaged,
             )
         return self
@@ -124,7 +124,7 @@ class AprilTagCamera:
         self._wait(enough, self.section.connect)
         floor = self._tracker.floor
         state = State(
-            source=_told(self.section),
+            source=self.section.source_name,
             ended=self._ended,
             now_ns=self._clock.now(),
             rate_hz=None if self._feed is None else self._feed.rate_hz,
@@ -191,11 +191,3 @@ class AprilTagCamera:
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         with self._changed:
             return self._changed.wait_for(done, timeout_s)
-
-
-def _told(section: AprilTagSection) -> str:
-    """Return the name of the source."""
-    source = section.source
-    if source.type == "device":
-        return f"camera {source.index}"
-    return source.path if source.type == "file" else source.url

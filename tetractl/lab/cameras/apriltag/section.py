@@ -4,14 +4,18 @@ Lengths whose name ends in `_mm` are millimetres, whatever the spec's length uni
 seconds. OpenCV is imported only where the camera is built.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError, SpecError
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive, inconsistent
+from tetractl.core.setup import Setup
+from tetractl.core.wire_tap import Tap
+from tetractl.experiment.base import Finite, Model, NonNegative, Point, Positive, inconsistent
+from tetractl.experiment.lab import CameraSection, RobotPart, mismatches
+from tetractl.experiment.yaml.problems import Loc
 
 if TYPE_CHECKING:
     from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
@@ -74,11 +78,9 @@ class Lens(Model):
         return self
 
 
-class RobotTag(Model):
+class RobotTag(RobotPart):
     """The tag on a robot; its centre is the robot's position."""
 
-    name: Name
-    """Name of a robot of the spec."""
     tag: Tag
     """Number of its tag."""
     size_mm: Positive
@@ -102,7 +104,7 @@ class FloorTag(Model):
     """Direction of reading it upright, from the spec's x axis [rad]."""
 
 
-class AprilTagSection(Model):
+class AprilTagSection(CameraSection):
     """A camera that looks down on robots with AprilTags."""
 
     type: Literal["apriltag"]
@@ -131,6 +133,17 @@ class AprilTagSection(Model):
             raise inconsistent("floor", "the floor tags must not stand in one line")
         return self
 
+    @property
+    def source_name(self) -> str:
+        """Name of the source, for people."""
+        match self.source:
+            case DeviceSource(index=index):
+                return f"camera {index}"
+            case FileSource(path=path):
+                return path
+            case MjpegSource(url=url):
+                return url
+
     def ordered(self, names: Sequence[str]) -> tuple[RobotTag, ...]:
         """Return the tags of robots in the order of their names; SpecError where one has none."""
         by_name = {robot.name: robot for robot in self.robots}
@@ -138,12 +151,24 @@ class AprilTagSection(Model):
             raise SpecError(f"lab.camera.robots: no tag for {', '.join(missing)}")
         return tuple(by_name[name] for name in names)
 
-    def build(
-        self, names: Sequence[str], metres: float, clock: Clock, wake: Callable[[], None]
-    ) -> "AprilTagCamera":
-        """Return the camera of robots in this order; AbortError without OpenCV.
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield where the robots cannot be those of the spec."""
+        yield from mismatches(self.robots, setup.names, ("tag",))
 
-        `metres` is the length of the spec's unit; `wake` is called after every frame.
+    def bounds(self) -> dict[str, str]:
+        """Return where pictures come from."""
+        return {"camera": self.source_name}
+
+    def heading_offset(self, name: str) -> float:
+        """Return what is added to the heading of a robot's tag [rad]."""
+        return self.ordered([name])[0].heading_offset
+
+    def build(
+        self, setup: Setup, clock: Clock, tap: Tap, wake: Callable[[], None]
+    ) -> "AprilTagCamera":
+        """Return the camera of the setup's robots; AbortError without OpenCV.
+
+        Pictures are not recorded by `tap`: their source keeps none of their bytes.
         """
         try:
             from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
@@ -154,7 +179,7 @@ class AprilTagSection(Model):
                 "the apriltag camera needs OpenCV, which is not installed",
                 "pip install 'tetractl[vision]'",
             ) from error
-        return AprilTagCamera(self, names, metres, clock, wake)
+        return AprilTagCamera(self, setup.names, setup.metres, clock, wake)
 
 
 def _twice(values: Sequence[str]) -> list[str]:

@@ -1,7 +1,7 @@
 """The sockets of a NatNet connection, and the thread that reads them.
 
 The thread outlives whatever the network sends: bad datagrams are counted, errors of the sockets
-are kept as `error`. Nothing it does waits for the reader of its snapshots.
+are kept as `error`. It never waits for whoever reads its frames.
 """
 
 import select
@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
-from tetractl.experiment.lab import Mocap
+from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.cameras.optitrack.messages import (
     NEWEST,
     Bare,
@@ -28,16 +28,16 @@ from tetractl.lab.cameras.optitrack.messages import (
 )
 from tetractl.lab.cameras.optitrack.placement import Placement
 from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
-from tetractl.lab.wire_tap import NO_TAP, Tap
 
 ASK_NS = SECOND // 4  # an unanswered question is asked again after this long
 KEEPALIVE_NS = SECOND
 ECHO_NS = SECOND // 2
 FIRST_ECHOES = 20  # these follow each other at once, so that the clock is known early
 FIRST_ECHO_NS = SECOND // 50
-KEPT = 4096  # snapshots not fetched yet
+KEPT = 4096  # frames not fetched yet
 WAIT_S = 0.02
 BUFFER = 1 << 18
 
@@ -45,26 +45,26 @@ BUFFER = 1 << 18
 class NatNetClient:
     """A connection to the server of a spec; times are ns on `clock`.
 
-    `wake` is called, in the receiver's thread, after every new snapshot.
+    `wake` is called, in the receiver's thread, after every new frame.
     """
 
     def __init__(
         self,
-        mocap: Mocap,
+        section: OptitrackSection,
         robots: Sequence[Tracked],
         metres: float,
         clock: Clock,
         tap: Tap = NO_TAP,
         wake: Callable[[], None] = lambda: None,
     ) -> None:
-        self.mocap = mocap
+        self.section = section
         self.error: OSError | None = None
         self.foreign = 0  # datagrams from other hosts
         self._clock, self._tap, self._wake = clock, tap, wake
-        self._unicast = mocap.transport == "unicast"
-        self._pinned = _version(mocap.version) if mocap.version and self._unicast else None
-        up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[mocap.up_axis]
-        placement = Placement.of(mocap, metres)
+        self._unicast = section.transport == "unicast"
+        self._pinned = _version(section.version) if section.version and self._unicast else None
+        up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
+        placement = Placement.of(section, metres)
         self.stream = Stream(robots, placement, self._pinned, up, self._keep)
         self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
         self._changed = threading.Condition()
@@ -80,32 +80,32 @@ class NatNetClient:
         return self.stream.newest
 
     def open(self) -> None:
-        """Connect: return once frames stream and the clocks, axes and names are known.
-
-        AbortError tells a server that does not answer from one that answers but does not stream.
-        """
+        """Open the sockets and begin to ask and to read; AbortError where they cannot be had."""
         try:
             self._open_sockets()
         except OSError as error:
             raise AbortError(
-                f"cannot listen for cameras on {self.mocap.interface}: {error.strerror or error}",
-                "mocap.interface must be an address of this computer",
+                f"cannot listen for cameras on {self.section.interface}: {error.strerror or error}",
+                "lab.camera.interface must be an address of this computer",
             ) from error
         self._thread.start()
 
     def wait_connected(self, timeout_s: float) -> None:
-        """Wait for SERVERINFO, then for frames, each at most `timeout_s`."""
-        at, port = self.mocap.server, self.mocap.command_port
+        """Wait until frames stream and clock, axes and names are known, each at most `timeout_s`.
+
+        AbortError tells a server that does not answer from one that answers but does not stream.
+        """
+        at, port = self.section.server, self.section.command_port
         if not self._wait(lambda: self.stream.info is not None, timeout_s):
             raise AbortError(
                 f"no camera server answers at {at}:{port} ({timeout_s:g} s)",
-                "is Motive running and streaming, is mocap.server its address, "
+                "is Motive running and streaming, is lab.camera.server its address, "
                 "does a firewall block UDP?",
             )
         if not self._wait(lambda: self.newest is not None, timeout_s):
             hint = (
-                f"does Motive stream in {self.mocap.transport}? multicast frames come from "
-                f"{self.mocap.group}:{self.mocap.data_port} by the card of mocap.interface"
+                f"does Motive stream in {self.section.transport}? multicast frames come from "
+                f"{self.section.group}:{self.section.data_port} by the card of lab.camera.interface"
             )
             raise AbortError(
                 f"the camera server at {at}:{port} answers, but no frames come ({timeout_s:g} s)",
@@ -116,21 +116,12 @@ class NatNetClient:
         )
         if not wanted and self.stream.up is None:
             raise AbortError(
-                "the camera server does not tell its up axis", "set mocap.up_axis to y or z"
+                "the camera server does not tell its up axis", "set lab.camera.up_axis to y or z"
             )
         if self.stream.sync is not None:
             self._wait(lambda: self._echoes >= FIRST_ECHOES, timeout_s)
-        newest = self.newest
-        assert newest is not None
-        self.wait_newer(newest.number, timeout_s)
-
-    def wait_newer(self, number: int, timeout_s: float) -> CameraFrame | None:
-        """Wait for a frame newer than `number`; return the newest, or None in vain."""
-
-        def newer() -> bool:
-            return self.newest is not None and self.newest.number > number
-
-        return self.newest if self._wait(newer, timeout_s) else None
+        first = self.stream.counts.frames
+        self._wait(lambda: self.stream.counts.frames > first, timeout_s)
 
     def drain(self) -> list[CameraFrame]:
         """Return, once, every frame since the last call, oldest first."""
@@ -140,7 +131,7 @@ class NatNetClient:
         return fresh
 
     def close(self) -> None:
-        """Say goodbye and end the thread; idempotent, never raises."""
+        """Disconnect and end the thread; idempotent, never raises."""
         if self._sockets and not self._closing.is_set():
             self._send(Bare(Kind.DISCONNECT))
         self._closing.set()
@@ -151,18 +142,18 @@ class NatNetClient:
         self._sockets = []
 
     def _open_sockets(self) -> None:
-        mocap = self.mocap
+        section = self.section
         command = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._sockets.append(command)
-        command.bind((mocap.interface, 0))
+        command.bind((section.interface, 0))
         if not self._unicast:
             data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._sockets.append(data)
             data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             # bound to the group, Linux gives this socket nothing else; other systems refuse that
-            data.bind((mocap.group if sys.platform == "linux" else "", mocap.data_port))
+            data.bind((section.group if sys.platform == "linux" else "", section.data_port))
             membership = struct.pack(
-                "4s4s", socket.inet_aton(mocap.group), socket.inet_aton(mocap.interface)
+                "4s4s", socket.inet_aton(section.group), socket.inet_aton(section.interface)
             )
             data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
         for each in self._sockets:
@@ -190,7 +181,7 @@ class NatNetClient:
                 return
             except ConnectionError:  # an ICMP "port unreachable" of an earlier send
                 continue
-            if host != self.mocap.server:
+            if host != self.section.server:
                 self.foreign += 1
                 continue
             now = self._clock.now()
@@ -200,8 +191,8 @@ class NatNetClient:
                 with self._changed:
                     self._changed.notify_all()
 
-    def _keep(self, snapshot: CameraFrame) -> None:
-        self._fresh.append(snapshot)
+    def _keep(self, frame: CameraFrame) -> None:
+        self._fresh.append(frame)
         self.error = None
         self._wake()
 
@@ -246,7 +237,7 @@ class NatNetClient:
     def _send(self, message: Message) -> None:
         data = pack(message)
         try:
-            self._sockets[0].sendto(data, (self.mocap.server, self.mocap.command_port))
+            self._sockets[0].sendto(data, (self.section.server, self.section.command_port))
         except OSError as error:
             self.error = error
             return

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from struct import Struct
 
 from tetractl.lab.cameras.optitrack.cursor import Cursor
-from tetractl.lab.cameras.optitrack.messages import OLDEST, Frame, RigidBody, Ticks, Version
+from tetractl.lab.cameras.optitrack.messages import OLDEST, NatNetFrame, RigidBody, Ticks, Version
 from tetractl.lab.errors import WireError
 
 SIZED = Version(4, 1)  # from here on sections tell their size
@@ -46,7 +46,7 @@ def labelled_size(version: Version) -> int:
     return 20 + (2 if version >= (2, 6) else 0) + (4 if version >= (3, 0) else 0)
 
 
-def parse_frame(payload: bytes, version: Version) -> Frame:
+def parse_frame(payload: bytes, version: Version) -> NatNetFrame:
     """Read a frame; versions above 4.3 are read as 4.3, which fits or raises."""
     if version < OLDEST:
         raise WireError(f"protocol {version} is older than {OLDEST}")
@@ -66,17 +66,17 @@ def parse_frame(payload: bytes, version: Version) -> Frame:
 
 def _with_suffix(
     number: int, bodies: tuple[RigidBody, ...], suffix: tuple, version: Version
-) -> Frame:
+) -> NatNetFrame:
     if version < (2, 6):
         latency, timecode, subframe, _ = suffix
-        return Frame(number, bodies, timecode, subframe, 0, latency)
+        return NatNetFrame(number, bodies, timecode, subframe, 0, latency)
     params = suffix[-2]
     if version < (3, 0):
         latency, timecode, subframe, timestamp = suffix[:4]
-        return Frame(number, bodies, timecode, subframe, params, latency, timestamp)
+        return NatNetFrame(number, bodies, timecode, subframe, params, latency, timestamp)
     timecode, subframe, timestamp, *ticks = suffix[:6]
     precision = (suffix[6], suffix[7]) if version >= SIZED else None
-    return Frame(
+    return NatNetFrame(
         number, bodies, timecode, subframe, params, None, timestamp, Ticks(*ticks), precision
     )
 

@@ -74,7 +74,7 @@ class Ticks:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class NatNetFrame:
     """One camera frame. None stands for what the protocol version does not have."""
 
     number: int
@@ -228,7 +228,7 @@ class Bare:
 
 
 Message = (
-    Frame
+    NatNetFrame
     | ModelDef
     | Connect
     | ServerInfo

@@ -9,7 +9,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     OLDEST,
     Channels,
     Clutter,
-    Frame,
+    NatNetFrame,
     RigidBody,
     Ticks,
     Vec3,
@@ -20,7 +20,7 @@ from tetractl.lab.errors import WireError
 T = TypeVar("T")
 
 
-def pack_frame(frame: Frame, version: Version, clutter: Clutter | None = None) -> bytes:
+def pack_frame(frame: NatNetFrame, version: Version, clutter: Clutter | None = None) -> bytes:
     """Pack a frame's payload; what the version does not have is left out."""
     if not version.known:
         raise WireError(f"protocol {version} cannot be packed")
@@ -103,7 +103,7 @@ def _channels(device: Channels) -> bytes:
     )
 
 
-def _suffix(frame: Frame, version: Version) -> bytes:
+def _suffix(frame: NatNetFrame, version: Version) -> bytes:
     code = packed("II", frame.timecode, frame.subframe)
     if version < (3, 0):
         code = packed("f", frame.latency or 0.0) + code

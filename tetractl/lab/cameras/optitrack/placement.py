@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 from tetractl.core.poses import Pose
-from tetractl.experiment.lab import Mocap
-from tetractl.lab.cameras.optitrack.messages import Frame, RigidBody
+from tetractl.lab.cameras.optitrack.messages import NatNetFrame, RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,9 +19,9 @@ class Placement:
     scale: float
 
     @classmethod
-    def of(cls, mocap: Mocap, metres: float) -> "Placement":
-        """Take it from a spec; `metres` in its length unit."""
-        return cls(*mocap.origin, mocap.rotation, 1.0 / metres)
+    def of(cls, section: OptitrackSection, metres: float) -> "Placement":
+        """Return the placement that a spec gives; `metres` in its length unit."""
+        return cls(*section.origin, section.rotation, 1.0 / metres)
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
         """Return a body's pose, None where it cannot be trusted."""
@@ -36,6 +36,6 @@ class Placement:
         )
 
 
-def fault_of(frame: Frame) -> str:
-    """Return why a frame is none of the robots as they are now, "" if it is."""
+def fault_of(frame: NatNetFrame) -> str:
+    """Return why a frame does not show the robots as they are now, "" where it does."""
     return "Motive is in edit mode: it streams a recording" if frame.edit_mode else ""

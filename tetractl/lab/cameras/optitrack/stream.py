@@ -1,4 +1,4 @@
-"""A NatNet connection without its sockets: datagrams in, snapshots and counts out.
+"""A NatNet connection without its sockets: datagrams in, camera frames and counts out.
 
 The same code reads a live server and a recorded wire.
 """
@@ -10,10 +10,10 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
 from tetractl.lab.cameras.optitrack.messages import (
     EchoResponse,
-    Frame,
     Kind,
     Message,
     ModelDef,
+    NatNetFrame,
     Request,
     Response,
     ServerInfo,
@@ -39,7 +39,7 @@ class Tracked:
 
 
 @dataclass(slots=True)
-class Counts:
+class StreamCounts:
     """What came of the datagrams; every number only grows."""
 
     frames: int = 0
@@ -62,10 +62,10 @@ class Stream:
         placement: Placement,
         pinned: Version | None = None,
         up: UpAxis | None = None,
-        on_snapshot: Callable[[CameraFrame], None] = lambda snapshot: None,
+        on_frame: Callable[[CameraFrame], None] = lambda frame: None,
     ) -> None:
         self.robots = tuple(robots)
-        self.counts = Counts()
+        self.counts = StreamCounts()
         self.info: ServerInfo | None = None
         self.up = up
         self.camera_rate_hz: float | None = None
@@ -75,7 +75,7 @@ class Stream:
         self.newest: CameraFrame | None = None
         self._placement = placement
         self._pinned = pinned
-        self._on_snapshot = on_snapshot
+        self._on_frame = on_frame
         self._asked: str | None = None
         self._fault = ""
 
@@ -122,7 +122,7 @@ class Stream:
 
     def _take(self, message: Message, received_ns: int) -> None:
         match message:
-            case Frame():
+            case NatNetFrame():
                 self._frame(message, received_ns)
             case ServerInfo():
                 if self.info is None and message.clock_hz:
@@ -147,7 +147,7 @@ class Stream:
             rate = response_float(response)
             self.camera_rate_hz = rate if 1.0 <= rate <= 10_000.0 else None
 
-    def _frame(self, frame: Frame, received_ns: int) -> None:
+    def _frame(self, frame: NatNetFrame, received_ns: int) -> None:
         sampled_ns = self._exposed(frame, received_ns)
         before = self.newest
         if before is not None and frame.number <= before.number:
@@ -162,10 +162,10 @@ class Stream:
         if before is not None and not self._fault:
             self.counts.missed += frame.number - before.number - 1
         self.models_changed |= frame.models_changed
-        self.newest = self._snapshot(frame, sampled_ns, received_ns)
-        self._on_snapshot(self.newest)
+        self.newest = self._camera_frame(frame, sampled_ns, received_ns)
+        self._on_frame(self.newest)
 
-    def _exposed(self, frame: Frame, received_ns: int) -> int:
+    def _exposed(self, frame: NatNetFrame, received_ns: int) -> int:
         if frame.ticks is None or self.sync is None or not self.sync.synced:
             return received_ns
         sampled_ns = min(received_ns, self.sync.to_host(frame.ticks.exposure))
@@ -173,7 +173,7 @@ class Stream:
             raise WireError(f"a frame exposed {(received_ns - sampled_ns) / 1e9:.0f} s ago")
         return sampled_ns
 
-    def _snapshot(self, frame: Frame, sampled_ns: int, received_ns: int) -> CameraFrame:
+    def _camera_frame(self, frame: NatNetFrame, sampled_ns: int, received_ns: int) -> CameraFrame:
         ids = self.model.ids() if self.model else {}
         by_id = {body.id: body for body in frame.bodies}
         poses: list[Pose | None] = []

@@ -3,7 +3,14 @@
 from tetractl.lab.cameras.optitrack.cursor import packed
 from tetractl.lab.cameras.optitrack.frame import parse_frame
 from tetractl.lab.cameras.optitrack.handshake import pack_handshake, parse_handshake
-from tetractl.lab.cameras.optitrack.messages import Clutter, Frame, Kind, Message, ModelDef, Version
+from tetractl.lab.cameras.optitrack.messages import (
+    Clutter,
+    Kind,
+    Message,
+    ModelDef,
+    NatNetFrame,
+    Version,
+)
 from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef, parse_modeldef
 from tetractl.lab.cameras.optitrack.pack import pack_frame
 from tetractl.lab.errors import WireError
@@ -38,16 +45,16 @@ def parse(datagram: bytes, version: Version | None = None) -> Message:
 
 def pack(message: Message, version: Version | None = None) -> bytes:
     """Pack one datagram; frames and models need a version from 2.5 to 4.3."""
-    if isinstance(message, Frame | ModelDef):
+    if isinstance(message, NatNetFrame | ModelDef):
         if version is None:
             raise WireError("frames and models need a protocol version")
-        if isinstance(message, Frame):
+        if isinstance(message, NatNetFrame):
             return datagram(Kind.FRAME, pack_frame(message, version))
         return datagram(Kind.MODELDEF, pack_modeldef(message, version))
     return datagram(*pack_handshake(message))
 
 
-def pack_full_frame(frame: Frame, version: Version, clutter: Clutter) -> bytes:
+def pack_full_frame(frame: NatNetFrame, version: Version, clutter: Clutter) -> bytes:
     """Pack a frame together with all that our parser skips."""
     return datagram(Kind.FRAME, pack_frame(frame, version, clutter))
 

@@ -17,6 +17,7 @@ from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.lab import firmware
+from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.actuators.field.core import Limits
 from tetractl.lab.actuators.field.protocol import Flag
 
@@ -28,7 +29,7 @@ BOTH = (True, True)
 
 def virtual(**changes):
     clock = VirtualClock()
-    actuator = section(**changes).build(A, SPEED, clock)
+    actuator = FieldActuator(section(**changes), A, SPEED, clock)
     actuator.driver = Wire(clock)
     return actuator, clock
 
@@ -160,7 +161,7 @@ def bench(tmp_path):
 
 
 def opened(bench, **changes):
-    return section(port=str(bench.port.link), **changes).build(A, SPEED, MonotonicClock())
+    return FieldActuator(section(port=str(bench.port.link), **changes), A, SPEED, MonotonicClock())
 
 
 def fails(actuator):
@@ -317,7 +318,7 @@ def test_a_stuck_port_raises_and_never_hangs():
     master, slave = pty.openpty()
     tty.setraw(slave)
     try:
-        actuator = section(port=os.ttyname(slave)).build(A, SPEED, MonotonicClock())
+        actuator = FieldActuator(section(port=os.ttyname(slave)), A, SPEED, MonotonicClock())
         with actuator:
             with pytest.raises(AbortError, match="is stuck"):
                 for _ in range(10_000):
@@ -340,7 +341,7 @@ def test_a_second_program_cannot_open_the_port(bench):
 
 
 def test_there_must_be_a_port(tmp_path):
-    actuator = section(port=str(tmp_path / "none")).build(A, SPEED, MonotonicClock())
+    actuator = FieldActuator(section(port=str(tmp_path / "none")), A, SPEED, MonotonicClock())
     with pytest.raises(AbortError, match="there is no such port"), actuator:
         pass
     with pytest.raises(AbortError, match="is not open"):

@@ -9,6 +9,7 @@ from support.field_bench import LIMITS, Wire, section
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.poses import Pose
 from tetractl.lab import firmware
+from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.actuators.field.protocol import Status
 from tetractl.lab.emulate.cells import Cell, Dish
 from tetractl.lab.emulate.field import CurrentDriver
@@ -31,7 +32,7 @@ class Stage:
         self.cell = Cell("cell", 1.0, 2.0, heading, A, SPEED, noise)
         coils, reference = spec.calibrated_coils(), spec.strength_mt
         self.dish = Dish(self.driver, coils, reference, [self.cell], 0, seed)
-        self.actuator = spec.build(np.array([A]), np.array([SPEED]), self.clock)
+        self.actuator = FieldActuator(spec, np.array([A]), np.array([SPEED]), self.clock)
         self.actuator.driver = Wire(self.clock, self.driver)
 
     def run(self, seconds, direction=None):

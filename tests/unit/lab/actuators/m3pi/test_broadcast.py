@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tetractl.lab.actuators.m3pi import cobs
 from tetractl.lab.actuators.m3pi.broadcast import (
     ROBOTS_MAX,
-    Command,
+    BroadcastCommand,
     Flag,
     Reply,
     Status,
@@ -23,7 +23,7 @@ u8, u16 = st.integers(0, 255), st.integers(0, 65535)
 counts = st.integers(-127, 127)
 flags = st.integers(0, 7).map(Flag)
 commands = st.builds(
-    Command,
+    BroadcastCommand,
     u8,
     flags,
     st.lists(st.tuples(counts, counts), max_size=ROBOTS_MAX).map(tuple),
@@ -32,7 +32,7 @@ replies = st.builds(Reply, u8, u8, st.integers(0, 7).map(Status), u16, u16, u16)
 
 
 def test_documented_command():
-    command = Command(7, Flag.RUN, ((64, -64), (127, 127), (0, 0)))
+    command = BroadcastCommand(7, Flag.RUN, ((64, -64), (127, 127), (0, 0)))
     frame = bytes.fromhex("09 51 07 01 03 40 C0 7F 7F 01 01 02 7D 00")
     assert encode_command(command) == frame
     assert decode_command(frame[:-1]) == command
@@ -108,7 +108,9 @@ def test_every_single_bit_error_is_detected(command):
 def test_mutated_frames_raise_the_one_exception_or_pass_the_crc():
     rng = random.Random(5)
     for _ in range(20_000):
-        frame = bytearray(encode_command(Command(rng.randrange(256), Flag.RUN, ((1, 0), (0, -1)))))
+        frame = bytearray(
+            encode_command(BroadcastCommand(rng.randrange(256), Flag.RUN, ((1, 0), (0, -1))))
+        )
         for _ in range(rng.randint(1, 4)):
             frame[rng.randrange(len(frame))] = rng.randrange(256)
         del frame[rng.randint(1, len(frame)) :]
@@ -122,11 +124,11 @@ def test_mutated_frames_raise_the_one_exception_or_pass_the_crc():
 @pytest.mark.parametrize(
     "command",
     [
-        Command(256, Flag(0)),
-        Command(-1, Flag(0)),
-        Command(0, Flag.RUN, ((-128, 0),)),
-        Command(0, Flag.RUN, ((0, 128),)),
-        Command(0, Flag.RUN, ((0, 0),) * (ROBOTS_MAX + 1)),
+        BroadcastCommand(256, Flag(0)),
+        BroadcastCommand(-1, Flag(0)),
+        BroadcastCommand(0, Flag.RUN, ((-128, 0),)),
+        BroadcastCommand(0, Flag.RUN, ((0, 128),)),
+        BroadcastCommand(0, Flag.RUN, ((0, 0),) * (ROBOTS_MAX + 1)),
     ],
 )
 def test_bad_commands_are_not_encoded(command):
@@ -155,7 +157,7 @@ def test_replies_that_are_none():
         with pytest.raises(WireError):
             encode_reply(bad)
     with pytest.raises(WireError):
-        decode_reply(encode_command(Command(1, Flag.POLL))[:-1])
+        decode_reply(encode_command(BroadcastCommand(1, Flag.POLL))[:-1])
     with pytest.raises(WireError):
         cobs.seal(bytes(cobs.FRAME_MAX))
 

@@ -9,8 +9,8 @@ from tetractl.lab.actuators.m3pi.command import (
     Drivetrain,
     Residue,
     Wheel,
+    speeds_of_counts,
     wheel_counts,
-    wheel_speeds,
 )
 from tetractl.lab.errors import WireError
 
@@ -30,7 +30,7 @@ def test_the_mean_of_what_is_sent_is_what_was_wished(left, right, drivetrain):
     steps = 64
     for _ in range(steps):
         counts, residue = wheel_counts(left, right, drivetrain, residue)
-        for side, speed in enumerate(wheel_speeds(counts, drivetrain)):
+        for side, speed in enumerate(speeds_of_counts(counts, drivetrain)):
             sums[side] += speed
     for total, wish, wheel in zip(
         sums, (left, right), (drivetrain.left, drivetrain.right), strict=True
@@ -58,7 +58,7 @@ def test_saturation_keeps_the_curvature(fast, ratio, drivetrain, mirror):
     sums = [0.0, 0.0]
     for _ in range(200):
         counts, residue = wheel_counts(left, right, drivetrain, residue)
-        for side, speed in enumerate(wheel_speeds(counts, drivetrain)):
+        for side, speed in enumerate(speeds_of_counts(counts, drivetrain)):
             sums[side] += speed
     # curvature is (right - left) / (right + left) / r; compared without dividing
     wished = math.atan2(right, left)
@@ -72,20 +72,20 @@ def test_counts_never_leave_the_limits(left, right, drivetrain, residue):
     assert all(isinstance(count, int) for count in counts)
     assert abs(after.left) <= 0.5
     assert abs(after.right) <= 0.5
-    for speed, wish in zip(wheel_speeds(counts, drivetrain), (left, right), strict=True):
+    for speed, wish in zip(speeds_of_counts(counts, drivetrain), (left, right), strict=True):
         assert speed == 0 or (speed > 0) == (wish > 0)
 
 
 @given(drivetrains, residues, st.sampled_from([0.0, -0.0]))
 def test_stop_is_exactly_zero_whatever_is_owed(drivetrain, residue, zero):
     assert wheel_counts(zero, 0.0, drivetrain, residue) == (STOP, Residue())
-    assert wheel_speeds(STOP, drivetrain) == (0.0, 0.0)
+    assert speeds_of_counts(STOP, drivetrain) == (0.0, 0.0)
 
 
 @given(speeds, drivetrains, residues)
 def test_a_wheel_wished_to_stand_stands(speed, drivetrain, residue):
     counts, after = wheel_counts(speed, 0.0, drivetrain, residue)
-    assert wheel_speeds(counts, drivetrain)[1] == 0.0
+    assert speeds_of_counts(counts, drivetrain)[1] == 0.0
     assert counts[0 if drivetrain.swap else 1] == 0
     assert speed == 0 or after.right == residue.right
 
@@ -110,7 +110,7 @@ def test_swap_and_invert():
         (Drivetrain(plain, plain, limit=10), (5, 10)),
     ):
         assert wheel_counts(100.0, 200.0, drivetrain, Residue())[0] == sent
-    assert wheel_speeds((18, 20), Drivetrain(Wheel(10.0, dead_zone=8), plain)) == (100.0, 200.0)
+    assert speeds_of_counts((18, 20), Drivetrain(Wheel(10.0, dead_zone=8), plain)) == (100.0, 200.0)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

@@ -15,7 +15,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
     ROBOTS_MAX,
     WATCHDOG_MS,
-    Command,
+    BroadcastCommand,
     Flag,
     Reply,
     Status,
@@ -38,7 +38,7 @@ def library(tmp_path_factory):
 
 
 def run(sequence, *wheels, flags=Flag.RUN):
-    return encode_command(Command(sequence, flags, wheels))
+    return encode_command(BroadcastCommand(sequence, flags, wheels))
 
 
 @needs_compiler
@@ -87,7 +87,7 @@ def damaged(rng):
     """Return a frame without its 00: good, damaged, or well sealed but wrong inside."""
     wheels = tuple((rng.randint(-127, 127), rng.choice([0, 5])) for _ in range(rng.randrange(4)))
     flags = rng.choice([Flag.RUN, Flag.RUN, Flag.RUN | Flag.POLL, Flag(0), Flag.EMERGENCY_STOP])
-    frame = bytearray(encode_command(Command(rng.randrange(256), flags, wheels))[:-1])
+    frame = bytearray(encode_command(BroadcastCommand(rng.randrange(256), flags, wheels))[:-1])
     match rng.randrange(6):
         case 0:
             frame[rng.randrange(len(frame))] ^= 1 << rng.randrange(8)

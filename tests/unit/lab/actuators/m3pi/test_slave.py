@@ -6,8 +6,8 @@ from tetractl.lab.actuators.m3pi.slave import (
     BATTERY_REQUEST,
     SIGNATURE_REQUEST,
     STOP,
-    Drive,
     Motor,
+    MotorCount,
     Query,
     SlaveDecoder,
     decode_battery,
@@ -30,14 +30,14 @@ def test_documented_bytes():
 def test_wheels_round_trip(left, right):
     decoder = SlaveDecoder()
     assert decoder.feed(encode_wheels(left, right)) == [
-        Drive(Motor.M1, left),
-        Drive(Motor.M2, right),
+        MotorCount(Motor.M1, left),
+        MotorCount(Motor.M2, right),
     ]
     assert decoder.ignored == 0
 
 
 def test_pwm_is_twice_the_count_and_full_at_127():
-    assert [Drive(Motor.M1, count).pwm for count in (0, 1, 126, 127, -127)] == [
+    assert [MotorCount(Motor.M1, count).pwm for count in (0, 1, 126, 127, -127)] == [
         0,
         2,
         252,
@@ -49,7 +49,7 @@ def test_pwm_is_twice_the_count_and_full_at_127():
 def test_a_lost_data_byte_costs_that_command_only():
     decoder = SlaveDecoder()
     found = decoder.feed(b"\xc1" + encode_wheels(3, 4)[2:] + SIGNATURE_REQUEST + b"\x05\xba")
-    assert found == [Drive(Motor.M2, 4), Query.SIGNATURE]
+    assert found == [MotorCount(Motor.M2, 4), Query.SIGNATURE]
     assert decoder.ignored == 3  # the command without data, data without command, a calibration
 
 
@@ -58,8 +58,8 @@ def test_resynchronises_after_any_garbage(garbage, left, right):
     decoder = SlaveDecoder()
     decoder.feed(garbage)
     assert decoder.feed(encode_wheels(left, right))[-2:] == [
-        Drive(Motor.M1, left),
-        Drive(Motor.M2, right),
+        MotorCount(Motor.M1, left),
+        MotorCount(Motor.M2, right),
     ]
 
 

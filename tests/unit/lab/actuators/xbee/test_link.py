@@ -9,10 +9,9 @@ import pytest
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
-from tetractl.experiment.lab import Radio
 from tetractl.lab.actuators.m3pi.broadcast import Reply, Status, decode_command, encode_reply
 from tetractl.lab.actuators.m3pi.cobs import Splitter
-from tetractl.lab.actuators.m3pi.protocols import BroadcastVoice, SlaveVoice
+from tetractl.lab.actuators.m3pi.protocols import BroadcastProtocol, SlaveProtocol
 from tetractl.lab.actuators.xbee.check import BAUDS, firmware
 from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
@@ -23,6 +22,7 @@ from tetractl.lab.actuators.xbee.frames import (
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
 from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.actuators.xbee.section import XbeeSection
 
 SERIES_1 = {b"HV": b"\x17\x44", b"VR": b"\x10\xed", b"BD": b"\x00\x00\x00\x06", b"AP": b"\x02"}
 
@@ -82,7 +82,7 @@ def module():
 
 
 def opened(module, **radio):
-    link = Link(Radio(port=module.name, **radio), MonotonicClock())
+    link = Link(XbeeSection(port=module.name, **radio), MonotonicClock())
     try:
         link.open()
     except AbortError:
@@ -178,13 +178,13 @@ def test_a_second_program_cannot_open_the_port(module):
 
 def test_there_must_be_a_port(tmp_path):
     with pytest.raises(AbortError, match="there is no such port"):
-        Link(Radio(port=str(tmp_path / "none")), MonotonicClock()).open()
+        Link(XbeeSection(port=str(tmp_path / "none")), MonotonicClock()).open()
 
 
 def test_a_radio_that_takes_nothing_is_stuck_and_stays_so():
     master, slave = pty.openpty()
     tty.setraw(slave)
-    link = Link(Radio(port=os.ttyname(slave), mode="transparent"), MonotonicClock())
+    link = Link(XbeeSection(port=os.ttyname(slave), mode="transparent"), MonotonicClock())
     try:
         link.open()
         with pytest.raises(AbortError, match="the radio is stuck"):
@@ -202,7 +202,7 @@ def test_a_radio_that_takes_nothing_is_stuck_and_stays_so():
 def test_a_radio_that_is_unplugged_raises():
     master, slave = pty.openpty()
     tty.setraw(slave)
-    link = Link(Radio(port=os.ttyname(slave), mode="transparent"), MonotonicClock())
+    link = Link(XbeeSection(port=os.ttyname(slave), mode="transparent"), MonotonicClock())
     try:
         link.open()
         os.close(slave)
@@ -236,7 +236,7 @@ def robot(index, battery_mv=4900):
 def test_robots_that_answer_a_poll_are_told_from_those_that_do_not(module):
     link = opened(module(respond=robot(2)))
     try:
-        found = BroadcastVoice(link, MonotonicClock(), [2, 5]).poll(0.3)
+        found = BroadcastProtocol(link, MonotonicClock(), [2, 5]).poll(0.3)
         assert found[0].battery_mv == 4900
         assert found[1] is None
     finally:
@@ -248,7 +248,7 @@ def test_a_broadcast_puts_every_robot_at_its_number(module):
     radio = module(respond=lambda frame: seen.set() or [])
     link = opened(radio)
     try:
-        BroadcastVoice(link, MonotonicClock(), [2, 0]).drive([(10, -20), (30, 40)])
+        BroadcastProtocol(link, MonotonicClock(), [2, 0]).drive([(10, -20), (30, 40)])
         assert seen.wait(10)
         (frame,) = Splitter().feed(radio.sent[0].data)
         assert decode_command(frame).wheels == ((30, 40), (0, 0), (10, -20))
@@ -264,7 +264,7 @@ def test_slaves_are_spoken_to_one_by_one(module):
     radio = module(respond=battery)
     link = opened(radio)
     try:
-        voice = SlaveVoice(link, MonotonicClock(), [5, 6])
+        voice = SlaveProtocol(link, MonotonicClock(), [5, 6])
         answers = voice.poll(0.3)
         assert answers[0].battery_mv == 5000
         assert answers[1] is None

@@ -6,8 +6,8 @@ import pytest
 from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
     EchoResponse,
-    Frame,
     ModelDef,
+    NatNetFrame,
     Request,
     Response,
     RigidBody,
@@ -33,7 +33,7 @@ def body(number, x, y, valid=True):
 
 
 def frame(number, *bodies, exposure=0, params=0):
-    return pack(Frame(number, tuple(bodies), params=params, ticks=Ticks(exposure, 0, 0)), V41)
+    return pack(NatNetFrame(number, tuple(bodies), params=params, ticks=Ticks(exposure, 0, 0)), V41)
 
 
 def connected(up=UpAxis.Z, placement=MILLIMETRES):

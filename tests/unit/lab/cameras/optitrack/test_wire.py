@@ -17,9 +17,9 @@ from tetractl.lab.cameras.optitrack.messages import (
     Connect,
     EchoRequest,
     EchoResponse,
-    Frame,
     Kind,
     ModelDef,
+    NatNetFrame,
     Request,
     Response,
     RigidBody,
@@ -54,7 +54,7 @@ def frames(version):
         return strategy if version >= oldest else st.none()
 
     return st.builds(
-        Frame,
+        NatNetFrame,
         number=i32,
         bodies=bodies(version),
         timecode=u32,
@@ -126,7 +126,7 @@ def test_frame_2_9_as_written_by_hand():
     payload = struct.pack("<iiii", 42, 0, 0, 1) + body + struct.pack("<iii", 0, 0, 0)
     payload += struct.pack("<fIIdHi", 0.25, 6, 7, 8.5, 4, 0)
     frame = parse(struct.pack("<HH", 7, len(payload)) + payload, Version(2, 9))
-    assert frame == Frame(
+    assert frame == NatNetFrame(
         42, (RigidBody(3, (1, 2, 3), (0, 0, 0, 1), 0.5, True),), 6, 7, 4, 0.25, 8.5
     )
     assert frame.edit_mode
@@ -140,7 +140,7 @@ def test_frame_4_2_as_written_by_hand():
     frame = parse(struct.pack("<HH", 7, len(payload)) + payload, Version(4, 2))
     ticks = Ticks(10, 11, 12)
     body = RigidBody(3, (1, 2, 3), (0, 0, 0, 1), 0.5, False)
-    assert frame == Frame(42, (body,), 6, 7, 3, None, 8.5, ticks, (13, 14))
+    assert frame == NatNetFrame(42, (body,), 6, 7, 3, None, 8.5, ticks, (13, 14))
     assert frame.recording
     assert frame.models_changed
     assert struct.unpack_from("<H", payload, len(payload) - 6) == (3,)  # params, from the tail
@@ -195,10 +195,10 @@ def test_details_of_the_handshake():
         (b"\x07\0\0", None),
         (struct.pack("<HH", 7, 5) + bytes(4), Version(3, 0)),  # the header lies
         (struct.pack("<HH", 11, 0), None),  # no such message
-        (pack(Frame(1, ()), Version(3, 0)), None),  # a frame before SERVERINFO
-        (pack(Frame(1, ()), Version(2, 5)), Version(2, 4)),
-        (pack(Frame(1, ()), Version(3, 0)), Version(4, 1)),  # another version's layout
-        (pack(Frame(1, ()), Version(4, 1)), Version(3, 0)),
+        (pack(NatNetFrame(1, ()), Version(3, 0)), None),  # a frame before SERVERINFO
+        (pack(NatNetFrame(1, ()), Version(2, 5)), Version(2, 4)),
+        (pack(NatNetFrame(1, ()), Version(3, 0)), Version(4, 1)),  # another version's layout
+        (pack(NatNetFrame(1, ()), Version(4, 1)), Version(3, 0)),
         (datagram(Kind.SERVER_INFO, bytes(263)), None),
         (datagram(Kind.SERVER_INFO, bytes(260) + b"\4\1\0\0"), None),  # 4.1 is longer
         (datagram(Kind.ECHO_RESPONSE, bytes(15)), None),
@@ -214,7 +214,7 @@ def test_bad_datagrams_raise_the_one_exception(packed, version):
 @pytest.mark.parametrize("count", [2**31 - 1, -1, 60, 2**31 // 19])
 @every_version
 def test_counts_beyond_the_datagram_are_refused(version, count):
-    packed = bytearray(pack(Frame(1, ()), version))
+    packed = bytearray(pack(NatNetFrame(1, ()), version))
     bodies_at = 4 + 4 + (16 if version >= (4, 1) else 8)
     struct.pack_into("<i", packed, bodies_at, count)
     with pytest.raises(WireError):
@@ -224,14 +224,14 @@ def test_counts_beyond_the_datagram_are_refused(version, count):
 @pytest.mark.parametrize(
     ("message", "version"),
     [
-        (Frame(2**31, ()), Version(3, 0)),
-        (Frame(0, (RigidBody(1, (1e300, 0, 0), (0, 0, 0, 1), 0, True),)), Version(3, 0)),
-        (Frame(0, ()), Version(2, 4)),
-        (Frame(0, ()), Version(4, 4)),
-        (Frame(0, ()), None),
+        (NatNetFrame(2**31, ()), Version(3, 0)),
+        (NatNetFrame(0, (RigidBody(1, (1e300, 0, 0), (0, 0, 0, 1), 0, True),)), Version(3, 0)),
+        (NatNetFrame(0, ()), Version(2, 4)),
+        (NatNetFrame(0, ()), Version(4, 4)),
+        (NatNetFrame(0, ()), None),
         (ModelDef((BodyName("x" * 256, 1),)), Version(3, 0)),
         (ModelDef((BodyName("a\0b", 1),)), Version(3, 0)),
-        (Frame(0, (RigidBody(1, (0, 0, 0), (0, 0, 0, 1), 0, True),) * 2000), Version(3, 0)),
+        (NatNetFrame(0, (RigidBody(1, (0, 0, 0), (0, 0, 0, 1), 0, True),) * 2000), Version(3, 0)),
         (Request("x" * 256), None),
         (EchoRequest(-1), None),
     ],

@@ -8,12 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from tetractl.core.clock import SECOND
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
     BROADCAST_64,
     AtCommand,
     AtResponse,
-    Frame,
     Other,
     Receive16,
     RemoteAt,
@@ -23,10 +23,10 @@ from tetractl.lab.actuators.xbee.frames import (
     Transmit64,
     TransmitStatus,
     TransmitStatusLong,
+    XbeeFrame,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
 
-SECOND = 1_000_000_000
 GUARD_NS = SECOND
 RSSI = 40  # -dBm
 BAUDS = {1200: 0, 2400: 1, 4800: 2, 9600: 3, 19200: 4, 38400: 5, 57600: 6, 115200: 7}
@@ -47,7 +47,7 @@ Write = Callable[[bytes], None]
 
 
 @dataclass(slots=True)
-class Settings:
+class ModuleSettings:
     """What the module was set to; `mode` is AP."""
 
     baud: int = 57600
@@ -60,10 +60,10 @@ class Settings:
     )
 
 
-class Module:
+class EmulatedModule:
     """An XBee; `send` puts a payload on the air, `write` bytes on the UART towards the PC."""
 
-    def __init__(self, settings: Settings, send: Send, write: Write) -> None:
+    def __init__(self, settings: ModuleSettings, send: Send, write: Write) -> None:
         self.settings = settings
         self._send = send
         self._write = write
@@ -95,10 +95,10 @@ class Module:
         else:
             self._tell(Receive16(source, RSSI, 0, payload))
 
-    def _tell(self, frame: Frame | Other) -> None:
+    def _tell(self, frame: XbeeFrame | Other) -> None:
         self._write(encode(frame, escaped=self.settings.mode == 2))
 
-    def _obey(self, frame: Frame | Other) -> None:
+    def _obey(self, frame: XbeeFrame | Other) -> None:
         match frame:
             case AtCommand(frame_id, command, data):
                 status, value = self._at(command, data)

@@ -7,13 +7,14 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.lab.cameras.optitrack.messages import BodyName, Frame, RigidBody, Ticks, Version
+from tetractl.lab.cameras.optitrack.messages import BodyName, NatNetFrame, RigidBody, Ticks, Version
 from tetractl.lab.cameras.optitrack.wire import pack, parse
 from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.mangle import mangle
-from tetractl.lab.emulate.motive_server import SECOND, Address, Desk, ticks
-from tetractl.lab.emulate.streaming import Counts, Streaming, Trouble
+from tetractl.lab.emulate.optitrack.mangle import mangle
+from tetractl.lab.emulate.optitrack.server import Address, MotiveServer, ticks
+from tetractl.lab.emulate.optitrack.streaming import ServerCounts, Streaming, Trouble
 from tetractl.lab.errors import WireError
 
 EDIT_MODE = 4
@@ -40,14 +41,14 @@ class Motive:
     ) -> None:
         self.streaming = streaming
         self.trouble = Trouble()
-        self.counts = Counts()
-        self.desk = Desk(streaming, names, self.counts, on_client)
+        self.counts = ServerCounts()
+        self.server = MotiveServer(streaming, names, self.counts, on_client)
         self._timeline = timeline
         self._expose = expose
         self._on_exposed = on_exposed
         self._on_sent = on_sent
         self._random = random.Random(seed)
-        self._last: Frame | None = None
+        self._last: NatNetFrame | None = None
         self._start_ns = 0
         self._exposures = 0
         self.command: socket.socket | None = None
@@ -61,7 +62,7 @@ class Motive:
     @property
     def data_port(self) -> int:
         """The port frames come from or, in multicast, go to."""
-        return self.desk.data_port
+        return self.server.data_port
 
     def open(self) -> int:
         """Take the ports and expose the first frame now; return the file to watch."""
@@ -73,7 +74,7 @@ class Motive:
             interface = socket.inet_aton(s.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
         if not (multicast and s.data_port):
-            self.desk.data_port = _port(self.data)  # in multicast too: nobody else has that one
+            self.server.data_port = _port(self.data)  # in multicast too: nobody else has that one
         self._start_ns = self._timeline.now_ns
         self._plan()
         return self.command.fileno()
@@ -101,9 +102,9 @@ class Motive:
             except WireError:
                 self.counts.refused += 1
                 continue
-            answer = self.desk.answer(message, sender, self._timeline.now_ns)
+            answer = self.server.answer(message, sender, self._timeline.now_ns)
             if answer is not None:
-                self._send(self.command, pack(answer, self.desk.version(sender)), sender)
+                self._send(self.command, pack(answer, self.server.version(sender)), sender)
 
     def _plan(self) -> None:
         due = self._start_ns + round(self._exposures * SECOND / self.streaming.rate_hz)
@@ -121,7 +122,7 @@ class Motive:
             delay += jitter.uniform(0, 0.45 / s.rate_hz)
         leaves = now + round(delay * SECOND)
         seconds = (now - self._start_ns) / SECOND
-        frame = Frame(
+        frame = NatNetFrame(
             number,
             self._expose(),
             params=EDIT_MODE if self.trouble.edit_mode else 0,
@@ -133,7 +134,7 @@ class Motive:
         self._timeline.at(leaves, partial(self._transmit, self._exposures, frame))
         self._plan()
 
-    def _transmit(self, exposure: int, frame: Frame) -> None:
+    def _transmit(self, exposure: int, frame: NatNetFrame) -> None:
         now = self._timeline.now_ns
         if self.trouble.frozen and self._last is not None:
             frame = self._last
@@ -142,11 +143,11 @@ class Motive:
             self._stream(frame, now)
         self._on_sent(exposure)
 
-    def _stream(self, frame: Frame, now: int) -> None:
+    def _stream(self, frame: NatNetFrame, now: int) -> None:
         if frame.ticks is not None:
             frame = replace(frame, ticks=replace(frame.ticks, transmit=ticks(now)))
         packed: dict[Version, bytes] = {}
-        for address, version in self.desk.receivers(now):
+        for address, version in self.server.receivers(now):
             if version not in packed:
                 packed[version] = pack(frame, self.trouble.version or version)
             datagram = packed[version]

@@ -54,7 +54,7 @@ class Client:
 
 
 @dataclass(slots=True)
-class Counts:
+class ServerCounts:
     """What the server has seen and done."""
 
     frames: int = 0

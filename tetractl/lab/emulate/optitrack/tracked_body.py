@@ -1,5 +1,4 @@
-"""What the cameras make of the robots: rigid bodies in the server's axes, and what is wrong with
-them while a fault is on."""
+"""Robots as rigid bodies in the server's axes, and what is wrong with them while a fault is on."""
 
 import math
 from collections.abc import Sequence
@@ -7,12 +6,12 @@ from dataclasses import dataclass, field, replace
 
 from tetractl.lab.cameras.optitrack.messages import RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis
-from tetractl.lab.emulate.robot import Robot
+from tetractl.lab.emulate.sides import Body
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """How the cameras' coordinates lie in the spec's, see `spec.lab.Mocap`; origin in mm."""
+    """How the cameras' coordinates lie in the spec's, see the camera's section; origin in mm."""
 
     up: UpAxis = UpAxis.Y
     origin: tuple[float, float] = (0.0, 0.0)
@@ -34,14 +33,14 @@ class View:
 
 
 @dataclass(slots=True)
-class Sight:
+class TrackedBody:
     """One robot's rigid body; `offset` is the spec's heading offset [rad].
 
     The other fields are what faults set: not tracked, displaced by `shift` [mm], position NaN,
     quaternion of norm `norm`.
     """
 
-    robot: Robot
+    robot: Body
     id: int
     body_name: str
     offset: float = 0.0
@@ -69,9 +68,9 @@ class Sight:
         return body
 
 
-def expose(sights: Sequence[Sight], view: View, swapped: set[int]) -> tuple[RigidBody, ...]:
+def expose(tracked: Sequence[TrackedBody], view: View, swapped: set[int]) -> tuple[RigidBody, ...]:
     """Return all bodies; the two whose places are in `swapped` have each other's id."""
-    bodies = [sight.expose(view) for sight in sights]
+    bodies = [each.expose(view) for each in tracked]
     if len(swapped) == 2:
         i, j = swapped
         bodies[i], bodies[j] = (

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 
 from tetractl.lab.actuators.xbee.frames import BROADCAST_16
 from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.module import Delivery, Done, Module, Settings
+from tetractl.lab.emulate.m3pi.module import Delivery, Done, EmulatedModule, ModuleSettings
+from tetractl.lab.emulate.m3pi.robot import EmulatedRobot
 from tetractl.lab.emulate.port import PseudoPort
-from tetractl.lab.emulate.robot import Robot
 
 AIR_NS_A_BYTE = 32_000
 AIR_OVERHEAD = 17  # bytes: preamble, header, checksum
@@ -23,25 +23,24 @@ ROBOT_BAUD = 57600
 Heard = Callable[[bytes], None]
 
 
-class Radio:
+class EmulatedRadio:
     """The PC's module on its port and one module a robot, at `addresses`.
 
-    `on_wire` is told of every chunk of bytes as it is read from the port. `loss` is the
-    probability that one robot does not hear one transmission. `deaf` takes the module's attention
-    away: it reads no more.
+    `on_wire` is called with every chunk of bytes as it is read from the port. `loss` is the
+    probability that one robot does not hear one transmission.
     """
 
     def __init__(
         self,
         timeline: Timeline,
         port: PseudoPort,
-        settings: Settings,
-        robots: Sequence[Robot],
+        settings: ModuleSettings,
+        robots: Sequence[EmulatedRobot],
         addresses: Sequence[int],
         loss: float,
         seed: int,
         on_wire: Heard,
-        on_heard: Callable[[Robot, bytes], None],
+        on_heard: Callable[[EmulatedRobot, bytes], None],
     ) -> None:
         self.port = port
         self.loss = loss
@@ -52,7 +51,7 @@ class Radio:
         self._random = random.Random(seed)
         self._on_wire = on_wire
         self._on_heard = on_heard
-        self._module = Module(settings, self._transmit, self._to_pc)
+        self._module = EmulatedModule(settings, self._transmit, self._to_pc)
         self._in_ns = self._out_ns = self._air_ns = 0  # when each of the three is free again
 
     def readable(self) -> None:
@@ -105,7 +104,7 @@ class Radio:
                 return
         self._timeline.at(self._air_ns, lambda: done(Delivery.NO_ACK))
 
-    def _deliver(self, robot: Robot, payload: bytes, arrives: int) -> None:
+    def _deliver(self, robot: EmulatedRobot, payload: bytes, arrives: int) -> None:
         def hear() -> None:
             if robot.powered:
                 robot.hear(payload)

@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Callable, Sequence
 
+from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     BodyName,
@@ -17,9 +18,8 @@ from tetractl.lab.cameras.optitrack.messages import (
     ServerInfo,
     Version,
 )
-from tetractl.lab.emulate.streaming import Client, Counts, Streaming
+from tetractl.lab.emulate.optitrack.streaming import Client, ServerCounts, Streaming
 
-SECOND = 1_000_000_000
 CLOCK_HZ = 10_000_000
 CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock has nothing to do with the host's
 Address = tuple[str, int]
@@ -30,8 +30,8 @@ def ticks(when_ns: int) -> int:
     return CLOCK_OFFSET + when_ns * CLOCK_HZ // SECOND
 
 
-class Desk:
-    """Knows the clients and answers them; `on_client` hears of each new one's address.
+class MotiveServer:
+    """Keeps the clients and answers them; `on_client` is called with each new one's address.
 
     `data_port` is the port that frames come from or, in multicast, go to.
     """
@@ -40,7 +40,7 @@ class Desk:
         self,
         streaming: Streaming,
         names: Sequence[BodyName],
-        counts: Counts,
+        counts: ServerCounts,
         on_client: Callable[[str], None],
     ) -> None:
         self.streaming = streaming

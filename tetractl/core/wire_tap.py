@@ -1,10 +1,13 @@
-"""Where raw datagrams and serial bytes can be listened to as they pass."""
+"""Where raw datagrams and serial bytes can be recorded as they pass."""
 
 from typing import Protocol
 
 
 class Tap(Protocol):
-    """Hears what passes on a wire, "natnet" or "radio"; must return at once and never raise."""
+    """Is called with all bytes that pass on a wire, such as "natnet" or "radio".
+
+    A call must return at once and never raise.
+    """
 
     def received(self, wire: str, t_ns: int, data: bytes) -> None:
         """These bytes came at this time [ns on the run's clock]."""
@@ -16,7 +19,7 @@ class Tap(Protocol):
 
 
 class NoTap:
-    """Hears nothing."""
+    """Records nothing."""
 
     def received(self, wire: str, t_ns: int, data: bytes) -> None:
         """Do nothing."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from tetractl.lab.actuators.m3pi.broadcast import Counts
-from tetractl.lab.actuators.m3pi.command import Drivetrain, wheel_speeds
+from tetractl.lab.actuators.m3pi.command import Drivetrain, speeds_of_counts
 from tetractl.lab.actuators.m3pi.core import Core
-from tetractl.lab.actuators.m3pi.slave import Drive, Motor, Query, SlaveDecoder
+from tetractl.lab.actuators.m3pi.slave import Motor, MotorCount, Query, SlaveDecoder
 
 STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
 STANDING_MM_S = 1.0
@@ -35,14 +35,14 @@ class Program(Protocol):
         ...
 
 
-class Firmware:
-    """Way (b): the mbed firmware's own core, compiled from `firmware/m3pi_core.c`."""
+class FirmwareProgram:
+    """The mbed firmware's own core, compiled from `firmware/m3pi_core.c`."""
 
     def __init__(self, index: int) -> None:
         self.core = Core(index)
 
     def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
-        """Let the core take the bytes."""
+        """Pass the bytes to the core."""
         self.core.set_battery(battery_mv)
         self.core.push(data, now_ms & 0xFFFFFFFF)
 
@@ -55,8 +55,8 @@ class Firmware:
         return self.core.take_reply(now_ms & 0xFFFFFFFF)
 
 
-class Slave:
-    """Way (a): the 3pi's serial-slave program. No watchdog: it drives on when nothing is heard."""
+class SlaveProgram:
+    """The 3pi's serial-slave program. No watchdog: it drives on when nothing is heard."""
 
     def __init__(self) -> None:
         self._decoder = SlaveDecoder()
@@ -67,7 +67,7 @@ class Slave:
         """Obey each command as it is completed."""
         for command in self._decoder.feed(data):
             match command:
-                case Drive(motor, count):
+                case MotorCount(motor, count):
                     self._counts[motor is Motor.M2] = count
                 case Query.SIGNATURE:
                     self._counts = [0, 0]
@@ -103,7 +103,7 @@ class Battery:
 
 
 @dataclass(slots=True)
-class Robot:
+class EmulatedRobot:
     """One robot as it truly is.
 
     `boot` starts its program, as switching it on does. `x`, `y` [mm] and `heading` [rad] are in the
@@ -181,7 +181,7 @@ class Robot:
         self.left = self.right = 0.0
 
     def _step(self, seconds: float) -> None:
-        left, right = wheel_speeds(self.counts(), self.drivetrain)
+        left, right = speeds_of_counts(self.counts(), self.drivetrain)
         if left == right == self.left == self.right == 0.0:
             self.battery.draw(0.0, seconds)
             return

@@ -1,0 +1,202 @@
+"""A lab in virtual time: a fake camera and a fake actuator around robots that move by the model."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Health, RobotStatus, Transmission
+from tetractl.core.errors import AbortError
+from tetractl.core.operators import Operators
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab import Limits
+from tetractl.lab.rig import Rig
+from tetractl.model.motion.exact import step as exact
+from tetractl.model.wheels import wheel_speeds
+from tetractl.plant.lab import LabPlant
+
+STEP_NS = SECOND // 500
+CAMERA_HZ = 120.0
+LATENCY_NS = 5_000_000
+
+
+class SteppedClock(VirtualClock):
+    """Virtual time that goes on in small steps and calls `steps` after each."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.steps: list[Callable[[], None]] = []
+
+    def sleep_until(self, when: int) -> None:
+        while self._now < when:
+            self._now = min(when, self._now + STEP_NS)
+            for step in self.steps:
+                step()
+
+
+@dataclass
+class World:
+    """N robots under one held direction; those that are not `moving` stand."""
+
+    setup: Setup
+    clock: SteppedClock
+    direction: float = 0.0
+    moving: tuple[bool, ...] = ()
+    then_ns: int = 0
+
+    def __post_init__(self) -> None:
+        self.poses = self.setup.starts.array()
+        self.moving = (False,) * len(self.poses)
+
+    def advance(self) -> None:
+        seconds = (self.clock.now() - self.then_ns) / SECOND * np.array(self.moving)
+        self.then_ns = self.clock.now()
+        moved = exact(
+            *self.poses.T, np.array(self.direction), self.setup.a, self.setup.speed, seconds
+        )
+        self.poses = np.column_stack(moved)
+
+
+class FakeCamera:
+    """Frames at `CAMERA_HZ` that arrive 5 ms after their exposure, once entered.
+
+    `hidden` robots are not tracked; a `silent` camera exposes nothing.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world, self.clock = world, world.clock
+        self.newest: CameraFrame | None = None
+        self.damaged = 0
+        self.hidden: set[str] = set()
+        self.silent = False
+        self.entered = 0
+        self._exposed: list[CameraFrame] = []
+        self._fresh: list[CameraFrame] = []
+        self._count = 0
+
+    def __enter__(self):
+        self.clock.steps.insert(0, self._step)
+        self._first_ns = self.clock.now()
+        self.entered += 1
+        while self.newest is None:
+            self.clock.sleep_until(self.clock.now() + STEP_NS)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._step in self.clock.steps:
+            self.clock.steps.remove(self._step)
+
+    def check(self) -> Health:
+        return Health(facts={"camera": "fake"})
+
+    def frames(self) -> list[CameraFrame]:
+        fresh, self._fresh = self._fresh, []
+        return fresh
+
+    def _step(self) -> None:
+        self.world.advance()
+        now = self.clock.now()
+        while (due := self._first_ns + round(self._count * SECOND / CAMERA_HZ)) <= now:
+            self._count += 1
+            if not self.silent:
+                arrives = due + LATENCY_NS
+                self._exposed.append(CameraFrame(self._count, due, arrives, self._seen()))
+        while self._exposed and self._exposed[0].received_ns <= now:
+            self.newest = self._exposed.pop(0)
+            self._fresh.append(self.newest)
+
+    def _seen(self) -> tuple[Pose | None, ...]:
+        names = self.world.setup.names
+        poses = [Pose(*map(float, row)) for row in self.world.poses]
+        return tuple(
+            None if name in self.hidden else pose for name, pose in zip(names, poses, strict=True)
+        )
+
+
+@dataclass
+class FakeActuator:
+    """Lets the world's robots move; those of a lamp or field (`halts` False) move for ever."""
+
+    world: World
+    individual: bool = True
+    halts: bool = True
+    period_ns: int = SECOND // 40
+    failure: str | None = None
+    sent: list[Transmission] = field(default_factory=list)
+    emergencies: int = 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def check(self) -> Health:
+        return Health(facts={"actuator": "fake"})
+
+    def poll(self, timeout_s: float) -> list[RobotStatus]:
+        return [RobotStatus(True if self.individual else None)] * len(self.world.moving)
+
+    def steer(
+        self,
+        direction: float,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        return self._send(direction, tuple(moving))
+
+    def stop(self, emergency: bool = False) -> Transmission:
+        self.emergencies += emergency
+        return self._send(None, (not self.halts,) * len(self.world.moving))
+
+    def _send(self, direction: float | None, moving: tuple[bool, ...]) -> Transmission:
+        if self.failure is not None:
+            raise AbortError(self.failure)
+        world, setup = self.world, self.world.setup
+        world.advance()
+        world.moving = moving
+        world.direction = world.direction if direction is None else direction
+        let = np.array(moving, dtype=float)
+        heading = world.poses[:, 2]
+        turning = setup.a * np.sin(world.direction - heading) * let
+        wheels = (None, None)
+        if setup.wheel_radius is not None:
+            wheels = wheel_speeds(heading, world.direction, setup.a, setup.speed * let, 0.0)
+            left, right = wheels
+            wheels = left - turning * setup.wheel_radius, right + turning * setup.wheel_radius
+        now = world.clock.now()
+        made = Transmission(now, direction, moving, setup.speed * let, turning, *wheels)
+        self.sent.append(made)
+        return made
+
+
+@dataclass
+class FakeLab:
+    """A lab plant between a fake camera and a fake actuator."""
+
+    plant: LabPlant
+    camera: FakeCamera
+    actuator: FakeActuator
+    world: World
+    clock: SteppedClock
+    operators: Operators
+
+
+def fake_lab(setup: Setup, limits: Limits | None = None, **actuator: object) -> FakeLab:
+    clock = SteppedClock()
+    world = World(setup, clock)
+    camera, moved, operators = FakeCamera(world), FakeActuator(world, **actuator), Operators()
+    rig = Rig(
+        camera,
+        moved,
+        limits or Limits(),
+        setup,
+        clock,
+        operators.emergency,
+        threaded=False,
+    )
+    clock.steps.append(rig.loop.step)
+    return FakeLab(LabPlant(rig, operators), camera, moved, world, clock, operators)

@@ -1,0 +1,224 @@
+"""The lab as a plant, in virtual time, between a fake camera and a fake actuator."""
+
+import numpy as np
+import pytest
+from support.labs import fake_lab
+from support.trials import experiment
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command, Note
+from tetractl.core.errors import AbortError
+from tetractl.experiment.lab import Limits
+
+PERIOD = SECOND // 5
+SETUP = experiment().setup
+CELLS = {"individual": False, "halts": False}
+
+
+def opened(**actuator):
+    lab = fake_lab(SETUP, **actuator)
+    lab.plant.open()
+    return lab
+
+
+def drive(lab, seconds, direction=0.5):
+    """Observe and steer once a control period."""
+    began = lab.clock.now()
+    for k in range(1, round(seconds * SECOND / PERIOD) + 1):
+        lab.plant.observe()
+        lab.plant.steer(direction)
+        lab.clock.sleep_until(began + k * PERIOD)
+
+
+def wait(lab, seconds):
+    lab.clock.sleep_until(lab.clock.now() + round(seconds * SECOND))
+
+
+def test_no_wheels_are_needed_anywhere():
+    lab = opened()
+    drive(lab, 0.4)
+    stop = lab.plant.stop()
+    assert SETUP.wheel_radius is None
+    commands = [item for item in lab.plant.news() if isinstance(item, Command)]
+    assert commands
+    for command in (*commands, stop):
+        assert command.left is None
+        assert command.right is None
+
+
+def test_a_held_direction_is_sent_at_the_actuators_rate():
+    lab = opened()
+    drive(lab, 2.0)
+    gaps = np.diff([sent.sent_ns for sent in lab.actuator.sent])
+    assert gaps.max() <= 2 * lab.actuator.period_ns
+    assert len(lab.actuator.sent) == pytest.approx(2.0 * 40, abs=12)
+
+
+def test_an_untracked_robot_stops_alone_and_goes_on_when_it_is_seen_again():
+    lab = opened()
+    drive(lab, 0.4)
+    lab.camera.hidden = {"green"}
+    wait(lab, 0.12)
+    assert lab.world.moving == (False, True, True)
+    lab.camera.hidden = set()
+    wait(lab, 0.05)
+    assert lab.world.moving == (True, True, True)
+
+
+def test_robots_that_can_only_stop_together_are_steered_on_while_one_is_not_tracked():
+    lab = opened(**CELLS)
+    drive(lab, 0.4)
+    lab.camera.hidden = {"green"}
+    before = len(lab.actuator.sent)
+    wait(lab, 0.2)
+    after = lab.actuator.sent[before:]
+    assert len(after) >= 5
+    assert all(sent.direction == 0.5 for sent in after)
+    observed = lab.plant.observe()
+    assert observed.valid.tolist() == [False, True, True]
+    lab.camera.hidden = set()
+    wait(lab, 0.1)
+    assert lab.plant.observe().valid.all()
+
+
+@pytest.mark.parametrize("actuator", [{}, CELLS], ids=["robots", "cells"])
+def test_a_robot_lost_for_too_long_aborts_and_stops_all(actuator):
+    lab = opened(**actuator)
+    drive(lab, 0.4)
+    lab.camera.hidden = {"blue"}
+    wait(lab, 0.5)
+    with pytest.raises(AbortError, match="blue is not tracked"):
+        lab.plant.observe()
+    with pytest.raises(AbortError, match="blue is not tracked"):
+        lab.plant.steer(0.1)
+    stops = [sent for sent in lab.actuator.sent if sent.direction is None]
+    assert len(stops) >= 5
+    lab.plant.stop()
+    assert lab.actuator.sent[-1].direction is None
+
+
+def test_a_silent_camera_stops_cells_by_a_stop_and_the_run_goes_on_with_its_frames():
+    lab = opened(**CELLS)
+    drive(lab, 0.4)
+    lab.camera.silent = True
+    wait(lab, 0.2)
+    assert lab.actuator.sent[-1].direction is None
+    lab.plant.observe()
+    held = lab.plant.steer(1.0)
+    assert (held.direction, held.delivered) == (1.0, (False,) * 3)
+    lab.camera.silent = False
+    wait(lab, 0.1)
+    assert lab.actuator.sent[-1].direction == 1.0
+    lab.camera.silent = True
+    wait(lab, 0.6)
+    with pytest.raises(AbortError, match="no new camera frame for"):
+        lab.plant.observe()
+
+
+def test_cells_are_not_waited_for_after_a_stop():
+    lab = opened(**CELLS)
+    drive(lab, 0.4)
+    lab.plant.stop()
+    before = lab.clock.now()
+    verdict = lab.plant.settle()
+    assert lab.clock.now() == before
+    assert verdict.unrest == ""
+    assert any(lab.world.moving)
+
+
+def test_robots_that_do_not_stand_after_a_stop_are_named():
+    lab = opened()
+    drive(lab, 0.4)
+    lab.plant.stop()
+    lab.world.moving = (True, False, False)
+    verdict = lab.plant.settle()
+    assert verdict.unrest == "green still moves 2 s after the stop"
+    assert [item.text for item in lab.plant.news() if isinstance(item, Note)] == [verdict.unrest]
+
+
+def test_an_emergency_stop_is_sent_as_one_and_ends_every_call():
+    lab = opened()
+    drive(lab, 0.4)
+    lab.operators.emergency.set()
+    wait(lab, 0.3)
+    assert lab.actuator.emergencies == 10
+    with pytest.raises(AbortError, match="emergency stop by the operator"):
+        lab.plant.steer(0.0)
+
+
+def test_an_actuator_that_fails_ends_the_run():
+    lab = opened()
+    drive(lab, 0.4)
+    lab.actuator.failure = "the port is gone"
+    wait(lab, 0.05)
+    with pytest.raises(AbortError, match="the port is gone"):
+        lab.plant.observe()
+    stop = lab.plant.stop()
+    assert stop.delivered == (False,) * 3
+
+
+def test_a_bug_in_a_device_stops_the_robots_and_is_told():
+    lab = opened()
+    drive(lab, 0.4)
+
+    def broken(*arguments):
+        raise ZeroDivisionError("a bug")
+
+    lab.actuator.steer = broken
+    wait(lab, 0.3)
+    with pytest.raises(AbortError, match="ZeroDivisionError: a bug"):
+        lab.plant.observe()
+    assert lab.world.moving == (False,) * 3
+
+
+def test_a_robot_that_does_not_move_as_told_is_warned_of():
+    lab = opened()
+    held = lab.world.advance
+
+    def stuck():
+        before = lab.world.poses[1].copy()
+        held()
+        lab.world.poses[1] = before
+
+    lab.world.advance = stuck
+    drive(lab, 2.4)
+    notes = [item.text for item in lab.plant.news() if isinstance(item, Note)]
+    assert notes == ["blue does not move as told: power, drive or link?"]
+
+
+def test_robots_off_their_starts_end_the_run_by_name():
+    lab = fake_lab(SETUP)
+    lab.world.poses[1, 0] += 120
+    with pytest.raises(AbortError, match=r"^blue is 120 mm from its start$"):
+        lab.plant.open()
+    assert not lab.actuator.sent
+
+
+def test_robots_are_waited_for_while_somebody_places_them():
+    lab = fake_lab(SETUP, Limits(placing=10.0))
+    lab.world.poses[1, 0] += 120
+    shown = []
+
+    class Helper:
+        def place(self, lines):
+            shown.append(list(lines))
+            if len(shown) == 3:
+                lab.world.poses[1, 0] -= 120
+
+        def go(self):
+            return len(shown) > 6
+
+    lab.operators.attendant = Helper()
+    info = lab.plant.open()
+    assert shown[0] == ["blue is 120 mm from its start"]
+    assert shown[-1] == []
+    assert info.facts["camera"] == "fake"
+    assert info.facts["latency_ms"] == "5.00"
+
+
+def test_a_person_may_give_up_waiting():
+    lab = fake_lab(SETUP, Limits(placing=10.0))
+    lab.world.poses[1, 0] += 120
+    lab.operators.cancelled = lambda: True
+    with pytest.raises(KeyboardInterrupt):
+        lab.plant.open()

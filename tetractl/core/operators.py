@@ -1,0 +1,38 @@
+"""What people and files have to do with a run in the lab."""
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from tetractl.core.wire_tap import NO_TAP, Tap
+
+
+class Attendant(Protocol):
+    """A person who puts robots on their starts."""
+
+    def place(self, lines: Sequence[str]) -> None:
+        """Show what keeps the robots from starting, one line each; none: all is ready.
+
+        Called again and again while robots are placed.
+        """
+        ...
+
+    def go(self) -> bool:
+        """Return whether the person lets the robots start."""
+        ...
+
+
+@dataclass(slots=True)
+class Operators:
+    """The people at a run in the lab, and the recording of its wires.
+
+    `emergency` set is the emergency stop. `attendant` None: nobody is asked, and robots that are
+    not on their starts within the spec's `placing` time end the run. `cancelled` returns whether a
+    person wants to wait no longer.
+    """
+
+    emergency: threading.Event = field(default_factory=threading.Event)
+    attendant: Attendant | None = None
+    tap: Tap = NO_TAP
+    cancelled: Callable[[], bool] = lambda: False

@@ -1,0 +1,174 @@
+"""m3pi robots as an `Actuator`: the common direction to wheel counts, over an XBee."""
+
+import math
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Health, RobotStatus, Transmission
+from tetractl.core.poses import Pose
+from tetractl.core.setup import Setup
+from tetractl.core.wire_tap import NO_TAP, Tap
+from tetractl.lab.actuators.m3pi.broadcast import Counts
+from tetractl.lab.actuators.m3pi.command import (
+    STOP,
+    Drivetrain,
+    Residue,
+    Wheel,
+    speeds_of_counts,
+    wheel_counts,
+)
+from tetractl.lab.actuators.m3pi.protocols import Answer, build_protocol
+from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
+from tetractl.lab.actuators.xbee.link import Link
+from tetractl.model.motion.exact import step as exact
+from tetractl.model.wheels import body_velocity, wheel_speeds
+
+MM = 1e-3  # m
+RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until the wheels have it
+AHEAD_MAX_NS = SECOND // 10  # further ahead no heading is predicted
+
+
+class M3piActuator:
+    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`."""
+
+    individual = True
+    halts = True
+
+    def __init__(self, section: M3piSection, setup: Setup, clock: Clock, tap: Tap = NO_TAP) -> None:
+        self.section, self.names = section, setup.names
+        self.robots = [section.robot(name) for name in setup.names]
+        self.link = Link(section, clock, tap)
+        self.drivetrains = [drivetrain(section, robot) for robot in self.robots]
+        self._clock = clock
+        self._protocol = build_protocol(section, setup.names, self.link, clock)
+        self._mm = setup.metres / MM  # millimetres in a length unit
+        self._a, self._speed = setup.a, setup.speed * self._mm
+        self._radius = np.array([_radius_mm(robot, setup) for robot in self.robots])
+        self._residues = [Residue()] * len(self.robots)
+
+    def __enter__(self) -> Self:
+        """Open the port and check the module on it."""
+        try:
+            self.link.open()
+        except BaseException:
+            self.link.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.link.close()
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two wheel commands under a held direction [ns]."""
+        return round(SECOND / self.section.rate)
+
+    @property
+    def failure(self) -> str | None:
+        """Why nothing can be sent any more, None while all is well."""
+        return self.link.failure
+
+    def check(self) -> Health:
+        """Warn of robots without a watchdog; opening the port has checked the radio."""
+        if not isinstance(self.section.protocol, SlaveSection):
+            return Health()
+        warning = "the robots have no watchdog: one that loses the radio drives on"
+        return Health(warnings=(warning,))
+
+    def steer(
+        self,
+        direction: float,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        """Send each robot the wheel counts of a direction [rad], 0 where it may not move."""
+        wished = self.counts(direction, poses, self._clock.now() - exposed_ns)
+        counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
+        sent_ns = self._protocol.drive(counts)
+        return self._transmission(sent_ns, direction, counts, tuple(moving))
+
+    def stop(self, emergency: bool = False) -> Transmission:
+        """Stop every robot; the mbed firmware latches an emergency stop until switched off."""
+        sent_ns = self._protocol.emergency() if emergency else self._protocol.stop()
+        still = [STOP] * len(self.robots)
+        return self._transmission(sent_ns, None, still, (False,) * len(still))
+
+    def poll(self, timeout_s: float) -> list[RobotStatus]:
+        """Ask every robot for its battery and state."""
+        answers = self._protocol.poll(timeout_s)
+        return [self._status(*pair) for pair in zip(self.names, answers, strict=True)]
+
+    def counts(self, direction: float, poses: Sequence[Pose | None], age_ns: int) -> list[Counts]:
+        """Return the counts of a direction by (24)-(25), at the headings the command will meet.
+
+        Those are predicted over the age of the poses and the radio's time by the exact step of (3).
+        """
+        ahead_s = min(AHEAD_MAX_NS, age_ns + RADIO_NS) / SECOND
+        seen = np.array([0.0 if pose is None else pose.heading for pose in poses])
+        nowhere, u = np.zeros(len(poses)), np.array(direction)
+        _, _, heading = exact(nowhere, nowhere, seen, u, self._a, self._speed, ahead_s)
+        left, right = wheel_speeds(heading, u, self._a, self._speed, self._radius)
+        found: list[Counts] = []
+        for i, pose in enumerate(poses):
+            if pose is None:
+                self._residues[i] = Residue()
+                found.append(STOP)
+                continue
+            train, owed = self.drivetrains[i], self._residues[i]
+            counts, self._residues[i] = wheel_counts(float(left[i]), float(right[i]), train, owed)
+            found.append(counts)
+        return found
+
+    def _transmission(
+        self,
+        sent_ns: int,
+        direction: float | None,
+        counts: Sequence[Counts],
+        moving: tuple[bool, ...],
+    ) -> Transmission:
+        pairs = zip(counts, self.drivetrains, strict=True)
+        left, right = np.array([speeds_of_counts(*pair) for pair in pairs]).T
+        speed, turning = body_velocity(left, right, self._radius)
+        mm = self._mm
+        return Transmission(sent_ns, direction, moving, speed / mm, turning, left / mm, right / mm)
+
+    def _status(self, name: str, answer: Answer | None) -> RobotStatus:
+        if answer is None:
+            line = f"{name} does not answer: is it on, and is its index or address right?"
+            return RobotStatus(False, problems=(line,))
+        volts = answer.battery_mv / 1000 or None
+        if answer.emergency_stopped:
+            line = f"{name} is emergency-stopped: switch it off and on again"
+            return RobotStatus(True, volts, (line,))
+        if volts is not None and volts < self.section.battery_refuse:
+            line = f"{name}'s battery is at {volts:.2f} V: charge it"
+            return RobotStatus(True, volts, (line,))
+        if volts is not None and volts < self.section.battery_warn:
+            return RobotStatus(True, volts, (), (f"{name}'s battery is at {volts:.2f} V",))
+        return RobotStatus(True, volts)
+
+
+def drivetrain(section: M3piSection, robot: M3piRobot) -> Drivetrain:
+    """Return a robot's wheels, capped where its program has no watchdog."""
+    return Drivetrain(_wheel(robot.left), _wheel(robot.right), robot.swap, section.limit(robot))
+
+
+def _wheel(wheel: WheelSection) -> Wheel:
+    return Wheel(wheel.gain_mm, wheel.dead_zone, wheel.invert)
+
+
+def _radius_mm(robot: M3piRobot, setup: Setup) -> float:
+    radius = robot.radius_mm
+    if radius is None and setup.wheel_radius is not None:
+        radius = setup.wheel_radius * setup.metres / MM
+    return math.nan if radius is None else radius

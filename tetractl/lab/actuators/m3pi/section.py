@@ -1,0 +1,154 @@
+"""The section of the spec for m3pi robots behind an XBee: `actuator: {type: m3pi-xbee, ...}`."""
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+
+from tetractl.core.clock import Clock
+from tetractl.core.setup import Setup
+from tetractl.core.wire_tap import Tap
+from tetractl.experiment.base import Model, NonNegative
+from tetractl.experiment.lab import ActuatorSection, LabSection, Measured, RobotPart, mismatches
+from tetractl.experiment.yaml.problems import Loc
+from tetractl.lab.actuators.xbee.section import XbeeSection
+
+if TYPE_CHECKING:
+    from tetractl.lab.actuators.m3pi.actuator import M3piActuator
+
+
+class BroadcastSection(Model):
+    """One frame steers all robots, which run the mbed firmware: they stop by themselves after
+    250 ms of silence."""
+
+    type: Literal["broadcast"]
+
+
+class SlaveSection(Model):
+    """One message a robot, which runs the 3pi's serial-slave program. It has no watchdog: a robot
+    that loses the radio drives on."""
+
+    type: Literal["slave"]
+    accept_no_watchdog: Literal[True]
+    """Must be true: somebody stands by to switch the robots off."""
+    limit: int = Field(default=25, ge=1, le=40)
+    """Greatest wheel count ever sent, of 127."""
+
+
+class WheelSection(Model):
+    """One wheel: its speed is gain times the counts beyond the dead zone."""
+
+    gain_mm: float = Field(default=1000 / 127, gt=0, le=100, allow_inf_nan=False)
+    """Speed gained a count [mm/s]."""
+    dead_zone: int = Field(default=0, ge=0, le=60)
+    """Counts that do not move the wheel yet."""
+    invert: bool = False
+    """The motor turns backward on positive counts."""
+
+
+class M3piRobot(RobotPart):
+    """What a robot is to the radio, and its wheels."""
+
+    index: int | None = Field(default=None, ge=0, le=31)
+    """Its number in broadcasts, as its firmware was built; its place in this list by default."""
+    address: int | None = Field(default=None, ge=0, le=0xFFFD)
+    """16-bit radio address (MY) of its module; needed for `slave`."""
+    radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
+    """Distance r from a wheel to its centre [mm]; `wheels.radius` by default."""
+    left: WheelSection = WheelSection()
+    """The left wheel."""
+    right: WheelSection = WheelSection()
+    """The right wheel."""
+    swap: bool = False
+    """The left wheel hangs on the motor meant for the right."""
+    limit: int = Field(default=127, ge=1, le=127)
+    """Greatest wheel count ever sent to it."""
+
+
+class M3piSection(XbeeSection, ActuatorSection):
+    """m3pi robots with two wheels, steered over an XBee radio."""
+
+    type: Literal["m3pi-xbee"]
+    rate: float = Field(default=40.0, ge=20, le=120, allow_inf_nan=False)
+    """Wheel commands a second [Hz]."""
+    protocol: Annotated[BroadcastSection | SlaveSection, Field(discriminator="type")] = (
+        BroadcastSection(type="broadcast")
+    )
+    """How the robots are addressed."""
+    robots: tuple[M3piRobot, ...] = Field(min_length=1, max_length=32)
+    """Every robot of the spec, once."""
+    battery_refuse: NonNegative = 4.0
+    """A robot below this voltage does not start [V]."""
+    battery_warn: NonNegative = 4.4
+    """A robot below this voltage is warned of [V]."""
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield where robots, their numbers and wheels, or the radio's mode cannot be as given."""
+        indexed = [
+            robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
+        ]
+        yield from mismatches(indexed, setup.names, ("index", "address"))
+        slave = isinstance(self.protocol, SlaveSection)
+        if slave and self.mode == "transparent":
+            message = "cannot address one robot, which the slave protocol needs; use api2"
+            yield ("mode",), message
+        for i, robot in enumerate(self.robots):
+            if setup.wheel_radius is None and robot.radius_mm is None:
+                message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"
+                yield ("robots", i, "radius_mm"), message
+            if slave and robot.address is None:
+                message = "is missing; the slave protocol addresses each robot"
+                yield ("robots", i, "address"), message
+            limit = self.limit(robot)
+            for side, wheel in (("left", robot.left), ("right", robot.right)):
+                if wheel.dead_zone >= limit:
+                    yield ("robots", i, side, "dead_zone"), f"must be below its limit, {limit}"
+
+    def bounds(self) -> dict[str, str]:
+        """Return the radio's port and rate, and how fast wheels may turn."""
+        return {
+            "radio": f"{self.port}, {self.rate:g} commands a second",
+            "wheel counts": f"at most {min(map(self.limit, self.robots))} of 127",
+        }
+
+    def robot(self, name: str) -> M3piRobot:
+        """Return the part of a robot."""
+        return next(robot for robot in self.robots if robot.name == name)
+
+    def index(self, name: str) -> int:
+        """Return a robot's number in broadcasts."""
+        robot = self.robot(name)
+        return self.robots.index(robot) if robot.index is None else robot.index
+
+    def limit(self, robot: M3piRobot) -> int:
+        """Return the greatest count ever sent to a robot: less where nothing would stop it."""
+        if isinstance(self.protocol, SlaveSection):
+            return min(robot.limit, self.protocol.limit)
+        return robot.limit
+
+    def build(self, setup: Setup, clock: Clock, tap: Tap) -> "M3piActuator":
+        """Return the actuator of the setup's robots; its port is not open yet."""
+        from tetractl.lab.actuators.m3pi.actuator import M3piActuator
+
+        return M3piActuator(self, setup, clock, tap)
+
+    def stop_all(self, setup: Setup) -> str:
+        """Stop every robot in reach, whatever it runs: until it is switched off where it can."""
+        from tetractl.lab.actuators.m3pi.stop import stop_all
+
+        return stop_all(self, [robot.address for robot in self.robots if robot.address is not None])
+
+    def calibrate(
+        self,
+        lab: LabSection,
+        setup: Setup,
+        names: Sequence[str],
+        limit: int,
+        emergency: threading.Event,
+        report: Callable[[str], None],
+    ) -> Measured:
+        """Measure wheels, wheel distance and heading offset; `limit` is the greatest count."""
+        from tetractl.lab.actuators.m3pi.calibrate import calibrate_robots
+
+        return calibrate_robots(self, lab, setup, names, limit, emergency, report)

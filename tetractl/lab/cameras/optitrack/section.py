@@ -1,0 +1,88 @@
+"""The section of the spec for OptiTrack cameras: `camera: {type: optitrack, ...}`."""
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+
+from tetractl.core.clock import Clock
+from tetractl.core.setup import Setup
+from tetractl.core.wire_tap import Tap
+from tetractl.experiment.base import Finite, Point, Positive
+from tetractl.experiment.lab import CameraSection, RobotPart, mismatches
+from tetractl.experiment.yaml.problems import Loc
+
+if TYPE_CHECKING:
+    from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
+
+Ipv4 = Annotated[
+    str, Field(pattern=r"^(25[0-5]|2[0-4]\d|1?\d?\d)(\.(25[0-5]|2[0-4]\d|1?\d?\d)){3}$")
+]
+Port = Annotated[int, Field(ge=1, le=65_535)]
+
+
+class TrackedRobot(RobotPart):
+    """What a robot is to the cameras."""
+
+    body: str | int
+    """Its rigid body in the camera system: name or id."""
+    heading_offset: Finite = 0.0
+    """Added to the rigid body's heading [rad]."""
+
+
+class OptitrackSection(CameraSection):
+    """OptiTrack cameras behind a Motive server that speaks NatNet."""
+
+    type: Literal["optitrack"]
+    server: Ipv4
+    """The server's address: IPv4, such as 192.168.1.10."""
+    interface: Ipv4 = "0.0.0.0"
+    """Address of this computer's network card that reaches the cameras: IPv4; 0.0.0.0 lets the
+    system choose."""
+    transport: Literal["multicast", "unicast"] = "multicast"
+    """How the server streams; as set in Motive."""
+    command_port: Port = 1510
+    """The server's port for commands."""
+    data_port: Port = 1511
+    """Port of the multicast stream; unused in unicast."""
+    group: Ipv4 = "239.255.42.99"
+    """Address of the multicast stream: IPv4."""
+    version: str | None = Field(default=None, pattern=r"^[2-4]\.\d{1,2}$")
+    """Protocol version to ask for: major.minor, such as 4.1; the server's own by default, and
+    always so in multicast."""
+    up_axis: Literal["auto", "y", "z"] = "auto"
+    """The axis that points up; `auto` asks the server."""
+    origin: Point = (0.0, 0.0)
+    """Where the cameras' origin lies in the spec's coordinates [length unit]."""
+    rotation: Finite = 0.0
+    """Turn from the spec's x axis to the cameras' [rad]."""
+    connect: Positive = 2.0
+    """How long the server may take to answer, and then to stream [s]."""
+    robots: tuple[TrackedRobot, ...] = Field(min_length=1, max_length=32)
+    """Every robot of the spec, once."""
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield where robots or the version cannot be as they are given."""
+        yield from mismatches(self.robots, setup.names, ("body",))
+        if self.version is not None and self.transport == "multicast":
+            yield ("version",), "can only be asked for in unicast; leave it out"
+
+    def bounds(self) -> dict[str, str]:
+        """Return the server's address."""
+        return {"cameras": f"{self.server}:{self.command_port}, {self.transport}"}
+
+    def heading_offset(self, name: str) -> float:
+        """Return what is added to the heading of a robot's rigid body [rad]."""
+        return self.robot(name).heading_offset
+
+    def robot(self, name: str) -> TrackedRobot:
+        """Return what a robot is to the cameras."""
+        return next(robot for robot in self.robots if robot.name == name)
+
+    def build(
+        self, setup: Setup, clock: Clock, tap: Tap, wake: Callable[[], None]
+    ) -> "OptitrackCamera":
+        """Return the cameras of the setup's robots, not connected yet."""
+        from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
+
+        return OptitrackCamera(self, setup, clock, tap, wake)

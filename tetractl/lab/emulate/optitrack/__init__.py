@@ -1,0 +1,1 @@
+"""Emulated OptiTrack cameras: a Motive server over UDP."""

@@ -1,0 +1,310 @@
+"""The emulated camera of type `optitrack`: settings, faults, and a Motive that sees bodies."""
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from tetractl.core.errors import SpecError
+from tetractl.experiment.base import Finite, Model, Name, Point
+from tetractl.lab.cameras.optitrack.messages import BodyName, Version
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.lab.emulate.faults import Fault, Undo, Visible, setting
+from tetractl.lab.emulate.loop import Loop
+from tetractl.lab.emulate.optitrack.motive import Motive
+from tetractl.lab.emulate.optitrack.streaming import Streaming
+from tetractl.lab.emulate.optitrack.tracked_body import TrackedBody, View, expose
+from tetractl.lab.emulate.sides import Body, Facts, Stage
+
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+VersionText = Annotated[str, Field(pattern=r"^[2-4]\.\d{1,2}$")]
+
+
+class TrueOffset(Model):
+    """How a robot's rigid body truly lies."""
+
+    name: Name
+    """Name of a robot of the spec."""
+    heading_offset: Finite
+    """Heading of the robot less that of its rigid body [rad]."""
+
+
+class OptitrackSettings(Model):
+    """How the cameras differ from what the spec says."""
+
+    version: VersionText = "4.1"
+    """The camera server's protocol version, 2.6 to 4.3."""
+    rate: float = Field(default=120.0, ge=1, le=500)
+    """Camera frames a second [Hz]."""
+    latency: float = Field(default=0.0054, ge=0, le=1)
+    """From exposure to transmission [s]."""
+    up: Literal["y", "z"] | None = None
+    """The cameras' vertical axis; the spec's, or y."""
+    knows_up_axis: bool = True
+    """Whether the server answers `UpAxis`."""
+    robots: tuple[TrueOffset, ...] = ()
+    """The robots whose bodies lie otherwise than the spec says."""
+
+
+class CameraFault(Fault):
+    """A fault of the whole stream: `trouble` is what it sets of `Motive.trouble`."""
+
+    trouble: ClassVar[dict[str, object]] = {}
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Set the trouble."""
+        return setting(device.motive.trouble, **self.trouble)
+
+
+class BodyFault(Fault):
+    """A fault of one rigid body: `seen` is what it sets of the body."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    seen: ClassVar[dict[str, object]] = {}
+    robot: Name
+    """The robot it happens to."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Set what is seen of the body."""
+        return setting(device.tracked_body(self.robot), **self.seen)
+
+
+class NoServer(CameraFault):
+    """Nothing answers, nothing is sent."""
+
+    visible: ClassVar[Visible] = Visible.SENT
+    trouble: ClassVar[dict[str, object]] = {"silent": True}
+    fault: Literal["no_server"]
+
+
+class NoFrames(CameraFault):
+    """No frames are sent."""
+
+    visible: ClassVar[Visible] = Visible.SENT
+    trouble: ClassVar[dict[str, object]] = {"no_frames": True}
+    fault: Literal["no_frames"]
+
+
+class Freeze(CameraFault):
+    """One frame is sent again and again."""
+
+    visible: ClassVar[Visible] = Visible.SENT
+    trouble: ClassVar[dict[str, object]] = {"frozen": True}
+    fault: Literal["freeze"]
+
+
+class EditMode(CameraFault):
+    """Motive is in edit mode."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    trouble: ClassVar[dict[str, object]] = {"edit_mode": True}
+    fault: Literal["edit_mode"]
+
+
+class CounterBack(Fault):
+    """The frame number goes back."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    fault: Literal["counter_back"]
+    frames: int = Field(ge=1, le=1_000_000)
+    """How far."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Set the counter back."""
+        return setting(device.motive.trouble, counter=self.frames)
+
+
+class BadDatagrams(Fault):
+    """A share of the frames is damaged."""
+
+    visible: ClassVar[Visible] = Visible.SENT
+    fault: Literal["bad_datagrams"]
+    share: Share
+    """How many of all, 0 to 1."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Damage datagrams from now on."""
+        return setting(device.motive.trouble, damaged=self.share)
+
+
+class OtherVersion(Fault):
+    """Frames are of another version than the server says."""
+
+    visible: ClassVar[Visible] = Visible.SENT
+    fault: Literal["other_version"]
+    version: VersionText
+    """Protocol version of the frames."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Pack frames by the other version."""
+        major, minor = self.version.split(".")
+        return setting(device.motive.trouble, version=Version(int(major), int(minor)))
+
+
+class Untracked(BodyFault):
+    """A body is not tracked; its last pose is held."""
+
+    seen: ClassVar[dict[str, object]] = {"tracked": False}
+    fault: Literal["untracked"]
+
+
+class NotANumber(BodyFault):
+    """A body's position is no number."""
+
+    seen: ClassVar[dict[str, object]] = {"nan": True}
+    fault: Literal["nan"]
+
+
+class BadQuaternion(BodyFault):
+    """A body's quaternion is not of norm 1."""
+
+    seen: ClassVar[dict[str, object]] = {"norm": 0.5}
+    fault: Literal["bad_quaternion"]
+
+
+class Jump(Fault):
+    """A body's pose jumps."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    fault: Literal["jump"]
+    robot: Name
+    """The robot it happens to."""
+    by: Point
+    """How far [mm]."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Shift what is seen of the body."""
+        return setting(device.tracked_body(self.robot), shift=self.by)
+
+
+class Swap(Fault):
+    """Two bodies swap identities."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    fault: Literal["swap"]
+    robot: Name
+    """One robot."""
+    other: Name
+    """The other."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Swap the two."""
+        return setting(device, swapped={device.place_of(self.robot), device.place_of(self.other)})
+
+
+class EmulatedOptitrack:
+    """Motive and the rigid bodies on the robots."""
+
+    Settings: ClassVar[type[Model]] = OptitrackSettings
+    faults: ClassVar[Sequence[type[Fault]]] = (
+        NoServer,
+        NoFrames,
+        Freeze,
+        CounterBack,
+        EditMode,
+        BadDatagrams,
+        OtherVersion,
+        Untracked,
+        Jump,
+        Swap,
+        NotANumber,
+        BadQuaternion,
+    )
+
+    def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
+        section = stage.lab.camera
+        assert isinstance(section, OptitrackSection), "the table of kinds goes by the type"
+        self.swapped: set[int] = set()
+        self.tracked = _tracked(section, settings, bodies)
+        self.view = _view(stage, section, settings)
+        self.motive = Motive(
+            stage.timeline,
+            _streaming(stage, section, settings, self.view.up),
+            [BodyName(body.body_name, body.id) for body in self.tracked],
+            lambda: expose(self.tracked, self.view, self.swapped),
+            stage.exposed,
+            stage.sent,
+            stage.client,
+            stage.options.seed,
+        )
+
+    def open(self, loop: Loop) -> Facts:
+        """Take the UDP ports."""
+        loop.watch(self.motive.open(), self.motive.readable)
+        streaming = self.motive.streaming
+        return {
+            "camera": f"{streaming.address}:{self.motive.command_port} ({streaming.transport})",
+            "address": streaming.address,
+            "command_port": self.motive.command_port,
+            "data_port": self.motive.data_port,
+            "transport": streaming.transport,
+        }
+
+    def close(self) -> Facts:
+        """Release the UDP ports."""
+        self.motive.close()
+        counts = self.motive.counts
+        return {"frames": counts.frames, "refused": counts.refused, "timed_out": counts.timed_out}
+
+    def hide(self, hidden: bool) -> None:
+        """Lose every body, or track all again."""
+        for body in self.tracked:
+            body.tracked = not hidden
+
+    def tracked_body(self, name: str) -> TrackedBody:
+        """Return a robot's rigid body by the robot's name."""
+        return self.tracked[self.place_of(name)]
+
+    def place_of(self, name: str) -> int:
+        """Return a robot's place among the robots."""
+        return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
+
+
+def _tracked(
+    section: OptitrackSection, settings: OptitrackSettings, bodies: Sequence[Body]
+) -> list[TrackedBody]:
+    offsets = {robot.name: robot.heading_offset for robot in settings.robots}
+    taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
+    free = iter(sorted(set(range(1, 1000)) - taken))
+    found: list[TrackedBody] = []
+    for body in bodies:
+        robot = section.robot(body.name)
+        number = robot.body if isinstance(robot.body, int) else next(free)
+        named = robot.body if isinstance(robot.body, str) else robot.name
+        offset = offsets.get(body.name, robot.heading_offset)
+        found.append(TrackedBody(body, number, named, offset))
+    return found
+
+
+def _view(stage: Stage, section: OptitrackSection, settings: OptitrackSettings) -> View:
+    """Return how the cameras' coordinates lie; Motive's own default is y up."""
+    up = UpAxis.Z if (settings.up or section.up_axis) == "z" else UpAxis.Y
+    x, y = section.origin
+    return View(up, (x * stage.mm, y * stage.mm), section.rotation)
+
+
+def _streaming(
+    stage: Stage, section: OptitrackSection, settings: OptitrackSettings, up: UpAxis
+) -> Streaming:
+    options = stage.options
+    return Streaming(
+        options.address,
+        section.command_port if options.command_port is None else options.command_port,
+        section.data_port if options.data_port is None else options.data_port,
+        section.transport,
+        section.group,
+        _version(settings.version),
+        settings.rate,
+        settings.latency,
+        up=up,
+        knows_up_axis=settings.knows_up_axis,
+    )
+
+
+def _version(text: str) -> Version:
+    major, minor = text.split(".")
+    version = Version(int(major), int(minor))
+    if not version >= (2, 6) or not version.known:
+        raise SpecError(f"cannot emulate NatNet {version}", hint="take one from 2.6 to 4.3")
+    return version

@@ -1,0 +1,104 @@
+"""A batch in the lab at the terminal: notes, a line a trial or live views, and placing robots."""
+
+import threading
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.trial import Result, Start, Step
+from tetractl.view.terminal.live import LiveView
+from tetractl.view.terminal.progress import trial_line
+
+
+class TerminalAttendant:
+    """An `Attendant` at the terminal: is shown where robots must go, and presses Enter."""
+
+    def __init__(self, console: Console, entered: threading.Event) -> None:
+        self._console, self._entered = console, entered
+        self._shown: Sequence[str] | None = None
+
+    def place(self, lines: Sequence[str]) -> None:
+        """Print the lines if they have changed."""
+        if lines != self._shown:
+            self._shown = lines
+            self._entered.clear()
+            text = "; ".join(lines) or "all robots stand on their starts: press Enter to go"
+            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def go(self) -> bool:
+        """Return whether Enter was pressed since all robots stood."""
+        if not self._entered.is_set():
+            return False
+        self._entered.clear()
+        self._shown = None
+        return True
+
+
+class LabWatch:
+    """Shows a batch in the lab: lines, or each trial's live view; an `Observer` and a watcher.
+
+    Notes go to `console`, a line a trial to `quiet`, which may drop it; `unit` is the length unit.
+    Between trials the live view gives the screen back, for placing the robots.
+    """
+
+    def __init__(self, console: Console, quiet: Console, unit: str, live: bool) -> None:
+        self._console, self._quiet = console, quiet
+        self._unit, self._live = unit, live
+        self._view: LiveView | None = None
+        self._notes: list[Note] = []
+        self._trial = self._count = 0
+
+    def trial_started(self, index: int, n: int) -> None:
+        """Note which trial comes."""
+        self._trial, self._count = index, n
+
+    def trial_finished(self, index: int, result: Result) -> None:
+        """Print the trial's line."""
+        self._close()
+        text = trial_line(index, self._count, result, self._unit)
+        self._quiet.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def on_start(self, start: Start) -> None:
+        """Open the live view."""
+        if self._live:
+            self._view = LiveView(self._console)
+            self._view.__enter__()
+            self._view.trial_started(self._trial, self._count)
+            self._view.on_start(start)
+
+    def on_samples(self, samples: list[Sample]) -> None:
+        """Show camera frames in the live view."""
+        if self._view:
+            self._view.on_samples(samples)
+
+    def on_step(self, step: Step) -> None:
+        """Show a control step in the live view."""
+        if self._view:
+            self._view.on_step(step)
+
+    def on_command(self, command: Command) -> None:
+        """Do nothing: a command shows in what the robots do."""
+
+    def on_note(self, note: Note) -> None:
+        """Print a note, after the live view where there is one."""
+        self._notes.append(note)
+        if not self._view:
+            self._print_notes()
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Show how it ended."""
+        if self._view:
+            self._view.on_stop(stop, result)
+
+    def _close(self) -> None:
+        if self._view:
+            self._view.__exit__(None, None, None)
+            self._view = None
+        self._print_notes()
+
+    def _print_notes(self) -> None:
+        notes, self._notes = self._notes, []
+        for note in notes:
+            text = f"{note.level}: {note.text}"
+            self._console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -26,7 +26,7 @@ def contradictions(
             if arena is not None and not arena.contains(*point):
                 yield loc, f"is outside the arena; must be within {_extent(arena)}"
             for j, obstacle in obstacles.items():
-                if obstacle.contain(*np.array(point)).any():
+                if _depth(obstacle, point) >= 0:
                     yield loc, f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
     for j, obstacle in obstacles.items():
         if arena is not None and not _touches(arena, obstacle):
@@ -47,11 +47,18 @@ def _extent(arena: Arena) -> str:
     return f"x {arena.left:g} to {right:g}, y {arena.bottom:g} to {top:g}"
 
 
+def _depth(obstacle: ShapeSection, point: tuple[float, float]) -> float:
+    """Return how deep a point lies inside an obstacle, negative outside [length unit]."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return -float(obstacle.distance(*np.array(point)))
+
+
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
-    """Return whether the edge of the arena meets an obstacle, or the obstacle lies within it."""
+    """Return whether the edge of the arena meets an obstacle, or a corner of it lies within."""
     right, top = arena.left + arena.width, arena.bottom + arena.height
     x = np.array([arena.left, right, right, arena.left])
     y = np.array([arena.bottom, arena.bottom, top, top])
-    if obstacle.cross(x, y, np.roll(x, -1), np.roll(y, -1)).any():
-        return True
-    return arena.contains(*obstacle.outline()[0].tolist())
+    with np.errstate(over="ignore", invalid="ignore"):
+        if obstacle.cross(x, y, np.roll(x, -1), np.roll(y, -1)).any():
+            return True
+    return any(arena.contains(*corner) for corner in obstacle.outline().tolist())

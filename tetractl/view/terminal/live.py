@@ -23,7 +23,7 @@ FRAME_S = 1 / 12  # least wall time between two pictures
 
 class LiveView:
     """Shows one trial after another on the terminal's other screen: an `Observer` of each trial and
-    a `Watcher` of a batch; a context manager.
+    a `BatchObserver`; a context manager.
 
     It draws at most 12 pictures a second of `wall` time [s], so that it never holds the loop up.
     """

@@ -44,7 +44,7 @@ class Tally:
 
 
 class BatchProgress:
-    """A `Watcher` of a batch that reports to a console, best one on stderr; a context manager.
+    """A `BatchObserver` that reports to a console, best one on stderr; a context manager.
 
     `total` is the number of trials to be run, `unit` the experiment's length unit.
     """

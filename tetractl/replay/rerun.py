@@ -43,3 +43,4 @@ def compare(log: Path, again: Path) -> int:
         print("  its spec is written with an earlier tetractl's names or fields", file=sys.stderr)
     for line in host_differences(read_trial(log)):
         print(f"  {line}", file=sys.stderr)
+    return Exit.FAILED

@@ -51,7 +51,7 @@ def verify(path: Path) -> Verification:
     began = time.perf_counter()
     log = read_trial(path)
     findings = audit(log)
-    elsewhere = differing_facts(log)
+    elsewhere = host_differences(log)
     method, found = Method.RECOMPUTED, recompute(log, again=True)
     if found and elsewhere:
         method, found = Method.REEVALUATED, recompute(log, again=False)

@@ -219,3 +219,15 @@ def test_drawing_leaves_matplotlib_as_it_was_and_opens_no_window(log):
     figure = draw("timing", [log])
     assert dict(matplotlib.rcParams) == before
     assert figure.canvas.manager is None
+
+
+def robots_figure(logs):
+    return Figure(label=f"{len(logs[0].start.setup.names)} robots")
+
+
+def test_a_figure_of_another_name_is_one_function_and_one_line(log, monkeypatch):
+    monkeypatch.setitem(FIGURES.builtin, "robots", f"{__name__}:robots_figure")
+    assert draw("robots", [log]).get_label() == "3 robots"
+    with pytest.raises(UsageError, match="no figure is called 'pie'") as refused:
+        draw("pie", [log])
+    assert "robots" in str(refused.value.hint)

@@ -18,7 +18,10 @@ from tetractl.view.figures.trajectory import trajectory_figure
 
 @pytest.fixture
 def log() -> TrialLog:
-    return three_robots()
+    log = three_robots()
+    valid = log.valid.copy()
+    valid[100:110, 1] = False  # the cameras lose a robot
+    return replace(log, valid=valid)
 
 
 def words(figure: Figure) -> str:
@@ -145,11 +148,10 @@ def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
     assert total[seen] == pytest.approx(gap.sum(axis=1)[seen])
 
 
-def test_the_timing_figure_counts_misses_against_the_period():
-    log = three_robots(2)
-    missed = sum(step.deadline_missed for step in log.steps)
-    assert missed
-    figure = draw("timing", [log])
+def test_the_timing_figure_counts_misses_against_the_period(log):
+    missed = 3
+    late = [replace(step, deadline_missed=True) for step in log.steps[5 : 5 + missed]]
+    figure = draw("timing", [replace(log, steps=(*log.steps[:5], *late, *log.steps[5 + missed :]))])
     text = words(figure)
     assert f"{missed} of {len(log.steps)} deadlines missed" in text
     assert "control period 200 ms" in text

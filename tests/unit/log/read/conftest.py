@@ -5,7 +5,7 @@ import pytest
 from tetractl.log import provenance
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def same_size_everywhere():
     """Leave out of logs what depends on the machine and on uncommitted changes."""
     with pytest.MonkeyPatch.context() as patch:

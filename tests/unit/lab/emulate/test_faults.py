@@ -279,6 +279,7 @@ def test_faults_since_run_wait_for_the_first_wheel_command(driven):
     turn_until(lab, lambda: ("run", None, None) in lab.told)
 
 
+@pytest.mark.slow
 def test_robots_are_put_back_and_restarted(tmp_path):
     told = []
     lab = emulated(tmp_path, replace_after=0.1, tell=lambda event, facts: told.append(event))

@@ -160,6 +160,7 @@ def test_the_timing_figure_counts_misses_against_the_period(log):
     assert len(late.get_xdata()) == missed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FIGURES.names())
 @pytest.mark.parametrize("ending", style.FORMATS)
 def test_the_same_log_gives_the_same_bytes(tmp_path, log, kind, ending):

@@ -180,7 +180,7 @@ def driven(faulty):
 
     def start(fault):
         lab, _ = faulty(fault)
-        port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.02)
+        port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.3)
         ports.append(port)
         turn_until(lab, lambda: ("fault", fault.split()[1].strip(","), "start") in lab.told)
 
@@ -250,7 +250,7 @@ def test_loss_of_everything(driven):
 
 def test_unplug(faulty):
     lab, _ = faulty("fault: unplug, at: 0.05")
-    port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.02)
+    port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.3)
     try:
         fault_seen(lab, "unplug")
         assert not lab.actuator.port.link.exists()

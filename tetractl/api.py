@@ -232,10 +232,10 @@ def plot(
     Trials are drawn as `kind` says, and only trajectories of several in one figure; statistics and
     comparisons have one figure each, every trial a dot.
     """
-    from tetractl.stats.figure import batch_figure
     from tetractl.stats.summary import Comparison, Summary
     from tetractl.view import style
-    from tetractl.view.figures.figures import draw
+    from tetractl.view.figures.batch import batch_figure
+    from tetractl.view.figures.kinds import draw
 
     if isinstance(data, Comparison):
         figure = batch_figure(data.ours, data)

@@ -10,5 +10,8 @@ CAMERAS = Registry(
 ACTUATORS = Registry(
     "tetractl.emulated_actuators",
     "emulated actuator",
-    {"m3pi-xbee": "tetractl.lab.emulate.m3pi.side:EmulatedM3pi"},
+    {
+        "m3pi-xbee": "tetractl.lab.emulate.m3pi.side:EmulatedM3pi",
+        "field": "tetractl.lab.emulate.field_side:EmulatedField",
+    },
 )

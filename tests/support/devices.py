@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from support.emulated_lab import SPEC, emulated
+from support.emulated_lab import FIELD_SPEC, SPEC, emulated
 from support.labs import STEP_NS, FakeActuator, FakeCamera, SteppedClock, World
 
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
@@ -98,14 +98,14 @@ def fake_actuator(folder: Path) -> Iterator[ActuatorRig]:
 
 
 @contextmanager
-def _running(folder: Path) -> Iterator:
-    """An emulated lab that runs in a thread, and the spec that leads to it."""
-    with emulated(folder) as lab:
+def running(folder: Path, spec: str = SPEC) -> Iterator:
+    """An emulated lab that runs in a thread, and the experiment that leads to it."""
+    with emulated(folder, spec=spec) as lab:
         settings = [
             f"lab.camera.command_port={lab.camera.motive.command_port}",
             f"lab.actuator.port={lab.actuator.port.link}",
         ]
-        experiment = parse_spec(SPEC, "emulated", settings).experiment
+        experiment = parse_spec(spec, "emulated", settings).experiment
         thread = threading.Thread(target=lab.run)
         thread.start()
         try:
@@ -123,7 +123,7 @@ def optitrack(folder: Path) -> Iterator[CameraRig]:
         count[0] += 1
         changed.set()
 
-    with _running(folder) as (lab, experiment):
+    with running(folder) as (lab, experiment):
         camera = experiment.lab.camera.build(experiment.setup, clock, NO_TAP, wake)
 
         def hide(name: str) -> None:
@@ -139,9 +139,9 @@ def optitrack(folder: Path) -> Iterator[CameraRig]:
 
 
 @contextmanager
-def m3pi(folder: Path) -> Iterator[ActuatorRig]:
+def _actuator(folder: Path, spec: str) -> Iterator[ActuatorRig]:
     clock = MonotonicClock()
-    with _running(folder) as (lab, experiment):
+    with running(folder, spec) as (lab, experiment):
         actuator = experiment.lab.actuator.build(experiment.setup, clock, NO_TAP)
 
         def moves() -> list[bool]:
@@ -161,5 +161,6 @@ CAMERAS: dict[str, Callable[[Path], AbstractContextManager[CameraRig]]] = {
 }
 ACTUATORS: dict[str, Callable[[Path], AbstractContextManager[ActuatorRig]]] = {
     "fake": fake_actuator,
-    "m3pi-xbee": m3pi,
+    "m3pi-xbee": lambda folder: _actuator(folder, SPEC),
+    "field": lambda folder: _actuator(folder, FIELD_SPEC),
 }

@@ -32,9 +32,24 @@ lab:
 """
 
 
-def emulated(folder, *sets, script=NOTHING, tell=None, **options):
+FIELD = """
+  actuator:
+    type: field
+    port: nowhere
+    strength_mt: 2.0
+    coils:
+      x: {gain_mt_a: 2.1, offset_mt: 0.02}
+      y: {gain_mt_a: -1.8, offset_mt: -0.04}
+      rotation: 0.3
+    current_max_a: 2.0
+    slew_max_a_s: 100
+"""
+FIELD_SPEC = SPEC[: SPEC.index("  actuator:")].replace("wheels: {radius: 40}\n", "") + FIELD[1:]
+
+
+def emulated(folder, *sets, script=NOTHING, tell=None, spec=SPEC, **options):
     """Return an EmulatedLab, not yet entered; `script` may be YAML."""
-    loaded = parse_spec(SPEC, "emulated.yaml", sets)
+    loaded = parse_spec(spec, "emulated.yaml", sets)
     lab = lab_of(loaded.experiment, loaded.name)
     if isinstance(script, str):
         script = parse_script("about: a test\n" + script, "script.yaml")

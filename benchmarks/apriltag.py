@@ -15,6 +15,7 @@ degrees from the vertical by a lens of 63 degrees. `--scale 0.1` does a tenth of
 import argparse
 import math
 import multiprocessing
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -146,9 +147,16 @@ def poses(scale: float) -> None:
         for name, drawn, changes, moving in cases:
             tracker = Tracker(section(**changes), NAMES, MM)
             mm, mrad, share, small = errors(tracker, drawn, round(300 * scale), moving)
-            spread = (f"{value:.2f}" for value in np.quantile(mm, (0.5, 0.95, 1)))
-            turns = (f"{value:.1f}" for value in np.quantile(mrad, (0.5, 0.95)))
+            spread = quantiles(mm, (0.5, 0.95, 1.0), ".2f")
+            turns = quantiles(mrad, (0.5, 0.95), ".1f")
             row(told(size), name, f"{100 * share:.1f} %", *spread, *turns, f"{small:.0f}")
+
+
+def quantiles(values: np.ndarray, shares: tuple[float, ...], layout: str) -> list[str]:
+    """Cells of a row, dashes where nothing was found."""
+    if not len(values):
+        return ["-"] * len(shares)
+    return [format(value, layout) for value in np.quantile(values, shares)]
 
 
 def low() -> list[RobotTag]:
@@ -189,7 +197,7 @@ def corners(scale: float) -> None:
                         square = card.mean(axis=0) + (card - card.mean(axis=0)) * MODULES / CARD
                         gaps = [np.roll(place, k, axis=0) - square for k in range(4)]
                         off.append(min(gaps, key=lambda gap: np.square(gap).sum()))
-            own = "our fit of the sides" if name == "sides" else f"OpenCV, {name}"
+            own = "sides" if name == "sides" else f"OpenCV, {name}"
             rms = math.sqrt(np.mean(np.square(off)))
             row(told(size), own, f"{rms:.3f}", f"{1e3 * np.median(took):.1f}")
 
@@ -239,27 +247,39 @@ def blur(scale: float) -> None:
 
 def speed(scale: float) -> None:
     """Times of one picture."""
-    table("picture", "threads", "decode JPEG, ms", "search, ms", "95 %", "pictures/s", "render, ms")
+    table(
+        "picture",
+        "threads",
+        "decode JPEG, ms",
+        "search, ms: fastest tenth",
+        "median",
+        "95 %",
+        "CPU, ms",
+        "pictures/s",
+        "render, ms",
+    )
     for size in SIZES:
         drawn, rng = renderer(size), np.random.default_rng(4)
         for threads in (2, 1):
             cv2.setNumThreads(threads)
             tracker = Tracker(section(), NAMES, MM)
             times: dict[str, list[float]] = {"render": [], "decode": [], "search": []}
+            cpu = 0.0
             for _ in range(round(200 * scale)):
-                where = scattered(rng)
-                at = partial(stand, where)
+                at = partial(stand, scattered(rng))
                 picture = clocked(times["render"], partial(drawn.picture, at, 0))
                 _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
                 grey = clocked(times["decode"], partial(cv2.imdecode, data, cv2.IMREAD_GRAYSCALE))
+                began = time.process_time()
                 clocked(times["search"], partial(tracker.see, grey))
+                cpu += time.process_time() - began
             render, decode, search = (1e3 * np.array(taken) for taken in times.values())
             row(
                 told(size),
                 threads,
                 f"{np.median(decode):.1f}",
-                f"{np.median(search):.1f}",
-                f"{np.quantile(search, 0.95):.1f}",
+                *quantiles(search, (0.1, 0.5, 0.95), ".1f"),
+                f"{1e3 * cpu / len(search):.1f}",
                 f"{1e3 / np.median(decode + search):.0f}",
                 f"{np.median(render):.1f}",
             )
@@ -343,8 +363,9 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", choices=[[], *PARTS], metavar="PART")
     parser.add_argument("--scale", type=float, default=1.0)
     chosen = parser.parse_args()
+    print(f"{os.cpu_count()} cores, OpenCV {cv2.__version__}")
     for name in chosen.parts or PARTS:
-        print(f"\n### {name}\n")
+        print(f"\n### {name} (load {os.getloadavg()[0]:.1f} before)\n")
         PARTS[name](chosen.scale)
 
 

@@ -58,7 +58,6 @@ from tetractl.log.write.writer import LogWriter  # noqa: E402
 from tetractl.replay.verify import REEVALUATED, verify  # noqa: E402
 from tetractl.run.batch import log_path, run_trial  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
-from tetractl.run.relay import Relay  # noqa: E402
 from tetractl.run.seeds import trial_seeds  # noqa: E402
 from tetractl.run.trial import Trial  # noqa: E402
 
@@ -68,7 +67,7 @@ arena: {left: 0, bottom: 0, width: 1000, height: 1000}
 robots:
   - {name: one, start: [100, 500], target: [300, 450], a: 6, speed: 200}
   - {name: two, start: [100, 300], target: [300, 350], a: 3, speed: 150}
-controller: {horizon_max: 6, steps_max: 5, swarm: {particles: 6, iterations: 14}}
+controller: {horizon_max: 6, steps_max: 5, optimizer: {particles: 6, iterations: 14}}
 plant: {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_noise: 0.1}
 """
 
@@ -219,9 +218,8 @@ def cost(folder: Path, scale: float) -> None:
         if name == "no log":
             busy, n = real_time(fast, [])
         else:
-            writer = LogWriter(path)
-            with writer, Relay(writer, lambda w=writer: w.failure) as relay:
-                busy, n = real_time(fast, [relay])
+            with LogWriter(path, real_time=True) as writer:
+                busy, n = real_time(fast, [writer])
         sink._sync_data = plain
         p50, p99, most = np.percentile(busy, [50, 99, 100]) / 1e6
         print(f"| {name} | {n} | {p50:.2f} | {p99:.2f} | {most:.2f} |")

@@ -17,11 +17,10 @@ if TYPE_CHECKING:
         to_dataframe,
         verify,
     )
-    from tetractl.control.optimizers.pso import Searcher as Optimizer
     from tetractl.core.errors import TetractlError
     from tetractl.core.plan import Outcome, Plan
     from tetractl.core.poses import Observation, Poses
-    from tetractl.core.protocols import Actuator, Camera, Controller, Observer
+    from tetractl.core.protocols import Actuator, Camera, Controller, Observer, Optimizer
     from tetractl.experiment.experiment import Experiment
     from tetractl.log.read.trial_log import TrialLog
 
@@ -63,7 +62,7 @@ _TYPES = {
     "Experiment": "tetractl.experiment.experiment:Experiment",
     "Observation": "tetractl.core.poses:Observation",
     "Observer": "tetractl.core.protocols:Observer",
-    "Optimizer": "tetractl.control.optimizers.pso:Searcher",
+    "Optimizer": "tetractl.core.protocols:Optimizer",
     "Outcome": "tetractl.core.plan:Outcome",
     "Plan": "tetractl.core.plan:Plan",
     "Poses": "tetractl.core.poses:Poses",

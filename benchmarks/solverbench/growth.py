@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tetractl.control.cost import Problem
-from tetractl.control.optimizers import compiled
-from tetractl.view.style import BLUE, GREEN, GREY, RED, figure, panel, save, styled
+from tetractl.core.colors import BLUE, GREEN, RED
+from tetractl.core.plan import Limits
+from tetractl.core.problem import Problem
+from tetractl.view.style import GREY, figure, panel, save, styled
 
 from .problems import PARTICLES, SIGNALS, SWARM, crowd, printed
 from .report import Report, Settings, least, load, progress
@@ -75,7 +76,7 @@ def _iteration(problem: Problem, particles: int, signals: int, settings: Setting
     iterations = max(4, min(100, 400_000 // (particles * signals)))
     spec = SWARM.model_copy(update={"particles": particles, "iterations": iterations})
     none = spec.model_copy(update={"iterations": 1})
-    search = lambda chosen: compiled.pso(problem, signals, None, chosen, 1)  # noqa: E731
+    search = lambda chosen: chosen.search(problem, signals, None, 1, Limits())  # noqa: E731
     whole = least(lambda: search(spec), settings.repeats)
     start = least(lambda: search(none), settings.repeats)
     return (whole - start) / (iterations - 1) * 1e6

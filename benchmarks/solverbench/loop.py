@@ -8,13 +8,12 @@ from functools import partial
 import numpy as np
 
 from tetractl.control.build import build_controller
-from tetractl.control.cost import Problem
-from tetractl.control.optimizers import compiled
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import PlantInfo
 from tetractl.core.operators import Operators
-from tetractl.core.plan import Outcome, Plan
+from tetractl.core.plan import Limits, Outcome, Plan
 from tetractl.core.poses import Observation
+from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
@@ -136,7 +135,9 @@ def closed(settings: Settings) -> Report:
         progress("(c) building the programmes of IPOPT")
         shooting.build_all(recommended(), LENGTH - 2 if settings.quick else 1)
         alone = replace_control(ours, steps_max=1) if settings.quick else ours
-        ipopt = lambda e, key: shooting.Shrinking(e, key, shooting.search)  # noqa: E731
+        ipopt = lambda e, key: shooting.Shrinking(  # noqa: E731
+            e.controller, e.setup, key, shooting.Ipopt()
+        )
         contestants.append((f"CasADi + IPOPT, {LENGTH} signals, warm-started", alone, ipopt))
     else:
         report.say("casadi is not installed: skipped.")
@@ -172,7 +173,7 @@ def _budgets(report: Report, settings: Settings) -> None:
     """Whole control steps and whole sweeps of the compiled swarm, with the budget fully spent."""
     rows = []
     euler, count = printed(), settings.repeats * 5
-    models = [("Euler", euler), ("exact", replace(euler, model="exact"))]
+    models = [("Euler", euler), ("exact", replace(euler, motion="exact"))]
     models.append(("exact, swept, walls", recommended()))
     for name, problem in models:
         step = _timed(partial(_control_step, problem), count)
@@ -216,12 +217,12 @@ def _timed(work: Callable[[int], None], count: int) -> tuple[list[float], list[f
 def _control_step(problem: Problem, key: int) -> None:
     warm = np.zeros(LENGTH)
     for start in (warm[1:], warm, np.append(warm, 0.0)):
-        compiled.pso(problem, len(start), start, SWARM, key)
+        SWARM.search(problem, len(start), start, key, Limits())
 
 
 def _sweep(problem: Problem, key: int) -> None:
     for length in range(1, LONGEST + 1):
-        compiled.pso(problem, length, None, SWARM, key)
+        SWARM.search(problem, length, None, key, Limits())
 
 
 def disturbed(settings: Settings) -> Report:

@@ -12,13 +12,16 @@ from typing import NoReturn
 
 import numpy as np
 
-from tetractl.control.cost import Problem, evaluate
+from tetractl.control.cost import evaluate
 from tetractl.control.kernels.rollout import costs, lay_out
-from tetractl.control.optimizers import compiled, pso
-from tetractl.control.optimizers.multistart import multistart
+from tetractl.control.optimizers.multistart import Multistart
+from tetractl.control.optimizers.pso import Pso, pso
 from tetractl.control.rng import mix
+from tetractl.control.stop import TargetStop
+from tetractl.core.plan import Limits
 from tetractl.core.poses import Floats
-from tetractl.experiment.controller import MultistartSpec, SwarmSpec, TargetStop
+from tetractl.core.problem import Problem
+from tetractl.experiment.controller import OptimizerSection
 
 from .problems import PARTICLES
 
@@ -81,24 +84,31 @@ def race(peer: Peer, problem: Problem, length: int, seed: int, cap_s: float) -> 
     return time.perf_counter() - meter.begin, meter.best
 
 
-def _ours(search: Callable, spec: MultistartSpec | SwarmSpec, restarts: int = 10**9) -> Peer:
+def _ours(optimizer: OptimizerSection, restarts: int = 10**9) -> Peer:
     def run(meter: Meter, seed: int) -> NoReturn:
         problem, length = meter.problem, meter.length
         for again in range(1 + restarts):
             key = mix(seed, again)
-            found = search(problem, length, None, spec, key, None, meter.expired)
+            found = optimizer.search(problem, length, None, key, Limits(expired=meter.expired))
             meter.note(float(evaluate(problem, found.signals[None]).total[0]))
         raise Over
 
     return run
 
 
-_PSO = SwarmSpec(particles=PARTICLES, iterations=400, stop=TargetStop(type="target", cost=GOOD))
-_MULTISTART = MultistartSpec(type="multistart", tolerance=GOOD)
-ours = _ours(multistart, _MULTISTART)
-ours_once = _ours(multistart, _MULTISTART, restarts=0)
-our_pso = _ours(compiled.pso, _PSO)
-reference = _ours(pso.pso, _PSO)
+class _Readable(Pso):
+    """The particle swarm by its NumPy reference."""
+
+    def search(self, problem, length, warm, key, limits):
+        return pso(self, problem, length, warm, key, limits)
+
+
+_TARGET = TargetStop(type="target", cost=GOOD)
+_MULTISTART = Multistart(tolerance=GOOD)
+ours = _ours(_MULTISTART)
+ours_once = _ours(_MULTISTART, restarts=0)
+our_pso = _ours(Pso(particles=PARTICLES, iterations=400, stop=_TARGET))
+reference = _ours(_Readable(particles=PARTICLES, iterations=400, stop=_TARGET))
 
 
 def pyswarms(meter: Meter, seed: int) -> NoReturn:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tetractl.control.cost import Problem
+from tetractl.control.optimizers.pso import Pso
+from tetractl.control.stop import BudgetStop
 from tetractl.core.poses import Floats, Poses
-from tetractl.experiment.controller import BudgetStop, SwarmSpec
+from tetractl.core.problem import Problem
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
 
@@ -16,21 +17,26 @@ EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 PAPER, OURS = "three_m3pi_paper.yaml", "three_m3pi.yaml"
 PARTICLES, SIGNALS, ITERATIONS = 128, 41, 100
 LENGTH, LONGEST = 44, 51
-SWARM = SwarmSpec(particles=PARTICLES, iterations=ITERATIONS, stop=BudgetStop(type="budget"))
+SWARM = Pso(particles=PARTICLES, iterations=ITERATIONS, stop=BudgetStop(type="budget"))
 
 
 def experiment(name: str, *settings: str) -> Experiment:
     return load_spec(EXPERIMENTS / name, settings).experiment
 
 
+def _problem(name: str) -> Problem:
+    spec = experiment(name)
+    return spec.controller.problem(spec.setup)
+
+
 def printed() -> Problem:
     """Step 0 of the reference experiment as printed: Euler, obstacle tested at the samples."""
-    return Problem.of(experiment(PAPER))
+    return _problem(PAPER)
 
 
 def recommended() -> Problem:
     """The same as we recommend it: exact motion, obstacle and walls swept, with a margin."""
-    return Problem.of(experiment(OURS))
+    return _problem(OURS)
 
 
 def crowd(robots: int) -> Problem:
@@ -52,7 +58,7 @@ Cost = Callable[[Floats], Floats]
 
 def plain_cost(problem: Problem) -> Cost:
     """J of the printed problem as one writes it in NumPy: arrays (P, N), one step after another."""
-    assert problem.model == "euler" and not problem.swept
+    assert problem.motion == "euler" and not problem.swept
     t, a, v, weight = problem.period, problem.a, problem.speed, problem.obstacle_weight
     left, bottom, right, top = problem.obstacles.rectangles[0]
     poses, targets = problem.poses, problem.targets
@@ -75,7 +81,7 @@ def plain_cost(problem: Problem) -> Cost:
 
 def tuned_cost(problem: Problem) -> Cost:
     """The same, tuned: particles contiguous, sums in place, constants taken out of the loop."""
-    assert problem.model == "euler" and not problem.swept
+    assert problem.motion == "euler" and not problem.swept
     turn, step = problem.a[:, None] * problem.period, problem.speed[:, None] * problem.period
     ((left, bottom, right, top),) = problem.obstacles.rectangles
     start, target, weight = problem.poses, problem.targets[:, :, None], problem.obstacle_weight

@@ -10,11 +10,11 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from tetractl.control.cost import Problem, evaluate, predict
-from tetractl.control.mpc import Candidate, PsoMpc
-from tetractl.control.optimizers.pso import never
-from tetractl.core.plan import Search
+from tetractl.control.cost import evaluate, predict
+from tetractl.control.mpc import Candidate, Mpc
+from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
 
 from .peers import Meter, smooth_start
 from .problems import LENGTH
@@ -34,7 +34,7 @@ class Shooter:
         u = ca.MX.sym("u", length)
         states = ca.MX.sym("s", 3 * count, length)
         start, robots = ca.MX.sym("p", 3 * count), ca.MX.sym("r", 2 * count + 2)
-        step = _step(ca, problem.model, count)
+        step = _step(ca, problem.motion, count)
         before = ca.horzcat(start, states[:, :-1])
         held = ca.horzcat(robots[-2], ca.repmat(robots[-1], 1, length - 1))
         after = step.map(length)(before, u.T, ca.repmat(robots[:-2], 1, length), held)
@@ -135,7 +135,7 @@ _built: dict[tuple, Shooter] = {}
 
 def shooter(problem: Problem, length: int, cap_s: float) -> Shooter:
     """Return the programme for a length, built once: building is not timed."""
-    key = (problem.model, problem.obstacles.rectangles.tobytes(), length, cap_s)
+    key = (problem.motion, problem.obstacles.rectangles.tobytes(), length, cap_s)
     if key not in _built:
         _built[key] = Shooter(problem, length, cap_s)
     return _built[key]
@@ -152,21 +152,25 @@ def ipopt(cap_s: float) -> Callable[[Meter, int], NoReturn]:
     return run
 
 
-def search(problem: Problem, length, warm, spec, key, budget=None, expired=never) -> Search:
-    """A `Searcher` by IPOPT: from the warm start, or from up to ten random ones."""
-    programme, rng = shooter(problem, length, 10.0), np.random.default_rng(key)
-    best, least, tried = np.zeros(length), np.inf, 0
-    while tried < (10 if warm is None else 1) and least > 1.0:
-        guess = smooth_start(problem, length, rng) if warm is None else warm
-        found = programme.solve(problem, guess)
-        cost = float(evaluate(problem, found[None]).total[0])
-        tried += 1
-        if cost < least:
-            best, least = found, cost
-    return Search(length, best, least, np.array([least]), tried, "iterations")
+class Ipopt:
+    """An `Optimizer` by IPOPT: from the warm start, or from up to ten random ones."""
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        programme, rng = shooter(problem, length, 10.0), np.random.default_rng(key)
+        best, least, tried = np.zeros(length), np.inf, 0
+        while tried < (10 if warm is None else 1) and least > 1.0:
+            guess = smooth_start(problem, length, rng) if warm is None else warm
+            found = programme.solve(problem, guess)
+            cost = float(evaluate(problem, found[None]).total[0])
+            tried += 1
+            if cost < least:
+                best, least = found, cost
+        return Search(length, best, least, np.array([least]), tried, StopReason.ITERATIONS)
 
 
-class Shrinking(PsoMpc):
+class Shrinking(Mpc):
     """Model predictive control by IPOPT: one length at step 0, then what is left of the plan."""
 
     def _candidates(self) -> Iterable[Candidate]:

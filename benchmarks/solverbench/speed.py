@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from tetractl.control.cost import Problem, evaluate
+from tetractl.control.cost import evaluate
 from tetractl.control.kernels import pso as kernel
 from tetractl.control.kernels.math import KERNEL, horner
 from tetractl.control.kernels.rollout import costs, lay_out
-from tetractl.control.optimizers import compiled, pso
+from tetractl.control.optimizers import compiled_pso, pso
+from tetractl.core.plan import Limits
+from tetractl.core.problem import Problem
 
 from .peers import OPTIONS, available
 from .problems import PARTICLES, SIGNALS, SWARM, plain_cost, printed, recommended, tuned_cost
@@ -64,8 +66,8 @@ class _Iterations:
 
     def __init__(self, problem: Problem) -> None:
         self.course = lay_out(problem, PARTICLES)
-        self.swarm, _ = compiled.scatter(problem, self.course, SIGNALS, None, SWARM, 1)
-        self.rules = compiled.make_rules(SWARM, 1, 0, None)
+        self.swarm, _ = compiled_pso.scatter(SWARM, problem, self.course, SIGNALS, None, 1)
+        self.rules = compiled_pso.make_rules(SWARM, 1, 0, Limits())
 
     def run(self, count: int) -> None:
         kernel.iterate(self.course, self.swarm, self.rules, 0, count)
@@ -103,7 +105,7 @@ def floor(settings: Settings) -> Report:
     """The rollout kernel against what the processor can do at all."""
     report = Report("(e) Time per robot-step against a floor")
     euler = printed()
-    exact = replace(euler, model="exact")
+    exact = replace(euler, motion="exact")
     rows = np.zeros((11, PARTICLES * 3))
     rng = np.random.default_rng(0)
     signals = rng.uniform(-np.pi, np.pi, (SIGNALS, PARTICLES))
@@ -115,7 +117,7 @@ def floor(settings: Settings) -> Report:
     work = in_pairs(roll, lambda: _arithmetic(q, rows, SIGNALS), count)
     move = in_pairs(roll, lambda: _traffic(rows, SIGNALS), count)
     models = in_pairs(roll, lambda: costs(other, signals, total), count)
-    swept = [lay_out(replace(recommended(), model=m), PARTICLES) for m in ("euler", "exact")]
+    swept = [lay_out(replace(recommended(), motion=m), PARTICLES) for m in ("euler", "exact")]
     walls = in_pairs(
         lambda: costs(swept[0], signals, total), lambda: costs(swept[1], signals, total), count
     )

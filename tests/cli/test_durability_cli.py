@@ -22,7 +22,7 @@ SPEC = """
 name: quick
 arena: {left: 0, bottom: 0, width: 1000, height: 1000}
 robots: [{name: r, start: [100, 500], target: [300, 500], a: 6, speed: 200}]
-controller: {horizon_max: 5, steps_max: 4, swarm: {particles: 4, iterations: 3}}
+controller: {horizon_max: 5, steps_max: 4, optimizer: {particles: 4, iterations: 3}}
 plant: {type: sim, measurement_noise: {position: 1}, heading_noise: 0.1}
 trials: {count: 2, seed: 7}
 """

@@ -193,7 +193,7 @@ def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
         (["replay"], 2, "LOG"),
         (["plot", "whole.mcap", "-o", "a.bmp"], 2, ".png, .svg, .pdf"),
         (["plot", "whole.mcap", "-o", "a"], 2, "needs an ending"),
-        (["plot", "whole.mcap", "-o", "no/such/a.png"], 1, "no/such/a.png"),
+        (["plot", "whole.mcap", "-o", "no/such/a.png"], 2, "no/such/a.png"),
         (["plot", "whole.mcap", "--kind", "pie"], 2, "pie"),
         (["plot", "whole.mcap", "other.mcap", "--kind", "timing"], 2, "shows one trial, not 2"),
     ],

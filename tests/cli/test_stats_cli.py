@@ -124,7 +124,7 @@ def test_two_batches_are_compared(work):
     done = stats("exact", "--against", "ten", "--plot", "both.png", cwd=work)
     assert done.returncode == 0
     assert "differs in" in done.stdout
-    assert "controller.model: exact != euler" in done.stdout
+    assert "controller.motion: exact != euler" in done.stdout
     assert (work / "both.png").read_bytes().startswith(b"\x89PNG")
     shown = stats("exact", "--against", "ten", "--format", "json", cwd=work).stdout
     found = json.loads(shown)["comparison"]
@@ -136,7 +136,7 @@ def test_two_experiments_in_one_batch_are_refused(work):
     write(work / "exact", 2, first=20, controller={"model": "exact"})
     done = stats("ten", "exact", cwd=work)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "not the same experiment: controller.model: euler != exact" in done.stderr
+    assert "not the same experiment: controller.motion: euler != exact" in done.stderr
     assert "--against" in done.stderr
 
 
@@ -155,7 +155,7 @@ def test_a_batch_given_twice_is_refused(work):
         (["empty"], 2, "empty: no logs"),
         (["*.nothing"], 2, "matches no log"),
         (["notes.txt"], 1, "none of 1 logs can be read"),
-        (["ten", "--plot", "batch.gif"], 2, "batch.gif: cannot plot to this kind of file"),
+        (["ten", "--plot", "batch.gif"], 2, "batch.gif: cannot write '.gif' pictures"),
         (["ten", "--format", "yaml"], 2, "yaml"),
     ],
 )

@@ -38,18 +38,19 @@ def test_good_specs_are_ok(tetractl):
 def test_all_problems_of_all_bad_specs_are_printed(tetractl, tmp_path):
     good = EXPERIMENTS / "three_m3pi.yaml"
     text = good.read_text("utf-8")
-    number = {word: text[: text.index(word)].count("\n") + 1 for word in ("a: 6", "motion:")}
+    number = {word: text[: text.index(word)].count("\n") + 1 for word in ("a: 6", "horizon_max:")}
     (tmp_path / "one.yaml").write_text(
-        text.replace("a: 6", "a: -6").replace("motion:", "motoin:"), encoding="utf-8"
+        text.replace("a: 6", "a: -6").replace("horizon_max:", "horizon_mx:"), encoding="utf-8"
     )
     (tmp_path / "two.yaml").write_text("name: [x\n", encoding="utf-8")
     result = tetractl("validate", "one.yaml", good, "two.yaml")
     assert result.returncode == 2
-    one_a, one_motion, ok, two = result.stdout.splitlines()
+    one_a, one_horizon, ok, two = result.stdout.splitlines()
     assert one_a.startswith(f"one.yaml:{number['a: 6']}:")
     assert one_a.endswith("robots.0.a: -6: must be greater than 0")
-    assert one_motion == (
-        f"one.yaml:{number['motion:']}:3: plant.motoin: unknown key; did you mean 'motion'?"
+    assert one_horizon == (
+        f"one.yaml:{number['horizon_max:']}:3: controller.horizon_mx: unknown key; "
+        "did you mean 'horizon_max'?"
     )
     assert ok.startswith(f"{good}: ok")
     assert two.startswith("two.yaml:2:1: not valid YAML")
@@ -104,10 +105,10 @@ def test_missing_files_and_folders_are_bad_specs(tetractl):
 def test_settings_are_checked_with_the_spec(tetractl):
     spec = EXPERIMENTS / "three_m3pi.yaml"
     assert tetractl("validate", spec, "--set", "robots.green.a=5").returncode == 0
-    result = tetractl("validate", spec, "--set", "controller.swarm.particels=5")
+    result = tetractl("validate", spec, "--set", "controller.optimizer.particels=5")
     assert result.returncode == 2
     assert result.stdout == (
-        "--set controller.swarm.particels=5: controller.swarm.particels: unknown key; "
+        "--set controller.optimizer.particels=5: controller.optimizer.particels: unknown key; "
         "did you mean 'particles'?\n"
     )
 

@@ -6,23 +6,35 @@ import numpy as np
 import pytest
 from support.controllers import CONTROLLERS
 from support.plants import sim
+from support.straight import install
 from support.trials import experiment
 
 from tetractl.control.build import build_controller
-from tetractl.control.cost import Problem, evaluate
+from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import ControlError
-from tetractl.core.plan import Outcome, Plan
+from tetractl.core.plan import Outcome, Plan, StopReason
 from tetractl.core.poses import Observation, Poses
+from tetractl.experiment.load import LoadedSpec
+from tetractl.log.read.reader import read_trial
+from tetractl.replay.recompute import recompute
+from tetractl.replay.verify import verify
+from tetractl.run.batch import log_path, run_trial
+from tetractl.run.interrupt import Interrupt
 
-HORIZON = 14
-STOPPED = {"criterion", "iterations", "target", "evaluations", "deadline"}
 TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
+MPC = {name: fields for name, fields in CONTROLLERS.items() if fields["type"] == "mpc"}
 
 
 @pytest.fixture(params=CONTROLLERS.values(), ids=list(CONTROLLERS))
-def fields(request):
-    return {"horizon_max": HORIZON, "arrival_tolerance": 20} | request.param
+def fields(request, monkeypatch):
+    install(monkeypatch)
+    return {"arrival_tolerance": 20} | request.param
+
+
+@pytest.fixture(params=MPC.values(), ids=list(MPC))
+def mpc_fields(request):
+    return {"arrival_tolerance": 20} | request.param
 
 
 def make(fields, key=7):
@@ -64,9 +76,6 @@ def test_a_decision_is_a_whole_plan_or_an_outcome(fields):
         assert np.isfinite(plan.path).all()
         assert 0 <= plan.generator < 2**64
         assert plan.search.signals is plan.signals
-        weight = experiment(controller=fields).controller.obstacle_weight
-        terms = plan.target_cost + weight * plan.obstacle_cost
-        assert plan.cost == pytest.approx(terms, rel=1e-9, abs=1e-6)
 
 
 def test_each_search_tells_how_it_went(fields):
@@ -77,7 +86,7 @@ def test_each_search_tells_how_it_went(fields):
         lengths = [search.length for search in plan.searches]
         assert len(set(lengths)) == len(lengths)
         for search in plan.searches:
-            assert search.stopped in STOPPED
+            assert isinstance(search.stopped, StopReason)
             assert search.evaluations >= 1
             assert len(search.signals) == search.length
             assert np.isfinite(search.history).all()
@@ -86,14 +95,21 @@ def test_each_search_tells_how_it_went(fields):
             assert search.cost >= 0
 
 
-def test_step_0_predicts_from_what_was_observed_with_the_cost_it_states(fields):
+def test_step_0_predicts_from_what_was_observed(fields):
     ((observation, plan), *_) = drive(fields, 1)
     assert isinstance(plan, Plan)
     assert plan.path[0] == pytest.approx(observation.poses.array(), abs=1e-9)
-    problem = Problem.of(experiment(controller=fields), observation.poses)
-    assert plan.cost == pytest.approx(evaluate(problem, plan.signals[None]).total[0], rel=1e-9)
     last = plan.path[-1, :, :2] - TARGETS[:, :2]
     assert plan.target_cost == pytest.approx(np.hypot(*last.T).sum(), rel=1e-9)
+
+
+def test_mpc_states_the_cost_of_its_problem(mpc_fields):
+    ((observation, plan), *_) = drive(mpc_fields, 1)
+    spec = experiment(controller=mpc_fields)
+    terms = plan.target_cost + spec.controller.obstacle_weight * plan.obstacle_cost
+    assert plan.cost == pytest.approx(terms, rel=1e-9, abs=1e-6)
+    problem = spec.controller.problem(spec.setup, observation.poses)
+    assert plan.cost == pytest.approx(evaluate(problem, plan.signals[None]).total[0], rel=1e-9)
 
 
 def test_the_key_alone_decides(fields):
@@ -119,11 +135,17 @@ def test_robots_at_their_targets_have_arrived(fields):
 
 
 def test_a_trial_ends_after_k_max_steps(fields):
-    decisions = [plan for _, plan in drive(fields | {"steps_max": 2}, 10)]
-    assert isinstance(decisions[-1], Outcome)
-    assert len(decisions) <= 4
-    if len(decisions) == 4:
-        assert decisions[-1] is Outcome.STEPS_MAX
+    *plans, end = [plan for _, plan in drive(fields | {"steps_max": 2}, 10)]
+    assert [type(plan) for plan in plans] == [Plan] * 3  # k = 0, 1, 2
+    assert end is Outcome.STEPS_MAX
+
+
+def test_what_is_logged_is_verified_without_knowing_the_controller(fields, tmp_path):
+    spec = LoadedSpec(experiment(controller=fields | {"steps_max": 3}), "", "s.yaml")
+    run_trial(spec, tmp_path, 0, (), Interrupt())
+    found = verify(log_path(tmp_path, 0))
+    assert (found.problems, found.checked) == ((), 4)
+    assert recompute(read_trial(log_path(tmp_path, 0)), again=False) is None
 
 
 def test_poses_that_are_no_numbers_are_refused(fields):

@@ -2,21 +2,38 @@
 
 from typing import Any
 
-SMALL = {"particles": 12, "iterations": 15}
+from tetractl.experiment.kinds import OPTIMIZERS
 
-CONTROLLERS: dict[str, dict[str, Any]] = {
-    "pso, to the letter": {"swarm": SMALL},
-    "pso, relative stop": {"swarm": SMALL | {"stop": {"type": "relative"}}, "model": "exact"},
-    "pso, target": {"swarm": SMALL | {"stop": {"type": "target", "cost": 900}}, "model": "arc"},
-    "pso, swept": {"swarm": SMALL, "collision": {"check": "swept", "margin": 20, "walls": True}},
-    "pso, on a budget": {"swarm": SMALL, "evaluations_max": 300},
-    "multistart": {"swarm": {"type": "multistart", "particles": 16, "rounds": 2}},
+SMALL: dict[str, dict[str, Any]] = {
+    "pso": {"particles": 12, "iterations": 15},
+    "multistart": {"type": "multistart", "particles": 16, "rounds": 2},
+    "cem": {"type": "cem", "particles": 16, "elite": 4, "iterations": 12},
+    "mppi": {"type": "mppi", "particles": 16, "iterations": 12},
+}
+"""A quick search by each optimiser."""
+PSO, MULTISTART = SMALL["pso"], SMALL["multistart"]
+assert SMALL.keys() == set(OPTIMIZERS.builtin), "a further optimiser joins the contract by an entry"
+
+ON_A_BUDGET = {
+    f"{name}, on a budget": {"optimizer": SMALL[name], "evaluations_max": 300} for name in SMALL
+}
+MPC: dict[str, dict[str, Any]] = {
+    **{name: {"optimizer": optimizer} for name, optimizer in SMALL.items()},
+    **ON_A_BUDGET,
+    "pso, relative stop": {"optimizer": PSO | {"stop": {"type": "relative"}}, "motion": "exact"},
+    "pso, target": {"optimizer": PSO | {"stop": {"type": "target", "cost": 900}}, "motion": "arc"},
+    "pso, swept": {"optimizer": PSO, "collision": {"check": "swept", "margin": 20, "walls": True}},
     "multistart, dead time": {
-        "swarm": {"type": "multistart", "particles": 16, "rounds": 2},
-        "model": "exact",
+        "optimizer": MULTISTART,
+        "motion": "exact",
         "dead_time": 0.14,
         "estimate": True,
         "hold": 2,
     },
 }
-"""The controller's part of a spec. A further controller joins the contract by an entry here."""
+"""Model predictive control, each optimiser and other variants: the controller's part of a spec."""
+CONTROLLERS: dict[str, dict[str, Any]] = {
+    **{f"mpc, {name}": {"type": "mpc", "horizon_max": 14} | fields for name, fields in MPC.items()},
+    "straight": {"type": "straight"},
+}
+"""Every controller. A further one joins the contract by an entry here."""

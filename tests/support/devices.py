@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from support.emulated_lab import FIELD_SPEC, SPEC, emulated
+import pytest
+from support.emulated_lab import APRILTAG_SPEC, FIELD_SPEC, SPEC, emulated
 from support.labs import STEP_NS, FakeActuator, FakeCamera, SteppedClock, World
 
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
@@ -101,10 +102,9 @@ def fake_actuator(folder: Path) -> Iterator[ActuatorRig]:
 def running(folder: Path, spec: str = SPEC) -> Iterator:
     """An emulated lab that runs in a thread, and the experiment that leads to it."""
     with emulated(folder, spec=spec) as lab:
-        settings = [
-            f"lab.camera.command_port={lab.camera.motive.command_port}",
-            f"lab.actuator.port={lab.actuator.port.link}",
-        ]
+        settings = [f"lab.actuator.port={lab.actuator.port.link}"]
+        if spec != APRILTAG_SPEC:
+            settings.append(f"lab.camera.command_port={lab.camera.motive.command_port}")
         experiment = parse_spec(spec, "emulated", settings).experiment
         thread = threading.Thread(target=lab.run)
         thread.start()
@@ -155,9 +155,36 @@ def _actuator(folder: Path, spec: str) -> Iterator[ActuatorRig]:
         actuator.__exit__(None, None, None)
 
 
+@contextmanager
+def apriltag(folder: Path) -> Iterator[CameraRig]:
+    pytest.importorskip("cv2")
+    clock, changed, count = MonotonicClock(), threading.Event(), [0]
+
+    def wake() -> None:
+        count[0] += 1
+        changed.set()
+
+    with running(folder, APRILTAG_SPEC) as (lab, experiment):
+        source = experiment.lab.camera.source.model_copy(update={"url": lab.camera.camera.url})
+        section = experiment.lab.camera.model_copy(update={"source": source, "connect": 10.0})
+        camera = section.build(experiment.setup, clock, NO_TAP, wake)
+
+        def hide(name: str) -> None:
+            lab.camera.renderer.hidden.add(lab.camera.tag(name))
+
+        def poses() -> np.ndarray:
+            return np.array([(b.x, b.y, b.heading) for b in lab.actuator.bodies])
+
+        yield CameraRig(
+            camera, clock, experiment.setup, poses, hide, _waiting(changed), lambda: count[0]
+        )
+        camera.__exit__(None, None, None)
+
+
 CAMERAS: dict[str, Callable[[Path], AbstractContextManager[CameraRig]]] = {
     "fake": fake_camera,
     "optitrack": optitrack,
+    "apriltag": apriltag,
 }
 ACTUATORS: dict[str, Callable[[Path], AbstractContextManager[ActuatorRig]]] = {
     "fake": fake_actuator,

@@ -20,7 +20,7 @@ arena: {left: 0, bottom: 0, width: 100000, height: 1000}
 robots:
   - {name: one, start: [100, 300], target: [99000, 500], a: 6, speed: 200}
   - {name: two, start: [100, 700], target: [99000, 600], a: 3, speed: 150}
-controller: {horizon_max: 5, steps_max: 100000, swarm: {particles: 8, iterations: 5}}
+controller: {horizon_max: 5, steps_max: 100000, optimizer: {particles: 8, iterations: 5}}
 plant: {type: sim, measurement_noise: {position: 1}, heading_noise: 0.1}
 """
 
@@ -33,9 +33,8 @@ from tetractl.control.build import build_controller, warm_up
 from tetractl.core.trial import EPOCH_NS, Start
 from tetractl.log.write.writer import LogWriter
 from tetractl.core.operators import Operators
-from tetractl.core.plant import PlantInfo
+from tetractl.core.commands import PlantInfo
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.relay import Relay
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
 from tetractl.experiment.load import parse_spec, start_of
@@ -44,18 +43,18 @@ spec = parse_spec(sys.argv[1], "spec.yaml")
 warm_up(spec.experiment, print)
 key, seed = trial_seeds(1, 0)
 interrupt = Interrupt()
-writer = LogWriter(Path(sys.argv[2]))
-with interrupt.watch(), writer, Relay(writer, lambda: writer.failure) as relay:
+writer = LogWriter(Path(sys.argv[2]), real_time=True)
+with interrupt.watch(), writer:
     clock = MonotonicClock()
     print(time.monotonic_ns(), flush=True)
     start = start_of(spec, 0, PlantInfo("", True, 0.0, {}), EPOCH_NS)
     plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, Operators())
     controller = build_controller(spec.experiment, key)
     stand = spec.experiment.controller.first_plan
-    result = Trial(start, plant, controller, stand, clock, [relay], interrupt).run()
+    result = Trial(start, plant, controller, stand, clock, [writer], interrupt).run()
 print(result.outcome.value, "|", result.reason, "|", result.steps, flush=True)
 """
-"""A trial as in the lab, its log behind a relay, but of simulated robots: in real time."""
+"""A trial in real time, its log written as in the lab, but of simulated robots."""
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,20 @@ FIELD = """
     slew_max_a_s: 100
 """
 FIELD_SPEC = SPEC[: SPEC.index("  actuator:")].replace("wheels: {radius: 40}\n", "") + FIELD[1:]
+APRILTAG = """lab:
+  camera:
+    type: apriltag
+    source: {type: mjpeg, url: 'http://127.0.0.1:8080/'}
+    robots:
+      - {name: green, tag: 1, size_mm: 100, height_mm: 60}
+      - {name: blue, tag: 2, size_mm: 100, height_mm: 60, heading_offset: 0.5}
+    floor:
+      - {tag: 100, at: [0, 0], size_mm: 150}
+      - {tag: 101, at: [2000, 0], size_mm: 150}
+      - {tag: 102, at: [2000, 2000], size_mm: 150}
+      - {tag: 103, at: [0, 2000], size_mm: 150}
+"""
+APRILTAG_SPEC = SPEC[: SPEC.index("lab:")] + APRILTAG + SPEC[SPEC.index("  actuator:") :]
 
 
 def emulated(folder, *sets, script=NOTHING, tell=None, spec=SPEC, **options):

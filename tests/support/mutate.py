@@ -12,7 +12,7 @@ from mcap.records import Attachment, Metadata
 from tetractl.log.format.channels import CHANNELS, RESULT, Entry
 from tetractl.log.format.digest import CHECKSUM, DIGEST
 from tetractl.log.format.metadata import seal
-from tetractl.log.read.salvage import Contents
+from tetractl.log.read.contents import Contents
 from tetractl.log.write.sink import Sink
 
 Place = tuple[str | int, ...]

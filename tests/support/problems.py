@@ -3,10 +3,10 @@
 import numpy as np
 from support.oracle import World
 
-from tetractl.control.cost import Problem, evaluate
-from tetractl.control.optimizers.pso import Swarm
+from tetractl.control.cost import evaluate
+from tetractl.control.optimizers.pso import Pso, Swarm
 from tetractl.core.poses import Poses
-from tetractl.experiment.controller import SwarmSpec
+from tetractl.core.problem import Problem
 from tetractl.experiment.experiment import Circle, Rectangle
 from tetractl.model.obstacles import Obstacles
 
@@ -51,7 +51,7 @@ def problem(world: World) -> Problem:
         targets=robots[:, 3:5],
         a=robots[:, 5],
         speed=robots[:, 6],
-        model=world.model,
+        motion=world.model,
         period=world.period,
         first_period=world.period,
         obstacles=Obstacles.of(world.obstacles),
@@ -60,7 +60,7 @@ def problem(world: World) -> Problem:
     )
 
 
-def is_decided(problem: Problem, length: int, warm, spec: SwarmSpec, key: int) -> bool:
+def is_decided(problem: Problem, length: int, warm, spec: Pso, key: int) -> bool:
     """Whether no comparison in a search is so close that rounding may decide it.
 
     Directions of exactly pi and -pi, where (17) clamps many a particle, are the same direction.

@@ -3,15 +3,17 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
 from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
-from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.plan import Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.log import provenance
 from tetractl.log.write.writer import LogWriter
 
 SPEC_TEXT = "# as somebody wrote it\nname: made-up   # with a comment, and an ü\n"
@@ -117,9 +119,12 @@ def trial(
     return Made(spec, start, rounds, stop, result)
 
 
-def write(made: Made, path: Path) -> Path:
-    """Write a made-up trial as the loop would."""
-    with LogWriter(path) as writer:
+def write(made: Made, path: Path, environment: str = "{}\n") -> Path:
+    """Write a made-up trial as the loop would, of a size that no checkout's state changes."""
+    with (
+        mock.patch.object(provenance, "environment", lambda: environment),
+        LogWriter(path) as writer,
+    ):
         writer.on_start(made.start)
         for samples, step in made.rounds:
             writer.on_samples(samples)
@@ -148,7 +153,7 @@ def _step(
             cost=float(rng.uniform(0, 2000)),
             history=np.sort(rng.uniform(0, 2000, iterations + 1))[::-1].copy(),
             evaluations=int(rng.integers(1, 2**40)),
-            stopped=str(rng.choice(["criterion", "iterations"])),
+            stopped=StopReason(rng.choice(["criterion", "iterations"])),
         )
         for n in lengths
     )

@@ -35,10 +35,11 @@ from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.emulate.script import parse_script
 from tetractl.lab.errors import WireError
 from tetractl.log.format.wire import read_wire
+from tetractl.log.read.contents import Contents
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
-from tetractl.log.read.salvage import Contents, scan
+from tetractl.log.read.salvage import scan
 
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
@@ -216,9 +217,7 @@ def insides() -> list[bytes]:
     contents, entries, facts = _whole()
     found = [i.to_bytes(2, "little") + entry.data for i, entry in enumerate(entries)]
     for i, (record, key) in enumerate(facts[:256]):
-        found.append(
-            (0xFF00 + i).to_bytes(2, "little") + (contents.facts(record) or {})[key].encode()
-        )
+        found.append((0xFF00 + i).to_bytes(2, "little") + contents.metadata[record][key].encode())
     return found
 
 

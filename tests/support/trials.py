@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
-from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.plan import Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.trial import EPOCH_NS, Result, Step
 from tetractl.experiment.experiment import Experiment
@@ -32,7 +32,7 @@ THREE_M3PI = {
         {"name": "red", "start": [900, 1600], "target": [1700, 2000], "a": 3, "speed": 150},
     ],
     "obstacles": [{"type": "rectangle", "left": 1200, "bottom": 1100, "width": 200, "height": 200}],
-    "controller": {"arrival_tolerance": 20, "swarm": {"iterations": ITERATIONS}},
+    "controller": {"arrival_tolerance": 20, "optimizer": {"iterations": ITERATIONS}},
 }
 
 
@@ -84,7 +84,7 @@ def _search(spec: Experiment, starts: Floats, length: int, rng: np.random.Genera
         better = costs < own_cost
         own[better], own_cost = u[better], np.minimum(own_cost, costs)
         history.append(float(own_cost.min()))
-    stopped = "criterion" if len(history) <= ITERATIONS else "iterations"
+    stopped = StopReason.CRITERION if len(history) <= ITERATIONS else StopReason.ITERATIONS
     signals = own[own_cost.argmin()]
     return Search(length, signals, history[-1], np.array(history), 48 * len(history), stopped)
 
@@ -176,14 +176,16 @@ def _later(rest: Floats, cost: float, rng: np.random.Generator) -> tuple[Search,
     found = []
     for length in (len(rest) - 1, len(rest), len(rest) + 1):
         if length < 1:
-            found.append(Search(1, rest[:1], cost, np.array([cost]), 48, "iterations"))
+            found.append(Search(1, rest[:1], cost, np.array([cost]), 48, StopReason.ITERATIONS))
             continue
         n = int(rng.integers(12, 30))
         end = cost * (1.0 if length == len(rest) else rng.uniform(1.0, 1.1))
         fall = 1 - np.sort(rng.beta(1, 3, n + 1))
         history = end * (1 + rng.uniform(0.05, 0.6) * (fall - fall[-1]) / (fall[0] - fall[-1]))
         signals = np.resize(rest, length)
-        found.append(Search(length, signals, history[-1], history, 48 * n + 48, "criterion"))
+        found.append(
+            Search(length, signals, history[-1], history, 48 * n + 48, StopReason.CRITERION)
+        )
     return tuple(found)
 
 

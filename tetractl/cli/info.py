@@ -66,6 +66,8 @@ def _section(title: str, facts: dict[str, str]) -> "Iterator[str]":
 
 
 def _result(found: "Overview") -> dict[str, str]:
+    from tetractl.core.clock import milliseconds
+
     result, unit = found.result, found.run.get("unit", "")
     if result is None:
         return {"outcome": "none: the log ends before its trial"}
@@ -79,7 +81,7 @@ def _result(found: "Overview") -> dict[str, str]:
         "total error": f"{result.total_error:.1f} {unit}",
         "robot errors": f"{errors} {unit}",
         "entered obstacle": "yes" if result.entered_obstacle else "no",
-        "longest solve": f"{solve[-1] / 1e6:.1f} ms" if solve else "-",
+        "longest solve": f"{milliseconds(solve[-1]):.1f} ms" if solve else "-",
         "deadline misses": str(result.deadline_misses),
     }
 

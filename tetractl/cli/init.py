@@ -14,7 +14,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 def init(
     name: Annotated[
-        str, typer.Argument(metavar="[NAME]", help="Name of the experiment, and of its file.")
+        str, typer.Argument(metavar="NAME", help="Name of the experiment, and of its file.")
     ] = "experiment",
     lab: Annotated[
         bool, typer.Option("--lab", help="With the part of a lab of m3pi robots.")

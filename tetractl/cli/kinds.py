@@ -12,9 +12,9 @@ from tetractl.core.errors import Exit
 def kinds(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """List the optimisers, controllers, motions, shapes, cameras and actuators there are.
+    """List what a spec can name as a `type`: optimisers, controllers, shapes, cameras and so on.
 
-    Each line names the seam, the `type` in a spec, the package that provides it, and the code.
+    Each line holds the seam, the `type`, the package that provides it, and its code.
     Exits with 2 where an installed package is broken.
 
     Example: tetractl kinds

@@ -162,12 +162,10 @@ def calibrate(
 
 
 def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Setup]":
-    from tetractl.experiment.load import load_spec
+    from tetractl.cli.spec import load
     from tetractl.experiment.plants import lab_of, on_plant
 
-    loaded = load_spec(spec, sets or [])
-    for notice in loaded.notices:
-        typer.echo(f"notice: {loaded.name}: {notice}", err=True)
+    loaded = load(spec, sets or [])
     experiment = on_plant(loaded, "lab").experiment
     return lab_of(experiment, loaded.name), experiment.setup
 

@@ -65,13 +65,13 @@ def emulate(
     import gc
     import signal
 
-    from tetractl.experiment.load import load_spec
+    from tetractl.cli.spec import load
     from tetractl.experiment.plants import lab_of
     from tetractl.lab.emulate.lab import EmulatedLab
     from tetractl.lab.emulate.script import NOTHING, load_script
     from tetractl.lab.emulate.sides import Options
 
-    loaded = load_spec(spec, sets or [])
+    loaded = load(spec, sets or [])
     lab = lab_of(loaded.experiment, loaded.name)
     play = load_script(script, lab.camera.type, lab.actuator.type) if script else NOTHING
     options = Options(address, command_port, data_port, port_link, record, replace_after, seed)

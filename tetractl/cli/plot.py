@@ -1,13 +1,11 @@
 """`tetractl plot`: the paper's figures from a log."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from tetractl.core.errors import Exit
-
-Kind = Literal["trajectory", "convergence", "error", "timing"]
 
 
 def plot(
@@ -23,24 +21,28 @@ def plot(
             help="Picture to write: .png, .svg or .pdf; by default LOG-KIND.png here.",
         ),
     ] = None,
-    kind: Annotated[Kind, typer.Option(help="What to draw.")] = "trajectory",
+    kind: Annotated[
+        str, typer.Option(metavar="NAME", help="The figure, one of those above.")
+    ] = "trajectory",
 ) -> int:
     """Draw a figure of a trial and print the name of its file.
 
-    trajectory: where the robots drove, the paper's Figure 5.
-    convergence: how the swarm searched, its Figure 3.
+    trajectory: paths of the robots, the paper's Figure 5.
+    convergence: cost over the iterations, its Figure 3.
     error: distances to the targets over time.
     timing: solve time of each control step.
+    Other packages may add figures.
 
     The same log gives the same bytes.
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
     """
     from tetractl.log.read.reader import read_trial
-    from tetractl.view.figures.figures import draw
+    from tetractl.view.figures.kinds import check_kind, draw
     from tetractl.view.style import file_format, save
     from tetractl.view.terminal.damage import warn_of_damage
 
+    check_kind(kind)
     path = output or _default_name(logs, kind)
     file_format(path)
     trials = [read_trial(log) for log in logs]

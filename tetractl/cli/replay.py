@@ -39,8 +39,8 @@ def replay(
     """
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.reader import read_trial
-    from tetractl.replay.frame import Recording
     from tetractl.replay.player import Player, span
+    from tetractl.replay.recording import Recording
     from tetractl.view.terminal.damage import warn_of_damage
 
     if rate is not None and not 0 < rate < float("inf"):
@@ -53,16 +53,16 @@ def replay(
     if _is_terminal():
         from rich.console import Console
 
-        from tetractl.view.terminal.replay_screen import perform
+        from tetractl.view.terminal.replay_screen import play
 
         player = Player(recording, wall, played, rate=rate or 1.0, loop=loop, paused=paused)
-        perform(Console(), recording, player)
+        play(Console(), recording, player)
     else:
-        from tetractl.view.terminal.replay_text import recite
+        from tetractl.view.terminal.replay_text import print_steps
 
         if paused:
             raise UsageError("--paused needs a terminal: there are no keys to go on with")
-        recite(recording, wall, played, rate=rate, loop=loop)
+        print_steps(recording, wall, played, rate=rate, loop=loop)
     return Exit.FAILED if trial.damage else Exit.DONE
 
 

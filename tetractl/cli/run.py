@@ -88,7 +88,7 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.experiment.load import load_spec
+    from tetractl.cli.spec import load
     from tetractl.experiment.plants import on_plant
     from tetractl.replay.rerun import compare, recorded
     from tetractl.run.batch import log_path
@@ -106,9 +106,7 @@ def run(
         raise UsageError("--from repeats a trial as it was: nothing of it can be set")
     number = None
     if spec is not None:
-        loaded = load_spec(spec, settings)
-        for notice in loaded.notices:
-            print(f"notice: {loaded.name}: {notice}", file=sys.stderr)
+        loaded = load(spec, settings)
         cautions = warn(loaded, settings)
         if strict:
             refuse(cautions)

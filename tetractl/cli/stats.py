@@ -42,17 +42,18 @@ def stats(
     from tetractl.stats.summary import compare
 
     if plot:
-        from tetractl.stats.figure import check_plot_path
+        from tetractl.view.style import file_format
 
-        check_plot_path(plot)  # before the logs are read
+        file_format(plot)  # before the logs are read
     ours = _summary(paths)
     theirs = _summary(against) if against else None
     comparison = compare(ours, theirs) if theirs else None
     _show(form, ours, comparison)
     if plot:
-        from tetractl.stats.figure import batch_figure, save_figure
+        from tetractl.view.figures.batch import batch_figure
+        from tetractl.view.style import save
 
-        save_figure(batch_figure(ours, comparison), plot)
+        save(batch_figure(ours, comparison), plot)
         print(f"wrote {plot}", file=sys.stderr)
     whole = all(batch.whole for batch in (ours, theirs) if batch)
     return Exit.DONE if whole else Exit.FAILED

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from tetractl.cli.caution import Strict, warn
+from tetractl.cli.spec import load
 from tetractl.core.errors import Exit
 
 
@@ -37,13 +38,13 @@ def validate(
 
 
 def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
-    from tetractl.experiment.load import load_spec, spec_hash
+    from tetractl.experiment.load import spec_hash
     from tetractl.experiment.yaml.problems import InvalidSpecError, printable
     from tetractl.run.plausibility.case import Case
 
     shown = printable(str(path))
     try:
-        loaded = load_spec(path, sets)
+        loaded = load(path, sets)
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
         return {"path": shown, "ok": False, "problems": problems}, error.lines()

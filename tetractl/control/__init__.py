@@ -1,1 +1,1 @@
-"""PSO inside model predictive control, Algorithms 1 and 2."""
+"""Model predictive control, Algorithm 2, and the optimisers it can use, Algorithm 1 among them."""

@@ -1,32 +1,17 @@
-"""Makes the controller a spec asks for."""
+"""Makes the controller that a spec asks for, and compiles what it runs."""
 
 from collections.abc import Callable
 from threading import Timer
 
-import numpy as np
-
-from tetractl.control.cost import Problem
-from tetractl.control.mpc import PsoMpc
-from tetractl.control.optimizers.compiled import pso
-from tetractl.control.optimizers.multistart import multistart
-from tetractl.control.optimizers.pso import Searcher
 from tetractl.core.protocols import Controller
-from tetractl.experiment.controller import MultistartSpec
 from tetractl.experiment.experiment import Experiment
 
 ANNOUNCE_AFTER_S = 1.0
 
 
-def searcher(experiment: Experiment) -> Searcher:
-    """Return the optimiser that the spec asks for."""
-    if isinstance(experiment.controller.swarm, MultistartSpec):
-        return multistart
-    return pso
-
-
 def build_controller(experiment: Experiment, key: int) -> Controller:
     """Return the controller of one trial; `key` is the root of its random draws."""
-    return PsoMpc(experiment, key, searcher(experiment))
+    return experiment.controller.build(experiment.setup, key)
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
@@ -38,7 +23,6 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     notice.daemon = True
     notice.start()
     try:
-        problem, swarm = Problem.of(experiment), experiment.controller.swarm
-        searcher(experiment)(problem, 1, np.zeros(1), swarm, key=0)
+        experiment.controller.warm_up(experiment.setup)
     finally:
         notice.cancel()

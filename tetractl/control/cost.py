@@ -3,70 +3,22 @@
     min over u in [-pi, pi]^L   J(u) = f(u) + omega_p P(s(k+1|k), ..., s(k+L|k))            (7)
     f(u) = sum_i || s_i(k+L|k) - tar_i ||                                                   (8)
     P    = sum_i sum_j p(s_i(k+j|k)),   p = 1 in an obstacle, else 0                   (9), (13)
+    s_i(k+j|k) = [x_i(k+j|k), y_i(k+j|k)],   tar_i = [x_tar,i, y_tar,i]                   (10), (11)
+    -pi <= u <= pi                                                                             (12)
 
 A sequence is counted here, as in Algorithm 2, by its length L in signals: u(k), ..., u(k+L-1). The
 paper's horizon in (7)-(12) is h = L - 1. The prediction s(k+j|k) comes from (4)-(6) or from one of
 the other models in `tetractl.model.cell`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tetractl.core.errors import ControlError
-from tetractl.core.poses import Floats, Poses
-from tetractl.experiment.experiment import Experiment
+from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
 from tetractl.model.cell import MOTIONS
-from tetractl.model.obstacles import Obstacles
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """What one control step has to solve; lengths in the spec's unit.
-
-    targets (N, 2); a (N,) rad/s; speed (N,) length unit/s. Signal j is held for `period` seconds,
-    except the first, held for `first_period`. `swept` tests the segments between predicted
-    positions instead of the positions alone.
-    """
-
-    poses: Poses
-    targets: Floats
-    a: Floats
-    speed: Floats
-    model: str
-    period: float
-    first_period: float
-    obstacles: Obstacles
-    obstacle_weight: float
-    swept: bool
-
-    @classmethod
-    def of(cls, experiment: Experiment, poses: Poses | None = None) -> "Problem":
-        """Take the problem of an experiment with the robots at `poses`, or at their starts."""
-        control = experiment.controller
-        if poses is None:
-            starts = [(*robot.start, robot.heading) for robot in experiment.robots]
-            poses = Poses.of(np.array(starts, dtype=np.float64))
-        return cls(
-            poses=poses,
-            targets=np.array([robot.target for robot in experiment.robots]),
-            a=np.array([robot.a for robot in experiment.robots]),
-            speed=np.array([robot.speed for robot in experiment.robots]),
-            model=control.model,
-            period=control.hold * control.period,
-            first_period=control.hold * control.period,
-            obstacles=Obstacles.of(
-                experiment.obstacles,
-                control.collision.margin,
-                experiment.arena if control.collision.walls else None,
-            ),
-            obstacle_weight=control.obstacle_weight,
-            swept=control.collision.check == "swept",
-        )
-
-    def with_robots(self, a: Floats, speed: Floats) -> "Problem":
-        """Return the same problem for robots of other a [rad/s] and speed, (N,)."""
-        return replace(self, a=a, speed=speed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +32,7 @@ class Costs:
 
 def predict(problem: Problem, signals: Floats) -> Floats:
     """Predict the poses under sequences (..., L); returns (L + 1, ..., N, 3), the start first."""
-    advance = MOTIONS[problem.model]
+    advance = MOTIONS[problem.motion]
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     poses = problem.poses
     x, y, heading = (np.broadcast_to(s, shape) for s in (poses.x, poses.y, poses.heading))
@@ -97,7 +49,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
 def evaluate(problem: Problem, signals: Floats) -> Costs:
     """Evaluate (7)-(9) for B sequences, shape (B, L).
 
-    Raises ControlError where a cost is not finite: no comparison of the swarm could be trusted.
+    Raises ControlError where a cost is not finite: no comparison of costs could be trusted.
     """
     return costs_along(problem, predict(problem, signals))
 

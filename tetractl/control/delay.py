@@ -4,9 +4,9 @@ from collections import deque
 
 import numpy as np
 
-from tetractl.control.cost import Problem
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
+from tetractl.core.problem import Problem
 from tetractl.model.cell import MOTIONS
 
 Held = tuple[int, int, float]
@@ -14,7 +14,7 @@ Held = tuple[int, int, float]
 
 
 class Predictor:
-    """Remembers the directions sent, each of which acts `dead_time` [s] after the frame it answers.
+    """The directions sent so far, each of which acts `dead_time` [s] after the frame it answers.
 
     Before the first one acts the robots stand still.
     """
@@ -24,19 +24,19 @@ class Predictor:
         self._acting: deque[tuple[int, float]] = deque()  # (from when it acts [ns], u [rad])
 
     def sent(self, sampled_ns: int, direction: float) -> None:
-        """Note that `direction` was sent in answer to the frame exposed at `sampled_ns`."""
+        """Add a direction u [rad] sent in answer to the frame exposed at `sampled_ns`."""
         self._acting.append((sampled_ns + self.delay, direction))
 
     def held(self, since: int, until: int) -> list[Held]:
-        """Return what acts between two times [ns], oldest first."""
+        """Return the directions that act between two times [ns], oldest first."""
         ends = [when for when, _ in self._acting][1:]
         spans = zip(self._acting, [*ends, until], strict=False)
         found = ((max(start, since), min(end, until), u) for (start, u), end in spans)
         return [(start, end, u) for start, end, u in found if end > start]
 
     def ahead(self, problem: Problem, sampled_ns: int) -> Poses:
-        """Return the poses when a direction decided on this frame will act."""
-        return glide(problem, problem.poses, self.held(sampled_ns, sampled_ns + self.delay))
+        """Return the predicted poses at the time when a direction decided on this frame acts."""
+        return advance(problem, problem.poses, self.held(sampled_ns, sampled_ns + self.delay))
 
     def forget(self, before: int) -> None:
         """Drop the directions that stopped acting before a time [ns]."""
@@ -44,11 +44,11 @@ class Predictor:
             self._acting.popleft()
 
 
-def glide(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
-    """Move poses on under the directions held, by the problem's model."""
+def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
+    """Return the poses after the directions held, by the problem's motion."""
     x, y, heading = poses.x, poses.y, poses.heading
     for since, until, direction in held:
         seconds = (until - since) / SECOND
         u = np.array(direction)
-        x, y, heading = MOTIONS[problem.model](x, y, heading, u, problem.a, problem.speed, seconds)
+        x, y, heading = MOTIONS[problem.motion](x, y, heading, u, problem.a, problem.speed, seconds)
     return Poses(x, y, heading)

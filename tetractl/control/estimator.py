@@ -6,16 +6,17 @@ deviation of PRIOR of it. Between two observations t apart,
     speed:  |displacement| = v t sinc(dheading/2) for a steady turn, whatever the direction was;
     a:      the heading predicted by the model from the directions sent, against the one measured.
 
-A heading that differs by more than OUTLIER rad says that a command was lost, not that a is wrong,
-and is passed over.
+A heading that differs by more than OUTLIER rad is left out: a command was lost, a is not wrong.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control.cost import Problem
-from tetractl.control.delay import Held, glide
+from tetractl.control.delay import Held, advance
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Observation, wrap
+from tetractl.core.problem import Problem
 
 PRIOR = 0.15  # relative standard deviation of a and v before anything is seen
 HEADING_STD = 0.02  # of a measured heading [rad] ...
@@ -35,7 +36,10 @@ class Estimator:
         self._last: Observation | None = None
 
     def update(self, observation: Observation, held: list[Held]) -> Problem:
-        """Take an observation and what the robots held since the last one; return the problem."""
+        """Return the problem with a and speed as known after an observation.
+
+        `held` are the directions that acted since the observation before.
+        """
         last, self._last = self._last, observation
         if last is None or observation.sampled_ns <= last.sampled_ns:
             return self.problem
@@ -51,33 +55,27 @@ class Estimator:
     def _update_speed(
         self, last: Observation, new: Observation, turned: Floats, t: float, usable: Bools
     ) -> None:
-        gone = np.hypot(new.poses.x - last.poses.x, new.poses.y - last.poses.y)
-        slope = t * np.sinc(turned / (2 * np.pi))
+        displacement = np.hypot(new.poses.x - last.poses.x, new.poses.y - last.poses.y)
+        by_speed = t * np.sinc(turned / (2 * np.pi))  # its derivative by the speed
         speed = self.problem.speed
         noise = (POSITION_STD * speed) ** 2 + 1e-300
-        gain = self._var_v * slope / (slope**2 * self._var_v + noise)
+        gain = self._var_v * by_speed / (by_speed**2 * self._var_v + noise)
         gain = np.where(usable & (np.abs(turned) < np.pi / 2), gain, 0.0)
-        self._var_v = self._var_v * (1 - gain * slope)
-        self._set(speed=np.maximum(speed + gain * (gone - slope * speed), 0.0))
+        self._var_v = self._var_v * (1 - gain * by_speed)
+        corrected = np.maximum(speed + gain * (displacement - by_speed * speed), 0.0)
+        self.problem = replace(self.problem, speed=corrected)
 
     def _update_a(
         self, last: Observation, turned: Floats, t: float, held: list[Held], usable: Bools
     ) -> None:
         a = self.problem.a
-        predicted = glide(self.problem, last.poses, held).heading - last.poses.heading
-        nudged = self.problem.with_robots(a * (1 + STEP), self.problem.speed)
-        slope = (glide(nudged, last.poses, held).heading - last.poses.heading - predicted) / (
-            STEP * a
-        )
+        predicted = advance(self.problem, last.poses, held).heading - last.poses.heading
+        nudged = replace(self.problem, a=a * (1 + STEP))
+        more = advance(nudged, last.poses, held).heading - last.poses.heading
+        by_a = (more - predicted) / (STEP * a)  # derivative of the turn by a
         miss = wrap(turned - predicted)
         noise = 2 * HEADING_STD**2 + HEADING_WALK**2 * t
-        gain = self._var_a * slope / (slope**2 * self._var_a + noise)
+        gain = self._var_a * by_a / (by_a**2 * self._var_a + noise)
         gain = np.where(usable & (np.abs(miss) < OUTLIER), gain, 0.0)
-        self._var_a = self._var_a * (1 - gain * slope)
-        self._set(a=np.clip(a + gain * miss, 0.2 * a, 5 * a))
-
-    def _set(self, a: Floats | None = None, speed: Floats | None = None) -> None:
-        old = self.problem
-        self.problem = old.with_robots(
-            old.a if a is None else a, old.speed if speed is None else speed
-        )
+        self._var_a = self._var_a * (1 - gain * by_a)
+        self.problem = replace(self.problem, a=np.clip(a + gain * miss, 0.2 * a, 5 * a))

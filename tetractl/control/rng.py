@@ -44,3 +44,13 @@ def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
     z = bits(key, first, count)
     high, low = z >> np.uint64(33), z & np.uint64(0x7FFF_FFFF)
     return high.astype(np.float64) * 2.0**-31, low.astype(np.float64) * 2.0**-31
+
+
+def normal(key: int, first: int, count: int) -> Floats:
+    """Return numbers of the standard normal distribution, shape (count,), one from each draw.
+
+    Box and Muller (1958): sqrt(-2 ln r) cos(2 pi phi), with r in (0, 1] and phi of 31 bits each; so
+    none is beyond 6.6.
+    """
+    high, low = uniform_pair(key, first, count)
+    return np.sqrt(-2 * np.log(1 - high)) * np.cos(2 * np.pi * low)

@@ -1,12 +1,51 @@
 """When a search ends: the paper's criterion (20) and unit-free alternatives."""
 
+from typing import Annotated, Literal
+
 import numpy as np
+from pydantic import Field
 
+from tetractl.core.plan import StopReason
 from tetractl.core.poses import Floats
-from tetractl.experiment.controller import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
+from tetractl.experiment.base import Model, Positive
 
 
-def stopped(history: Floats, stop: Stop) -> str | None:
+class PaperStop(Model):
+    """Stop criterion (20) as printed: it compares logarithms of lengths, so it depends on the
+    length unit."""
+
+    type: Literal["paper"]
+
+
+class RelativeStop(Model):
+    """Stop when the best cost has fallen by less than `decrease` of itself over `window`
+    iterations."""
+
+    type: Literal["relative"]
+    window: int = Field(default=10, ge=1, le=10_000)
+    """Iterations looked back over."""
+    decrease: float = Field(default=0.01, ge=0, lt=1, allow_inf_nan=False)
+    """Least relative decrease of J over the window that keeps the search going."""
+
+
+class TargetStop(Model):
+    """Stop as soon as the best cost J is at or below `cost` (in the spec's length unit)."""
+
+    type: Literal["target"]
+    cost: Positive
+    """The cost J that is good enough [length unit]."""
+
+
+class BudgetStop(Model):
+    """Never stop early: always spend every iteration."""
+
+    type: Literal["budget"]
+
+
+Stop = Annotated[PaperStop | RelativeStop | TargetStop | BudgetStop, Field(discriminator="type")]
+
+
+def stopped(history: Floats, stop: Stop) -> StopReason | None:
     """Return why to stop after iteration z = len(history) - 1, or None to go on.
 
     history[m] is J(u_gb) after iteration m. Only a target may stop a search before z > 10.
@@ -15,14 +54,14 @@ def stopped(history: Floats, stop: Stop) -> str | None:
         case BudgetStop():
             return None
         case TargetStop(cost=cost):
-            return "target" if history[-1] <= cost else None
+            return StopReason.TARGET if history[-1] <= cost else None
         case RelativeStop(window=window, decrease=decrease):
             if len(history) <= max(window, 10) + 1:
                 return None
             fallen = history[-1 - window] - history[-1]
-            return "criterion" if fallen <= decrease * abs(history[-1 - window]) else None
+            return StopReason.CRITERION if fallen <= decrease * abs(history[-1 - window]) else None
         case PaperStop():
-            return "criterion" if paper_criterion(history) else None
+            return StopReason.CRITERION if paper_criterion(history) else None
 
 
 def paper_criterion(history: Floats) -> bool:

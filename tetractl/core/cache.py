@@ -1,4 +1,4 @@
-"""Where compiled code is kept between runs, by what it was compiled from."""
+"""The folder for compiled code, and a name for the sources it was compiled from."""
 
 import hashlib
 import os
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def cache_folder() -> Path:
-    """Return the user's cache folder for tetractl, or a temporary one where that cannot be."""
+    """Return the user's cache folder for tetractl, or a temporary one where it cannot be made."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(base) / "tetractl"
     try:
@@ -18,9 +18,10 @@ def cache_folder() -> Path:
     return folder
 
 
-def digest(sources: Iterable[Path]) -> str:
-    """Return a name for the contents of some files: 12 hex digits."""
+def digest(sources: Iterable[Path], options: str = "") -> str:
+    """Return 12 hex digits that name the contents of files and the options to compile them with."""
     found = hashlib.sha256()
     for source in sorted(sources):
         found.update(source.read_bytes())
+    found.update(options.encode())
     return found.hexdigest()[:12]

@@ -4,6 +4,17 @@ import time
 from typing import Protocol
 
 SECOND = 1_000_000_000  # ns
+MILLISECOND = 1_000_000  # ns
+
+
+def seconds(ns: int) -> float:
+    """Return a time [ns] in seconds."""
+    return ns / SECOND
+
+
+def milliseconds(ns: int) -> float:
+    """Return a time [ns] in milliseconds."""
+    return ns / MILLISECOND
 
 
 class Clock(Protocol):

@@ -1,5 +1,6 @@
 """What a controller decides: searches, the plan chosen among them, or the end of the trial."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -21,13 +22,54 @@ class Outcome(StrEnum):
         return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
 
 
+class StopReason(StrEnum):
+    """Why a search ended; the value is what a log states."""
+
+    CRITERION = "criterion"  # the stop criterion of the optimiser, such as (20)
+    ITERATIONS = "iterations"  # as many as the optimiser may do
+    TARGET = "target"  # a cost that is good enough was found
+    EVALUATIONS = "evaluations"  # no further one fits into the limit
+    DEADLINE = "deadline"  # the time was up
+
+    @classmethod
+    def read(cls, text: str) -> "StopReason | str":
+        """Return the reason that a log states; the text itself where it is none of these."""
+        return next((reason for reason in cls if reason.value == text), text)
+
+
+def never() -> bool:
+    """Return False: no deadline."""
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What one search may spend.
+
+    `evaluations` bounds the cost evaluations, None for no bound. Once `expired()` is true, a search
+    returns the best sequence so far.
+    """
+
+    evaluations: int | None = None
+    expired: Callable[[], bool] = never
+
+    @property
+    def timed(self) -> bool:
+        """Whether there is a deadline."""
+        return self.expired is not never
+
+    def allow(self, evaluations: int) -> bool:
+        """Return whether a search may spend so many evaluations in all."""
+        return self.evaluations is None or evaluations <= self.evaluations
+
+
 @dataclass(frozen=True, slots=True)
 class Search:
     """One search of the optimiser: one horizon in one control step.
 
     `length` counts signals; the paper's horizon is h = length - 1. `history[z]` is J(u_gb) after
-    iteration z, entry 0 before the first (Figure 3). `stopped` says why it ended: "criterion",
-    "iterations", "target", "evaluations" or "deadline".
+    iteration z, entry 0 before the first (Figure 3). `stopped` says why it ended; a log of another
+    version of tetractl may hold a text that is no StopReason.
     """
 
     length: int
@@ -35,7 +77,7 @@ class Search:
     cost: float  # J, (7)
     history: Floats  # (iterations + 1,)
     evaluations: int
-    stopped: str
+    stopped: StopReason | str
 
 
 @dataclass(frozen=True, slots=True)

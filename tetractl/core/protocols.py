@@ -14,8 +14,9 @@ from tetractl.core.commands import (
     Transmission,
     Verdict,
 )
-from tetractl.core.plan import Outcome, Plan
-from tetractl.core.poses import CameraFrame, Observation, Pose
+from tetractl.core.plan import Limits, Outcome, Plan, Search
+from tetractl.core.poses import CameraFrame, Floats, Observation, Pose
+from tetractl.core.problem import Problem
 from tetractl.core.trial import Result, Start, Step
 
 
@@ -154,6 +155,21 @@ class Actuator(Device, Protocol):
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its status; only before a run."""
+        ...
+
+
+class Optimizer(Protocol):
+    """Finds a sequence of directions of small cost."""
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Return the best sequence of `length` signals found, and how the search went.
+
+        `warm` (length,) is a sequence to start from, None for none; it is not changed. `key` fixes
+        every random draw: the same arguments give the same bits. Raises ControlError where a cost
+        is not finite.
+        """
         ...
 
 

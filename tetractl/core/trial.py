@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Self
 
 from tetractl.core.commands import Command, PlantInfo, Verdict
 from tetractl.core.plan import Outcome, Plan
@@ -50,7 +51,13 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """How a trial ended. Lengths are in the experiment's unit; errors are to the targets."""
+    """How a trial of N robots ended.
+
+    `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
+    their sum [length unit]. `duration_s` is the time from the trial's start to the stop. `solve_ns`
+    is the wall time the controller spent on each control step; it and `deadline_misses`, the steps
+    that took longer than the control period, differ from run to run on the same seed.
+    """
 
     outcome: Outcome
     reason: str
@@ -59,10 +66,36 @@ class Result:
     total_error: float
     robot_errors: tuple[float, ...]
     verdict: Verdict
-    solve_ns: tuple[int, ...] = field(repr=False)  # host facts, one a step
-    deadline_misses: int = 0  # host fact
+    solve_ns: tuple[int, ...] = field(repr=False)
+    deadline_misses: int = 0
+
+    @classmethod
+    def of(
+        cls,
+        setup: Setup,
+        verdict: Verdict,
+        *,
+        outcome: Outcome,
+        reason: str,
+        duration_s: float,
+        solve_ns: tuple[int, ...],
+        deadline_misses: int,
+    ) -> Self:
+        """Return the result of a trial that ended in the poses of a verdict."""
+        errors = verdict.final.distances(setup.targets)
+        return cls(
+            outcome=outcome,
+            reason=reason,
+            steps=len(solve_ns),
+            duration_s=duration_s,
+            total_error=float(errors.sum()),
+            robot_errors=tuple(errors.tolist()),
+            verdict=verdict,
+            solve_ns=solve_ns,
+            deadline_misses=deadline_misses,
+        )
 
     @property
     def entered_obstacle(self) -> bool:
-        """Whether any robot was truly inside an obstacle."""
+        """Whether the path of any robot touched an obstacle."""
         return any(self.verdict.entered)

@@ -45,6 +45,10 @@ class Choice:
         usable = self.registry.usable()  # a broken package must not hide another mistake
         sections = {name: kind for name, kind in usable.items() if issubclass(kind, self._base)}
         options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
+        for name, option in options.items():
+            if name != self.default:  # without a type, only the default kind is meant
+                kind = handler.resolve_ref_schema(option)
+                kind["required"] = list(dict.fromkeys(["type", *kind.get("required", ())]))
         mapping = {name: option["$ref"] for name, option in options.items() if "$ref" in option}
         discriminator = {"mapping": mapping, "propertyName": "type"}
         choice = {"discriminator": discriminator, "oneOf": list(options.values())}

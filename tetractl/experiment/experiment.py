@@ -11,8 +11,8 @@ from tetractl.core.poses import Poses
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.choice import Choice
-from tetractl.experiment.controller import PsoMpcSpec
-from tetractl.experiment.kinds import PLANTS
+from tetractl.experiment.controller import ControllerSection
+from tetractl.experiment.kinds import CONTROLLERS, PLANTS
 from tetractl.experiment.lab import LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 
@@ -135,6 +135,7 @@ class Scale(Model):
 
 
 _PLANT = Choice(PLANTS, default="sim")
+_CONTROLLER = Choice(CONTROLLERS, default="mpc")
 
 
 class Experiment(Model):
@@ -155,7 +156,7 @@ class Experiment(Model):
     """Where no robot may go."""
     wheels: Wheels | None = None
     """Wheel geometry; given, the log holds the wheel speeds of (24)-(25) of every command."""
-    controller: PsoMpcSpec = PsoMpcSpec()
+    controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
     """What chooses the direction."""
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
     """What the direction steers; a simulation where no `type` is given."""
@@ -192,6 +193,6 @@ class Experiment(Model):
             obstacles=self.obstacles,
             period_s=control.period,
             steps_max=control.steps_max,
-            iterations_max=control.swarm.iterations,
+            iterations_max=control.iterations_max,
             wheel_radius=self.wheels.radius if self.wheels else None,
         )

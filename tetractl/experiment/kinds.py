@@ -12,15 +12,17 @@ OPTIMIZERS = Registry(
     "tetractl.optimizers",
     "optimizer",
     {
-        "pso": "tetractl.experiment.controller:SwarmSpec",
-        "multistart": "tetractl.experiment.controller:MultistartSpec",
+        "pso": "tetractl.control.optimizers.pso:Pso",
+        "multistart": "tetractl.control.optimizers.multistart:Multistart",
+        "cem": "tetractl.control.optimizers.cem:CrossEntropy",
+        "mppi": "tetractl.control.optimizers.mppi:Mppi",
     },
     SECTION,
 )
 CONTROLLERS = Registry(
     "tetractl.controllers",
     "controller",
-    {"pso-mpc": "tetractl.experiment.controller:PsoMpcSpec"},
+    {"mpc": "tetractl.control.mpc:MpcSection"},
     SECTION,
 )
 MOTIONS = Registry(
@@ -68,7 +70,22 @@ ACTUATORS = Registry(
     },
     "tetractl.experiment.lab:ActuatorSection",
 )
-SEAMS = (OPTIMIZERS, CONTROLLERS, MOTIONS, SHAPES, PLANTS, CAMERAS, ACTUATORS)
+DISTURBANCES = Registry(
+    "tetractl.disturbances",
+    "disturbance",
+    {"tracking-loss": "tetractl.plant.disturbances.tracking_loss:TrackingLossSection"},
+    "tetractl.experiment.disturbance:DisturbanceSection",
+)
+SEAMS = (
+    OPTIMIZERS,
+    CONTROLLERS,
+    MOTIONS,
+    SHAPES,
+    PLANTS,
+    DISTURBANCES,
+    CAMERAS,
+    ACTUATORS,
+)
 
 
 def packages(spec: Model) -> dict[str, str]:

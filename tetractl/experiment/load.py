@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -16,13 +16,11 @@ from tetractl.experiment.consistency import contradictions, plant_contradictions
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.kinds import packages
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.document import parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.overrides import override
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
-from tetractl.experiment.yaml.upgrade_lab import former, is_old_lab, notice, upgrade_lab
-
-Note = TypeVar("Note")
+from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.experiment.yaml.upgrade import upgrade
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +32,7 @@ class LoadedSpec:
     name: str  # file name, without its folder
     path: Path | None = None
     attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
-    notices: tuple[str, ...] = ()  # what the owner of a spec in an old form should know
+    notices: tuple[str, ...] = ()  # lines for people on names that have changed
 
 
 def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
@@ -86,8 +84,9 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
 
 
 def _experiment(text: str, origin: str, sets: Sequence[str]) -> tuple[Experiment, tuple[str, ...]]:
+    """Return the experiment and what names have changed."""
     document = parse_document(text, origin)
-    notices = tuple(_upgrade_labs(document))
+    upgrade(document)
     for setting in sets:
         override(document, setting)
     experiment = None
@@ -103,39 +102,7 @@ def _experiment(text: str, origin: str, sets: Sequence[str]) -> tuple[Experiment
         document.problems.append(place.problem(loc, message, place.text))
     if document.found or experiment is None:
         raise InvalidSpecError(document.found)
-    return experiment, notices
-
-
-def _upgrade_labs(document: Document) -> Iterator[str]:
-    """Bring labs of the old form into the new one; yield what their owner should know."""
-    for place in ("plant", "lab"):
-        section = document.data.get(place)
-        if not is_old_lab(section):
-            continue
-        document.data[place] = new = upgrade_lab(section)
-        moved = {(place, *loc): (place, *former(loc)) for loc in _places(new)}
-        _move_notes(document.values, place, moved)
-        _move_notes(document.keys, place, moved)
-        _move_notes(document.refused, place, moved)
-        yield notice(place, new)
-
-
-def _move_notes(notes: dict[Loc, Note], place: str, moved: dict[Loc, Loc]) -> None:
-    """Put notes on parts of a section to their new places; `moved` gives the old of each new."""
-    before = {loc: note for loc, note in notes.items() if loc[:1] == (place,) and loc[1:]}
-    for loc in before:
-        del notes[loc]
-    for new, old in moved.items():
-        if old in before:
-            notes[new] = before[old]
-
-
-def _places(value: Any, loc: Loc = ()) -> Iterator[Loc]:
-    items = value.items() if isinstance(value, dict) else enumerate(value)
-    for step, item in items:
-        yield (*loc, step)
-        if isinstance(item, dict | list):
-            yield from _places(item, (*loc, step))
+    return experiment, tuple(document.notices)
 
 
 def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:

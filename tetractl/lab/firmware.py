@@ -5,7 +5,6 @@ compiler in $CC or the first of cc, gcc and clang.
 """
 
 import ctypes
-import hashlib
 import os
 import platform
 import shutil
@@ -13,6 +12,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from tetractl.core.cache import cache_folder, digest
 from tetractl.core.errors import TetractlError
 
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared")
@@ -41,17 +41,11 @@ def load(name: str, folder: Path | None = None) -> ctypes.CDLL:
     sources = source_folder()
     codes = [sources / f"{name}_core.c", sources / "framing.c"]
     parts = [part for code in codes for part in (code, code.with_suffix(".h"))]
-    text = b"".join(part.read_bytes() for part in parts) + " ".join(FLAGS).encode()
-    digest = hashlib.sha256(text).hexdigest()[:16]
-    path = (folder or _cache()) / f"{name}_core-{platform.machine()}-{digest}.so"
+    state = digest(parts, " ".join(FLAGS))
+    path = (folder or cache_folder()) / f"{name}_core-{platform.machine()}-{state}.so"
     if not path.is_file():
         _build(codes, path)
     return ctypes.CDLL(str(path))
-
-
-def _cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "tetractl"
 
 
 def _build(codes: list[Path], path: Path) -> None:

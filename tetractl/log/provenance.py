@@ -76,8 +76,8 @@ def versions() -> dict[str, str]:
     return facts | _git_state()
 
 
-def facts(packages: Mapping[str, str]) -> dict[str, str]:
-    """Return the host facts that a log states at its start, the hour among them.
+def host_metadata(packages: Mapping[str, str]) -> dict[str, str]:
+    """Return the metadata record of the host at the start of a log: hour, machine, versions.
 
     `packages` are name and version of those that provide a kind which the spec uses.
     """
@@ -90,7 +90,7 @@ def plugins(packages: Mapping[str, str]) -> dict[str, str]:
 
 
 def is_version(key: str) -> bool:
-    """Return whether a host fact is a version behind a result."""
+    """Return whether an item of the host's metadata is a version behind a result."""
     return key in VERSION_KEYS or key.startswith(PLUGIN)
 
 

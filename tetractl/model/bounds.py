@@ -40,12 +40,14 @@ PAIRS_MAX = 1000
 """Pairs that enter the linear programme at most; leaving pairs out only lowers the bound."""
 
 
+@np.errstate(all="ignore")
 def reach(setup: Setup, seconds: float) -> Floats:
     """Return the least error of each robot by its speed alone, (N,) [length unit]."""
     gaps = np.linalg.norm(setup.targets - setup.starts.xy, axis=1)
     return np.maximum(gaps - setup.speed * seconds, 0.0)
 
 
+@np.errstate(all="ignore")
 def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
     """Return G, the largest |w_1 - w_2| of pairs of robots [s].
 
@@ -54,15 +56,15 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
     rate = (a_1 + a_2) / 2
     relative = np.abs(a_1 - a_2) / rate
     both = np.hypot(relative, turned)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        # e^(k t) at the time when D = 2, from the quadratic equation for it
-        growth = (2 + np.sqrt(np.maximum(4 + relative**2, 0.0))) / (turned + both)
-        until = np.clip(np.log(growth) / rate, 0.0, seconds)
-        grown = (turned * np.sinh(rate * until) + both * (np.cosh(rate * until) - 1)) / rate
-        found = np.minimum(grown, 2 * until) + 2 * (seconds - until)
+    # e^(k t) at the time when D = 2, from the quadratic equation for it
+    growth = (2 + np.sqrt(4 + relative**2)) / (turned + both)
+    until = np.clip(np.log(growth) / rate, 0.0, seconds)
+    grown = (turned * np.sinh(rate * until) + both * (np.cosh(rate * until) - 1)) / rate
+    found = np.minimum(grown, 2 * until) + 2 * (seconds - until)
     return np.where(turned + both > 0, found, 0.0)
 
 
+@np.errstate(all="ignore")
 def least_total_error(setup: Setup, seconds: float, alike: bool = False) -> float:
     """Return a lower bound of the total error of any sequence of directions [length unit].
 
@@ -74,11 +76,10 @@ def least_total_error(setup: Setup, seconds: float, alike: bool = False) -> floa
     one, other = one[moving], other[moving]
     turned = np.abs(wrap(setup.starts.heading[one] - setup.starts.heading[other]))
     apart = np.zeros(len(one)) if alike else drift(setup.a[one], setup.a[other], turned, seconds)
-    with np.errstate(over="ignore", invalid="ignore"):
-        way = (setup.targets - setup.starts.xy) / np.where(setup.speed > 0, setup.speed, 1)[:, None]
-        gaps = np.linalg.norm(way[one] - way[other], axis=1) - apart
-        both = np.minimum(setup.speed[one], setup.speed[other]) * gaps
-        gain = both - alone[one] - alone[other]
+    way = (setup.targets - setup.starts.xy) / np.where(setup.speed > 0, setup.speed, 1)[:, None]
+    gaps = np.linalg.norm(way[one] - way[other], axis=1) - apart
+    both = np.minimum(setup.speed[one], setup.speed[other]) * gaps
+    gain = both - alone[one] - alone[other]
     telling = np.flatnonzero(gain > 0)
     telling = telling[np.argsort(-gain[telling], kind="stable")[:PAIRS_MAX]]
     if not telling.size or not np.isfinite(alone).all() or not np.isfinite(both[telling]).all():

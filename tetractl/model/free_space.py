@@ -37,6 +37,7 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
     return np.minimum(nearest, inside)
 
 
+@np.errstate(all="ignore")
 def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     """Return how far from its target each robot stays, at least, (N,) [length unit].
 
@@ -50,12 +51,12 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     side = max(arena.width, arena.height) / CELLS
     x = _centres(arena.left, arena.width, side, walls)
     y = _centres(arena.bottom, arena.height, side, walls)
-    with np.errstate(over="ignore", invalid="ignore"):
-        depth = margin - clearance(setup, x[None, :], y[:, None], walls)
-        free = ~(depth >= (0.5 - TOUCHING) * side)
+    depth = margin - clearance(setup, x[None, :], y[:, None], walls)
+    free = ~(depth >= (0.5 - TOUCHING) * side)  # a depth that is no number shuts nothing out
     if not walls:  # the outside is one free region, whatever stands in it
         free[[0, -1], :] = free[:, [0, -1]] = True
-    regions, _ = label(free, np.ones((3, 3)))
+    regions = np.zeros(free.shape, dtype=np.int32)
+    label(free, np.ones((3, 3)), output=regions)
 
     def around(point: Floats) -> set[int]:
         """Return the regions at a point, which may lie between the discs of neighbours."""
@@ -76,4 +77,5 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
 def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
     """Return the centres of the cells along an extent; without walls, of two more at either end."""
     beyond = 0 if walls else 2
-    return begin + (np.arange(-beyond, math.ceil(extent / side - 1e-9) + beyond) + 0.5) * side
+    cells = np.arange(-beyond, math.ceil(extent / side - 1e-9) + beyond, dtype=np.float64)
+    return begin + (cells + 0.5) * side

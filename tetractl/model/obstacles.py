@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.poses import Floats
-from tetractl.experiment.experiment import Arena, Circle, Rectangle
+from tetractl.core.setup import Bounds, Shape
+from tetractl.experiment.experiment import Circle, Rectangle
 
 Bools = NDArray[np.bool_]
 
@@ -27,9 +28,9 @@ class Obstacles:
     @classmethod
     def of(
         cls,
-        obstacles: Sequence[Rectangle | Circle],
+        obstacles: Sequence[Shape],
         margin: float = 0.0,
-        walls: Arena | None = None,
+        walls: Bounds | None = None,
     ) -> Self:
         """Take obstacles from a spec, each side and radius grown by `margin` [length unit].
 
@@ -108,11 +109,11 @@ def _crosses_rectangle(
     return overlap_x & (np.abs(mid_y) <= half_y + np.abs(dy) / 2) & across
 
 
-def _walls(arena: Arena, margin: float) -> list[tuple[float, float, float, float]]:
+def _walls(arena: Bounds, margin: float) -> list[tuple[float, float, float, float]]:
     """Four rectangles round an arena, as broad as three arenas: no robot crosses them in a step."""
     broad = 3 * max(arena.width, arena.height)
     left, bottom = arena.left + margin, arena.bottom + margin
-    right, top = arena.left + arena.width - margin, arena.bottom + arena.height - margin
+    right, top = arena.right - margin, arena.top - margin
     return [
         (left - broad, bottom - broad, left, top + broad),
         (right, bottom - broad, right + broad, top + broad),

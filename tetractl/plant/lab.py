@@ -19,7 +19,7 @@ from tetractl.lab.preflight import Preflight
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.lab.standstill import unrest
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import PathJudge
+from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
 
@@ -49,7 +49,7 @@ class LabPlant:
         self._operators = operators
         rig.on_frame = self._see
         self._heading = self.setup.starts.heading
-        self._judge = PathJudge(Obstacles.of(self.setup.obstacles), len(self.setup.names))
+        self._judge = PathCheck(Obstacles.of(self.setup.obstacles), len(self.setup.names))
         self._judging = False
         self._newest: Observation | None = None
         self._fresh: deque[Sample] = deque(maxlen=KEPT)

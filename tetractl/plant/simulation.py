@@ -6,8 +6,8 @@ integrated: its error does not depend on the sampling rate.
 
 import json
 from collections import deque
-from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -18,10 +18,13 @@ from tetractl.core.operators import Operators
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Model, NonNegative, inconsistent
+from tetractl.experiment.choice import Choice
+from tetractl.experiment.disturbance import DisturbanceSection, Order
+from tetractl.experiment.kinds import DISTURBANCES
 from tetractl.experiment.plant import PlantSection
 from tetractl.model.cell import exact
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import PathJudge
+from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
 
 
@@ -40,8 +43,8 @@ class SimSection(PlantSection):
 
     simulated: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
-    motion: Literal["continuous", "arc", "euler"] = "continuous"
-    """`continuous` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25) between two commands;
+    motion: Literal["exact", "arc", "euler"] = "exact"
+    """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25) between two commands;
     `euler` moves by (4)-(6) themselves, on straight chords."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Measurements a second [Hz]."""
@@ -61,6 +64,10 @@ class SimSection(PlantSection):
     trial and robot."""
     speed_error: Fraction = 0.0
     """As `a_error`, for the speed."""
+    disturbances: tuple[Annotated[DisturbanceSection, Choice(DISTURBANCES)], ...] = Field(
+        default=(), max_length=100
+    )
+    """Further disturbances, which act one after another."""
 
     @model_validator(mode="after")
     def _truth_is_as_fine_as_the_camera(self) -> Self:
@@ -90,15 +97,6 @@ class _Held:
     moving: Floats  # 1 where the robot moves, else 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Order:
-    """A command on its way: `direction` None is a stop; it acts from `due` [ns]."""
-
-    due: int
-    direction: float | None
-    delivered: Floats
-
-
 class SimPlant:
     """A `Plant` of simulated robots; `seed` feeds every disturbance."""
 
@@ -114,10 +112,16 @@ class SimPlant:
         self.nominal_a, self.nominal_speed = setup.a, setup.speed
         self.a = self.nominal_a * (1 + self.spec.a_error * erring.uniform(-1, 1, count))
         self.speed = self.nominal_speed * (1 + self.spec.speed_error * erring.uniform(-1, 1, count))
+        self._disturbances = [
+            disturbance.build(setup, np.random.default_rng(*seed.spawn(1)))
+            for disturbance in section.disturbances
+        ]
+        for disturbance in self._disturbances:
+            self.a, self.speed = disturbance.parameters(self.a, self.speed)
         self.poses = setup.starts
         self._held = _Held(*(np.zeros(count) for _ in range(4)))
-        self._orders: deque[_Order] = deque()
-        self._judge = PathJudge(Obstacles.of(setup.obstacles), count)
+        self._orders: deque[Order] = deque()
+        self._judge = PathCheck(Obstacles.of(setup.obstacles), count)
         self._time = 0
         self._frames = 0  # frames exposed so far
         self._ticks = 0  # true samples judged so far
@@ -145,15 +149,18 @@ class SimPlant:
         now = self.clock.now()
         self._advance(now)
         count = self.a.size
-        delivered = self._losing.uniform(size=count) >= self.spec.lost_commands
-        self._send(_Order(now + self._delay(), direction, delivered.astype(np.float64)))
+        reached = self._losing.uniform(size=count) >= self.spec.lost_commands
+        order = Order(now + self._delay(), direction, reached)
+        for disturbance in self._disturbances:
+            order = disturbance.sent(order)
+        self._send(order)
         left = right = None
         if self.wheel_radius is not None and self._newest:
             heading = self._newest.poses.heading
             left, right = wheel_speeds(
                 heading, direction, self.nominal_a, self.nominal_speed, self.wheel_radius
             )
-        return Command(direction, now, tuple(delivered.tolist()), left, right)
+        return Command(direction, now, tuple(order.reached.tolist()), left, right)
 
     def samples(self) -> list[Sample]:
         """Return, once, every camera frame since the last call, oldest first."""
@@ -173,13 +180,13 @@ class SimPlant:
             count = self.a.size
             still = None if self.wheel_radius is None else np.zeros(count)
             self._stop = Command(None, now, (True,) * count, still, still)
-            self._send(_Order(now + self._delay(), None, np.ones(count)))
+            self._send(Order(now + self._delay(), None, np.ones(count, dtype=np.bool_)))
         return self._stop
 
     def settle(self) -> Verdict:
         """Wait for the stop to act and for one more camera frame, and judge the true path."""
-        wait = self._delay() + round(2 * SECOND / self.spec.camera_rate)
-        self.clock.sleep_until(self.clock.now() + wait)
+        stopped = self._orders[-1].due_ns if self._orders else self.clock.now()
+        self.clock.sleep_until(stopped + round(2 * SECOND / self.spec.camera_rate))
         self._advance(self.clock.now())
         entered = tuple(bool(e) for e in self._judge.entered)
         return Verdict(self.poses, entered, tuple(self._judge.clearance.tolist()))
@@ -190,21 +197,24 @@ class SimPlant:
     def _delay(self) -> int:
         return round(self.spec.dead_time * SECOND)
 
-    def _send(self, order: _Order) -> None:
-        self._orders.append(order)
+    def _send(self, order: Order) -> None:
+        earliest = self._orders[-1].due_ns if self._orders else self._time
+        self._orders.append(replace(order, due_ns=max(order.due_ns, earliest)))
         self._advance(self.clock.now())
 
     def _advance(self, until: int) -> None:
         """Move the robots on, block by block; nothing changes what is held inside a block."""
-        noisy = self.spec.heading_noise > 0
+        noisy = self.spec.heading_noise > 0 or bool(self._disturbances)
         while True:
             frame = self._next_frame()
             end = min(until, frame) if noisy else until
-            order = self._orders.popleft() if self._orders and self._orders[0].due <= end else None
-            reached = order.due if order else end
+            order = (
+                self._orders.popleft() if self._orders and self._orders[0].due_ns <= end else None
+            )
+            reached = order.due_ns if order else end
             self._glide(reached)
             if noisy and reached == frame:
-                self._swerve()
+                self._disturb()
             if order:
                 self._take(order)
             elif reached == until:
@@ -213,9 +223,9 @@ class SimPlant:
     def _next_frame(self) -> int:
         return round(self._frames * SECOND / self.spec.camera_rate)
 
-    def _take(self, order: _Order) -> None:
+    def _take(self, order: Order) -> None:
         """Let an order act on the robots that received it."""
-        got = order.delivered > 0
+        got = order.reached
         held, heading = self._held, self.poses.heading
         if order.direction is None:
             held.moving = np.where(got, 0.0, held.moving)
@@ -226,8 +236,15 @@ class SimPlant:
         held.course = np.where(got, heading, held.course)
         held.moving = np.where(got, 1.0, held.moving)
 
+    def _disturb(self) -> None:
+        """Add the random walk that the heading took since the last frame, and disturb the poses."""
+        if self.spec.heading_noise > 0:
+            self._swerve()
+        seconds, moving = 1 / self.spec.camera_rate, self._held.moving
+        for disturbance in self._disturbances:
+            self.poses = disturbance.moved(self.poses, moving, seconds)
+
     def _swerve(self) -> None:
-        """Add the random walk that the heading took since the last frame."""
         step = self.spec.heading_noise / np.sqrt(self.spec.camera_rate)
         walk = step * self._swerving.standard_normal(self.a.size)
         self.poses = Poses(
@@ -255,7 +272,7 @@ class SimPlant:
         """Poses (M, N) after times t (M, 1) [s] from now, in closed form."""
         p, held = self.poses, self._held
         t = t * held.moving
-        if self.spec.motion == "continuous":
+        if self.spec.motion == "exact":
             return exact(p.x, p.y, p.heading, held.direction, self.a, self.speed, t)
         half = 0.5 * held.turning * t
         if self.spec.motion == "arc":
@@ -276,5 +293,10 @@ class SimPlant:
                 truth.heading + noise.heading * heading,
             )
         valid = np.ones(self.a.size, dtype=np.bool_)
+        for disturbance in self._disturbances:
+            measured, valid = disturbance.measured(measured, valid, when / SECOND)
+        if self._newest is not None and not valid.all():  # who is not tracked keeps the last pose
+            last, now = self._newest.poses.array(), measured.array()
+            measured = Poses.of(np.where(valid[:, None], now, last))
         self._newest = Observation(number, when, when, measured, valid)
         self._fresh.append(Sample(self._newest, truth))

@@ -5,18 +5,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command
+from tetractl.core.clock import SECOND, milliseconds, seconds
+from tetractl.core.commands import Command, Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import channels
-from tetractl.log.format.digest import CHECKSUM
 from tetractl.log.format.metadata import run_metadata
 from tetractl.log.read.gaps import frame_gaps, step_gaps
-from tetractl.log.read.salvage import Contents
-from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.read.reader import trial_path
+from tetractl.log.read.trial_log import ALTERED, TrialLog
 from tetractl.model.obstacles import Obstacles
+from tetractl.model.path_check import check_path
 from tetractl.replay.recompute import Difference
 
 REST = 1e-6  # of a coordinate: how far a robot at rest may be from where it stopped
@@ -24,24 +24,22 @@ LAST_FRAMES = 120  # among which a lab's final poses are
 
 
 @dataclass(slots=True)
-class Findings:
-    """What does not fit, and what is only worth knowing."""
+class Audit:
+    """What a log contradicts itself in, and notes that are no contradiction."""
 
     problems: list[Difference] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
 
-def audit(log: TrialLog, contents: Contents) -> Findings:
-    """Check a log against itself; the decisions are checked by `recompute`."""
-    findings = Findings()
-    stated = contents.facts(channels.RUN) or {}
-    findings.problems += _run(log, stated)
-    if log.digest and log.digest != contents.digest():
-        text = "the content does not match the digest that the log states"
-        findings.problems.append(Difference(None, "content_digest", text))
+def audit(log: TrialLog) -> Audit:
+    """Check a log against itself; `recompute` checks the decisions."""
+    findings = Audit()
+    findings.problems += _run(log)
+    if log.altered:
+        findings.problems.append(Difference(None, "content_digest", ALTERED))
     findings.problems += _frames(log)
     findings.problems += _steps(log)
-    findings.problems += _stamps(log, contents)
+    findings.problems += _stamps(log)
     findings.problems += _ends(log)
     for gap in frame_gaps(log):
         if log.start.plant.simulated or log.damage:
@@ -58,11 +56,12 @@ def audit(log: TrialLog, contents: Contents) -> Findings:
     return findings
 
 
-def _run(log: TrialLog, stated: dict[str, str]) -> Iterator[Difference]:
+def _run(log: TrialLog) -> Iterator[Difference]:
+    """The run record follows from the resolved spec and the start of the trial."""
     ours = run_metadata(replace(log.start, seed=log.experiment.trials.seed))
-    for key in sorted((ours.keys() | stated.keys()) - {CHECKSUM}):
-        if ours.get(key) != stated.get(key):
-            text = f"states {stated.get(key)!r}, but the resolved spec and the run make it "
+    for key in sorted(ours.keys() | log.run.keys()):
+        if ours.get(key) != log.run.get(key):
+            text = f"states {log.run.get(key)!r}, but the resolved spec and the run make it "
             yield Difference(None, f"run.{key}", text + repr(ours.get(key)))
 
 
@@ -119,7 +118,7 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
                 yield Difference(k, "observation.frame", text)
         late = k > 0 and step.solve_ns > round(control.period * SECOND)
         if step.deadline_missed != late:
-            text = f"{step.deadline_missed} for {step.solve_ns / 1e6:.3f} ms"
+            text = f"{step.deadline_missed} for {milliseconds(step.solve_ns):.3f} ms"
             yield Difference(k, "timing.deadline_missed", text)
         before = step
 
@@ -137,7 +136,7 @@ def _order(step: Step, before: Step | None, period: float | None) -> Iterator[Di
         spaced = sent - before.command.sent_ns
         if abs(spaced - period * SECOND) > 1:
             yield Difference(
-                step.k, "command.sent_ns", f"{spaced / SECOND} s after the step before"
+                step.k, "command.sent_ns", f"{seconds(spaced)} s after the step before"
             )
 
 
@@ -158,51 +157,68 @@ def _same_command(one: Command, two: Command) -> bool:
     return True
 
 
-def _stamps(log: TrialLog, contents: Contents) -> Iterator[Difference]:
-    """The times of the messages are those in them."""
-    start, entries = log.start.start_unix_ns, contents.entries
-    steps = [(s.command.sent_ns, s.observation.sampled_ns) for s in log.steps]
-    for topic, times in (
+def _stamps(log: TrialLog) -> Iterator[Difference]:
+    """The log and publish times of the messages are the times that the messages hold."""
+    for topic, held in (
         (channels.MOCAP, list(zip(log.received_ns, log.mocap_ns, strict=True))),
-        (channels.STEP, steps),
+        (channels.STEP, [(s.command.sent_ns, s.observation.sampled_ns) for s in log.steps]),
         (channels.COMMANDS, [(c.sent_ns, c.sent_ns) for c in log.commands]),
     ):
-        stamps = [(e.log_ns - start, e.publish_ns - start) for e in entries if e.topic == topic]
-        for i, (stamp, inside) in enumerate(zip(stamps, times, strict=True)):
-            if stamp != inside:
-                yield Difference(None, f"{topic}[{i}]", f"stamped {stamp}, holds {inside}")
+        stamps = log.stamps.get(topic, [])
+        for i, (stamp, times) in enumerate(zip(stamps, held, strict=True)):
+            if stamp != times:
+                yield Difference(None, f"{topic}[{i}]", f"stamped {stamp}, holds {times}")
 
 
 def _result(log: TrialLog, result: Result) -> Iterator[Difference]:
     """The result follows from the poses and the steps."""
-    final, verdict = result.verdict.final, result.verdict
-    targets = np.array([robot.target for robot in log.experiment.robots])
-    errors = final.distances(targets)
+    verdict = result.verdict
+    ours = Result.of(
+        log.start.setup,
+        verdict,
+        outcome=result.outcome,
+        reason=result.reason,
+        duration_s=result.duration_s,
+        solve_ns=tuple(step.solve_ns for step in log.steps),
+        deadline_misses=sum(step.deadline_missed for step in log.steps),
+    )
     for name, stated, found in (
-        ("robot_errors", result.robot_errors, tuple(errors.tolist())),
-        ("total_error", result.total_error, float(errors.sum())),
+        ("robot_errors", result.robot_errors, ours.robot_errors),
+        ("total_error", result.total_error, ours.total_error),
     ):
         if not np.allclose(stated, found, rtol=1e-12, atol=0):
             yield Difference(None, f"result.{name}", f"states {stated}, the poses make it {found}")
-    timed = tuple(step.solve_ns for step in log.steps)
-    if log.damage is None and (result.steps != len(timed) or result.solve_ns != timed):
-        yield Difference(None, "result.steps", "steps and their timing are not those stated")
-    if log.damage is None and result.deadline_misses != sum(s.deadline_missed for s in log.steps):
-        yield Difference(None, "result.deadline_misses", f"states {result.deadline_misses}")
+    if log.damage is None:
+        if (result.steps, result.solve_ns) != (ours.steps, ours.solve_ns):
+            text = "steps and their timing are not those stated"
+            yield Difference(None, "result.steps", text)
+        if result.deadline_misses != ours.deadline_misses:
+            text = f"states {result.deadline_misses}, the steps make it {ours.deadline_misses}"
+            yield Difference(None, "result.deadline_misses", text)
+        if not _stands(log, verdict.final):
+            yield Difference(None, "result.final", "is not where the robots were seen last")
     yield from _ending(log, result)
-    if log.damage is None and not _stands(log, final):
-        yield Difference(None, "result.final", "is not where the robots were seen last")
-    path = log.mocap if log.truth is None else log.truth
-    if len(path) and log.start.plant.simulated:  # sampled more finely than the frames
-        obstacles = Obstacles.of(log.experiment.obstacles)
-        seen = np.nanmin(obstacles.distance(path[..., 0], path[..., 1]), axis=0, initial=np.inf)
-        for i, (stated, least) in enumerate(zip(verdict.clearance, seen, strict=True)):
-            if stated > least + REST * max(1.0, abs(least)):
-                text = f"states {stated}, a frame shows {least}"
-                yield Difference(None, f"result.clearance.{i}", text)
-    for i, (entered, clearance) in enumerate(zip(verdict.entered, verdict.clearance, strict=True)):
-        if clearance < 0 and not entered:
-            yield Difference(None, f"result.entered.{i}", f"false, with clearance {clearance}")
+    yield from _obstacles(log, verdict)
+
+
+def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
+    """The verdict follows from the path: what its samples show, the plant's samples show too.
+
+    Only the lab's plant judges the logged frames themselves. A simulation judges more samples, so
+    its clearance may be less; and a straight line between two of its frames may cut a corner that
+    the true path goes round, so that only its samples count.
+    """
+    path, known = trial_path(log)
+    entered, clearance = check_path(Obstacles.of(log.start.setup.obstacles), path, known)
+    for i, (stated, least) in enumerate(zip(verdict.clearance, clearance, strict=True)):
+        if log.start.plant.simulated and stated > least + REST * max(1.0, abs(least)):
+            text = f"states {stated}, a frame shows {least}"
+            yield Difference(None, f"result.clearance.{i}", text)
+    for i, (stated, least) in enumerate(zip(verdict.entered, verdict.clearance, strict=True)):
+        if least < 0 and not stated:
+            yield Difference(None, f"result.entered.{i}", f"false, with clearance {least}")
+        elif entered[i] and not stated and not log.start.plant.simulated:
+            yield Difference(None, f"result.entered.{i}", "false, but the path touches an obstacle")
 
 
 def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
@@ -211,8 +227,8 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
         return
     if log.steps and stop.sent_ns < log.steps[-1].command.sent_ns:
         yield Difference(None, "stop.sent_ns", "the stop comes before the last step")
-    if log.start.plant.simulated and result.duration_s != stop.sent_ns / SECOND:
-        text = f"states {result.duration_s}, the stop was at {stop.sent_ns / SECOND}"
+    if log.start.plant.simulated and result.duration_s != seconds(stop.sent_ns):
+        text = f"states {result.duration_s}, the stop was at {seconds(stop.sent_ns)}"
         yield Difference(None, "result.duration_s", text)
     if result.outcome is Outcome.ABORTED and not result.reason:
         yield Difference(None, "result.reason", "aborted without a reason")

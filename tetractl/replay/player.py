@@ -4,16 +4,16 @@ from enum import StrEnum
 
 import numpy as np
 
-from tetractl.core.clock import Clock
+from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.errors import UsageError
 from tetractl.replay.clock import PlayerClock
-from tetractl.replay.frame import Recording
+from tetractl.replay.recording import Recording
 
-SEEK_NS = 1_000_000_000
+SEEK_NS = SECOND
 RATE_MIN, RATE_MAX = 1 / 16, 64.0
 
 
-class State(StrEnum):
+class Playback(StrEnum):
     """What a player is doing."""
 
     PLAYING = "playing"
@@ -57,13 +57,13 @@ class Player:
         return self._clock.rate
 
     @property
-    def state(self) -> State:
+    def state(self) -> Playback:
         """What the player is doing."""
         if self._quit:
-            return State.QUIT
+            return Playback.QUIT
         if not self._clock.paused:
-            return State.PLAYING
-        return State.ENDED if self._clock.now() >= self.until_ns else State.PAUSED
+            return Playback.PLAYING
+        return Playback.ENDED if self._clock.now() >= self.until_ns else Playback.PAUSED
 
     def update(self) -> None:
         """At the end of the span: begin again with `loop`, else stand still."""
@@ -94,7 +94,7 @@ class Player:
                 self._quit = True
 
     def _toggle(self) -> None:
-        if self.state is State.ENDED:
+        if self.state is Playback.ENDED:
             self._clock.jump(self.start_ns)
         if self._clock.paused:
             self._clock.resume()
@@ -114,10 +114,10 @@ def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[i
     for option, value in (("--start", start_s), ("--until", until_s)):
         if value is not None and not value >= 0:
             raise UsageError(f"{option} must not be negative, and is {value:g}")
-    end_s = recording.end_ns / 1e9
+    end_s = seconds(recording.end_ns)
     if start_s > end_s:
         raise UsageError(f"--start {start_s:g} lies behind the end: the trial lasts {end_s:g} s")
     if until_s is not None and start_s >= until_s:
         raise UsageError(f"--start {start_s:g} must lie before --until {until_s:g}")
-    until_ns = recording.end_ns if until_s is None or until_s > end_s else round(1e9 * until_s)
-    return round(1e9 * start_s), until_ns
+    until_ns = recording.end_ns if until_s is None or until_s > end_s else round(SECOND * until_s)
+    return round(SECOND * start_s), until_ns

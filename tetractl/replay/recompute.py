@@ -9,21 +9,19 @@ last bit that differs in one cost changes which particle leads, and soon everyth
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from tetractl.control.build import searcher
-from tetractl.control.cost import Problem, evaluate
-from tetractl.control.mpc import PsoMpc
-from tetractl.control.optimizers.pso import Searcher, never
-from tetractl.control.stop import stopped
+from tetractl.control.cost import evaluate
 from tetractl.core.errors import TetractlError
-from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.plan import Limits, Outcome, Plan, Search, StopReason, never
 from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.problem import Problem
+from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.trial import Step
-from tetractl.experiment.controller import PsoMpcSpec, SwarmSpec
+from tetractl.experiment.controller import OptimizerSection
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.run.seeds import trial_seeds
 
@@ -49,105 +47,101 @@ class _StopError(Exception):
 
 
 class Rerun:
-    """A `Searcher` that does the logged searches of one step again, in order.
+    """Does the logged searches of a trial again, in place of a controller's optimisers.
 
     A search that the deadline cut short is run with the looks at the clock that spend the logged
     evaluations: a deadline is only obeyed at a look, so their number is all there is to know. With
     `again` False the logged searches are given back, and what differs in them is in `wrong`.
     """
 
-    def __init__(self, search: Searcher, again: bool, control: PsoMpcSpec) -> None:
-        self._search, self._again, self._control = search, again, control
+    def __init__(self, again: bool) -> None:
+        self.again = again
+        self.wrong: list[tuple[str, str]] = []
         self._logged: Sequence[Search] = ()
         self._done = 0
-        self.wrong: list[tuple[str, str]] = []
 
     def begin(self, searches: Sequence[Search]) -> None:
-        """Take the searches that a step logged."""
+        """Go on with the searches that a step logged."""
         self._logged, self._done, self.wrong = searches, 0, []
 
     def timer(self) -> int:
         """Return a time [ns] that passes the deadline once the logged searches are done."""
         return _LONG_AGO if self._done >= len(self._logged) else 0
 
-    def __call__(
-        self,
-        problem: Problem,
-        length: int,
-        warm: Floats | None,
-        spec: Any,
-        key: int,
-        budget: int | None = None,
-        expired: Callable[[], bool] = never,
-    ) -> Search:
-        """Do the next search."""
+    def wrap(self, optimizer: OptimizerSection) -> Optimizer:
+        """Return the optimiser that does the logged searches by this one."""
+        return _Repeated(optimizer, self)
+
+    def next(self) -> tuple[int, Search]:
+        """Return the next logged search and its index in its step."""
         if self._done >= len(self._logged):
             raise _StopError
-        index, logged = self._done, self._logged[self._done]
         self._done += 1
-        if not self._again:
-            self._evaluate(problem, length, index, logged, warm is not None)
+        return self._done - 1, self._logged[self._done - 1]
+
+
+class _Repeated:
+    """An `Optimizer` for verification: what the log says this one found, found again."""
+
+    def __init__(self, optimizer: OptimizerSection, rerun: Rerun) -> None:
+        self._optimizer, self._rerun = optimizer, rerun
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Do the next logged search."""
+        index, logged = self._rerun.next()
+        if not self._rerun.again:
+            self._evaluate(problem, length, warm is not None, limits, index, logged)
             return logged
-        if logged.stopped != "deadline":
-            return self._search(problem, length, warm, spec, key, budget)
 
-        def looks(count: int) -> Search:
-            return self._search(problem, length, warm, spec, key, budget, _Countdown(count))
+        def found_with(expired: Callable[[], bool]) -> Search:
+            limited = replace(limits, expired=expired)
+            return self._optimizer.search(problem, length, warm, key, limited)
 
+        if logged.stopped != StopReason.DEADLINE:
+            return found_with(never)
         few, many = 1, 2  # looks: the fewest that spend as many evaluations
-        while (found := looks(many)).evaluations < logged.evaluations:
-            if found.stopped != "deadline":
+        while (found := found_with(_Countdown(many))).evaluations < logged.evaluations:
+            if found.stopped != StopReason.DEADLINE:
                 return found  # it ends by itself before that
             few, many = many, 2 * many
         while few < many:
             middle = (few + many) // 2
-            if looks(middle).evaluations < logged.evaluations:
+            if found_with(_Countdown(middle)).evaluations < logged.evaluations:
                 few = middle + 1
             else:
                 many = middle
-        return looks(few)
+        return found_with(_Countdown(few))
 
     def _evaluate(
-        self, problem: Problem, length: int, index: int, logged: Search, warm: bool
+        self,
+        problem: Problem,
+        length: int,
+        warmed: bool,
+        limits: Limits,
+        index: int,
+        logged: Search,
     ) -> None:
-        name = f"searches.{index}"
+        """Note in `wrong` what of a logged search contradicts its problem or its optimiser."""
+        name, wrong = f"searches.{index}", self._rerun.wrong
         if logged.length != length or len(logged.signals) != length:
-            self.wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
+            wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
             raise _StopError
         cost = float(evaluate(problem, logged.signals[None]).total[0])
-        if not _near(cost, logged.cost, ROUNDING * _extent(problem)):
-            self.wrong.append((f"{name}.cost", f"logged {logged.cost!r}, J is {cost!r}"))
+        if not _near(cost, logged.cost, ROUNDING * _extent(problem.poses.xy, problem.targets)):
+            wrong.append((f"{name}.cost", f"logged {logged.cost!r}, J is {cost!r}"))
         history = logged.history
         if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
-            self.wrong.append((f"{name}.history", "does not fall to the cost"))
-        swarm = self._control.swarm
-        if isinstance(swarm, SwarmSpec) and len(history):
-            spent = swarm.particles * len(history) + warm
-            if logged.evaluations != spent:
-                text = f"logged {logged.evaluations}, its iterations take {spent}"
-                self.wrong.append((f"{name}.evaluations", text))
-            if logged.stopped not in self._reasons(history, swarm):
-                self.wrong.append((f"{name}.stopped", logged.stopped))
-        elif logged.evaluations < 1:
-            self.wrong.append((f"{name}.evaluations", str(logged.evaluations)))
-
-    def _reasons(self, history: Floats, swarm: SwarmSpec) -> set[str | None]:
-        """Why a swarm may have stopped with this history."""
-        with np.errstate(invalid="ignore"):  # a history that rises has no logarithms
-            why = stopped(history, swarm.stop) if len(history) > 1 else None
-        if why:
-            return {why}
-        if len(history) > swarm.iterations:
-            return {"iterations"}
-        limits = {
-            "evaluations": self._control.evaluations_max,
-            "deadline": self._control.deadline,
-        }
-        return {reason for reason, limit in limits.items() if limit is not None}
+            wrong.append((f"{name}.history", "does not fall to the cost"))
+        for field in self._optimizer.contradictions(logged, warmed, limits):
+            value = getattr(logged, field)
+            text = f"logged {value}, which its history and the spec's limits cannot lead to"
+            wrong.append((f"{name}.{field}", text))
 
 
 class _Countdown:
-    """True from the `count`-th call on."""
+    """A deadline that has passed from the `count`-th look on."""
 
     def __init__(self, count: int) -> None:
         self._left = count
@@ -167,11 +161,11 @@ def recompute(log: TrialLog, again: bool) -> Difference | None:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
         return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.start.seed}")
-    rerun = Rerun(searcher(log.experiment), again, log.experiment.controller)
-    controller = PsoMpc(log.experiment, key, rerun, rerun.timer)
+    rerun, setup = Rerun(again), log.start.setup
+    controller = log.experiment.controller.build(setup, key, rerun.wrap, rerun.timer)
+    room = 0.0 if again else ROUNDING * _extent(setup.starts.xy, setup.targets)
     for step in first_steps(log):
         rerun.begin(step.plan.searches)
-        room = 0.0 if again else ROUNDING * _extent(controller.problem)
         try:
             decision = controller.plan(step.observation)
         except _StopError:
@@ -195,7 +189,7 @@ def first_steps(log: TrialLog) -> list[Step]:
     return [step for k, step in enumerate(log.steps) if step.k == k]
 
 
-def _outcome(log: TrialLog, controller: PsoMpc, rerun: Rerun) -> Difference | None:
+def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference | None:
     """Check that the controller ends the trial as logged, on a frame of the last period.
 
     The frame it ended on is not logged as such: in a simulation it is the newest before the stop,
@@ -230,10 +224,10 @@ def _outcome(log: TrialLog, controller: PsoMpc, rerun: Rerun) -> Difference | No
     return Difference(None, "outcome", f"logged {result.outcome.value!r}, but {why}")
 
 
-def _extent(problem: Problem) -> float:
-    """Return how many length units there are to be rounded, over all robots."""
-    ends = np.abs(np.concatenate([problem.poses.xy, problem.targets]))
-    return float(ends.max(initial=1.0)) * len(problem.a)
+def _extent(xy: Floats, targets: Floats) -> float:
+    """Return how many length units there are to be rounded, over all robots; each (N, 2)."""
+    ends = np.abs(np.concatenate([xy, targets]))
+    return float(ends.max(initial=1.0)) * len(targets)
 
 
 def _differences(ours: Any, logged: Any, name: str, room: float) -> Iterator[tuple[str, str]]:

@@ -11,23 +11,14 @@ if TYPE_CHECKING:
 
 
 def recorded(log: Path) -> "tuple[LoadedSpec, int]":
-    """Return the spec that a log was run with, and the number of its trial."""
+    """Return the spec that a log was run with, and the index of its trial in the batch."""
     from tetractl.experiment.load import LoadedSpec
-    from tetractl.log.format import channels
-    from tetractl.log.read.reader import trial_of
-    from tetractl.log.read.salvage import scan
+    from tetractl.log.read.reader import read_trial
 
-    contents = scan(log)
-    trial = trial_of(contents)
+    trial = read_trial(log)
     start = trial.start
-    ours = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT}
-    attached = tuple(
-        (item.name, item.data.decode(errors="replace"))
-        for item in contents.attachments
-        if item.name not in ours
-    )
-    loaded = LoadedSpec(trial.experiment, start.spec_text, start.spec_name, attached=attached)
-    return loaded, start.trial
+    spec = LoadedSpec(trial.experiment, start.spec_text, start.spec_name, attached=start.attached)
+    return spec, start.trial
 
 
 def compare(log: Path, again: Path) -> int:
@@ -48,6 +39,8 @@ def compare(log: Path, again: Path) -> int:
         print(f"  {log} is of a trial that did not run to its end, or damaged", file=sys.stderr)
     if first.experiment.controller.deadline is not None:
         print("  its spec sets a deadline: plans depend on how fast the host is", file=sys.stderr)
+    if read_trial(log).start.resolved != read_trial(again).start.resolved:
+        print("  its spec is written with an earlier tetractl's names or fields", file=sys.stderr)
     for fact in differing_facts(read_trial(log)):
         print(f"  {fact}", file=sys.stderr)
     return Exit.FAILED

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from tetractl.experiment.kinds import packages
 from tetractl.log import provenance
-from tetractl.log.read.reader import trial_of
-from tetractl.log.read.salvage import scan
+from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.audit import audit
 from tetractl.replay.recompute import TOLERANCE, Difference, first_steps, recompute
@@ -45,9 +44,8 @@ class Verification:
 def verify(path: Path) -> Verification:
     """Verify one log; raises LogError as `read_trial` does."""
     began = time.perf_counter()
-    contents = scan(path)
-    log = trial_of(contents)
-    findings = audit(log, contents)
+    log = read_trial(path)
+    findings = audit(log)
     elsewhere = differing_facts(log)
     method, found = RECOMPUTED, recompute(log, again=True)
     if found and elsewhere:

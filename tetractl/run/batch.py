@@ -81,8 +81,7 @@ def run_lab_trial(
     """Run one trial in real time and write its log; no observer can hold it up."""
     clock, start_ns = spec.experiment.plant.clock(), time.time_ns()
     with ExitStack() as stack:
-        writer = stack.enter_context(LogWriter(log_path(folder, trial)))
-        log = stack.enter_context(Relay(writer, lambda: writer.failure))
+        log = stack.enter_context(LogWriter(log_path(folder, trial), real_time=True))
         relays = [log, *(stack.enter_context(Relay(observer)) for observer in observers)]
         return _made(spec, trial, clock, start_ns, relays, interrupt, operators).run()
 

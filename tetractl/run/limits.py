@@ -1,6 +1,6 @@
 """What an experiment can do at most, and the checks before it is run."""
 
-from tetractl.experiment.controller import Square, SwarmSpec
+from tetractl.experiment.controller import Square
 from tetractl.experiment.experiment import Experiment
 from tetractl.run.square import check_square
 
@@ -16,11 +16,7 @@ def limits(experiment: Experiment) -> dict[str, str]:
         "control steps of a trial": f"at most {steps}",
         "duration of a trial": f"at most {longest:g} s after the first command",
         "path of a robot": f"at most {fastest * longest:g} {unit}",
-        "horizons at step 0": f"1 ... {control.horizon_max} signals",
-    }
-    if isinstance(control.swarm, SwarmSpec):
-        most = (control.swarm.iterations + 1) * control.swarm.particles + 1
-        found["cost evaluations of a horizon"] = f"at most {most}"
+    } | control.bounds()
     if isinstance(control.first_plan, Square):
         square = control.first_plan
         found["before step 0"] = f"{square.laps} squares of {4 * square.side:g} s"

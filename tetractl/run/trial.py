@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Note, PlantInfo
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome, Plan
@@ -178,15 +178,12 @@ class Trial:
             self.plant.close()
         if verdict.unrest and outcome is not Outcome.ABORTED:
             outcome, reason = Outcome.ABORTED, verdict.unrest
-        errors = verdict.final.distances(self.start.setup.targets)
-        result = Result(
+        result = Result.of(
+            self.start.setup,
+            verdict,
             outcome=outcome,
             reason=reason,
-            steps=len(self._solve_ns),
-            duration_s=(stopped - self._opened_ns) / SECOND,
-            total_error=float(errors.sum()),
-            robot_errors=tuple(errors.tolist()),
-            verdict=verdict,
+            duration_s=seconds(stopped - self._opened_ns),
             solve_ns=tuple(self._solve_ns),
             deadline_misses=self._misses,
         )

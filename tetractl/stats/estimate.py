@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from scipy import optimize, stats
@@ -24,6 +24,11 @@ ENOUGH = 8
 _BATCH_ELEMENTS = 4_000_000  # resampled values held in memory at once
 _GRID = 2.0**40
 _NAN = math.nan
+
+
+def finite(value: float) -> float | None:
+    """Return a number for JSON, None where it is not finite."""
+    return value if math.isfinite(value) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +50,15 @@ class Interval:
         """Whether there is an interval."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
+    @property
+    def ends(self) -> list[float] | None:
+        """Both ends for JSON, None where there is no interval."""
+        return [self.low, self.high] if self.known else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the items of JSON that describe the interval."""
+        return {"ci95": self.ends, "ci95_method": self.method, "ci95_reason": self.reason}
+
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
@@ -60,6 +74,18 @@ class Distribution:
     min: float
     max: float
     ci95: Interval
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the items of JSON that describe the values; what is not known is None."""
+        return {
+            "n": self.n,
+            "mean": finite(self.mean),
+            "std": finite(self.std),
+            "median": finite(self.median),
+            "min": finite(self.min),
+            "max": finite(self.max),
+            **self.ci95.as_dict(),
+        }
 
 
 def describe(rows: Floats) -> list[Distribution]:
@@ -153,7 +179,7 @@ def _bca(low: float, high: float) -> Interval:
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class MeanDifference:
     """A difference of two means by Welch's t: `value` is the first minus the second."""
 
     value: float
@@ -162,7 +188,7 @@ class Difference:
     degrees: float
 
 
-def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float) -> Difference:
+def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float) -> MeanDifference:
     """Compare two means from n, mean and standard deviation (n - 1) alone.
 
     With v_i = std_i^2 / n_i: t = (mean1 - mean2) / sqrt(v1 + v2), and the degrees of freedom of
@@ -171,17 +197,17 @@ def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float
     difference = mean1 - mean2
     if min(n1, n2) < 2:
         why = "Welch's t needs two values on each side"
-        return Difference(difference, Interval.none(why), _NAN, _NAN)
+        return MeanDifference(difference, Interval.none(why), _NAN, _NAN)
     v1, v2 = std1**2 / n1, std2**2 / n2
     if v1 + v2 == 0:
         why = "the values do not vary on either side"
-        return Difference(difference, Interval.none(why), _NAN, _NAN)
+        return MeanDifference(difference, Interval.none(why), _NAN, _NAN)
     share = v1 / (v1 + v2)
     degrees = 1 / (share**2 / (n1 - 1) + (1 - share) ** 2 / (n2 - 1))
     half = float(stats.t.ppf((1 + CONFIDENCE) / 2, degrees)) * math.sqrt(v1 + v2)
     test = stats.ttest_ind_from_stats(mean1, std1, n1, mean2, std2, n2, equal_var=False)
     interval = Interval(difference - half, difference + half, "Welch")
-    return Difference(difference, interval, float(test.pvalue), degrees)
+    return MeanDifference(difference, interval, float(test.pvalue), degrees)
 
 
 def bootstrap_difference(ours: Floats, theirs: Floats) -> Interval:

@@ -2,11 +2,11 @@
 
 import csv
 import io
-import math
 from typing import Any
 
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.stats.estimate import SEED, Difference, Distribution, Interval
+from tetractl.stats.estimate import SEED, MeanDifference, finite
+from tetractl.stats.kinds import statistics
 from tetractl.stats.summary import Comparison, Scaled, Summary
 from tetractl.stats.trials import counts
 
@@ -22,24 +22,12 @@ def as_json(summary: Summary, comparison: Comparison | None = None) -> dict[str,
         "n_trials": len(summary.trials),
         "n_counted": summary.counted,
         "unit": summary.unit,
-        "total_error": _distribution(summary.total),
+        "total_error": summary.total.as_dict(),
         "robots": [
-            {"name": name, **_distribution(errors)}
+            {"name": name, **errors.as_dict()}
             for name, errors in zip(names, summary.robots, strict=True)
         ],
-        "obstacle_violations": summary.obstacle_violations,
-        "obstacle_violations_ci95": _ends(summary.violations_ci95),
-        "arrived": summary.arrived,
-        "arrived_ci95": _ends(summary.arrived_ci95),
-        "aborted": summary.aborted,
-        "interrupted": summary.interrupted,
-        "recovered": sum(trial.recovered for trial in summary.trials),
-        "solve_ms": {
-            "p50": _number(summary.solve_ms.p50),
-            "p99": _number(summary.solve_ms.p99),
-            "max": _number(summary.solve_ms.max),
-        },
-        "deadline_misses": summary.deadline_misses,
+        **summary.items,
         "reference": _reference(summary),
         "scaled": _scaled(summary.scaled) if summary.scaled else None,
         "bootstrap_seed": SEED,
@@ -52,40 +40,12 @@ def as_json(summary: Summary, comparison: Comparison | None = None) -> dict[str,
     return found
 
 
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _ends(interval: Interval) -> list[float] | None:
-    return [interval.low, interval.high] if interval.known else None
-
-
-def _interval(interval: Interval) -> dict[str, Any]:
+def _difference(difference: MeanDifference) -> dict[str, Any]:
     return {
-        "ci95": _ends(interval),
-        "ci95_method": interval.method,
-        "ci95_reason": interval.reason,
-    }
-
-
-def _distribution(values: Distribution) -> dict[str, Any]:
-    return {
-        "n": values.n,
-        "mean": _number(values.mean),
-        "std": _number(values.std),
-        "median": _number(values.median),
-        "min": _number(values.min),
-        "max": _number(values.max),
-        **_interval(values.ci95),
-    }
-
-
-def _difference(difference: Difference) -> dict[str, Any]:
-    return {
-        "difference": _number(difference.value),
-        **_interval(difference.ci95),
-        "p_value": _number(difference.p_value),
-        "degrees_of_freedom": _number(difference.degrees),
+        "difference": finite(difference.value),
+        **difference.ci95.as_dict(),
+        "p_value": finite(difference.p_value),
+        "degrees_of_freedom": finite(difference.degrees),
     }
 
 
@@ -106,11 +66,11 @@ def _scaled(scaled: Scaled) -> dict[str, Any]:
     return {
         "name": scaled.scale.name,
         "unit": scaled.scale.unit,
-        "mean": _number(scaled.error),
-        "ci95": _ends(scaled.ci95),
-        "body_lengths": _number(scaled.body_lengths(scaled.error)),
-        "published_mean": _number(scaled.published),
-        "published_body_lengths": _number(scaled.body_lengths(scaled.published)),
+        "mean": finite(scaled.error),
+        "ci95": scaled.ci95.ends,
+        "body_lengths": finite(scaled.body_lengths(scaled.error)),
+        "published_mean": finite(scaled.published),
+        "published_body_lengths": finite(scaled.body_lengths(scaled.published)),
     }
 
 
@@ -118,10 +78,10 @@ def _comparison(comparison: Comparison) -> dict[str, Any]:
     return {
         "n": [comparison.ours.counted, comparison.theirs.counted],
         **_difference(comparison.welch),
-        "bootstrap": _interval(comparison.bootstrap),
+        "bootstrap": comparison.bootstrap.as_dict(),
         "cliffs_delta": {
-            "value": _number(comparison.effect.value),
-            **_interval(comparison.effect.ci95),
+            "value": finite(comparison.effect.value),
+            **comparison.effect.ci95.as_dict(),
         },
         "verdict": comparison.verdict,
         "verdict_reason": comparison.reason,
@@ -135,17 +95,20 @@ def _trial(trial: ResultSummary) -> dict[str, Any]:
         "path": trial.path,
         "seed": trial.seed,
         "trial": trial.trial,
-        "total_error": _number(result.total_error),
-        "robot_errors": [_number(error) for error in result.robot_errors],
+        "total_error": finite(result.total_error),
+        "robot_errors": [finite(error) for error in result.robot_errors],
         "steps": result.steps,
-        "duration_s": _number(result.duration_s),
+        "duration_s": finite(result.duration_s),
         "outcome": result.outcome.value,
         "reason": result.reason,
-        "entered_obstacle": result.entered_obstacle,
-        "deadline_misses": result.deadline_misses,
-        "recovered": trial.recovered,
+        **_statistics(trial),
         "counted": counts(trial),
     }
+
+
+def _statistics(trial: ResultSummary) -> dict[str, Any]:
+    """Return the columns that the statistics give a trial."""
+    return {key: item for one in statistics() for key, item in one.of_trial(trial).items()}
 
 
 def as_csv(summary: Summary, comparison: Comparison | None = None) -> str:

@@ -1,38 +1,30 @@
-"""What a batch of trials amounts to, and how two batches compare."""
+"""The statistics of a batch of trials, and the comparison of two batches."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tetractl.core.errors import UsageError
-from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment, Reference, Scale
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.stats.estimate import (
     ENOUGH,
-    Difference,
     Distribution,
     Effect,
     Interval,
+    MeanDifference,
     bootstrap_difference,
     cliffs_delta,
     describe,
-    proportion_interval,
     welch,
 )
+from tetractl.stats.kinds import statistics
+from tetractl.stats.statistic import Value
 from tetractl.stats.trials import Damaged, counts, differences, one_batch
-
-
-@dataclass(frozen=True, slots=True)
-class SolveTimes:
-    """Wall time the controller spent on a step, over every step of every trial [ms]."""
-
-    p50: float
-    p99: float
-    max: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +32,7 @@ class Published:
     """The published result, and ours minus it by Welch's t."""
 
     reference: Reference
-    comparison: Difference
+    comparison: MeanDifference
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,27 +55,20 @@ class Scaled:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Statistics of one batch; lengths in `unit`.
+    """Statistics of one batch of N robots; lengths in `unit`.
 
-    `total` and `robots` describe the errors of the counted trials: the complete ones, whose
-    outcome the controller decided. The other counts are over all trials.
+    `total` and `robots` describe the errors of the n trials that count: the complete ones, whose
+    outcome the controller decided. `statistics` are the values of `stats.kinds`, over all trials.
     """
 
     experiment: Experiment
     trials: tuple[ResultSummary, ...]
     damaged: tuple[Damaged, ...]
-    totals: Floats  # (n,) total errors of the counted trials
-    errors: Floats  # (n, N) errors of each robot in them
+    totals: Floats  # (n,) total errors
+    errors: Floats  # (n, N) errors of each robot
     total: Distribution
     robots: tuple[Distribution, ...]
-    obstacle_violations: int
-    violations_ci95: Interval
-    arrived: int
-    arrived_ci95: Interval
-    aborted: int
-    interrupted: int
-    solve_ms: SolveTimes
-    deadline_misses: int
+    statistics: tuple[Value, ...]
     published: Published | None
     scaled: Scaled | None
 
@@ -98,6 +83,11 @@ class Summary:
         return self.total.n
 
     @property
+    def items(self) -> dict[str, Any]:
+        """The statistics by their keys in JSON, such as `arrived` and `solve_ms`."""
+        return {key: item for value in self.statistics for key, item in value.items.items()}
+
+    @property
     def whole(self) -> bool:
         """Whether no log was damaged."""
         return not self.damaged and not any(trial.recovered for trial in self.trials)
@@ -109,16 +99,12 @@ def summarise(trials: Sequence[ResultSummary], damaged: Sequence[Damaged] = ()) 
     Raises UsageError where they belong to several, or where a simulated trial occurs twice.
     """
     experiment = one_batch(trials)
-    results = [trial.result for trial in trials]
     counted = [trial.result for trial in trials if counts(trial)]
     robots = len(experiment.robots)
     totals = np.array([result.total_error for result in counted], dtype=float)
     errors = np.array([result.robot_errors for result in counted], dtype=float)
     errors = errors.reshape(len(counted), robots)
     total, *each = describe(np.vstack([totals, errors.T]))
-    outcomes = [trial.outcome for trial in trials]
-    violations = sum(result.entered_obstacle for result in results)
-    arrived = outcomes.count(Outcome.ARRIVED)
     return Summary(
         experiment=experiment,
         trials=tuple(trials),
@@ -127,24 +113,10 @@ def summarise(trials: Sequence[ResultSummary], damaged: Sequence[Damaged] = ()) 
         errors=errors,
         total=total,
         robots=tuple(each),
-        obstacle_violations=violations,
-        violations_ci95=proportion_interval(violations, len(results)),
-        arrived=arrived,
-        arrived_ci95=proportion_interval(arrived, len(results)),
-        aborted=outcomes.count(Outcome.ABORTED),
-        interrupted=outcomes.count(Outcome.INTERRUPTED),
-        solve_ms=_solve_times([ns for result in results for ns in result.solve_ns]),
-        deadline_misses=sum(result.deadline_misses for result in results),
+        statistics=tuple(statistic.of_batch(trials) for statistic in statistics()),
         published=_published(experiment, total),
         scaled=_scaled(experiment, total),
     )
-
-
-def _solve_times(solve_ns: Sequence[int]) -> SolveTimes:
-    if not solve_ns:
-        return SolveTimes(math.nan, math.nan, math.nan)
-    p50, p99, most = np.percentile(np.asarray(solve_ns, dtype=float) / 1e6, [50, 99, 100])
-    return SolveTimes(float(p50), float(p99), float(most))
 
 
 def _published(experiment: Experiment, total: Distribution) -> Published | None:
@@ -178,7 +150,7 @@ class Comparison:
     ours: Summary
     theirs: Summary
     differs: tuple[str, ...]
-    welch: Difference
+    welch: MeanDifference
     bootstrap: Interval
     effect: Effect
     verdict: str | None

@@ -1,4 +1,4 @@
-"""One look for every picture: colours, type sizes, sizes on paper, and how a file is saved."""
+"""The style of every figure: colours, type sizes, sizes on paper; and saving a figure."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -62,23 +62,26 @@ def unit_of(unit: str) -> str:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Draw in this style, and leave matplotlib's settings as they were."""
+    """Apply this style to what is drawn inside the block, and restore matplotlib's settings."""
     with style.context(RC, after_reset=True):
         yield
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure without any window behind it."""
+    """Return an empty figure that needs no display."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def panel(axes: Axes, letter: str, title: str) -> None:
-    """Head a panel as papers do: (a) what it shows."""
+    """Set the title of a panel: (a) what it shows."""
     axes.set_title(f"({letter}) {title}", loc="left")
 
 
 def file_format(path: Path) -> str:
-    """Return the format a file's name asks for; raise UsageError where there is none such."""
+    """Return the picture format of a file's name.
+
+    Raises UsageError for a name without one, and where the file's folder does not exist.
+    """
     wanted = path.suffix.lower().removeprefix(".")
     if wanted not in FORMATS:
         raise UsageError(
@@ -87,6 +90,8 @@ def file_format(path: Path) -> str:
             else f"{path}: the name of a picture needs an ending",
             f"end the name in {', '.join('.' + name for name in FORMATS)}",
         )
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"{path}: there is no folder {path.parent}")
     return wanted
 
 

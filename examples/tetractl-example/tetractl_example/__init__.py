@@ -1,1 +1,1 @@
-"""An optimizer and a camera for tetractl."""
+"""An optimiser and a camera for tetractl."""

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from support import oracle, problems
 from support.trials import experiment
 
-from tetractl.control.cost import Problem, evaluate, predict
+from tetractl.control.cost import evaluate, predict
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Poses
 from tetractl.experiment.experiment import Rectangle
@@ -90,7 +90,7 @@ def test_a_problem_is_taken_from_the_experiment():
     control = {"collision": {"check": "swept", "margin": 10}, "obstacle_weight": 5}
     spec = experiment(controller=control)
     poses = Poses.of(np.zeros((3, 3)))
-    problem = Problem.of(spec, poses)
+    problem = spec.controller.problem(spec.setup, poses)
     assert problem.targets.tolist() == [[1700, 500], [1700, 1500], [1700, 2000]]
     assert problem.a.tolist() == [6, 4, 3]
     assert problem.speed.tolist() == [180, 200, 150]

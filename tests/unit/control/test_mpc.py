@@ -4,20 +4,19 @@ import numpy as np
 import pytest
 from support.trials import experiment
 
-from tetractl.control.cost import Problem, evaluate, predict
-from tetractl.control.mpc import PsoMpc
-from tetractl.control.optimizers import compiled
+from tetractl.control.cost import evaluate, predict
 from tetractl.control.rng import mix
 from tetractl.core.errors import ControlError
-from tetractl.core.plan import Outcome, Plan, Search
+from tetractl.core.plan import Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
+from tetractl.experiment.controller import same
 
 STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
 TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
 
 
 def spec(**controller):
-    fields = {"horizon_max": 6, "swarm": {"particles": 5, "iterations": 3}}
+    fields = {"horizon_max": 6, "optimizer": {"particles": 5, "iterations": 3}}
     return experiment(controller=fields | controller)
 
 
@@ -26,19 +25,27 @@ def seen(poses=STARTS, now=0):
     return Observation(0, now, now, Poses.of(np.array(poses)), np.ones(count, np.bool_))
 
 
+def mpc(experiment, key, optimizer=None):
+    wrap = same if optimizer is None else lambda _: optimizer
+    return experiment.controller.build(experiment.setup, key, wrap)
+
+
 class Scripted:
-    """A searcher that writes down what it was asked and answers with costs by length."""
+    """An optimiser that writes down what it was asked and answers with costs by length."""
 
     def __init__(self, costs=None, evaluations=10):
         self.costs = costs or {}
         self.evaluations = evaluations
         self.asked = []
 
-    def __call__(self, problem, length, warm, swarm, key, budget=None, *_):
-        self.asked.append((length, None if warm is None else warm.tolist(), key, budget))
+    def search(self, problem, length, warm, key, limits):
+        start = None if warm is None else warm.tolist()
+        self.asked.append((length, start, key, limits.evaluations))
         cost = self.costs.get(length, 100.0 + length)
         signals = np.arange(1, length + 1) / 10 + len(self.asked) / 1000
-        return Search(length, signals, cost, np.array([cost]), self.evaluations, "iterations")
+        return Search(
+            length, signals, cost, np.array([cost]), self.evaluations, StopReason.ITERATIONS
+        )
 
     def forget(self):
         asked, self.asked = self.asked, []
@@ -47,7 +54,7 @@ class Scripted:
 
 def test_step_0_tries_every_horizon_from_nothing_and_takes_the_best():
     search = Scripted({4: 7.0})
-    plan = PsoMpc(spec(), 99, search).plan(seen())
+    plan = mpc(spec(), 99, search).plan(seen())
     assert isinstance(plan, Plan)
     assert [(length, warm) for length, warm, *_ in search.asked] == [(n, None) for n in range(1, 7)]
     assert (plan.chosen, plan.search.length, plan.cost) == (3, 4, 7.0)
@@ -58,7 +65,7 @@ def test_step_0_tries_every_horizon_from_nothing_and_takes_the_best():
 
 def test_of_equal_costs_the_first_is_taken():
     search = Scripted({3: 7.0, 5: 7.0})
-    plan = PsoMpc(spec(), 99, search).plan(seen())
+    plan = mpc(spec(), 99, search).plan(seen())
     assert isinstance(plan, Plan)
     assert plan.search.length == 3
 
@@ -66,7 +73,7 @@ def test_of_equal_costs_the_first_is_taken():
 def test_later_steps_try_one_less_as_many_and_one_more_from_the_warm_start():
     """Algorithm 2, lines 10-21; u_(warm) is u_(opt) without its first signal."""
     search = Scripted({4: 7.0})
-    controller = PsoMpc(spec(), 99, search)
+    controller = mpc(spec(), 99, search)
     first = controller.plan(seen())
     assert isinstance(first, Plan)
     warm = first.signals[1:].tolist()
@@ -89,7 +96,7 @@ def test_later_steps_try_one_less_as_many_and_one_more_from_the_warm_start():
 
 def test_horizons_may_outgrow_horizon_max():
     search = Scripted({n: 100.0 - n for n in range(20)})
-    controller = PsoMpc(spec(), 99, search)
+    controller = mpc(spec(), 99, search)
     lengths = [controller.plan(seen(now=k)).search.length for k in range(5)]
     assert lengths == [6, 6, 6, 6, 6]  # H + 1 = 5 + 1
     assert [length for length, *_ in search.asked[-3:]] == [4, 5, 6]
@@ -97,7 +104,7 @@ def test_horizons_may_outgrow_horizon_max():
 
 def test_draws_come_from_the_key_the_step_and_the_length():
     search = Scripted({n: 100.0 - n for n in range(20)})
-    controller = PsoMpc(spec(), 99, search)
+    controller = mpc(spec(), 99, search)
     keys = set()
     for k in range(3):
         plan = controller.plan(seen())
@@ -111,14 +118,14 @@ def test_draws_come_from_the_key_the_step_and_the_length():
 
 def test_a_used_up_sequence_is_the_outcome():
     search = Scripted({1: 0.0})
-    controller = PsoMpc(spec(), 99, search)
+    controller = mpc(spec(), 99, search)
     assert isinstance(controller.plan(seen()), Plan)
     assert controller.plan(seen()) is Outcome.SEQUENCE_USED_UP
 
 
 def test_k_max_steps_follow_step_0():
     search = Scripted({n: 100.0 - n for n in range(20)})
-    controller = PsoMpc(spec(steps_max=3), 99, search)
+    controller = mpc(spec(steps_max=3), 99, search)
     decisions = [controller.plan(seen()) for _ in range(5)]
     assert [isinstance(d, Plan) for d in decisions] == [True, True, True, True, False]
     assert decisions[4] is Outcome.STEPS_MAX
@@ -128,29 +135,30 @@ def test_arrival_means_every_robot_within_the_tolerance():
     near = TARGETS.copy()
     near[:, 0] += [20, -20, 0]
     near[2, 1] += 20.001
-    controller = PsoMpc(spec(arrival_tolerance=20), 99, Scripted())
+    controller = mpc(spec(arrival_tolerance=20), 99, Scripted())
     assert isinstance(controller.plan(seen(near)), Plan)
     near[2, 1] = 2020
     assert controller.plan(seen(near)) is Outcome.ARRIVED
 
 
 def test_a_tolerance_of_0_never_ends_a_trial():
-    plan = PsoMpc(spec(arrival_tolerance=0), 99, Scripted()).plan(seen(TARGETS))
+    plan = mpc(spec(arrival_tolerance=0), 99, Scripted()).plan(seen(TARGETS))
     assert isinstance(plan, Plan)
 
 
 def test_arrival_comes_before_the_other_ends():
-    controller = PsoMpc(spec(arrival_tolerance=20, steps_max=1), 99, Scripted({1: 0.0}))
+    controller = mpc(spec(arrival_tolerance=20, steps_max=1), 99, Scripted({1: 0.0}))
     assert isinstance(controller.plan(seen()), Plan)
     assert controller.plan(seen(TARGETS)) is Outcome.ARRIVED
     assert controller.plan(seen()) is Outcome.SEQUENCE_USED_UP
 
 
 def test_the_plan_states_the_terms_of_its_cost_and_its_path():
-    controller = PsoMpc(spec(horizon_max=12, obstacle_weight=50), 5, compiled.pso)
+    controller = mpc(spec(horizon_max=12, obstacle_weight=50), 5)
     plan = controller.plan(seen())
     assert isinstance(plan, Plan)
-    problem = Problem.of(spec(obstacle_weight=50), Poses.of(STARTS))
+    weighted = spec(obstacle_weight=50)
+    problem = weighted.controller.problem(weighted.setup, Poses.of(STARTS))
     costs = evaluate(problem, plan.signals[None])
     assert plan.cost == pytest.approx(costs.total[0], rel=1e-9)
     assert plan.cost == pytest.approx(plan.target_cost + 50 * plan.obstacle_cost, rel=1e-9)
@@ -164,13 +172,13 @@ def test_the_plan_states_the_terms_of_its_cost_and_its_path():
 
 def test_the_searches_share_what_the_budget_has_left_and_fewer_horizons_are_tried():
     search = Scripted(evaluations=30)
-    PsoMpc(spec(evaluations_max=100), 99, search).plan(seen())
+    mpc(spec(evaluations_max=100), 99, search).plan(seen())
     assert [budget for *_, budget in search.asked] == [100 // 3, 70 // 2, 40]
 
 
 @pytest.mark.parametrize("budget", [6, 7, 20, 33, 60, 1000])
 def test_a_step_spends_no_more_than_its_budget(budget):
-    controller = PsoMpc(spec(evaluations_max=budget), 99, compiled.pso)
+    controller = mpc(spec(evaluations_max=budget), 99)
     for k in range(4):
         plan = controller.plan(seen(now=k))
         if isinstance(plan, Outcome):
@@ -184,4 +192,4 @@ def test_a_pose_that_is_no_number_is_refused():
     poses = STARTS.copy()
     poses[1, 2] = math.nan
     with pytest.raises(ControlError, match="not finite"):
-        PsoMpc(spec(), 99, compiled.pso).plan(seen(poses))
+        mpc(spec(), 99).plan(seen(poses))

@@ -1,8 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.paths import ROOT
 
-from tetractl.control.cost import Problem
 from tetractl.control.delay import Predictor
 from tetractl.control.estimator import Estimator
 from tetractl.core.clock import SECOND, VirtualClock
@@ -27,15 +28,20 @@ def drive(settings, steps, after_step):
     return experiment
 
 
+def reference_problem():
+    experiment = load_spec(EXPERIMENT).experiment
+    return experiment.controller.problem(experiment.setup)
+
+
 @pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.2, 0.325])
 def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
     """What is predicted on a frame is what the cameras see one dead time later."""
-    problem = Problem.of(load_spec(EXPERIMENT).experiment)
+    problem = reference_problem()
     predictor = Predictor(dead_time)
     predicted, seen = [], []
 
     def after_step(k, plant, observation, direction):
-        here = problem.__class__.of(load_spec(EXPERIMENT).experiment, observation.poses)
+        here = replace(problem, poses=observation.poses)
         predicted.append((observation.sampled_ns, predictor.ahead(here, observation.sampled_ns)))
         predictor.sent(observation.sampled_ns, direction)
         seen.extend(plant.samples())
@@ -54,7 +60,7 @@ def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
 
 
 def test_robots_stand_before_the_first_command_acts():
-    problem = Problem.of(load_spec(EXPERIMENT).experiment)
+    problem = reference_problem()
     predictor = Predictor(0.3)
     assert np.array_equal(predictor.ahead(problem, 0).x, problem.poses.x)
     predictor.sent(0, 0.0)
@@ -74,7 +80,7 @@ def test_what_acted_is_forgotten_and_what_acts_is_kept():
 
 def estimate(settings, steps):
     """Drive with an estimator watching; return what it found and the plant."""
-    estimator, predictor = Estimator(Problem.of(load_spec(EXPERIMENT).experiment)), Predictor(0.0)
+    estimator, predictor = Estimator(reference_problem()), Predictor(0.0)
     last, seen = 0, {}
 
     def after_step(k, plant, observation, direction):

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from support.oracle import split_mix
 
-from tetractl.control.rng import bits, mix, uniform, uniform_pair
+from tetractl.control.rng import bits, mix, normal, uniform, uniform_pair
 
 KEYS = st.integers(0, 2**64 - 1)
 PUBLISHED = {  # of the generator's reference implementation
@@ -60,3 +60,16 @@ def test_numbers_are_uniform_and_independent():
 def test_derived_keys_start_streams_of_their_own():
     streams = [bits(mix(7, i), 0, 2000) for i in range(50)]
     assert np.unique(np.concatenate(streams)).size == 100_000
+
+
+@given(KEYS, st.integers(0, 10**6), st.integers(1, 40))
+def test_normal_numbers_depend_on_key_and_index_alone(key, first, count):
+    whole = normal(key, first, count)
+    assert np.isfinite(whole).all()
+    assert whole[-1:].tolist() == normal(key, first + count - 1, 1).tolist()
+
+
+def test_normal_numbers_are_normal():
+    numbers = normal(1, 0, 100_000)
+    assert stats.kstest(numbers, "norm").pvalue > 1e-4
+    assert abs(np.corrcoef(numbers[1:], numbers[:-1])[0, 1]) < 0.02

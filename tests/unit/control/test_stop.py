@@ -3,8 +3,14 @@ import math
 import numpy as np
 import pytest
 
-from tetractl.control.stop import paper_criterion, stopped
-from tetractl.experiment.controller import BudgetStop, PaperStop, RelativeStop, TargetStop
+from tetractl.control.stop import (
+    BudgetStop,
+    PaperStop,
+    RelativeStop,
+    TargetStop,
+    paper_criterion,
+    stopped,
+)
 
 PAPER = PaperStop(type="paper")
 

@@ -22,7 +22,7 @@ SCALARS = (
     | st.integers()
     | st.floats()
     | st.text(max_size=8)
-    | st.sampled_from(["paper", "relative", "circle", "sim", "pso-mpc", "stand", "mm", "green"])
+    | st.sampled_from(["paper", "relative", "circle", "sim", "mpc", "stand", "mm", "green"])
 )
 KEYS = st.text(max_size=8) | st.sampled_from(
     ["type", "name", "robots", "arena", "start", "target", "a", "controller", "swarm", "stop", "0"]
@@ -110,7 +110,7 @@ def experiments(draw):
             "description": draw(st.text() | st.sampled_from(["1e3", "on", "0o7", "12:30", "~"])),
             "arena": {"left": 0, "bottom": 0, "width": 100, "height": 100},
             "robots": robots,
-            "controller": {"period": draw(POSITIVE), "swarm": {"stop": draw(STOPS)}},
+            "controller": {"period": draw(POSITIVE), "optimizer": {"stop": draw(STOPS)}},
             "trials": {"seed": draw(st.integers(0, 2**64 - 1))},
         }
     )

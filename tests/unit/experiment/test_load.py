@@ -19,7 +19,7 @@ obstacles:
   - {type: rectangle, left: 40, bottom: 40, width: 10, height: 10}
   - {type: circle, center: [60, 20], radius: 5}
 controller:
-  swarm:
+  optimizer:
     stop: {type: relative, window: 5}
 """
 
@@ -46,19 +46,19 @@ def changed(old, new):
         ),
         (
             "controller:\n",
-            "controller:\n  modle: exact\n",
-            "s.yaml:10:3: controller.modle: unknown key; did you mean 'model'?",
+            "controller:\n  motoin: exact\n",
+            "s.yaml:10:3: controller.motoin: unknown key; did you mean 'motion'?",
         ),
         (
             "controller:\n",
             "controller:\n  particles: 3\n",
             "s.yaml:10:3: controller.particles: unknown key here; "
-            "did you mean 'controller.swarm.particles'?",
+            "did you mean 'controller.optimizer.particles'?",
         ),
         (
             "window: 5",
             "frobnicate: 5",
-            "s.yaml:11:28: controller.swarm.stop.frobnicate: unknown key; "
+            "s.yaml:11:28: controller.optimizer.stop.frobnicate: unknown key; "
             "known here: type, window, decrease",
         ),
         (
@@ -90,8 +90,8 @@ def changed(old, new):
         ),
         (
             "controller:\n",
-            "controller:\n  model: exactt\n",
-            "s.yaml:10:10: controller.model: exactt: must be one of euler, arc, exact; "
+            "controller:\n  motion: exactt\n",
+            "s.yaml:10:11: controller.motion: exactt: must be one of euler, arc, exact; "
             "did you mean 'exact'?",
         ),
         (
@@ -219,11 +219,11 @@ def test_control_characters_are_not_printed():
     ("setting", "line"),
     [
         (
-            "controller.swarm.particle=200",
-            "controller.swarm.particle: unknown key; did you mean 'particles'?",
+            "controller.optimizer.particle=200",
+            "controller.optimizer.particle: unknown key; did you mean 'particles'?",
         ),
         ("controler.period=1", "controler: unknown key; did you mean 'controller'?"),
-        ("particles=3", "did you mean 'controller.swarm.particles'?"),
+        ("particles=3", "did you mean 'controller.optimizer.particles'?"),
         ("robots.0.a=-5", "robots.0.a: -5: must be greater than 0"),
         ("robots.two.start=[200, 1]", "robots.1.start: [200, 1]: is outside the arena"),
         (
@@ -253,19 +253,19 @@ def test_problems_of_settings_name_the_setting(setting, line):
 
 def test_settings_replace_values():
     sets = [
-        "controller.swarm.particles=200",
+        "controller.optimizer.particles=200",
         "robots.0.a=5",
         "robots.two.a=1e1",
-        "controller.swarm.stop={type: budget}",
+        "controller.optimizer.stop={type: budget}",
         "plant.measurement_noise.position=2",
         "robots.0.start.1=12",
         "obstacles=[]",
         "description='a: b'",
     ]
     experiment = parse_spec(GOOD, "s.yaml", sets).experiment
-    assert experiment.controller.swarm.particles == 200
+    assert experiment.controller.optimizer.particles == 200
     assert [robot.a for robot in experiment.robots] == [5, 10]
-    assert experiment.controller.swarm.stop.type == "budget"
+    assert experiment.controller.optimizer.stop.type == "budget"
     assert experiment.plant.measurement_noise.position == 2
     assert experiment.robots[0].start == (10, 12)
     assert experiment.obstacles == ()
@@ -333,8 +333,8 @@ def test_the_reference_experiment_is_that_of_section_v(name):
 def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_the_controller_alone():
     paper = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment
     ours = load_spec(EXPERIMENTS / "three_m3pi.yaml").experiment
-    assert paper.controller.swarm.stop.type == "paper"
-    assert paper.controller.model == "euler"
+    assert paper.controller.optimizer.stop.type == "paper"
+    assert paper.controller.motion == "euler"
     assert paper.controller.collision.check == "samples"
     same = {"name": paper.name, "controller": paper.controller}
     assert ours.model_copy(update=same) == paper
@@ -345,7 +345,7 @@ def test_the_hash_follows_the_experiment_and_not_its_text():
     assert len(base) == 64
     same = "# a comment\n" + GOOD.replace("a: 3", "a: 3.0") + "trials: {seed: 1, count: 20}\n"
     assert spec_hash(parse_spec(same, "other.yaml").experiment) == base
-    for setting in ("trials.seed=2", "robots.0.a=3.0000001", "controller.swarm.stop.window=6"):
+    for setting in ("trials.seed=2", "robots.0.a=3.0000001", "controller.optimizer.stop.window=6"):
         assert spec_hash(parse_spec(GOOD, "s.yaml", [setting]).experiment) != base
 
 

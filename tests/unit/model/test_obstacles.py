@@ -8,7 +8,7 @@ from support.geometry import gap, meets
 
 from tetractl.experiment.experiment import Circle, Rectangle
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import PathJudge
+from tetractl.model.path_check import PathCheck
 
 BOX = Rectangle(type="rectangle", left=1200, bottom=1100, width=200, height=200)
 DISC = Circle(type="circle", center=(750, 900), radius=120)
@@ -127,7 +127,7 @@ def test_obstacles_broadcast():
 
 
 def test_the_judge_sees_what_happens_between_samples_and_between_calls():
-    judge = PathJudge(Obstacles.of([BOX]), 3)
+    judge = PathCheck(Obstacles.of([BOX]), 3)
     # robot 0 stays clear, 1 jumps over the box between two calls, 2 between two samples of a call
     judge.add(np.array([[0.0, 1300.0, 1100.0]]), np.array([[0.0, 1000.0, 1200.0]]))
     assert judge.entered.tolist() == [False, False, False]
@@ -140,7 +140,7 @@ def test_the_judge_sees_what_happens_between_samples_and_between_calls():
 
 
 def test_the_judge_remembers_the_deepest_visit():
-    judge = PathJudge(Obstacles.of([BOX]), 1)
+    judge = PathCheck(Obstacles.of([BOX]), 1)
     for x in (1300.0, 1900.0):
         judge.add(np.array([[x]]), np.array([[1150.0]]))
     assert judge.entered.tolist() == [True]
@@ -148,7 +148,7 @@ def test_the_judge_remembers_the_deepest_visit():
 
 
 def test_the_judge_has_nothing_to_say_without_obstacles():
-    judge = PathJudge(Obstacles.of([]), 2)
+    judge = PathCheck(Obstacles.of([]), 2)
     judge.add(np.zeros((4, 2)), np.zeros((4, 2)))
     assert judge.entered.tolist() == [False, False]
     assert judge.clearance.tolist() == [math.inf, math.inf]

@@ -8,9 +8,8 @@ from scipy.integrate import solve_ivp
 from support.plants import sim
 from support.trials import experiment
 
-from tetractl.control.cost import Problem, predict
-from tetractl.control.mpc import PsoMpc
-from tetractl.control.optimizers import compiled
+from tetractl.control.build import build_controller
+from tetractl.control.cost import predict
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
@@ -71,15 +70,19 @@ def test_the_continuous_plant_solves_1_to_3():
 @pytest.mark.parametrize(("motion", "model"), [("euler", "euler"), ("arc", "arc")])
 def test_the_plant_reproduces_the_planners_prediction(motion, model):
     path = truths(steered(plant(motion=motion), DIRECTIONS))[::24]
-    spec = experiment(controller={"model": model})
-    predicted = predict(Problem.of(spec, Poses.of(path[0])), np.array(DIRECTIONS))
+    spec = experiment(controller={"motion": model})
+    predicted = predict(
+        spec.controller.problem(spec.setup, Poses.of(path[0])), np.array(DIRECTIONS)
+    )
     assert path == pytest.approx(predicted, abs=1e-9)
 
 
 def test_the_continuous_plant_reproduces_the_exact_planners_prediction():
     path = truths(steered(plant(), DIRECTIONS))[::24]
-    spec = experiment(controller={"model": "exact"})
-    predicted = predict(Problem.of(spec, Poses.of(path[0])), np.array(DIRECTIONS))
+    spec = experiment(controller={"motion": "exact"})
+    predicted = predict(
+        spec.controller.problem(spec.setup, Poses.of(path[0])), np.array(DIRECTIONS)
+    )
     assert path == pytest.approx(predicted, abs=1e-9)
 
 
@@ -87,11 +90,11 @@ def test_an_euler_planner_meets_its_own_plan_on_an_euler_plant():
     """The loop of Algorithm 2: what is predicted for the next step is what is observed then."""
     spec = experiment(
         plant={"motion": "euler"},
-        controller={"horizon_max": 20, "swarm": {"particles": 20, "iterations": 20}},
+        controller={"horizon_max": 20, "optimizer": {"particles": 20, "iterations": 20}},
     )
     clock = VirtualClock()
     simulated = sim(spec, 1, clock)
-    controller = PsoMpc(spec, 7, compiled.pso)
+    controller = build_controller(spec, 7)
     simulated.open()
     expected = None
     for k in range(15):
@@ -118,7 +121,7 @@ def test_held_wheels_turn_each_period_as_far_as_6():
 def test_the_camera_rate_does_not_change_the_motion():
     ends = []
     for rates in ({"camera_rate": 5}, {"camera_rate": 1000, "truth_rate": 1000}):
-        simulated = plant(motion="continuous", **rates)
+        simulated = plant(motion="exact", **rates)
         steered(simulated, DIRECTIONS)
         simulated.stop()
         ends.append(simulated.settle().final.array())

@@ -6,8 +6,8 @@ from support.trials import PERIOD_NS, cut_short, three_robots
 
 from tetractl.core.errors import UsageError
 from tetractl.replay.clock import PlayerClock
-from tetractl.replay.frame import Recording
-from tetractl.replay.player import Player, State, span
+from tetractl.replay.player import Playback, Player, span
+from tetractl.replay.recording import Recording
 
 SECOND = 1_000_000_000
 KEYS = ["space", "left", "right", ".", "+", "-", "x"]
@@ -95,7 +95,7 @@ def test_space_pauses_and_goes_on(recording, wall):
     p = player(recording, wall)
     assert after(p, wall, 1.5) == 1.5
     p.press("space")
-    assert p.state is State.PAUSED
+    assert p.state is Playback.PAUSED
     assert after(p, wall, 10) == 1.5
     p.press("space")
     assert after(p, wall, 1) == 2.5
@@ -116,7 +116,7 @@ def test_dot_goes_through_the_control_steps_one_by_one_and_pauses(recording, wal
     seen = []
     for _ in range(len(recording.step_ns) - 1):
         p.press(".")
-        assert p.state in (State.PAUSED, State.ENDED)
+        assert p.state in (Playback.PAUSED, Playback.ENDED)
         step = recording.at(p.now).step
         assert step is not None
         seen.append(step.k)
@@ -148,18 +148,18 @@ def test_the_rate_has_limits_but_keeps_what_was_asked_for(recording, wall, rate)
 def test_it_pauses_at_the_end_and_space_plays_again(recording, wall):
     p = player(recording, wall, start=2)
     assert after(p, wall, 100) == recording.end_ns / SECOND
-    assert p.state is State.ENDED
+    assert p.state is Playback.ENDED
     p.press("space")
-    assert (p.state, p.now) == (State.PLAYING, 2 * SECOND)
+    assert (p.state, p.now) == (Playback.PLAYING, 2 * SECOND)
     p.press("q")
-    assert p.state is State.QUIT
+    assert p.state is Playback.QUIT
 
 
 def test_seeking_back_from_the_end_is_paused(recording, wall):
     p = player(recording, wall)
     after(p, wall, 100)
     p.press("left")
-    assert p.state is State.PAUSED
+    assert p.state is Playback.PAUSED
     assert p.now == recording.end_ns - SECOND
 
 
@@ -167,7 +167,7 @@ def test_until_and_loop(recording, wall):
     p = player(recording, wall, start=1, until=3, loop=True)
     assert after(p, wall, 1.5) == 2.5
     assert after(p, wall, 0.5) == 1
-    assert p.state is State.PLAYING
+    assert p.state is Playback.PLAYING
     assert after(p, wall, 1) == 2
 
 

@@ -12,8 +12,9 @@ from tetractl.core.plan import Outcome
 from tetractl.experiment.load import parse_spec
 from tetractl.log import provenance
 from tetractl.log.format.channels import CHANNELS, HOST, RESULT, RUN, STEP
+from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.salvage import Contents, scan
+from tetractl.log.read.salvage import scan
 from tetractl.replay import verify as module
 from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import RECOMPUTED, REEVALUATED, verify
@@ -28,30 +29,30 @@ robots:
   - {name: two, start: [100, 300], target: [300, 350], a: 3, speed: 150}
 obstacles: [{type: circle, center: [250, 400], radius: 20}]
 wheels: {radius: 40}
-controller: {horizon_max: 6, steps_max: 5, swarm: {particles: 6, iterations: 14}}
+controller: {horizon_max: 6, steps_max: 5, optimizer: {particles: 6, iterations: 14}}
 plant: {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_noise: 0.1}
 trials: {count: 3, seed: 7}
 """
 
 SETTINGS = {
     "the paper's": [],
-    "multistart": ["controller.swarm={type: multistart}"],
+    "multistart": ["controller.optimizer={type: multistart}"],
     "dead time, estimated": [
         "controller.dead_time=0.15",
         "plant.dead_time=0.15",
         "controller.estimate=true",
-        "controller.model=exact",
+        "controller.motion=exact",
     ],
     "held": ["controller.hold=2"],
     "swept, with walls": [
         "controller.collision={check: swept, margin: 5, walls: true}",
-        "controller.model=arc",
+        "controller.motion=arc",
     ],
     "a budget": ["controller.evaluations_max=200"],
     "arrives": ["controller.arrival_tolerance=60", "controller.steps_max=30"],
     "a square first": ["controller.first_plan={type: square, side: 1.5}"],
     "commands lost": ["plant.lost_commands=0.3"],
-    "target stop": ["controller.swarm.stop={type: target, cost: 40}"],
+    "target stop": ["controller.optimizer.stop={type: target, cost: 40}"],
 }
 
 
@@ -97,11 +98,12 @@ class Late:
 def test_what_a_deadline_cut_short_comes_out_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swarm: str, looks: int
 ) -> None:
-    from tetractl.control import mpc
+    from tetractl.control.mpc import MpcSection
+    from tetractl.experiment.controller import same
 
-    monkeypatch.setattr(mpc.PsoMpc.__init__, "__defaults__", (mpc.pso, Late(looks)))
-    sets = [f"controller.swarm={swarm}", "controller.deadline=0.5", "controller.horizon_max=12"]
-    sets += ["controller.swarm.tolerance=1e-9"] if "multistart" in swarm else []
+    monkeypatch.setattr(MpcSection.build, "__defaults__", (same, Late(looks)))
+    sets = [f"controller.optimizer={swarm}", "controller.deadline=0.5", "controller.horizon_max=12"]
+    sets += ["controller.optimizer.tolerance=1e-9"] if "multistart" in swarm else []
     path = run(tmp_path, sets)
     stopped = [s.stopped for step in read_trial(path).steps for s in step.plan.searches]
     assert "deadline" in stopped or looks > 4 or len(read_trial(path).steps[1].plan.searches) < 3

@@ -16,7 +16,7 @@ QUICK = """
 name: quick
 arena: {left: 0, bottom: 0, width: 1000, height: 1000}
 robots: [{name: r, start: [100, 500], target: [300, 500], a: 6, speed: 200}]
-controller: {horizon_max: 5, steps_max: 4, swarm: {particles: 4, iterations: 3}}
+controller: {horizon_max: 5, steps_max: 4, optimizer: {particles: 4, iterations: 3}}
 plant: {type: sim, camera_rate: 20, measurement_noise: {position: 1}, heading_noise: 0.1}
 trials: {count: 4, seed: 7}
 """

@@ -2,7 +2,7 @@ import threading
 
 import pytest
 
-from tetractl.core.errors import LogError
+from tetractl.core.errors import LogError, TetractlError
 from tetractl.run import relay
 from tetractl.run.relay import Relay
 
@@ -52,12 +52,12 @@ def test_a_failure_comes_out_at_the_end_at_the_latest_and_nothing_follows_it():
     assert watcher.calls == [("on_step", 1)]
 
 
-def test_a_disk_that_cannot_follow_is_an_error_and_blocks_nobody(monkeypatch):
-    monkeypatch.setattr(relay, "WAITING", 5)
+def test_an_observer_that_cannot_follow_is_an_error_and_blocks_nobody(monkeypatch):
+    monkeypatch.setattr(relay, "SIZE", 5)
     watcher = Watcher()
     watcher.gate.clear()
     with Relay(watcher) as observer:
-        with pytest.raises(LogError, match="too slow"):
+        with pytest.raises(TetractlError, match="too slow"):
             for i in range(10):
                 observer.on_step(i)
         watcher.gate.set()

@@ -38,7 +38,7 @@ def test_the_order_of_the_logs_changes_nothing(random):
     assert other.total == one.total
     assert other.robots == one.robots
     assert (other.published, other.scaled) == (one.published, one.scaled)
-    assert other.solve_ms == one.solve_ms
+    assert other.items["solve_ms"] == one.items["solve_ms"]
 
 
 def test_only_trials_that_ran_to_their_end_enter_the_means():
@@ -49,7 +49,7 @@ def test_only_trials_that_ran_to_their_end_enter_the_means():
     trials.append(trial("lost.mcap", spec, result([math.nan, 1, 1]), 5))
     found = summarise(trials)
     assert (len(found.trials), found.counted) == (6, 3)
-    assert (found.aborted, found.interrupted) == (1, 1)
+    assert (found.items["aborted"], found.items["interrupted"]) == (1, 1)
     assert found.total.mean == pytest.approx(ERRORS[:3].sum(axis=1).mean())
 
 
@@ -57,7 +57,7 @@ def test_only_trials_that_ran_to_their_end_enter_the_means():
 def test_outcomes_decided_by_the_controller_count(outcome):
     found = summarise(batch(ERRORS.tolist(), outcome=outcome))
     assert found.counted == 20
-    assert found.arrived == (20 if outcome is Outcome.ARRIVED else 0)
+    assert found.items["arrived"] == (20 if outcome is Outcome.ARRIVED else 0)
 
 
 def test_no_complete_trial_leaves_no_mean():
@@ -72,7 +72,7 @@ def test_violations_are_counted_in_trials_whatever_their_outcome():
     both = Verdict(Poses.of(np.zeros((3, 3))), (True, False, True), (-1.0, 5.0, -2.0))
     for i, outcome in ((0, Outcome.ABORTED), (2, Outcome.ARRIVED)):
         trials[i] = replace(trials[i], result=result([1, 2, 3], verdict=both, outcome=outcome))
-    assert summarise(trials).obstacle_violations == 2
+    assert summarise(trials).items["obstacle_violations"] == 2
 
 
 def test_solve_times_are_over_all_steps_of_all_trials():
@@ -83,10 +83,10 @@ def test_solve_times_are_over_all_steps_of_all_trials():
     trials[1] = replace(trials[1], result=result([2.0], solve_ns=(900_000_000,), deadline_misses=1))
     found = summarise(trials)
     times = [*range(99), 900]
-    assert found.solve_ms.p50 == pytest.approx(np.percentile(times, 50))
-    assert found.solve_ms.p99 == pytest.approx(np.percentile(times, 99))
-    assert found.solve_ms.max == 900
-    assert found.deadline_misses == 1
+    assert found.items["solve_ms"]["p50"] == pytest.approx(np.percentile(times, 50))
+    assert found.items["solve_ms"]["p99"] == pytest.approx(np.percentile(times, 99))
+    assert found.items["solve_ms"]["max"] == 900
+    assert found.items["deadline_misses"] == 1
 
 
 def test_the_published_result_is_compared_by_welch():
@@ -125,12 +125,12 @@ def test_robots_that_stand_still_have_no_scaled_error():
 
 def test_two_experiments_in_one_batch_are_refused_with_what_differs():
     trials = batch(ERRORS[:2].tolist())
-    other = experiment(controller={"model": "exact"}, plant={"dead_time": 0.15})
+    other = experiment(controller={"motion": "exact"}, plant={"dead_time": 0.15})
     trials[1] = replace(trials[1], experiment=other)
     with pytest.raises(UsageError) as caught:
         summarise(trials)
     assert "trial-000.mcap and trial-001.mcap are not the same experiment" in str(caught.value)
-    assert "controller.model: euler != exact" in str(caught.value)
+    assert "controller.motion: euler != exact" in str(caught.value)
     assert "plant.dead_time: 0.0 != 0.15" in str(caught.value)
     assert caught.value.hint
     assert "--against" in caught.value.hint
@@ -163,14 +163,14 @@ def test_no_trial_is_an_error():
 
 
 def test_two_batches_compare():
-    ours = summarise(batch((ERRORS / 4).tolist(), experiment(controller={"model": "exact"})))
+    ours = summarise(batch((ERRORS / 4).tolist(), experiment(controller={"motion": "exact"})))
     theirs = summarise(batch(ERRORS.tolist()))
     found = compare(ours, theirs)
     assert found.verdict == "lower"
     assert found.welch.value == pytest.approx(ours.total.mean - theirs.total.mean)
     assert found.bootstrap.high < 0
     assert found.effect.value < -0.9
-    assert found.differs == ("controller.model: exact != euler",)
+    assert found.differs == ("controller.motion: exact != euler",)
     assert compare(theirs, ours).verdict == "higher"
 
 

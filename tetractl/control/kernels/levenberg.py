@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from tetractl.control.cost import Problem
 from tetractl.control.kernels.gradient import backward, trace
 from tetractl.control.kernels.math import KERNEL, PART
 from tetractl.control.kernels.motion import MODELS
 from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
 
 LARGEST_STEP = 1.0  # of any signal in one iteration [rad]
 DEPTH_WEIGHT = 3.0  # of a depth against a miss
@@ -61,7 +61,7 @@ def lay_route(problem: Problem, length: int) -> Route:
         v=problem.speed,
         first_period=problem.first_period,
         period=problem.period,
-        model=MODELS[problem.model],
+        model=MODELS[problem.motion],
         boxes=problem.obstacles.rectangles,
         discs=problem.obstacles.circles,
         weight=float(problem.obstacle_weight),

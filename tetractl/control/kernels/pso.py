@@ -11,11 +11,10 @@ from tetractl.control.kernels.rollout import roll
 from tetractl.core.poses import Floats
 
 CRITERION, ITERATIONS, TARGET, EVALUATIONS, PAUSED, NOT_FINITE = range(6)
-REASONS = ("criterion", "iterations", "target", "evaluations", "deadline")
 BUDGET_STOP, PAPER_STOP, RELATIVE_STOP, TARGET_STOP = range(4)
 
 
-class Swarm(NamedTuple):
+class SwarmArrays(NamedTuple):
     """The swarm's state between calls; arrays are updated in place."""
 
     u: Floats  # (L, P) coordinates
@@ -28,8 +27,8 @@ class Swarm(NamedTuple):
     history: Floats  # (z_max + 1,) J(u_gb)
 
 
-class Rules(NamedTuple):
-    """Parameters of (14)-(20); see `SwarmSpec`."""
+class SwarmRules(NamedTuple):
+    """Parameters of (14)-(20); see `tetractl.control.optimizers.pso.Pso`."""
 
     key: np.uint64
     inertia: float
@@ -45,8 +44,8 @@ class Rules(NamedTuple):
 
 
 @njit(**PART)
-def lead(swarm, z):
-    """(18)-(19): note who improved, and let the best become u_gb."""
+def update_bests(swarm, z):
+    """Apply (18)-(19) after move z: mark who improved in `better`, copy the best to u_gb."""
     leader, least = -1, swarm.history[z - 1]
     for n in range(swarm.cost.size):
         improved = swarm.cost[n] < swarm.best_cost[n]
@@ -64,7 +63,7 @@ def lead(swarm, z):
 
 @njit(**PART)
 def stop_reason(history, z, rules):
-    """Why to stop after iteration z, or PAUSED: the twin of `tetractl.control.stop`."""
+    """Return why to stop after iteration z, else PAUSED: the twin of `tetractl.control.stop`."""
     if rules.stop == TARGET_STOP and history[z] <= rules.target:
         return TARGET
     if rules.stop == RELATIVE_STOP and z > max(rules.window, 10):
@@ -102,7 +101,7 @@ def iterate(course, swarm, rules, z, pause):
         if not roll(course, u, swarm.cost, True, v, best, better, u_gb, key, first, w, c1, c2):
             return NOT_FINITE, z
         z += 1
-        lead(swarm, z)
+        update_bests(swarm, z)
         reason = stop_reason(swarm.history, z, rules)
         if reason != PAUSED:
             return reason, z

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from tetractl.control.cost import Problem
 from tetractl.control.kernels.math import KERNEL, PART, sincos
 from tetractl.control.kernels.motion import (
     GENTLE,
@@ -22,6 +21,7 @@ from tetractl.control.kernels.motion import (
 from tetractl.control.kernels.obstacles import count_hits, count_one
 from tetractl.control.kernels.update import move
 from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
 
 LINE = 8  # numbers in a cache line
 
@@ -55,8 +55,8 @@ def aligned(shape: tuple[int, ...]) -> Floats:
 def lay_out(problem: Problem, particles: int) -> Course:
     """Prepare a problem for rollouts of so many particles at once."""
     p, a, v = problem.poses, problem.a, problem.speed
-    first, first_pieces = constants(problem.model, a, v, problem.first_period)
-    rest, rest_pieces = constants(problem.model, a, v, problem.period)
+    first, first_pieces = constants(problem.motion, a, v, problem.first_period)
+    rest, rest_pieces = constants(problem.motion, a, v, problem.period)
     return Course(
         start=np.stack([p.x, p.y, np.cos(p.heading), np.sin(p.heading)]),
         target=np.ascontiguousarray(problem.targets.T),
@@ -64,7 +64,7 @@ def lay_out(problem: Problem, particles: int) -> Course:
         rest=rest,
         first_pieces=first_pieces,
         rest_pieces=rest_pieces,
-        model=model_code(problem.model, a, problem.period),
+        model=model_code(problem.motion, a, problem.period),
         boxes=problem.obstacles.rectangles,
         discs=problem.obstacles.circles,
         weight=float(problem.obstacle_weight),

@@ -20,7 +20,7 @@ def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
     """(14)-(17) of signal j of every particle, with draws first, first + 1, ...
 
     Before it moves, a particle that had just improved leaves its coordinate as its local best,
-    (18): done here, where the row is at hand anyway.
+    (18): done here, while the row is in the processor's cache.
     """
     c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1 and r2 are integers here, of 31 bits
     base = key + np.uint64(first + 1) * GOLDEN

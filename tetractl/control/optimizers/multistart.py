@@ -1,174 +1,162 @@
-"""Many starts, the best polished: the optimiser that replaces the swarm where no letter binds.
+"""Many starts, the best polished by Levenberg-Marquardt: the recommended optimiser.
 
-The swarm needs some ten thousand rollouts because it learns nothing from a rollout but its cost.
-The cost (8) is smooth, its gradient costs about as much as a rollout, and the number of misses
-(two a robot) is small against the number of signals: Levenberg-Marquardt solves it in a few dozen
-steps from about every third smooth random sequence. What remains global, the way round an obstacle,
-is left to chance and cheap selection: each round scatters many smooth sequences, evaluates them in
-one vectorised rollout and polishes only the most promising.
+A particle swarm needs some ten thousand rollouts because it learns nothing from a rollout but its
+cost. The cost (8) is smooth, its gradient costs about as much as a rollout, and the number of
+misses (two a robot) is small against the number of signals: Levenberg-Marquardt
+(`tetractl.control.levenberg`) solves it in a few dozen steps from about every third smooth random
+sequence. What remains global, the way round an obstacle, is left to chance and cheap selection:
+each round scatters many smooth sequences, evaluates them in one vectorised rollout and polishes
+only the most promising.
 """
 
-from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
-from tetractl.control.cost import Problem, require_finite
-from tetractl.control.kernels.levenberg import Route, lay_route, polish
-from tetractl.control.kernels.rollout import costs, lay_out
-from tetractl.control.optimizers.compiled import NO_LIMIT
-from tetractl.control.optimizers.pso import never
+from tetractl.control.curves import bearing, interpolate
+from tetractl.control.evaluate import compiled_costs
+from tetractl.control.progress import Progress
 from tetractl.control.rng import mix, uniform
-from tetractl.core.plan import Search
+from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats, wrap
-from tetractl.experiment.controller import MultistartSpec
+from tetractl.core.problem import Problem
+from tetractl.experiment.base import Positive
+from tetractl.experiment.controller import OptimizerSection
 
 SLACK = 0.01  # share of the fastest robot's step by which a path is pushed clear of an obstacle
+NO_LIMIT = 2**62
 
 
-def multistart(
-    problem: Problem,
-    length: int,
-    warm: Floats | None,
-    spec: MultistartSpec,
-    key: int,
-    budget: int | None = None,
-    expired: Callable[[], bool] = never,
-) -> Search:
-    """Search sequences of `length` signals, from `warm` or from nothing; a `Searcher`.
+class Multistart(OptimizerSection):
+    """Many starts, the best polished by Levenberg-Marquardt; see docs/explanation/solver.md.
 
-    A warm start is polished first; only where that fails is one round scattered, half of it around
-    the warm start. The history holds J before and after each polish and, in between, the merit of
-    its steps: (8) plus the depths inside obstacles.
+    Each round scatters `particles` smooth random sequences, evaluates them as a swarm is, and
+    polishes the best `polished` of them until one has a cost of at most `tolerance`.
     """
-    hunt = _Hunt(problem, length, spec, budget)
-    if warm is not None:
-        hunt.take(warm)
-        if hunt.affords(2):
-            hunt.improve(warm)
-    for number in range(spec.rounds if warm is None else 1):
-        if hunt.ended or (number > 0 and _out_of_reach(problem, length, spec)):
-            break
-        if hunt.history and not hunt.affords(spec.particles):
-            break
-        starts = _scatter(problem, length, warm, spec, mix(key, number))
-        for start in hunt.select(starts):
-            if expired():
-                hunt.ended = "deadline"
-            if hunt.ended or not hunt.affords(2):
+
+    type: Literal["multistart"] = "multistart"
+    particles: int = Field(default=128, ge=1, le=1_000_000)
+    """Sequences scattered in each round."""
+    knots: int = Field(default=12, ge=2, le=1000)
+    """Random directions that each of them passes through, evenly spread over its length."""
+    polished: int = Field(default=4, ge=1, le=10_000)
+    """The best of a round that are polished."""
+    polish_steps: int = Field(default=40, ge=1, le=10_000)
+    """Levenberg-Marquardt iterations spent on each at most."""
+    rounds: int = Field(default=8, ge=1, le=10_000)
+    """Rounds of one search without a warm start; with one that cannot be polished, a single one."""
+    tolerance: Positive = 0.001
+    """Cost J at which a sequence is good enough and the search ends [length unit]."""
+
+    @property
+    def iterations_max(self) -> int:
+        """Iterations spent on one start at most."""
+        return self.polish_steps
+
+    @property
+    def evaluations_min(self) -> int:
+        """One round and a warm start."""
+        return self.particles + 1
+
+    @property
+    def good_enough(self) -> float:
+        """The tolerance."""
+        return self.tolerance
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Search sequences of `length` signals, from `warm` or from nothing.
+
+        A warm start is polished first; only where that fails is one round scattered, half of it
+        around the warm start. The history holds J before and after each polish and, in between, the
+        merit of its steps: (8) plus the depths inside obstacles.
+        """
+        progress = _PolishedProgress(self, problem, length, limits)
+        if warm is not None:
+            progress.try_one(warm)
+            if progress.affords(2):
+                progress.polish(warm)
+        for number in range(self.rounds if warm is None else 1):
+            if progress.ended or (number > 0 and self._out_of_reach(problem, length)):
                 break
-            hunt.improve(start)
-    return hunt.search()
+            if progress.history and not progress.affords(self.particles):
+                break
+            for start in progress.select(self._scatter(problem, length, warm, mix(key, number))):
+                if not progress.affords(2):
+                    break
+                progress.polish(start)
+        return progress.search()
+
+    def _out_of_reach(self, problem: Problem, length: int) -> bool:
+        """Whether even straight lines at full speed leave a cost above the tolerance."""
+        seconds = problem.first_period + (length - 1) * problem.period
+        gaps = problem.poses.distances(problem.targets)
+        return float(np.maximum(gaps - problem.speed * seconds, 0.0).sum()) > self.tolerance
+
+    def _scatter(self, problem: Problem, length: int, warm: Floats | None, key: int) -> Floats:
+        """Draw smooth random sequences, shape (length, particles).
+
+        Each is linear between `knots` directions drawn uniformly from the circle around the mean
+        bearing of the targets; with a warm start, every other one is the warm start plus such a
+        curve of up to half a radian.
+        """
+        knots = min(self.knots, length)
+        draws = uniform(key, 0, knots * self.particles).reshape(knots, self.particles) * 2 - 1
+        curve = interpolate(draws, length)
+        starts = bearing(problem) + np.pi * curve
+        if warm is not None:
+            starts[:, ::2] = warm[:, None] + 0.5 * curve[:, ::2]
+        return wrap(starts)  # into the bounds of (12)
 
 
-def _out_of_reach(problem: Problem, length: int, spec: MultistartSpec) -> bool:
-    """Whether even straight lines at full speed leave a cost above the tolerance."""
-    seconds = problem.first_period + (length - 1) * problem.period
-    gaps = problem.poses.distances(problem.targets)
-    return float(np.maximum(gaps - problem.speed * seconds, 0.0).sum()) > spec.tolerance
+class _PolishedProgress(Progress):
+    """The progress of a search that polishes, with the workspace of the kernels."""
 
+    def __init__(self, section: Multistart, problem: Problem, length: int, limits: Limits) -> None:
+        from tetractl.control.kernels.levenberg import lay_route, polish
 
-def _scatter(
-    problem: Problem, length: int, warm: Floats | None, spec: MultistartSpec, key: int
-) -> Floats:
-    """Draw smooth random sequences, shape (length, particles).
-
-    Each is linear between `knots` directions drawn uniformly from the circle around the mean
-    bearing of the targets; with a warm start, every other one is the warm start plus such a curve
-    of up to half a radian.
-    """
-    knots = min(spec.knots, length)
-    gaps = problem.targets - problem.poses.xy
-    bearing = np.arctan2(gaps[:, 1].sum(), gaps[:, 0].sum())
-    draws = uniform(key, 0, knots * spec.particles).reshape(knots, spec.particles) * 2 - 1
-    at = np.linspace(0, knots - 1, length)
-    below = np.minimum(at.astype(np.int64), max(knots - 2, 0))
-    share = (at - below)[:, None]
-    curve = draws[below] * (1 - share) + draws[np.minimum(below + 1, knots - 1)] * share
-    starts = bearing + np.pi * curve
-    if warm is not None:
-        starts[:, ::2] = warm[:, None] + 0.5 * curve[:, ::2]
-    return wrap(starts)  # into the bounds of (12)
-
-
-class _Hunt:
-    """The best sequence so far, and what it has cost."""
-
-    def __init__(
-        self, problem: Problem, length: int, spec: MultistartSpec, budget: int | None
-    ) -> None:
-        self.spec, self.length = spec, length
-        self.budget = NO_LIMIT if budget is None else budget
-        self.many = lay_out(problem, spec.particles)
-        self.one = lay_out(problem, 1)
-        self.route: Route = lay_route(problem, length)
+        super().__init__(length, limits)
+        self.section, self.kernel = section, polish
+        self.many = compiled_costs(problem, section.particles)
+        self.one = compiled_costs(problem, 1)
+        self.route = lay_route(problem, length)
         self.slack = SLACK * float(problem.speed.max()) * problem.period
         rows = len(self.route.residual)
         self.factor = np.empty((rows, rows))
-        self.trace = np.empty(spec.polish_steps + 1)
-        self.best = np.zeros(length)
-        self.cost = np.inf
-        self.history: list[float] = []
-        self.evaluations = 0
-        self.ended = ""
-
-    def affords(self, evaluations: int) -> bool:
-        """Whether the budget allows so many more; if not, that ends the search."""
-        if self.evaluations + evaluations > self.budget:
-            self.ended = self.ended or "evaluations"
-        return not self.ended
+        self.trace = np.empty(section.polish_steps + 1)
 
     def select(self, starts: Floats) -> list[Floats]:
-        """Evaluate a round and return its best, best first."""
-        found = np.empty(starts.shape[1])
-        costs(self.many, starts, found)
-        require_finite(found)
-        self.evaluations += found.size
-        order = np.argsort(found, kind="stable")[: self.spec.polished]
-        self._keep(starts[:, order[0]], float(found[order[0]]))
+        """Evaluate a round, (length, particles), and return its best sequences, best first."""
+        found = self.many(starts)
+        self.add(starts, found)
+        order = np.argsort(found, kind="stable")[: self.section.polished]
         return [starts[:, n].copy() for n in order]
 
-    def take(self, signals: Floats) -> None:
+    def try_one(self, signals: Floats) -> None:
         """Evaluate one sequence."""
-        found = np.empty(1)
-        costs(self.one, np.ascontiguousarray(signals[:, None]), found)
-        require_finite(found)
-        self.evaluations += 1
-        self._keep(signals, float(found[0]))
+        column = signals[:, None]
+        self.add(column, self.one(column))
 
-    def improve(self, start: Floats) -> None:
+    def polish(self, start: Floats) -> None:
         """Polish one sequence, and keep it if it is the best."""
-        signals = start.copy()
-        _, steps, evaluations = polish(
+        signals, before = start.copy(), self.cost
+        most = NO_LIMIT if self.limits.evaluations is None else self.limits.evaluations
+        _, steps, evaluations = self.kernel(
             self.route,
             signals,
-            self.spec.tolerance,
+            self.section.tolerance,
             self.slack,
-            self.spec.polish_steps,
-            self.budget - self.evaluations - 1,
+            self.section.polish_steps,
+            most - self.evaluations - 1,
             self.factor,
             self.trace,
         )
         self.evaluations += evaluations
-        before = self.cost
-        self.take(wrap(signals))
+        self.try_one(wrap(signals))
         if self.cost < before:
             self.history[-1:] = np.clip(self.trace[:steps], self.cost, before).tolist()
             self.history.append(self.cost)
-        if self.cost <= self.spec.tolerance:
-            self.ended = "target"
-
-    def _keep(self, signals: Floats, cost: float) -> None:
-        if cost < self.cost or not self.history:
-            self.best, self.cost = signals.copy(), cost
-        self.history.append(self.cost)
-
-    def search(self) -> Search:
-        """Return what was found."""
-        return Search(
-            self.length,
-            self.best,
-            self.cost,
-            np.minimum.accumulate(np.array(self.history)),
-            self.evaluations,
-            self.ended or "iterations",
-        )
+        if self.cost <= self.section.tolerance:
+            self.ended = StopReason.TARGET

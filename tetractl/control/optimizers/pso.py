@@ -1,60 +1,93 @@
 """Particle swarm optimisation, Algorithm 1 with (14)-(20), readable beside the paper.
 
-This is the reference: the compiled twin in `kernels` must agree with it.
+`pso` is the reference. `Pso.search` runs its compiled twin, `compiled_pso`, which must agree with
+it.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
-from tetractl.control.cost import Problem, evaluate
+from tetractl.control.cost import evaluate
 from tetractl.control.rng import mix, uniform, uniform_pair
-from tetractl.control.stop import stopped
-from tetractl.core.plan import Search
+from tetractl.control.stop import PaperStop, Stop, stopped
+from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats
-from tetractl.experiment.controller import SwarmSpec
+from tetractl.core.problem import Problem
+from tetractl.experiment.controller import OptimizerSection
 
 LOWER, UPPER = -np.pi, np.pi  # lb and ub, (12)
 SPAN = abs(UPPER - LOWER)  # |ub - lb|, (15)
 
 
-def never() -> bool:
-    """Return False: no deadline."""
-    return False
+class Pso(OptimizerSection):
+    """Particle swarm of Algorithm 1, (14)-(19)."""
 
+    type: Literal["pso"] = "pso"
+    particles: int = Field(default=100, ge=1, le=1_000_000)
+    """Number of particles np."""
+    iterations: int = Field(default=100, ge=1, le=1_000_000)
+    """Largest number of iterations z_max of one search (one horizon)."""
+    inertia: float = Field(default=0.7, gt=0, le=2, allow_inf_nan=False)
+    """Momentum omega_v of (14)."""
+    cognitive: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
+    """Weight c1 of (14), towards a particle's own best."""
+    social: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
+    """Weight c2 of (14), towards the swarm's best."""
+    stop: Stop = PaperStop(type="paper")
+    """When a search ends before `iterations`."""
 
-class Searcher(Protocol):
-    """Finds a sequence of `length` signals of small cost, from a warm start or from nothing.
+    @property
+    def iterations_max(self) -> int:
+        """z_max."""
+        return self.iterations
 
-    `spec` is the optimiser's part of the spec. `key` fixes every random draw; `budget` bounds the
-    cost evaluations, None for no bound; once `expired()`, the best so far is returned.
-    """
+    @property
+    def evaluations_min(self) -> int:
+        """The scattered particles and a warm start."""
+        return self.particles + 1
 
-    def __call__(
-        self,
-        problem: Problem,
-        length: int,
-        warm: Floats | None,
-        spec: Any,
-        key: int,
-        budget: int | None = None,
-        expired: Callable[[], bool] = ...,
+    @property
+    def evaluations_max(self) -> int:
+        """Every particle in every iteration, and a warm start."""
+        return (self.iterations + 1) * self.particles + 1
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Return the best sequence found and how the search went."""
-        ...
+        """Search sequences of `length` signals by Algorithm 1, compiled."""
+        from tetractl.control.optimizers import compiled_pso
+
+        return compiled_pso.pso(self, problem, length, warm, key, limits)
+
+    def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
+        """Yield "evaluations" and "stopped" where the history does not lead to them."""
+        if not len(found.history):
+            return
+        if found.evaluations != self.particles * len(found.history) + warmed:
+            yield "evaluations"
+        with np.errstate(invalid="ignore"):  # a history that rises has no logarithms
+            why = stopped(found.history, self.stop) if len(found.history) > 1 else None
+        if why is None and len(found.history) > self.iterations:
+            why = StopReason.ITERATIONS
+        cut = {StopReason.EVALUATIONS} if limits.evaluations is not None else set()
+        cut |= {StopReason.DEADLINE} if limits.timed else set()
+        if found.stopped not in ({why} if why else cut):
+            yield "stopped"
 
 
 @dataclass(slots=True)
 class Swarm:
-    """np particles in L dimensions, asked for coordinates and told their costs.
+    """np particles in L dimensions: `ask` for coordinates, then `tell` their costs.
 
     u, v, best (np, L): coordinates u_n, velocities v_n and local bests u_lb,n; best_cost (np,):
     J(u_lb,n); u_gb (L,) with cost J(u_gb).
     """
 
-    spec: SwarmSpec
+    section: Pso
     key: int
     u: Floats
     v: Floats
@@ -65,13 +98,13 @@ class Swarm:
     z: int = 0
 
     @classmethod
-    def scatter(cls, spec: SwarmSpec, length: int, key: int) -> "Swarm":
+    def scatter(cls, section: Pso, length: int, key: int) -> "Swarm":
         """Algorithm 1, line 1: draw u_n, v_n and u_lb,n uniformly in their search spaces."""
-        n = spec.particles
+        n = section.particles
         draws = uniform(mix(key, 0), 0, 3 * length * n).reshape(3, length, n)
         u, v, best = (np.ascontiguousarray(draw.T) for draw in draws)
         return cls(
-            spec,
+            section,
             mix(key, 1),
             u=LOWER + SPAN * u,
             v=-SPAN + 2 * SPAN * v,
@@ -83,7 +116,7 @@ class Swarm:
 
     def ask(self) -> Floats:
         """Move the swarm by (14)-(17) and return the new coordinates (np, L)."""
-        w, c1, c2 = self.spec.inertia, self.spec.cognitive, self.spec.social
+        w, c1, c2 = self.section.inertia, self.section.cognitive, self.section.social
         size, shape = self.u.size, self.u.T.shape
         r1, r2 = (r.reshape(shape).T for r in uniform_pair(self.key, self.z * size, size))
         v_new = w * self.v + c1 * r1 * (self.best - self.u) + c2 * r2 * (self.u_gb - self.u)  # (14)
@@ -94,7 +127,7 @@ class Swarm:
         return self.u
 
     def tell(self, costs: Floats) -> None:
-        """Take the costs of the coordinates asked for, and update the bests by (18)-(19)."""
+        """Update the bests by (18)-(19) with the costs (np,) of the coordinates asked for."""
         better = costs < self.best_cost
         self.best[better] = self.u[better]  # (18)
         self.best_cost[better] = costs[better]
@@ -104,18 +137,12 @@ class Swarm:
 
 
 def pso(
-    problem: Problem,
-    length: int,
-    warm: Floats | None,
-    spec: SwarmSpec,
-    key: int,
-    budget: int | None = None,
-    expired: Callable[[], bool] = never,
+    section: Pso, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
 ) -> Search:
     """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or from NULL."""
-    swarm = Swarm.scatter(spec, length, key)  # line 1
+    swarm = Swarm.scatter(section, length, key)  # line 1
     swarm.best_cost = evaluate(problem, swarm.best).total
-    evaluations = spec.particles
+    evaluations = section.particles
     if warm is None:  # lines 2-3
         leader = int(np.argmin(swarm.best_cost))
         swarm.u_gb, swarm.cost = swarm.best[leader].copy(), float(swarm.best_cost[leader])
@@ -123,18 +150,18 @@ def pso(
         swarm.u_gb, swarm.cost = warm.copy(), float(evaluate(problem, warm[None]).total[0])
         evaluations += 1
     history = [swarm.cost]
-    reason = "iterations"
-    for _ in range(spec.iterations):  # line 7
-        if budget is not None and evaluations + spec.particles > budget:
-            reason = "evaluations"
+    reason = StopReason.ITERATIONS
+    for _ in range(section.iterations):  # line 7
+        if not limits.allow(evaluations + section.particles):
+            reason = StopReason.EVALUATIONS
             break
-        if expired():
-            reason = "deadline"
+        if limits.expired():
+            reason = StopReason.DEADLINE
             break
         swarm.tell(evaluate(problem, swarm.ask()).total)  # line 8
-        evaluations += spec.particles
+        evaluations += section.particles
         history.append(swarm.cost)
-        if why := stopped(np.array(history), spec.stop):  # line 9
+        if why := stopped(np.array(history), section.stop):  # line 9
             reason = why
             break
     return Search(length, swarm.u_gb, swarm.cost, np.array(history), evaluations, reason)

@@ -46,7 +46,8 @@ class Place:
 class Document:
     """A parsed spec: data, the place of every value and every key, and what was refused.
 
-    `refused` says what is wrong with a value; None stands for it in `data`.
+    `refused` says what is wrong with a value; None stands for it in `data`. `notices` are lines for
+    people on names that have changed.
     """
 
     origin: str
@@ -55,6 +56,7 @@ class Document:
     keys: dict[Loc, Place] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
     refused: dict[Loc, Problem] = field(default_factory=dict)
+    notices: list[str] = field(default_factory=list)
 
     @property
     def found(self) -> list[Problem]:

@@ -4,6 +4,7 @@ from typing import Any
 
 from tetractl.experiment.yaml.document import Document, Place, parse_value
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, Problem, dotted, printable
+from tetractl.experiment.yaml.upgrade import upgrade, upgraded_path
 
 
 def override(document: Document, setting: str) -> None:
@@ -16,8 +17,12 @@ def override(document: Document, setting: str) -> None:
     path, equals, text = setting.partition("=")
     try:
         if not equals or not path.strip():
-            raise _wrong(origin, "must be PATH=VALUE, for instance controller.swarm.particles=200")
-        loc, holder = _descend(document, path.strip().split("."), origin)
+            raise _wrong(
+                origin, "must be PATH=VALUE, for instance controller.optimizer.particles=200"
+            )
+        written = path.strip().split(".")
+        steps = upgraded_path(written)
+        loc, holder = _descend(document, steps, origin)
         value = parse_value(text, origin, loc)
     except InvalidSpecError as error:
         document.problems.extend(error.problems)
@@ -27,6 +32,10 @@ def override(document: Document, setting: str) -> None:
         for stale in [key for key in notes if key[: len(loc)] == loc]:
             del notes[stale]
     document.values[loc] = document.keys[loc] = Place(origin, text=printable(text, 60) or None)
+    if steps != written:
+        old, new = (printable(".".join(path), 200) for path in (written, steps))
+        document.notices.append(f"{origin}: {old} is now called {new}")
+    upgrade(document)
 
 
 def _descend(document: Document, steps: list[str], origin: str) -> tuple[Loc, Any]:

@@ -8,10 +8,13 @@ becomes
 """
 
 from collections.abc import Iterator
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, TypeVar
 
 from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import Loc
+
+Note = TypeVar("Note")
 
 OF_CAMERA = ("body", "heading_offset")
 """Fields of a robot that went to the camera; the others went to the actuator."""
@@ -70,10 +73,43 @@ def former(loc: Loc) -> Loc:
     return loc
 
 
-def notice(place: str, section: dict[str, Any]) -> str:
-    """Return what to tell the owner of an old spec: the exact new lines of the section `place`."""
+def _notice(document: Document, place: str, section: dict[str, Any]) -> str:
+    """Return what the owner of an old spec should know: the exact new lines of a section."""
     lines = dump({place: section}).rstrip()
-    return f"'{place}' is in the form of an older version; write it so from now on:\n{lines}"
+    told = f"'{place}' is in the form of an older version; write it so from now on:"
+    return f"{document.place((place,)).origin}: {told}\n{lines}"
+
+
+def upgrade_labs(document: Document) -> None:
+    """Bring labs of the old form into the new one; the new lines join the document's notices."""
+    for place in ("plant", "lab"):
+        section = document.data.get(place)
+        if not is_old_lab(section):
+            continue
+        document.data[place] = new = upgrade_lab(section)
+        moved = {(place, *loc): (place, *former(loc)) for loc in _places(new)}
+        _move_notes(document.values, place, moved)
+        _move_notes(document.keys, place, moved)
+        _move_notes(document.refused, place, moved)
+        document.notices.append(_notice(document, place, new))
+
+
+def _move_notes(notes: dict[Loc, Note], place: str, moved: dict[Loc, Loc]) -> None:
+    """Put notes on parts of a section to their new places; `moved` gives the old of each new."""
+    before = {loc: note for loc, note in notes.items() if loc[:1] == (place,) and loc[1:]}
+    for loc in before:
+        del notes[loc]
+    for new, old in moved.items():
+        if old in before:
+            notes[new] = before[old]
+
+
+def _places(value: Any, loc: Loc = ()) -> Iterator[Loc]:
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    for step, item in items:
+        yield (*loc, step)
+        if isinstance(item, dict | list):
+            yield from _places(item, (*loc, step))
 
 
 def is_old_calibration(data: dict[str, Any]) -> bool:

@@ -5,7 +5,10 @@ from tetractl.core.registry import Registry
 CAMERAS = Registry(
     "tetractl.emulated_cameras",
     "emulated camera",
-    {"optitrack": "tetractl.lab.emulate.optitrack.side:EmulatedOptitrack"},
+    {
+        "optitrack": "tetractl.lab.emulate.optitrack.side:EmulatedOptitrack",
+        "apriltag": "tetractl.lab.emulate.apriltag.side:EmulatedAprilTag",
+    },
 )
 ACTUATORS = Registry(
     "tetractl.emulated_actuators",

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from tetractl.core.commands import Command
-from tetractl.core.plan import Plan, Search
+from tetractl.core.plan import Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
@@ -155,7 +155,7 @@ def _decode_search(message: pb.Search) -> Search:
         cost=message.cost,
         history=_floats(message.history),
         evaluations=message.evaluations,
-        stopped=message.stopped,
+        stopped=StopReason.read(message.stopped),
     )
 
 

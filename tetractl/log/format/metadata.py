@@ -1,45 +1,45 @@
-"""The metadata of a log: the run at its start and the result at its end, as strings.
+"""The metadata records of a log: the run at its start, the result at its end; values are strings.
 
-MCAP guards messages and attachments with checksums but not metadata, so each record of ours carries
-one of its own. Lists are JSON; a number that is not finite is a string in them ("inf", "nan"),
-since JSON has no such number.
+MCAP has checksums for messages and attachments but not for metadata, so each record of tetractl's
+has an item `checksum`. Lists are JSON; in them a number that is not finite is a string ("inf",
+"nan"), since JSON has no such number.
 """
 
 import json
 import zlib
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from tetractl.core.commands import PlantInfo, Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
-from tetractl.core.setup import Setup
 from tetractl.core.trial import Result, Start
 from tetractl.log.format.channels import FORMAT_VERSION
 from tetractl.log.format.digest import CHECKSUM
 from tetractl.log.read.trial_log import Damage
 
-_FACT = "plant."
+_PLANT = "plant."
 
 
-def seal(facts: Mapping[str, str]) -> dict[str, str]:
-    """Return the facts with their checksum."""
-    return {**facts, CHECKSUM: _checksum(facts)}
+def seal(items: Mapping[str, str]) -> dict[str, str]:
+    """Return the items of a metadata record with their checksum added."""
+    return {**items, CHECKSUM: _checksum(items)}
 
 
-def intact(facts: Mapping[str, str]) -> bool:
-    """Whether the facts are those that were sealed."""
-    return facts.get(CHECKSUM) == _checksum(facts)
+def intact(items: Mapping[str, str]) -> bool:
+    """Return whether the checksum of a metadata record matches its items."""
+    return items.get(CHECKSUM) == _checksum(items)
 
 
-def _checksum(facts: Mapping[str, str]) -> str:
-    items = sorted((key, value) for key, value in facts.items() if key != CHECKSUM)
-    return f"{zlib.crc32(json.dumps(items).encode()):08x}"
+def _checksum(items: Mapping[str, str]) -> str:
+    pairs = sorted((key, value) for key, value in items.items() if key != CHECKSUM)
+    return f"{zlib.crc32(json.dumps(pairs).encode()):08x}"
 
 
 def run_metadata(start: Start) -> dict[str, str]:
-    """Return what identifies a trial: the metadata record at the start of the log."""
+    """Return the metadata record at the start of a log, which identifies the trial."""
     setup, plant = start.setup, start.plant
     run_id = f"{start.spec_hash[:12]}-{start.seed}-{start.trial}"
     if not plant.simulated:  # the same trial in the lab twice is two runs
@@ -58,38 +58,47 @@ def run_metadata(start: Start) -> dict[str, str]:
         "start_unix_ns": str(start.start_unix_ns),
         "plant": plant.kind,
         "camera_rate_hz": repr(float(plant.camera_rate_hz)),
-        **{_FACT + key: value for key, value in plant.facts.items()},
+        **{_PLANT + key: value for key, value in plant.facts.items()},
     }
 
 
-def read_start(
-    facts: Mapping[str, str], setup: Setup, spec_text: str, resolved: str, spec_hash: str
-) -> Start:
-    """Return the start of a trial; the inverse of `run_metadata`.
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """The metadata record of a run, decoded; `items` as written, its checksum left out."""
 
-    Raises KeyError or ValueError where the facts are not ours.
+    items: dict[str, str]
+    robots: tuple[str, ...]  # names
+    spec_name: str
+    seed: int
+    trial: int
+    plant: PlantInfo
+    start_unix_ns: int
+
+
+def read_run(items: Mapping[str, str]) -> RunRecord:
+    """Decode what `run_metadata` encodes.
+
+    Raises KeyError, TypeError or ValueError for items that `run_metadata` does not write.
     """
     plant = PlantInfo(
-        kind=facts["plant"],
-        simulated=facts["mode"] == "sim",
-        camera_rate_hz=float(facts["camera_rate_hz"]),
-        facts={k.removeprefix(_FACT): v for k, v in facts.items() if k.startswith(_FACT)},
+        kind=items["plant"],
+        simulated=items["mode"] == "sim",
+        camera_rate_hz=float(items["camera_rate_hz"]),
+        facts={k.removeprefix(_PLANT): v for k, v in items.items() if k.startswith(_PLANT)},
     )
-    return Start(
-        setup=setup,
-        spec_text=spec_text,
-        spec_name=facts["spec_name"],
-        resolved=resolved,
-        spec_hash=spec_hash,
-        seed=int(facts["seed"]),
-        trial=int(facts["trial"]),
+    return RunRecord(
+        items={key: value for key, value in items.items() if key != CHECKSUM},
+        robots=tuple(map(str, json.loads(items["robots"]))),
+        spec_name=items["spec_name"],
+        seed=int(items["seed"]),
+        trial=int(items["trial"]),
         plant=plant,
-        start_unix_ns=int(facts["start_unix_ns"]),
+        start_unix_ns=int(items["start_unix_ns"]),
     )
 
 
 def result_metadata(result: Result, unit: str) -> dict[str, str]:
-    """Return how a trial ended, host facts left out: the metadata record at the end of the log."""
+    """Return the metadata record at the end of a log: the result without its times of solving."""
     final = result.verdict.final
     return {
         "outcome": result.outcome.value,
@@ -108,7 +117,7 @@ def result_metadata(result: Result, unit: str) -> dict[str, str]:
 
 
 def timing_metadata(result: Result) -> dict[str, str]:
-    """Return the host facts of a result: the metadata record before it."""
+    """Return the metadata record before the result: the times of solving, which vary by host."""
     return {
         "solve_ns": json.dumps([int(ns) for ns in result.solve_ns]),
         "deadline_misses": str(result.deadline_misses),
@@ -116,7 +125,7 @@ def timing_metadata(result: Result) -> dict[str, str]:
 
 
 def damage_metadata(damage: Damage, source: str, size: int, sha256: str) -> dict[str, str]:
-    """Return what a recovered log says of the file it comes from: metadata `tetractl.recovered`."""
+    """Return the metadata record of a recovered log: the file it comes from, and the damage."""
     return {
         "source": source,
         "source_bytes": str(size),
@@ -126,37 +135,34 @@ def damage_metadata(damage: Damage, source: str, size: int, sha256: str) -> dict
     }
 
 
-def read_damage(facts: Mapping[str, str]) -> Damage | None:
-    """Return what was lost before a log was recovered, None for nothing."""
-    problems, lost = (json.loads(facts[key]) for key in ("problems", "lost"))
+def read_damage(items: Mapping[str, str]) -> Damage | None:
+    """Decode what `damage_metadata` encodes; None where nothing was lost."""
+    problems, lost = (json.loads(items[key]) for key in ("problems", "lost"))
     if not isinstance(problems, list) or not isinstance(lost, list):
         raise TypeError("no lists")
     if not lost:
         return None
-    whence = f"recovered from {facts['source']}, which was damaged"
+    whence = f"recovered from {items['source']}, which was damaged"
     return Damage((whence, *map(str, problems)), tuple(map(str, lost)))
 
 
-def read_result(
-    facts: Mapping[str, str], timing: Mapping[str, str] | None, robots: int | None = None
-) -> Result:
-    """Return how a trial ended; the inverse of `result_metadata` and `timing_metadata`.
+def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robots: int) -> Result:
+    """Decode what `result_metadata` and `timing_metadata` encode, for `robots` robots.
 
-    Without the timing there are no solve times. Raises KeyError, TypeError or ValueError where the
-    facts are not ours, or not of so many robots.
+    Without `timing` the result has no times of solving. Raises KeyError, TypeError or ValueError
+    for items that those do not write, and for another number of robots.
     """
-    final = [_floats(facts[key]) for key in ("final_x", "final_y", "final_heading")]
-    entered = tuple(bool(entered) for entered in json.loads(facts["entered"]))
-    errors, clearance = _floats(facts["robot_errors"]), _floats(facts["clearance"])
-    count = len(errors) if robots is None else robots
-    if any(len(column) != count for column in (*final, entered, errors, clearance)):
+    final = [_floats(items[key]) for key in ("final_x", "final_y", "final_heading")]
+    entered = tuple(bool(entered) for entered in json.loads(items["entered"]))
+    errors, clearance = _floats(items["robot_errors"]), _floats(items["clearance"])
+    if any(len(column) != robots for column in (*final, entered, errors, clearance)):
         raise ValueError("the result is not of as many robots as the run")
     return Result(
-        outcome=Outcome(facts["outcome"]),
-        reason=facts["reason"],
-        steps=int(facts["steps"]),
-        duration_s=float(facts["duration_s"]),
-        total_error=float(facts["total_error"]),
+        outcome=Outcome(items["outcome"]),
+        reason=items["reason"],
+        steps=int(items["steps"]),
+        duration_s=float(items["duration_s"]),
+        total_error=float(items["total_error"]),
         robot_errors=errors,
         verdict=Verdict(
             final=Poses(*(np.array(column, dtype=np.float64) for column in final)),

@@ -25,6 +25,7 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup, Shape
@@ -43,7 +44,7 @@ def frame_of(name: str) -> str:
 
 def stamp(unix_ns: int) -> Timestamp:
     """Return Unix ns as a protobuf time stamp."""
-    return Timestamp(seconds=unix_ns // 1_000_000_000, nanos=unix_ns % 1_000_000_000)
+    return Timestamp(seconds=unix_ns // SECOND, nanos=unix_ns % SECOND)
 
 
 def note(unix_ns: int, level: Log.Level.ValueType, text: str) -> Log:
@@ -67,7 +68,7 @@ class Scene:
         """Return world to each robot; a robot that is not tracked is left out."""
         message = FrameTransforms()
         poses = observation.poses
-        seconds, nanos = divmod(unix_ns, 1_000_000_000)
+        seconds, nanos = divmod(unix_ns, SECOND)
         columns = (poses.x.tolist(), poses.y.tolist(), poses.heading.tolist())
         for frame, x, y, heading, valid in zip(
             self._frames, *columns, observation.valid.tolist(), strict=True

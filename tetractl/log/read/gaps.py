@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.core.clock import SECOND, seconds
 from tetractl.log.read.trial_log import TrialLog
 
 
@@ -26,7 +27,7 @@ class Gap:
 
 def frame_gaps(log: TrialLog) -> list[Gap]:
     """Return the camera frames missing inside a log, by their numbers."""
-    numbers, times = log.frames, log.mocap_ns / 1e9
+    numbers, times = log.frames, log.mocap_ns / SECOND
     return [
         Gap(
             "camera frame",
@@ -42,7 +43,7 @@ def frame_gaps(log: TrialLog) -> list[Gap]:
 def step_gaps(log: TrialLog) -> list[Gap]:
     """Return the control steps missing: before, between, and behind those there are."""
     ks = [step.k for step in log.steps]
-    sent = [step.command.sent_ns / 1e9 for step in log.steps]
+    sent = [seconds(step.command.sent_ns) for step in log.steps]
     if log.result and log.result.steps > (ks[-1] + 1 if ks else 0):
         ks.append(log.result.steps)
         sent.append(log.result.duration_s)

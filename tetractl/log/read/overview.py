@@ -1,34 +1,39 @@
-"""What is in a log, at a glance: facts, counts and sizes, but no course."""
+"""What is in a log: its metadata, and the counts and sizes of its records."""
 
 import json
 import math
-from collections import defaultdict
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from tetractl.core.clock import SECOND
 from tetractl.core.trial import Result
-from tetractl.log.format.channels import CHANNELS, RESULT, RUN
-from tetractl.log.format.digest import CHECKSUM, DIGEST
+from tetractl.log.format.channels import CHANNELS
+from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import trial_of
-from tetractl.log.read.salvage import Contents, scan
-from tetractl.log.read.trial_log import Damage
+from tetractl.log.read.salvage import scan
+from tetractl.log.read.trial_log import ALTERED, Damage
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelCount:
-    """One channel: how many messages it holds, how often they come and what they take."""
+    """One channel: the number, rate and size of its messages."""
 
     topic: str
     schema: str
     messages: int
-    hz: float | None  # None for fewer than two moments
+    hz: float | None  # None for messages of one time only
     bytes: int  # before compression
 
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """What is in a log. `digest` is computed; `stated_digest` is what the log says of itself."""
+    """What is in a log.
+
+    `digest` is the content digest computed from the file, `stated_digest` the one that the result
+    record states. `run`, `host` and `provenance` are the metadata of the run, `attachments` their
+    sizes [byte].
+    """
 
     path: str
     size: int
@@ -36,7 +41,7 @@ class Overview:
     run: dict[str, str]
     result: Result | None
     channels: tuple[ChannelCount, ...]
-    attachments: dict[str, int]  # bytes
+    attachments: dict[str, int]
     host: dict[str, str]
     provenance: dict[str, str]
     digest: str
@@ -49,45 +54,46 @@ class Overview:
 
 
 def overview(path: Path) -> Overview:
-    """Look into a log; raises LogError as `read_trial` does."""
+    """Read a log as a whole; raises LogError as `read_trial` does."""
     contents = scan(path)
     trial = trial_of(contents)
-    digest = contents.digest()
     problems, lost = (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
-    if trial.digest and trial.digest != digest:
-        problems = (*problems, "the content does not match the digest that the log states")
-    facts = contents.facts(RUN) or {}
+    if trial.altered:
+        problems = (*problems, ALTERED)
     return Overview(
         path=str(path),
         size=contents.size,
         chunks=contents.chunks,
-        run={key: value for key, value in facts.items() if key != CHECKSUM},
+        run=trial.run,
         result=trial.result,
         channels=_channels(contents),
-        attachments={item.name: len(item.data) for item in contents.attachments},
+        attachments={name: len(item.data) for name, item in contents.attachments.items()},
         host=trial.host,
         provenance=trial.provenance,
-        digest=digest,
-        stated_digest=(contents.facts(RESULT) or {}).get(DIGEST),
+        digest=trial.content_digest,
+        stated_digest=trial.digest,
         damage=Damage(problems, lost) if problems else None,
     )
 
 
 def _channels(contents: Contents) -> tuple[ChannelCount, ...]:
-    times, sizes = defaultdict[str, list[int]](list), defaultdict[str, int](int)
-    for entry in contents.entries:
-        times[entry.topic].append(entry.log_ns)
-        sizes[entry.topic] += len(entry.data)
     schemas = {topic: message.DESCRIPTOR.full_name for topic, message in CHANNELS.items()}
     return tuple(
-        ChannelCount(topic, schemas.get(topic, ""), len(at), _rate(at), sizes[topic])
-        for topic, at in sorted(times.items())
+        ChannelCount(
+            topic=topic,
+            schema=schemas.get(topic, ""),
+            messages=len(entries),
+            hz=_rate([entry.log_ns for entry in entries]),
+            bytes=sum(len(entry.data) for entry in entries),
+        )
+        for topic, entries in sorted(contents.by_topic.items())
+        if entries
     )
 
 
 def _rate(times: list[int]) -> float | None:
     span = max(times) - min(times)
-    return (len(times) - 1) * 1e9 / span if span else None
+    return (len(times) - 1) * SECOND / span if span else None
 
 
 def _plain(value: Any) -> Any:

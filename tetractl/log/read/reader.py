@@ -1,44 +1,44 @@
-"""Trials read back from their logs, whole or as much as a damaged file still holds."""
+"""Trials read from their logs: whole, or as much as a damaged file still holds."""
 
-import json
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from google.protobuf.message import DecodeError
-from numpy.typing import NDArray
 
+from tetractl.core.clock import seconds
 from tetractl.core.commands import Verdict
 from tetractl.core.errors import LogError, SpecError
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.trial import Result, Start
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec, spec_hash
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
-from tetractl.log.format import metadata as facts
 from tetractl.log.format import tetractl_pb2 as pb
-from tetractl.log.format.channels import FORMAT_VERSION
-from tetractl.log.format.digest import CHECKSUM, DIGEST
-from tetractl.log.read.salvage import Contents, peek, scan
-from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
+from tetractl.log.read.contents import Contents
+from tetractl.log.read.salvage import peek, scan
+from tetractl.log.read.trial_log import Damage, Integers, ResultSummary, TrialLog
 from tetractl.model.obstacles import Obstacles
+from tetractl.model.path_check import check_path
+
+_OWN = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT}
 
 
 def read_trial(path: Path) -> TrialLog:
     """Read a whole trial, bit for bit as it was written.
 
-    Of a damaged or unfinished log, a .part too, everything that is provably intact is given, and
-    `damage` says what is not. Raises LogError where the file is no tetractl log, is of a newer
-    format, or has lost its spec.
+    Of a damaged or unfinished log, a .part too, the intact records are read, and `damage` tells
+    what is missing. Raises LogError where the file is no tetractl log, is of a newer format, or has
+    lost its spec.
     """
     return trial_of(scan(Path(path)))
 
 
 def trial_of(contents: Contents) -> TrialLog:
-    """Return the trial that a scanned file holds; raises as `read_trial` does."""
+    """Decode the trial in a scanned file; raises LogError as `read_trial` does."""
     experiment, start = _start(contents)
     try:
         return _trial(contents, experiment, start)
@@ -48,13 +48,8 @@ def trial_of(contents: Contents) -> TrialLog:
 
 
 def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog:
-    before = _recovered(contents)
-    problems = [*(before.problems if before else ()), *contents.problems]
-    lost = [*(before.lost if before else ()), *contents.lost]
     robots = len(start.setup.names)
-    data: dict[str, list[bytes]] = {topic: [] for topic in channels.CHANNELS}
-    for entry in contents.entries:
-        data.setdefault(entry.topic, []).append(entry.data)
+    data = {topic: [e.data for e in contents.by_topic[topic]] for topic in channels.CHANNELS}
     frames = map(pb.MocapSample.FromString, data[channels.MOCAP])
     samples = [codec.decode_observation(frame, robots) for frame in frames]
     sent = map(pb.WheelCommand.FromString, data[channels.COMMANDS])
@@ -65,14 +60,8 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
     missing = Poses.of(np.full((robots, 3), np.nan))
     timings = {m.k: m for m in map(pb.StepTiming.FromString, data[channels.HOST_TIMING])}
     steps = map(pb.ControllerStep.FromString, data[channels.STEP])
-    result = _result(contents)
-    if result is None:
-        problems.append("the log has no result: the run was cut short or the log's end is lost")
-        until = max((seen.received_ns for seen in samples), default=0) / 1e9
-        lost.append(f"the result and everything after {until:.3f} s")
-    host = dict(contents.facts(channels.HOST) or {})
-    host.pop(CHECKSUM, None)
-    versions = {key: host.pop(key) for key in list(host) if provenance.is_version(key)}
+    received_ns = _integers(seen.received_ns for seen in samples)
+    begin = start.start_unix_ns
     return TrialLog(
         path=str(contents.path),
         experiment=experiment,
@@ -85,30 +74,44 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
         else None,
         steps=tuple(codec.decode_step(step, timings.get(step.k), robots) for step in steps),
         stop=stops[-1] if stops else None,
-        result=result,
-        damage=Damage(tuple(problems), tuple(lost)) if problems else None,
-        host=host,
-        provenance=versions,
+        result=contents.result,
+        damage=_damage(contents, int(received_ns.max(initial=0))),
+        host=contents.host,
+        provenance=contents.versions,
         frames=_integers(seen.frame for seen in samples),
-        received_ns=_integers(seen.received_ns for seen in samples),
+        received_ns=received_ns,
         commands=commands,
-        digest=(contents.facts(channels.RESULT) or {}).get(DIGEST),
+        digest=contents.stated_digest,
+        content_digest=contents.digest,
+        run=contents.run.items,
+        stamps={
+            topic: [(entry.log_ns - begin, entry.publish_ns - begin) for entry in entries]
+            for topic, entries in contents.by_topic.items()
+        },
     )
 
 
-def read_result(path: Path) -> ResultSummary:
-    """Read how a trial ended, without its course: by the file's index, in about a millisecond.
+def _damage(contents: Contents, until_ns: int) -> Damage | None:
+    """Return the damage of a log whose last frame was received at `until_ns`, None for none."""
+    before = contents.recovered
+    problems = [*(before.problems if before else ()), *contents.problems]
+    lost = [*(before.lost if before else ()), *contents.lost]
+    if contents.result is None:
+        problems.append("the log has no result: the run was cut short or the log's end is lost")
+        lost.append(f"the result and everything after {seconds(until_ns):.3f} s")
+    return Damage(tuple(problems), tuple(lost)) if problems else None
 
-    Where index or result are lost the file is searched for what remains, and the result computed
-    from the last poses if need be. Raises LogError as `read_trial` does, and where no pose is left.
+
+def read_result(path: Path) -> ResultSummary:
+    """Read the result of a trial without its course: by the file's index, in about a millisecond.
+
+    Where index or result are lost the whole file is read, and the result is computed from the last
+    poses if need be. Raises LogError as `read_trial` does, and for a log without poses.
     """
     contents = peek(Path(path))
-    if contents and (result := _result(contents)):
+    if contents and (result := contents.result):
         experiment, start = _start(contents)
-        recovered, digest = (
-            _recovered(contents) is not None,
-            (contents.facts(channels.RESULT) or {}).get(DIGEST),
-        )
+        recovered, digest = contents.recovered is not None, contents.stated_digest
     else:
         trial = read_trial(path)
         experiment, start, digest = trial.experiment, trial.start, trial.digest
@@ -126,106 +129,94 @@ def read_result(path: Path) -> ResultSummary:
 
 
 def recompute(trial: TrialLog) -> Result:
-    """Compute a result from what a log holds: the last pose known of each robot ends its path.
+    """Compute a result from the poses of a log: the path of each robot ends at its last pose.
 
-    The true path decides where there is one, else the measured one, at the camera's rate. Raises
-    LogError where a robot was never seen.
+    The path is the true one in a simulation, else the measured one. Raises LogError where a robot
+    was never seen.
     """
-    setup = trial.start.setup
-    path = trial.mocap if trial.truth is None else trial.truth
-    known = np.asarray(np.isfinite(path).all(axis=2))
-    if trial.truth is None:
-        known &= trial.valid
+    path, known = trial_path(trial)
     if not known.any(axis=0).all():
         raise LogError(f"{trial.path}: holds no result, and no poses to compute it from")
     last = len(path) - 1 - known[::-1].argmax(axis=0)
     final = Poses.of(path[last, np.arange(path.shape[1])])
-    errors = final.distances(setup.targets)
-    distance = Obstacles.of(setup.obstacles).distance(path[..., 0], path[..., 1])
-    clearance = np.where(known, distance, np.inf).min(axis=0)
-    return Result(
+    entered, clearance = check_path(Obstacles.of(trial.start.setup.obstacles), path, known)
+    return Result.of(
+        trial.start.setup,
+        Verdict(final, tuple(entered.tolist()), tuple(clearance.tolist())),
         outcome=Outcome.ABORTED,
         reason="the log ends before its result",
-        steps=len(trial.steps),
-        duration_s=float(trial.mocap_ns[-1]) / 1e9,
-        total_error=float(errors.sum()),
-        robot_errors=tuple(errors.tolist()),
-        verdict=Verdict(final, tuple((clearance <= 0).tolist()), tuple(clearance.tolist())),
+        duration_s=seconds(int(trial.mocap_ns[-1])),
         solve_ns=tuple(step.solve_ns for step in trial.steps),
         deadline_misses=sum(step.deadline_missed for step in trial.steps),
     )
 
 
-def content_digest(path: Path) -> str:
-    """Return the SHA-256 over all that repeats when a simulated trial is run again.
+def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
+    """Return the poses (M, N, 3) that decide a trial, and which of them are known (M, N).
 
-    That is every message, metadata record and attachment except the host records; a whole log
-    states the same number in its result.
+    They are the true poses in a simulation and the measured ones in the lab.
     """
-    return scan(Path(path)).digest()
+    if trial.truth is None:
+        return trial.mocap, trial.valid & np.isfinite(trial.mocap).all(axis=2)
+    return trial.truth, np.asarray(np.isfinite(trial.truth).all(axis=2))
+
+
+def content_digest(path: Path) -> str:
+    """Return the SHA-256 over all records of a log but its host records.
+
+    It is the same whenever a simulated trial is run again; the result record of a whole log states
+    it.
+    """
+    return scan(Path(path)).digest
 
 
 def _start(contents: Contents) -> tuple[Experiment, Start]:
-    """Return the experiment and the start of a trial."""
-    path, run = contents.path, contents.facts(channels.RUN)
-    if run is None:
-        if contents.problems:
-            raise LogError(f"{path}: damaged: the record of the run is lost")
-        raise LogError(f"{path}: an MCAP file, but no log of tetractl's")
-    resolved = contents.attachment(channels.RESOLVED_SPEC)
+    """Return the experiment and the start of a trial; LogError where they cannot be read."""
+    run, resolved = contents.run, contents.text(channels.RESOLVED_SPEC)
+    if resolved is None:
+        raise LogError(f"{contents.path}: damaged: the resolved spec is lost")
     try:
-        version = int(run["format_version"])
-        if version > FORMAT_VERSION:
-            raise LogError(
-                f"{path}: of log format {version}; this tetractl reads up to {FORMAT_VERSION}",
-                "update tetractl",
-            )
-        if resolved is None:
-            raise LogError(f"{path}: damaged: the resolved spec is lost")
-        text = contents.attachment(channels.SPEC) or ""
-        experiment, hashed = _resolved(resolved)
-        return experiment, facts.read_start(run, experiment.setup, text, resolved, hashed)
+        experiment, upgraded = _resolved(resolved)
+        hashed = run.items["spec_hash"] if upgraded else spec_hash(experiment)
     except (SpecError, KeyError, RecursionError, ValueError) as error:
         used = [
             f"{key.removeprefix(provenance.PLUGIN)} {version}"
-            for key, version in (contents.facts(channels.HOST) or {}).items()
+            for key, version in contents.versions.items()
             if key.startswith(provenance.PLUGIN)
         ]
-        hint = f"it was written with {', '.join(used)}; install that" if used else None
-        raise LogError(f"{path}: the record of the run cannot be read: {error}", hint) from None
+        raise LogError(
+            f"{contents.path}: the record of the run cannot be read: {error}",
+            f"it was written with {', '.join(used)}; install that" if used else None,
+        ) from None
+    return experiment, Start(
+        setup=experiment.setup,
+        spec_text=contents.text(channels.SPEC) or "",
+        spec_name=run.spec_name,
+        resolved=resolved,
+        spec_hash=hashed,
+        seed=run.seed,
+        trial=run.trial,
+        plant=run.plant,
+        start_unix_ns=run.start_unix_ns,
+        attached=tuple(
+            (name, item.data.decode(errors="replace"))
+            for name, item in contents.attachments.items()
+            if name not in _OWN
+        ),
+    )
 
 
 @lru_cache(maxsize=16)
-def _resolved(text: str) -> tuple[Experiment, str]:
-    experiment = parse_spec(text, channels.RESOLVED_SPEC).experiment
-    return experiment, spec_hash(experiment)
+def _resolved(text: str) -> tuple[Experiment, bool]:
+    """Return the experiment, and whether its spec has names of an earlier tetractl.
+
+    The hash of such a spec cannot be computed again: it was taken over the names of that time.
+    """
+    spec = parse_spec(text, channels.RESOLVED_SPEC)
+    return spec.experiment, bool(spec.notices)
 
 
-def _recovered(contents: Contents) -> Damage | None:
-    """Return what a recovered log says was wrong with the one before it, None for nothing."""
-    found = contents.facts(channels.RECOVERED)
-    if found is None:
-        return None
-    try:
-        return facts.read_damage(found)
-    except (KeyError, RecursionError, TypeError, ValueError):
-        return Damage(("recovered from a damaged log",), ())
-
-
-def _result(contents: Contents) -> Result | None:
-    """Return the stated result, None where there is none that can be read."""
-    result = contents.facts(channels.RESULT)
-    run = contents.facts(channels.RUN)
-    if result is None or run is None:
-        return None
-    try:
-        robots = len(json.loads(run["robots"]))
-        return facts.read_result(result, contents.facts(channels.TIMING), robots)
-    except (KeyError, OverflowError, RecursionError, TypeError, ValueError):
-        return None
-
-
-def _integers(values: Iterable[int]) -> NDArray[np.int64]:
+def _integers(values: Iterable[int]) -> Integers:
     return np.fromiter(values, dtype=np.int64)
 
 

@@ -1,6 +1,7 @@
 """From a torn or bit-rotted log back to a complete file, with all that is provably intact."""
 
 import hashlib
+from collections import Counter
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -8,13 +9,13 @@ from pathlib import Path
 from mcap.records import Attachment, Metadata
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import HOST, HOST_TIMING, RECOVERED, RESULT, TIMING, Entry
-from tetractl.log.format.digest import DIGEST
+from tetractl.log.format.channels import HOST, HOST_TIMING, RECOVERED, TIMING, Entry
 from tetractl.log.format.metadata import damage_metadata
+from tetractl.log.read.contents import Contents
 from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX
 from tetractl.log.read.gaps import frame_gaps, step_gaps
 from tetractl.log.read.reader import trial_of
-from tetractl.log.read.salvage import Contents, scan
+from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.write.sink import Sink
 
@@ -55,7 +56,6 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
     where it does. Raises LogError where nothing can be read, or where the file exists already.
     """
     contents = scan(log)
-    entries = contents.entries
     if not contents.records:
         raise LogError(f"{log}: nothing in it can be recovered")
     problems, lost = _examine(contents)
@@ -63,13 +63,14 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
     path = out or (recovered_path(log) if damage.problems or damage.lost else None)
     if path is not None:
         _write(contents, damage, path)
+    counts = Counter(map(type, contents.records))
     return Recovery(
         source=str(log),
         path=None if path is None else str(path),
         chunks=contents.chunks,
-        messages=len(entries),
-        metadata=len(contents.records) - len(entries) - len(contents.attachments),
-        attachments=len(contents.attachments),
+        messages=counts[Entry],
+        metadata=counts[Metadata],
+        attachments=counts[Attachment],
         damage=damage,
     )
 
@@ -84,10 +85,9 @@ def _examine(contents: Contents) -> tuple[list[str], list[str]]:
     problems, lost = map(
         list, (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
     )
-    timed = sum(entry.topic == HOST_TIMING for entry in contents.entries)
-    host = all(contents.facts(name) for name in (HOST, TIMING)) and timed == len(trial.steps)
-    if host and (contents.facts(RESULT) or {}).get(DIGEST) == contents.digest():
-        return problems, lost if contents.facts(RECOVERED) else []
+    timed = len(contents.by_topic[HOST_TIMING]) == len(trial.steps)
+    if timed and {HOST, TIMING} <= contents.metadata.keys() and trial.digest and not trial.altered:
+        return problems, lost if RECOVERED in contents.metadata else []
     lost += [str(gap) for gap in (*frame_gaps(trial), *step_gaps(trial))]
     if trial.stop is None:
         lost.append("the stop at the end")

@@ -13,7 +13,6 @@ import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import IO, cast
@@ -36,8 +35,8 @@ from mcap.records import (
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import CHANNELS, METADATA, RUN, Entry
-from tetractl.log.format.digest import ContentDigest
 from tetractl.log.format.metadata import intact
+from tetractl.log.read.contents import Contents
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_LIMIT = 1 << 24
@@ -69,61 +68,14 @@ Inside = tuple[list[Schema], list[Channel], list[RawMessage]]
 _MESSAGE = struct.Struct("<HIQQ")
 
 
-@dataclass
-class Contents:
-    """What a file holds. `problems` is empty for a file in which nothing is wrong."""
-
-    path: Path
-    size: int = 0
-    records: list[Entry | Metadata | Attachment] = field(default_factory=list)  # in file order
-    chunks: int = 0
-    problems: list[str] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)
-    channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)  # by topic
-
-    @property
-    def entries(self) -> list[Entry]:
-        """All messages."""
-        return [record for record in self.records if isinstance(record, Entry)]
-
-    @property
-    def attachments(self) -> list[Attachment]:
-        """All attachments."""
-        return [record for record in self.records if isinstance(record, Attachment)]
-
-    def facts(self, name: str) -> dict[str, str] | None:
-        """Return the metadata record of a name."""
-        for record in self.records:
-            if isinstance(record, Metadata) and record.name == name:
-                return record.metadata
-        return None
-
-    def attachment(self, name: str) -> str | None:
-        """Return the attachment of a name as text."""
-        found = (item.data for item in self.attachments if item.name == name)
-        return next((data.decode(errors="replace") for data in found), None)
-
-    def digest(self) -> str:
-        """Return the content digest of all that was found."""
-        digest = ContentDigest()
-        for record in self.records:
-            if isinstance(record, Entry):
-                digest.message(record)
-            elif isinstance(record, Metadata):
-                digest.metadata(record.name, record.metadata)
-            else:
-                digest.attachment(record.name, record.media_type, record.data)
-        return digest.hexdigest()
-
-
 def scan(path: Path) -> Contents:
-    """Read all that can be read; LogError for what is no MCAP file at all."""
+    """Return every intact record of a file; LogError where it is no MCAP file."""
     with _opened(path) as data:
         return _Scan(path, data).contents()
 
 
 def peek(path: Path) -> Contents | None:
-    """Read metadata and attachments alone by the file's index; None where anything is amiss."""
+    """Return metadata and attachments alone, found by the file's index; None for a damaged file."""
     with _opened(path) as data:
         return _Scan(path, data).indexed()
 

@@ -1,4 +1,4 @@
-"""What a log gives back: a whole trial, or only how it ended."""
+"""What reading a log returns: a whole trial, or only its result."""
 
 from dataclasses import dataclass, field
 
@@ -7,16 +7,17 @@ from numpy.typing import NDArray
 
 from tetractl.core.commands import Command
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.experiment import Experiment
 
 Integers = NDArray[np.int64]
+ALTERED = "the content does not match the digest that the log states"
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """What is wrong with a log: `lost` says what is missing, in words for people."""
+    """What is wrong with a log, and what is missing from it, one sentence each."""
 
     problems: tuple[str, ...]
     lost: tuple[str, ...]
@@ -28,13 +29,19 @@ def _none() -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class TrialLog:
-    """A whole trial, read back. Times are ns on the trial's clock.
+    """A whole trial of N robots with M camera frames, read from its log.
 
-    `mocap` and `truth` are (M, N, 3) poses at `mocap_ns` (M,), when the cameras were exposed, in
-    the frames numbered `frames` (M,), which the host had at `received_ns` (M,); `valid` is (M, N).
-    `commands` are all that were sent: those of the steps, those outside them, and the stop. `truth`
-    is None for a lab trial and NaN where a damaged log lost it. `result` is None where the run
-    crashed or the end of the log is lost. `digest` is the content digest that the log states.
+    Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad. `mocap`
+    (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
+    numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
+    where a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN where a
+    damaged log lost them, and None for a trial in the lab. `commands` are all commands: of the
+    control steps, between them, and the stop. `result` is None where the run crashed or the end of
+    the log is lost.
+
+    `run` are the items of the run record as written and `digest` is the content digest that the
+    result record states. `content_digest` is computed from the file, and `stamps` are the log and
+    publish times of the messages by topic.
     """
 
     path: str
@@ -42,36 +49,44 @@ class TrialLog:
     start: Start
     mocap_ns: Integers
     mocap: Floats
-    valid: NDArray[np.bool_]
+    valid: Bools
     truth: Floats | None
     steps: tuple[Step, ...]
     stop: Command | None
     result: Result | None
     damage: Damage | None
-    host: dict[str, str]  # host facts: when and where it ran
-    provenance: dict[str, str]
+    host: dict[str, str]  # machine and hour of the run
+    provenance: dict[str, str]  # versions of the code that ran the trial
     frames: Integers = field(default_factory=_none)
     received_ns: Integers = field(default_factory=_none)
     commands: tuple[Command, ...] = ()
     digest: str | None = None
+    content_digest: str = ""
+    run: dict[str, str] = field(default_factory=dict)
+    stamps: dict[str, list[tuple[int, int]]] = field(default_factory=dict, repr=False)
+
+    @property
+    def altered(self) -> bool:
+        """Whether the content differs from the digest that the log states."""
+        return self.digest is not None and self.digest != self.content_digest
 
 
 @dataclass(frozen=True, slots=True)
 class ResultSummary:
-    """The result of a trial without its course, read quickly.
+    """The result of a trial without its course.
 
-    `recovered` says that the log is damaged or ends early: where its result is lost, `result` was
-    computed again from the last poses there are, with the outcome `aborted`.
+    `recovered` is True for a log that is damaged or ends early. Where its result is lost, `result`
+    is computed from the last poses of the log, with the outcome `aborted`.
     """
 
     path: str
     experiment: Experiment
-    seed: int  # the batch's root seed
-    trial: int
+    seed: int  # root seed of the batch
+    trial: int  # index in the batch, from 0
     simulated: bool
     result: Result
     recovered: bool
-    digest: str | None  # content digest, None where the result was lost
+    digest: str | None  # content digest that the log states
 
     @property
     def outcome(self) -> Outcome:

@@ -7,6 +7,8 @@ thing it finds. What each check means is in docs/reference/warnings.md.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from tetractl.experiment.load import LoadedSpec
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.overrides import override
@@ -39,6 +41,7 @@ class SpecWarning(Problem):
         return f"{Problem.__str__(self)}; {self.hint}"
 
 
+@np.errstate(all="ignore")  # absurd numbers are a spec's own affair
 def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[SpecWarning, ...]:
     """Return what is doubtful in a spec that was loaded with `sets`, in the order of its lines."""
     case = Case.of(loaded.experiment)

@@ -10,16 +10,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import MultipleLocator
 
+from tetractl.core.clock import SECOND, seconds
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.frame import tracked
+from tetractl.replay.recording import tracked
 from tetractl.view import style
+from tetractl.view.figures.axes import LABELLED
 from tetractl.view.figures.labels import Labels, edge
 
-LABELLED = 8  # most robots that get a line of the legend each
 MARKS = 5  # about as many times are marked along a trail
 
 
@@ -110,7 +111,7 @@ def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
         if truth is not None:
             axes.plot(*truth[:, robot].T, color=style.INK, lw=0.6, ls=(0, (3, 2)), zorder=3.5)
         for time_s in times:
-            index = int(np.searchsorted(log.mocap_ns, time_s * 1e9 - 1))
+            index = int(np.searchsorted(log.mocap_ns, time_s * SECOND - 1))
             x, y, heading = log.mocap[min(index, len(log.mocap) - 1), robot]
             tip = x + ahead * np.cos(heading), y + ahead * np.sin(heading)
             axes.plot([x, tip[0]], [y, tip[1]], color=color, lw=1.0, zorder=3.6)
@@ -244,7 +245,7 @@ def _visible_truth(log: TrialLog) -> Floats | None:
 
 def _marked_times(log: TrialLog) -> list[float]:
     """Whole numbers of 1, 2, 5, 10 ... s, at most `MARKS` of them, within the trial."""
-    end_s = float(log.mocap_ns[-1]) / 1e9 if len(log.mocap_ns) else 0.0
+    end_s = seconds(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
     if end_s <= 0:
         return []
     step = _nice_step(end_s, MARKS)

@@ -13,7 +13,7 @@ from rich.style import Style
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds
 from tetractl.experiment.experiment import Obstacle
-from tetractl.replay.frame import Frame
+from tetractl.replay.recording import Moment
 from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
 
 ACROSS, DOWN = 2, 4  # dots of a braille cell; a cell is twice as high as wide, so dots are square
@@ -117,7 +117,7 @@ class Canvas:
         return self._styles.index(style)
 
 
-def draw(frame: Frame, colors: list[str], glyphs: Glyphs, width: int, height: int) -> Canvas:
+def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: int) -> Canvas:
     """Draw a frame on a canvas of at most `width` x `height` cells.
 
     Obstacles, then the plan (dotted), trails, starts (circles), targets (squares), robots. On an

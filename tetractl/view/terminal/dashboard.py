@@ -8,8 +8,9 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.segment import Segment
 from rich.text import Text
 
+from tetractl.core.clock import milliseconds
 from tetractl.core.plan import Plan
-from tetractl.replay.frame import Frame
+from tetractl.replay.recording import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
@@ -56,7 +57,7 @@ class Dashboard:
 
     def __init__(
         self,
-        frame: Frame,
+        frame: Moment,
         colors: list[str],
         heading: str,
         footer: Footer,
@@ -196,7 +197,7 @@ class Dashboard:
         if step is None:
             return []
         row = _Rows(width)
-        solve = row("solve time", "solve", f"{step.solve_ns / 1e6:.1f} ms")
+        solve = row("solve time", "solve", f"{milliseconds(step.solve_ns):.1f} ms")
         if step.deadline_missed:
             solve.append("  late" if width < COMPACT else "  deadline missed", "bold red")
         return [solve, row("evaluations", "evals", f"{step.plan.evaluations:,}".replace(",", " "))]

@@ -9,11 +9,12 @@ import numpy as np
 from rich.console import Console
 from rich.live import Live
 
+from tetractl.core.clock import seconds
 from tetractl.core.colors import robot_colors
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Start, Step
-from tetractl.replay.frame import Frame, tracked
+from tetractl.replay.recording import Moment, tracked
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.progress import Tally, duration
 
@@ -112,9 +113,9 @@ class LiveView:
 
     def _dashboard(self) -> Dashboard:
         setup = self._setup
-        frame = Frame(
+        frame = Moment(
             setup=setup,
-            time_s=self._time_ns / 1e9,
+            time_s=seconds(self._time_ns),
             end_s=None,
             poses=self._poses,
             trail=np.array(self._trail).reshape(-1, len(setup.names), 2),

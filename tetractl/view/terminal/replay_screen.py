@@ -3,18 +3,19 @@
 from rich.console import Console
 from rich.live import Live
 
+from tetractl.core.clock import seconds
 from tetractl.core.colors import robot_colors
-from tetractl.replay.frame import Recording
-from tetractl.replay.player import Player, State
+from tetractl.replay.player import Playback, Player
+from tetractl.replay.recording import Recording
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.glyphs import Glyphs, glyphs_for
 from tetractl.view.terminal.keys import Keyboard
 
 FRAME_S = 1 / 15
-SPACE = {State.PLAYING: "pause", State.PAUSED: "play ", State.ENDED: "again"}
+SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "again"}
 
 
-def perform(console: Console, recording: Recording, player: Player) -> None:
+def play(console: Console, recording: Recording, player: Player) -> None:
     """Play on the terminal's other screen until the viewer quits."""
     setup = recording.log.start.setup
     colors = robot_colors(setup.names, setup.colors)
@@ -23,7 +24,7 @@ def perform(console: Console, recording: Recording, player: Player) -> None:
         Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False) as live,
         Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard,
     ):
-        while player.state is not State.QUIT:
+        while player.state is not Playback.QUIT:
             player.update()
             scene = (player.now, player.rate, player.state, console.size)
             if scene != drawn:
@@ -36,13 +37,13 @@ def perform(console: Console, recording: Recording, player: Player) -> None:
 def dashboard(recording: Recording, player: Player, colors: list[str], glyphs: Glyphs) -> Dashboard:
     """Return the picture of this moment."""
     log = recording.log
-    sign = glyphs.play if player.state is State.PLAYING else glyphs.pause
-    end_s = recording.end_ns / 1e9
+    sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
+    end_s = seconds(recording.end_ns)
     wide = len(f"{end_s:.1f}")
     footer = Footer(
         left=f"{sign} {player.rate:g}{glyphs.times}",
         fraction=player.now / recording.end_ns if recording.end_ns else 1.0,
-        right=f"{player.now / 1e9:{wide}.1f} / {end_s:.1f} s",
+        right=f"{seconds(player.now):{wide}.1f} / {end_s:.1f} s",
         hints=(
             f"space {SPACE.get(player.state, '')}",
             f"{glyphs.left_right} {glyphs.plus_minus}1 s",

@@ -2,12 +2,12 @@
 
 import math
 
-from tetractl.core.clock import Clock
+from tetractl.core.clock import Clock, seconds
 from tetractl.replay.clock import PlayerClock
-from tetractl.replay.frame import Recording
+from tetractl.replay.recording import Recording
 
 
-def recite(
+def print_steps(
     recording: Recording,
     wall: Clock,
     span: tuple[int, int],
@@ -27,21 +27,22 @@ def recite(
         for index in steps:
             if pace is not None:
                 clock.sleep_until(int(recording.step_ns[index]))
-            print(line(recording, index), flush=pace is not None)
+            print(step_line(recording, index), flush=pace is not None)
         if not loop or not steps:
             return
         clock.sleep_until(until_ns)
         clock.jump(start_ns)
 
 
-def line(recording: Recording, index: int) -> str:
+def step_line(recording: Recording, index: int) -> str:
     """Say one control step in words."""
     step = recording.log.steps[index]
     unit = recording.log.start.setup.unit
     plan, u = step.plan, step.command.direction
     direction = "stop" if u is None else f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
+    time_s = seconds(int(recording.step_ns[index]))
     return (
-        f"{recording.step_ns[index] / 1e9:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "
+        f"{time_s:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "
         f"J {plan.cost:7.1f} {unit}  total error {recording.totals[index]:7.1f} {unit}  "
         f"direction {direction:>10}  evaluations {plan.evaluations:<6}  "
         f"stopped {plan.search.stopped}"

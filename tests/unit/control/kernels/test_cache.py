@@ -9,20 +9,18 @@ from support.paths import ROOT
 SEARCH = """
 import hashlib, sys
 from pathlib import Path
-from tetractl.control.optimizers import compiled, multistart
-from tetractl.control.cost import Problem
 from tetractl.control.kernels.levenberg import polish
-from tetractl.experiment.controller import MultistartSpec, SwarmSpec
+from tetractl.control.optimizers.multistart import Multistart
+from tetractl.control.optimizers.pso import Pso
+from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
 
 digest = hashlib.sha256()
 for name in ("three_m3pi", "three_m3pi_paper"):
-    problem = Problem.of(load_spec(Path(sys.argv[1]) / f"{name}.yaml").experiment)
-    searches = (
-        multistart.multistart(problem, 30, None, MultistartSpec(type="multistart", rounds=2), 1),
-        compiled.pso(problem, 30, None, SwarmSpec(iterations=20), 1),
-    )
-    for search in searches:
+    experiment = load_spec(Path(sys.argv[1]) / f"{name}.yaml").experiment
+    problem = experiment.controller.problem(experiment.setup)
+    for optimizer in (Multistart(rounds=2), Pso(iterations=20)):
+        search = optimizer.search(problem, 30, None, 1, Limits())
         digest.update(search.signals.tobytes() + search.history.tobytes())
 print(sum(polish.stats.cache_hits.values()), digest.hexdigest())
 """

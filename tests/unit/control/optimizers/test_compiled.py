@@ -9,8 +9,8 @@ from support import problems
 
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels.rollout import costs, lay_out
-from tetractl.control.optimizers import compiled, pso
-from tetractl.experiment.controller import SwarmSpec
+from tetractl.control.optimizers.pso import Pso, pso
+from tetractl.core.plan import Limits
 
 MODELS = st.sampled_from(["euler", "arc", "exact"])
 STOPS = st.sampled_from(
@@ -95,11 +95,11 @@ def test_whole_searches_agree(
 ):
     problem = problems.problem(problems.world(seed, robots, obstacles, model, swept))
     fields = {"particles": particles, "iterations": iterations, "stop": stop}
-    spec = SwarmSpec.model_validate(fields)
+    spec = Pso.model_validate(fields)
     start = np.random.default_rng(seed).uniform(-math.pi, math.pi, length) if warm else None
     assume(problems.is_decided(problem, length, start, spec, key))
-    slow = pso.pso(problem, length, start, spec, key, budget)
-    fast = compiled.pso(problem, length, start, spec, key, budget)
+    slow = pso(spec, problem, length, start, key, Limits(budget))
+    fast = spec.search(problem, length, start, key, Limits(budget))
     assert (fast.length, fast.stopped) == (slow.length, slow.stopped)
     assert fast.evaluations == slow.evaluations
     assert fast.history == pytest.approx(slow.history, rel=1e-9)
@@ -110,7 +110,7 @@ def test_whole_searches_agree(
 def test_a_search_leaves_its_problem_alone():
     problem = problems.problem(problems.world(3))
     before = [a.copy() for a in (problem.poses.array(), problem.targets, problem.a, problem.speed)]
-    spec = SwarmSpec(particles=8, iterations=4)
-    compiled.pso(problem, 5, None, spec, 1)
+    spec = Pso(particles=8, iterations=4)
+    spec.search(problem, 5, None, 1, Limits())
     after = (problem.poses.array(), problem.targets, problem.a, problem.speed)
     assert all(np.array_equal(b, a) for b, a in zip(before, after, strict=True))

@@ -8,20 +8,21 @@ from hypothesis import strategies as st
 from support import problems
 from support.paths import ROOT
 
-from tetractl.control.cost import Problem, evaluate
-from tetractl.control.optimizers.multistart import multistart, wrap
+from tetractl.control.cost import evaluate
+from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.errors import ControlError
-from tetractl.core.poses import Poses
-from tetractl.experiment.controller import MultistartSpec
+from tetractl.core.plan import Limits
+from tetractl.core.poses import Poses, wrap
 from tetractl.experiment.load import load_spec
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
-SMALL = MultistartSpec(type="multistart", particles=20, polished=2, rounds=2, polish_steps=15)
+SMALL = Multistart(particles=20, polished=2, rounds=2, polish_steps=15)
 MODELS = st.sampled_from(["euler", "arc", "exact"])
 
 
 def reference_problem():
-    return Problem.of(load_spec(EXPERIMENT).experiment)
+    experiment = load_spec(EXPERIMENT).experiment
+    return experiment.controller.problem(experiment.setup)
 
 
 @settings(max_examples=60, deadline=None)
@@ -37,7 +38,7 @@ def reference_problem():
 def test_what_is_found_is_what_it_is_said_to_be(seed, robots, length, model, swept, warm, budget):
     problem = problems.problem(problems.world(seed, robots, 2, model, swept))
     start = np.random.default_rng(seed).uniform(-math.pi, math.pi, length) if warm else None
-    found = multistart(problem, length, start, SMALL, seed, budget)
+    found = SMALL.search(problem, length, start, seed, Limits(budget))
     assert found.signals.shape == (length,)
     assert np.all(np.abs(found.signals) <= math.pi)
     again = evaluate(problem, found.signals[None]).total[0]
@@ -54,22 +55,22 @@ def test_what_is_found_is_what_it_is_said_to_be(seed, robots, length, model, swe
 
 def test_the_same_key_finds_the_same_and_another_key_something_else():
     problem = reference_problem()
-    one, two, other = (multistart(problem, 44, None, SMALL, key) for key in (1, 1, 2))
+    one, two, other = (SMALL.search(problem, 44, None, key, Limits()) for key in (1, 1, 2))
     assert np.array_equal(one.signals, two.signals)
     assert np.array_equal(one.history, two.history)
     assert not np.array_equal(one.signals, other.signals)
 
 
 def test_the_reference_problem_is_solved_from_any_seed():
-    problem, spec = reference_problem(), MultistartSpec(type="multistart")
-    found = [multistart(problem, 44, None, spec, key) for key in range(20)]
+    problem, spec = reference_problem(), Multistart()
+    found = [spec.search(problem, 44, None, key, Limits()) for key in range(20)]
     assert [search.stopped for search in found] == ["target"] * 20
 
 
 def test_a_solved_problem_costs_one_look():
-    problem, spec = reference_problem(), MultistartSpec(type="multistart")
-    solved = multistart(problem, 44, None, spec, 3).signals
-    again = multistart(problem, 44, solved, spec, 4)
+    problem, spec = reference_problem(), Multistart()
+    solved = spec.search(problem, 44, None, 3, Limits()).signals
+    again = spec.search(problem, 44, solved, 4, Limits())
     assert again.stopped == "target"
     assert again.evaluations <= 3
     assert again.cost <= spec.tolerance
@@ -78,7 +79,7 @@ def test_a_solved_problem_costs_one_look():
 def test_a_warm_start_through_the_obstacle_is_led_out_of_it():
     """Every robot in a row behind the obstacle: straight on goes through it."""
     problem = reference_problem()
-    spec = MultistartSpec(type="multistart")
+    spec = Multistart()
     start = np.zeros(44)
     poses = Poses.of(np.array([[900.0, 1200.0, 0.0]]))
     robot = replace(
@@ -89,24 +90,24 @@ def test_a_warm_start_through_the_obstacle_is_led_out_of_it():
         speed=problem.speed[1:2] / 2,
     )
     assert evaluate(robot, start[None]).obstacle[0] > 0
-    found = multistart(robot, 44, start, spec, 1)
+    found = spec.search(robot, 44, start, 1, Limits())
     assert evaluate(robot, found.signals[None]).obstacle[0] == 0
 
 
 def test_what_is_out_of_reach_is_given_up_after_one_round():
-    problem, spec = reference_problem(), MultistartSpec(type="multistart", rounds=1000)
-    found = multistart(problem, 3, None, spec, 1)
+    problem, spec = reference_problem(), Multistart(rounds=1000)
+    found = spec.search(problem, 3, None, 1, Limits())
     assert found.stopped == "iterations"
     assert found.evaluations < 3000
 
 
 def test_a_deadline_ends_the_search_with_the_best_so_far():
-    problem, spec = reference_problem(), MultistartSpec(type="multistart", tolerance=1e-300)
+    problem, spec = reference_problem(), Multistart(tolerance=1e-300)
     looks = iter([False, False, False])
-    found = multistart(problem, 30, None, spec, 1, None, lambda: next(looks, True))
+    found = spec.search(problem, 30, None, 1, Limits(expired=lambda: next(looks, True)))
     assert found.stopped == "deadline"
     assert found.cost == pytest.approx(evaluate(problem, found.signals[None]).total[0], rel=1e-9)
-    again = multistart(problem, 30, None, spec, 1, found.evaluations)
+    again = spec.search(problem, 30, None, 1, Limits(found.evaluations))
     assert np.array_equal(again.signals, found.signals)
 
 
@@ -114,7 +115,7 @@ def test_poses_that_are_no_numbers_are_refused():
     problem = reference_problem()
     broken = replace(problem, poses=replace(problem.poses, x=np.array([np.nan, 0, 0])))
     with pytest.raises(ControlError, match="not finite"):
-        multistart(broken, 10, None, SMALL, 1)
+        SMALL.search(broken, 10, None, 1, Limits())
 
 
 @given(st.floats(-1e4, 1e4))

@@ -7,17 +7,27 @@ from hypothesis import strategies as st
 from support import oracle, problems
 
 from tetractl.control.cost import evaluate
-from tetractl.control.optimizers import compiled, pso
+from tetractl.control.optimizers import pso
+from tetractl.control.optimizers.pso import Pso
 from tetractl.core.errors import ControlError
-from tetractl.experiment.controller import SwarmSpec
+from tetractl.core.plan import Limits
 
-SEARCHERS = pytest.mark.parametrize("search", [pso.pso, compiled.pso], ids=["numpy", "compiled"])
+
+def numpy(problem, length, warm, section, key, evaluations=None):
+    return pso.pso(section, problem, length, warm, key, Limits(evaluations))
+
+
+def compiled(problem, length, warm, section, key, evaluations=None):
+    return section.search(problem, length, warm, key, Limits(evaluations))
+
+
+SEARCHERS = pytest.mark.parametrize("search", [numpy, compiled])
 NO_STOP = {"type": "budget"}
 
 
-def swarm(particles=7, iterations=3, stop=NO_STOP, **weights) -> SwarmSpec:
+def swarm(particles=7, iterations=3, stop=NO_STOP, **weights) -> Pso:
     fields = {"particles": particles, "iterations": iterations, "stop": stop, **weights}
-    return SwarmSpec.model_validate(fields)
+    return Pso.model_validate(fields)
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
@@ -38,7 +48,7 @@ def test_the_swarm_moves_by_14_to_19(seed, particles, length, iterations, warm, 
     start = rng.uniform(-math.pi, math.pi, length) if warm else None
     assume(problems.is_decided(problems.problem(world), length, start, spec, seed))
     slow = oracle.search(world, length, start, spec, seed, iterations)
-    for search in (pso.pso, compiled.pso):
+    for search in (numpy, compiled):
         fast = search(problems.problem(world), length, start, spec, seed)
         assert fast.history == pytest.approx(slow.history, rel=1e-9)
         assert fast.signals == pytest.approx(slow.u_gb, abs=1e-9)

@@ -90,7 +90,7 @@ def test_a_place_in_a_spec_is_described_by_the_kind_that_stands_there():
 
 
 def test_fields_are_found_by_name_anywhere():
-    assert list(homes("particles")) == ["controller.swarm.particles"]
-    assert list(homes("window")) == ["controller.swarm.stop.window"]
+    assert list(homes("particles")) == ["controller.optimizer.particles"]
+    assert list(homes("window")) == ["controller.optimizer.stop.window"]
     assert "robots.0.speed" in homes("speed")
     assert list(homes("nothing")) == []

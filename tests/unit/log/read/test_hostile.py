@@ -20,10 +20,11 @@ from tetractl.core.errors import LogError, TetractlError
 from tetractl.log.format.channels import MOCAP, RECOVERED, RESULT, RUN, STEP, TIMING, TRUTH
 from tetractl.log.format.tetractl_pb2 import ControllerStep, MocapSample, Truth
 from tetractl.log.read import salvage
+from tetractl.log.read.contents import Contents
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
-from tetractl.log.read.salvage import MAGIC, Contents, scan
+from tetractl.log.read.salvage import MAGIC, scan
 from tetractl.replay.verify import verify
 
 
@@ -47,7 +48,7 @@ def test_a_damaged_log_is_read_as_far_as_it_is_good(log: Path, tmp_path: Path, k
     copies = getattr(original, kind)(150, random.Random(5))
     tally = fuzz(original, copies, tmp_path / "copy.mcap")
     assert tally.wrong == []
-    assert tally.chunks_recovered == tally.chunks_complete > 150
+    assert tally.chunks_recovered == tally.chunks_complete > 100
 
 
 def test_a_record_whose_name_is_damaged_is_not_believed(log: Path, tmp_path: Path) -> None:
@@ -214,7 +215,7 @@ def test_names_in_a_log_are_no_paths(tmp_path: Path, log: Path, name: str) -> No
     folder.mkdir(parents=True)
     path = with_chunks(log, folder / "trial.mcap", [builder.end()])
     out = recover(path)
-    assert "evil" in [item.data.decode() for item in scan(Path(str(out.path))).attachments]
+    assert "evil" in [item.data.decode() for item in scan(Path(str(out.path))).attachments.values()]
     left = {str(Path(root, file)) for root, _, files in os.walk(tmp_path) for file in files}
     assert left == {str(path), str(out.path)}
 

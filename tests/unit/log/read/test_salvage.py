@@ -291,7 +291,7 @@ def _with_run(path: Path, facts: dict[str, str]) -> Path:
 
 
 def test_a_log_of_a_newer_format_is_refused(tmp_path: Path, log: Path) -> None:
-    facts = {**(scan(log).facts("tetractl.run") or {}), "format_version": "2"}
+    facts = {**(scan(log).metadata["tetractl.run"]), "format_version": "2"}
     del facts[CHECKSUM]
     with pytest.raises(LogError, match="of log format 2; this tetractl reads up to 1") as caught:
         read_trial(_with_run(tmp_path / "new.mcap", facts))

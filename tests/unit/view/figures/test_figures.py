@@ -12,7 +12,7 @@ from tetractl.core.colors import BLUE, GREEN, RED, robot_colors
 from tetractl.core.errors import LogError, UsageError
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.figures import KINDS, draw
+from tetractl.view.figures.kinds import FIGURES, draw
 from tetractl.view.figures.trajectory import trajectory_figure
 
 
@@ -117,7 +117,14 @@ def test_the_convergence_figure_takes_any_cost(log):
     step = log.steps[0]
     search = replace(step.plan.search, history=np.array([np.inf, 3.0, 0.0]), cost=0.0)
     plan = replace(step.plan, searches=(search,), chosen=0)
-    words(draw("convergence", [replace(log, steps=(replace(step, plan=plan),))]))
+    figure = draw("convergence", [replace(log, steps=(replace(step, plan=plan),))])
+    text = words(figure)
+    assert "at iteration 2" in text
+    assert "inf" not in text
+    assert "nan" not in text
+    (curve,) = [line for line in figure.axes[0].lines if line.get_marker() == "*"]
+    assert np.array_equal(curve.get_ydata(), [np.nan, 3.0, np.nan], equal_nan=True)
+    assert np.isfinite(figure.axes[0].get_ylim()).all()
 
 
 def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
@@ -151,7 +158,7 @@ def test_the_timing_figure_counts_misses_against_the_period():
     assert len(late.get_xdata()) == missed
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FIGURES.names())
 @pytest.mark.parametrize("ending", style.FORMATS)
 def test_the_same_log_gives_the_same_bytes(tmp_path, log, kind, ending):
     made = []
@@ -163,12 +170,12 @@ def test_the_same_log_gives_the_same_bytes(tmp_path, log, kind, ending):
     assert len(made[0]) > 5000
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FIGURES.names())
 def test_a_cut_log_is_drawn_as_far_as_it_goes(log, kind):
     assert words(draw(kind, [cut_short(log, 3)]))
 
 
-@pytest.mark.parametrize("kind", KINDS[1:])
+@pytest.mark.parametrize("kind", FIGURES.names()[1:])
 def test_an_empty_log_says_so(log, kind):
     with pytest.raises(LogError, match="holds no"):
         draw(kind, [cut_short(log, 0)])
@@ -178,7 +185,7 @@ def test_an_empty_log_still_shows_the_scene(log):
     assert "target" in words(draw("trajectory", [cut_short(log, 0)]))
 
 
-@pytest.mark.parametrize("kind", KINDS[1:])
+@pytest.mark.parametrize("kind", FIGURES.names()[1:])
 def test_one_trial_a_figure_but_for_trajectories(log, kind):
     with pytest.raises(UsageError, match="one trial"):
         draw(kind, [log, log])

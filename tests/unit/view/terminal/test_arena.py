@@ -8,7 +8,7 @@ from rich.style import Style
 from support.trials import experiment, three_robots
 
 from tetractl.core.setup import Bounds
-from tetractl.replay.frame import Frame, Recording
+from tetractl.replay.recording import Moment, Recording
 from tetractl.view.terminal.arena import ACROSS, DOWN, Canvas, Projection, draw
 from tetractl.view.terminal.glyphs import ASCII, UNICODE, arrow, bar, sparkline
 
@@ -59,7 +59,7 @@ def test_a_square_stays_square_in_dots():
 )
 def test_any_pose_whatever_can_be_drawn(pose, width, height, glyphs):
     spec = experiment()
-    frame = Frame(
+    frame = Moment(
         spec.setup,
         0.0,
         None,

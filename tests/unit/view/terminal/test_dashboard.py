@@ -8,12 +8,12 @@ from rich.console import Console
 from support.trials import cut_short, experiment, three_robots
 
 from tetractl.core.colors import robot_colors
-from tetractl.replay.frame import Recording
 from tetractl.replay.player import Player, span
+from tetractl.replay.recording import Recording
 from tetractl.view.terminal.dashboard import Footer
 from tetractl.view.terminal.glyphs import ASCII, UNICODE, glyphs_for
 from tetractl.view.terminal.replay_screen import dashboard
-from tetractl.view.terminal.replay_text import line
+from tetractl.view.terminal.replay_text import step_line
 
 
 class StillWall:
@@ -128,7 +128,7 @@ def test_many_robots_are_summed_up():
 
 def test_a_step_in_words(recording):
     step = recording.log.steps[3]
-    words = line(recording, 3)
+    words = step_line(recording, 3)
     assert words.startswith("  0.60 s  k 3 ")
     for part in (
         f"horizon {len(step.plan.signals)}",

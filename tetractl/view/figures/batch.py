@@ -1,65 +1,54 @@
-"""A batch as a figure: every trial a dot, its mean beside it, and the published result."""
+"""The errors of a batch: a dot for each trial, the means, and the published result."""
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.colors import BLUE, GREEN, RED
+from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
 from tetractl.stats.estimate import Distribution, describe_published
 from tetractl.stats.summary import Comparison, Summary
+from tetractl.view import style
 
-FORMATS = (".png", ".svg", ".pdf")
-
-_OURS, _THEIRS, _PUBLISHED = "#0072B2", "#009E73", "#D55E00"  # Okabe and Ito: safe for all eyes
 _ASIDE = 0.14  # how far dots stand left of the centre of their category
 _MANY = 100  # more trials than this get small dots
 _LABELS = 12  # most categories that get a label
-
-
-def check_plot_path(path: Path) -> None:
-    """Raise UsageError for a file that `save_figure` could not write."""
-    if path.suffix.lower() not in FORMATS:
-        raise UsageError(f"{path}: cannot plot to this kind of file", f"use {', '.join(FORMATS)}")
-    if not path.absolute().parent.is_dir():
-        raise UsageError(f"{path}: there is no folder {path.parent}")
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure; the suffix chooses the format."""
-    figure.savefig(path, dpi=200)
 
 
 def batch_figure(summary: Summary, comparison: Comparison | None = None) -> Figure:
     """Draw the total errors of the counted trials and, beside them, those of each robot."""
     if summary.counted == 0:
         raise LogError("no complete trial to plot")
-    figure = Figure(figsize=(7.0, 3.3), layout="constrained")
-    FigureCanvasAgg(figure)
+    with style.styled():
+        return _drawn(summary, comparison)
+
+
+def _drawn(summary: Summary, comparison: Comparison | None) -> Figure:
+    figure = style.figure(style.PAGE_IN, 3.3)
+    unit = style.unit_of(summary.unit)
     left, right = figure.subplots(1, 2, width_ratios=[1, 1.25], gridspec_kw={"wspace": 0.05})
     _finish(left, _totals(left, summary, comparison))
-    left.set_ylabel(f"total error [{summary.unit}]")
+    left.set_ylabel(f"total error [{unit}]")
     top = float(summary.errors.max())
     for i, (errors, found) in enumerate(zip(summary.errors.T, summary.robots, strict=True)):
-        _strip(right, i, errors, found, _OURS, top)
+        _strip(right, i, errors, found, BLUE, top)
     _finish(right, [robot.name for robot in summary.experiment.robots])
     whose = "each robot, this batch" if comparison else "each robot"
-    right.set_ylabel(f"error of {whose} [{summary.unit}]")
-    figure.legend(handles=_key(), loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    right.set_ylabel(f"error of {whose} [{unit}]")
+    figure.legend(handles=_key(), loc="outside lower center", ncols=3)
     return figure
 
 
 def _totals(axes: Axes, summary: Summary, comparison: Comparison | None) -> list[str]:
     """Draw the strips of total errors and return their labels."""
-    batches = [("this batch", summary, _OURS)]
+    batches = [("this batch", summary, BLUE)]
     if comparison and comparison.theirs.counted:
-        batches.append(("against", comparison.theirs, _THEIRS))
+        batches.append(("against", comparison.theirs, GREEN))
     top = max(float(batch.totals.max()) for _, batch, _ in batches)
     labels = []
     for i, (label, batch, color) in enumerate(batches):
@@ -67,7 +56,7 @@ def _totals(axes: Axes, summary: Summary, comparison: Comparison | None) -> list
         labels.append(f"{label}\nn = {batch.counted}")
     if reference := summary.experiment.reference:
         found = describe_published(reference.n, reference.mean, reference.std)
-        _mean(axes, len(labels), found, _PUBLISHED)
+        _mean(axes, len(labels), found, RED)
         labels.append(f"published\nn = {reference.n}")
     return labels
 
@@ -116,20 +105,17 @@ def _mean(axes: Axes, at: float, found: Distribution, color: str) -> None:
 
 def _finish(axes: Axes, labels: Sequence[str]) -> None:
     every = math.ceil(len(labels) / _LABELS)
-    axes.set_xticks(range(0, len(labels), every), labels[::every], fontsize=8)
+    axes.set_xticks(range(0, len(labels), every), labels[::every])
     axes.set_xlim(-0.5, len(labels) - 0.5)
     axes.set_ylim(bottom=0)
-    axes.tick_params(axis="y", labelsize=8)
     axes.tick_params(axis="x", length=0)
-    axes.yaxis.label.set_fontsize(9)
-    axes.grid(axis="y", color="0.9", linewidth=0.6)
+    axes.grid(axis="y", color=style.FAINT, linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _key() -> list[Line2D]:
-    def key(label: str, **style: object) -> Line2D:
-        return Line2D([], [], color="0.35", label=label, **style)  # pyright: ignore[reportArgumentType]
+    def key(label: str, **look: object) -> Line2D:
+        return Line2D([], [], color=style.GREY, label=label, **look)  # pyright: ignore[reportArgumentType]
 
     return [
         key("one trial", linestyle="none", marker="o", markersize=4, alpha=0.7),

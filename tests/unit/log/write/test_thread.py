@@ -10,9 +10,8 @@ from support.random_trials import trial, write
 from tetractl.core.errors import LogError
 from tetractl.log.read.reader import content_digest, read_trial
 from tetractl.log.write import sink
-from tetractl.log.write import spool as desk
+from tetractl.log.write import writer as module
 from tetractl.log.write.writer import LogWriter
-from tetractl.run.relay import Relay
 
 
 class Disk:
@@ -37,15 +36,15 @@ def test_a_disk_that_stands_still_does_not_hold_up_the_loop(
     """Every call returns while the disk stands still: nothing but the end waits."""
     disk = Disk(monkeypatch)
     made = trial(steps=40)
-    writer = LogWriter(tmp_path / "trial.mcap")
-    with writer, Relay(writer, lambda: writer.failure) as relay:
-        relay.on_start(made.start)
+    writer = LogWriter(tmp_path / "trial.mcap", real_time=True)
+    with writer:
+        writer.on_start(made.start)
         disk.stick(monkeypatch)
         for samples, step in made.rounds:
-            relay.on_samples(samples)
-            relay.on_step(step)
+            writer.on_samples(samples)
+            writer.on_step(step)
         disk.free.set()
-        relay.on_stop(made.stop, made.result)
+        writer.on_stop(made.stop, made.result)
     log = read_trial(tmp_path / "trial.mcap")
     assert (len(log.steps), len(log.frames), log.damage) == (40, len(made.samples), None)
 
@@ -54,7 +53,7 @@ def test_a_simulation_waits_for_the_disk_and_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = write(trial(steps=30), tmp_path / "plain.mcap")
-    monkeypatch.setattr(desk, "WAITING", 1)
+    monkeypatch.setattr(module, "SIZE", 1)
     monkeypatch.setattr(sink, "CHUNK_S", 0.0)
     slow = write(trial(steps=30), tmp_path / "slow.mcap")
     assert content_digest(slow) == content_digest(plain)
@@ -65,13 +64,13 @@ def test_a_disk_that_stays_still_ends_the_trial(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk = Disk(monkeypatch)
-    monkeypatch.setattr(desk, "WAITING", 4)
-    monkeypatch.setattr(desk, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(module, "SIZE", 4)
+    monkeypatch.setattr(module, "PATIENCE_S", 0.05)
     made = trial(steps=40)
     writer = LogWriter(tmp_path / "trial.mcap")
     writer.on_start(made.start)
     disk.stick(monkeypatch)
-    with pytest.raises(LogError, match=r"the disk took nothing for 0.05 s"):
+    with pytest.raises(LogError, match="the disk is too slow"):
         for samples, step in made.rounds:
             writer.on_samples(samples)
             writer.on_step(step)
@@ -86,20 +85,20 @@ def test_what_fails_in_the_thread_reaches_the_loop_at_its_next_call(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     made = trial(steps=3)
-    writer = LogWriter(tmp_path / "trial.mcap")
-    with writer, Relay(writer, lambda: writer.failure) as relay:
-        relay.on_start(made.start)
+    writer = LogWriter(tmp_path / "trial.mcap", real_time=True)
+    with writer:
+        writer.on_start(made.start)
 
         def refuse(handle: int) -> None:
             raise OSError(number, "the disk says no")
 
         monkeypatch.setattr(sink, "_sync_data", refuse)
         monkeypatch.setattr(sink, "CHUNK_S", 0.0)
-        relay.on_samples(made.samples)
+        writer.on_samples(made.samples)
         while writer.failure is None:  # the thread's own pace; no call asks for it
             pass
         with pytest.raises(LogError, match="cannot write the log: the disk says no"):
-            relay.on_step(made.steps[0])
+            writer.on_step(made.steps[0])
     log = read_trial(tmp_path / "trial.mcap.part")
     assert len(log.frames) == len(made.samples)
     assert [thread for thread in threading.enumerate() if thread.name.startswith("log ")] == []

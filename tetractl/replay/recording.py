@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.core.clock import SECOND, seconds
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Result, Step
@@ -12,7 +13,7 @@ from tetractl.log.read.trial_log import TrialLog
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class Moment:
     """One instant of a trial of N robots; lengths in the experiment's unit.
 
     `poses` (N, 3) as the cameras saw them last, `trail` (M, N, 2) the way there with NaN where a
@@ -55,7 +56,7 @@ class Recording:
         if log.stop:
             ends.append(log.stop.sent_ns)
         if log.result:
-            ends.append(log.result.duration_s * 1e9)
+            ends.append(log.result.duration_s * SECOND)
         self.end_ns = int(max(ends, default=0))
         self.totals = np.array(
             [log.start.setup.distances(step.observation.poses.xy).sum() for step in log.steps]
@@ -63,15 +64,15 @@ class Recording:
         self._trail = tracked(log.mocap, log.valid)
         self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
 
-    def at(self, time_ns: int) -> Frame:
+    def at(self, time_ns: int) -> Moment:
         """Return what was to be seen at a time of the trial [ns]."""
         log = self.log
         seen = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
         done = int(np.searchsorted(self.step_ns, time_ns, side="right"))
-        return Frame(
+        return Moment(
             setup=log.start.setup,
-            time_s=time_ns / 1e9,
-            end_s=self.end_ns / 1e9,
+            time_s=seconds(time_ns),
+            end_s=seconds(self.end_ns),
             poses=self._poses[seen],
             trail=self._trail[:seen],
             step=log.steps[done - 1] if done else None,

@@ -4,18 +4,22 @@ from support.batches import REFERENCE, batch, experiment
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
-from tetractl.stats.figure import batch_figure, check_plot_path, save_figure
 from tetractl.stats.summary import compare, summarise
+from tetractl.view.figures.batch import batch_figure
+from tetractl.view.style import file_format, save
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
 STARTS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
 
 @pytest.mark.parametrize("suffix", STARTS)
-def test_the_suffix_chooses_the_format(tmp_path, suffix):
-    path = tmp_path / f"batch.{suffix}"
-    save_figure(batch_figure(summarise(batch(ERRORS.tolist()))), path)
-    assert path.read_bytes().startswith(STARTS[suffix])
+def test_the_suffix_chooses_the_format_and_a_batch_always_gives_the_same_bytes(tmp_path, suffix):
+    paths = [tmp_path / f"{name}.{suffix}" for name in ("one", "two")]
+    for path in paths:
+        save(batch_figure(summarise(batch(ERRORS.tolist()))), path)
+    one, two = (path.read_bytes() for path in paths)
+    assert one.startswith(STARTS[suffix])
+    assert one == two
 
 
 def dots(axes):
@@ -45,8 +49,8 @@ def test_nothing_to_plot_is_an_error():
 
 
 def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path):
-    check_plot_path(tmp_path / "batch.PNG")
-    with pytest.raises(UsageError, match="cannot plot to this kind"):
-        check_plot_path(tmp_path / "batch.gif")
+    file_format(tmp_path / "batch.PNG")
+    with pytest.raises(UsageError, match=r"cannot write '\.gif' pictures"):
+        file_format(tmp_path / "batch.gif")
     with pytest.raises(UsageError, match="there is no folder"):
-        check_plot_path(tmp_path / "nowhere" / "batch.png")
+        file_format(tmp_path / "nowhere" / "batch.png")

@@ -1,0 +1,49 @@
+"""Compare every optimiser that is installed on step 0 of the reference experiment.
+
+    python benchmarks/optimizers.py              20 seeds each, some ten seconds an optimiser
+    python benchmarks/optimizers.py --seeds 3
+
+Each searches 44 signals once, with its defaults and without a warm start; J in mm.
+"""
+
+import argparse
+import time
+
+import numpy as np
+from solverbench.problems import LENGTH, printed, recommended
+from solverbench.report import load
+
+from tetractl.core.plan import Limits
+from tetractl.core.problem import Problem
+from tetractl.experiment.controller import OptimizerSection
+from tetractl.experiment.kinds import OPTIMIZERS
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20, help="searches by each optimiser")
+    seeds = parser.parse_args().seeds
+    print("| problem | optimiser | J, median | J, worst | evaluations, median | median [ms] |")
+    print("|---|---|---|---|---|---|")
+    for name, problem in (("as printed", printed()), ("as recommended", recommended())):
+        for kind in OPTIMIZERS.names():
+            optimizer = OPTIMIZERS.load(kind).model_validate({"type": kind})
+            print(f"| {name} | `{kind}` | {_figures(optimizer, problem, seeds)} |", flush=True)
+    print(f"\n{seeds} searches of {LENGTH} signals each, {load()}.")
+
+
+def _figures(optimizer: OptimizerSection, problem: Problem, seeds: int) -> str:
+    optimizer.search(problem, LENGTH, None, 0, Limits())  # compile
+    costs, evaluations, times = [], [], []
+    for key in range(seeds):
+        begin = time.perf_counter()
+        found = optimizer.search(problem, LENGTH, None, key, Limits())
+        times.append((time.perf_counter() - begin) * 1e3)
+        costs.append(found.cost)
+        evaluations.append(found.evaluations)
+    median, worst = np.median(costs), np.max(costs)
+    return f"{median:.3g} | {worst:.3g} | {np.median(evaluations):.0f} | {np.median(times):.1f}"
+
+
+if __name__ == "__main__":
+    main()

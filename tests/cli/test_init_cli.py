@@ -1,0 +1,103 @@
+"""`tetractl init`, as a user starts it in an empty folder."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tetractl.experiment.load import load_spec
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+
+
+@pytest.fixture
+def tetractl(tmp_path):
+    def run(*arguments):
+        command = [TETRACTL, *map(str, arguments)]
+        result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+        assert "Traceback" not in result.stdout + result.stderr
+        return result
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("options", "unit", "lab"),
+    [([], "mm", False), (["--cells"], "um", False), (["--lab"], "mm", True)],
+    ids=["robots", "cells", "lab"],
+)
+def test_a_new_spec_is_sound_and_runs_at_once(tetractl, tmp_path, options, unit, lab):
+    made = tetractl("init", "first", *options)
+    assert (made.returncode, made.stdout) == (0, "first.yaml\n")
+    assert made.stderr == "run it with: tetractl run first.yaml\n"
+    checked = tetractl("validate", "first.yaml", "--strict")
+    assert (checked.returncode, checked.stderr) == (0, "")
+    assert checked.stdout.startswith("first.yaml: ok: name first, robots 2")
+    experiment = load_spec(tmp_path / "first.yaml").experiment
+    assert (experiment.units.length, experiment.lab is not None) == (unit, lab)
+    done = tetractl("run", "first.yaml", "--trials", 2, "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert (result["arrived"], result["obstacle_violations"]) == (2, 0)
+
+
+def test_the_lab_of_a_new_spec_can_be_used(tetractl):
+    tetractl("init", "first", "--lab")
+    done = tetractl("run", "first.yaml", "--plant", "lab", "--dry-run", "--strict")
+    assert done.returncode == 0, done.stderr
+    assert "cameras" in done.stdout.partition("# Limits")[2]
+
+
+def test_every_line_has_room_and_the_comments_name_the_file(tetractl, tmp_path):
+    for options in ([], ["--cells"], ["--lab"]):
+        name = "-".join(["x", *options]).replace("--", "")
+        tetractl("init", name, *options)
+        text = (tmp_path / f"{name}.yaml").read_text("utf-8")
+        assert max(map(len, text.splitlines())) <= 100
+        assert f"tetractl run {name}.yaml" in text
+        assert text.count("#") > 15
+
+
+def test_a_file_is_never_overwritten(tetractl, tmp_path):
+    (tmp_path / "mine.yaml").write_text("my work\n")
+    for name in ("mine", "mine.yaml"):
+        result = tetractl("init", name)
+        assert result.returncode == 2
+        assert result.stderr.startswith("error: mine.yaml: is there already\nhint: ")
+    assert (tmp_path / "mine.yaml").read_text() == "my work\n"
+    assert list(tmp_path.iterdir()) == [tmp_path / "mine.yaml"]
+
+
+def test_without_a_name_it_is_called_experiment(tetractl, tmp_path):
+    assert tetractl("init").stdout == "experiment.yaml\n"
+    assert load_spec(tmp_path / "experiment.yaml").experiment.name == "experiment"
+
+
+@pytest.mark.parametrize("name", ["5", "true", "1e3", "null", "0x1f", "a.b-c_d"])
+def test_names_that_yaml_reads_otherwise_are_quoted(tetractl, tmp_path, name):
+    assert tetractl("init", name).returncode == 0
+    assert load_spec(tmp_path / f"{name}.yaml").experiment.name == name
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a b", "-x.y", ".yaml", "a\nb", "n" * 65])
+def test_other_names_are_refused_in_a_line(tetractl, tmp_path, name):
+    result = tetractl("init", "--", name)
+    assert result.returncode == 2
+    assert "is no name of an experiment" in result.stderr
+    assert len(result.stderr.splitlines()) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_one_line(tetractl):
+    result = tetractl("init", "no/first")
+    assert result.returncode == 2
+    assert result.stderr == "error: no/first.yaml: cannot be written: No such file or directory\n"
+
+
+def test_lab_and_cells_do_not_go_together(tetractl, tmp_path):
+    result = tetractl("init", "--lab", "--cells")
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: --lab and --cells")
+    assert list(tmp_path.iterdir()) == []

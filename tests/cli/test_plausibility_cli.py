@@ -1,0 +1,121 @@
+"""Warnings as a user meets them: validate, run and --dry-run, and none where logs are read."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.paths import ROOT
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+ALIKE = """\
+name: alike
+arena: {left: 0, bottom: 0, width: 1000, height: 1000}
+robots:
+  - {name: one, start: [100, 300], target: [300, 300], a: 6, speed: 200}
+  - {name: two, start: [100, 700], target: [300, 750], a: 6, speed: 200}
+controller: {horizon_max: 6, steps_max: 6, swarm: {type: pso, particles: 10, iterations: 10}}
+trials: {count: 1, seed: 7}
+"""
+WARNINGS = [
+    "warning: alike.yaml:4:3: robots: least total error of any plan: 50 mm; no controller can do "
+    "better with these a, speeds, starts and targets",
+    "warning: alike.yaml:5:59: robots.1.a: 6: is that of one, and so is the start heading: two can "
+    "only follow in parallel, and the least total error of the 2 is 50 mm; give them different a, "
+    "or targets that lie to each other as the starts do",
+]
+
+
+@pytest.fixture
+def tetractl(tmp_path):
+    (tmp_path / "alike.yaml").write_text(ALIKE, encoding="utf-8")
+
+    def run(*arguments):
+        command = [TETRACTL, *map(str, arguments)]
+        result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+        assert "Traceback" not in result.stdout + result.stderr
+        return result
+
+    return run
+
+
+def warned(result):
+    return [line for line in result.stderr.splitlines() if line.startswith("warning: ")]
+
+
+def test_validate_warns_a_line_each_and_the_spec_is_still_ok(tetractl):
+    result = tetractl("validate", "alike.yaml")
+    assert result.returncode == 0
+    assert result.stdout.startswith("alike.yaml: ok: ")
+    assert result.stderr.splitlines() == WARNINGS
+
+
+def test_strict_makes_warnings_an_error(tetractl):
+    good = ROOT / "experiments" / "single_cell.yaml"
+    assert tetractl("validate", good, "--strict").returncode == 0
+    assert tetractl("validate", good, "alike.yaml", "--strict").returncode == 2
+
+
+def test_json_holds_warnings_and_the_least_error(tetractl):
+    good = ROOT / "experiments" / "single_cell.yaml"
+    result = tetractl("validate", good, "alike.yaml", "--set", "trials.seed=2", "--json")
+    sound, doubtful = json.loads(result.stdout)["specs"]
+    assert (sound["ok"], sound["warnings"], sound["least_total_error"]) == (True, [], 0)
+    assert doubtful["ok"]
+    assert doubtful["least_total_error"] == pytest.approx(50)
+    first, second = doubtful["warnings"]
+    assert (first["field"], first["line"], first["column"]) == ("robots", 4, 3)
+    assert (second["field"], second["line"], second["value"]) == ("robots.1.a", 5, "6")
+    assert second["hint"].startswith("give them different a")
+
+
+def test_a_run_warns_and_runs(tetractl, tmp_path):
+    result = tetractl("run", "alike.yaml", "--out", "logs", "--json")
+    assert result.returncode == 0
+    assert warned(result) == WARNINGS
+    error = json.loads(result.stdout)["trials"][0]["total_error"]
+    assert error > 50 - 1e-6
+
+
+def test_a_dry_run_warns(tetractl, tmp_path):
+    result = tetractl("run", "alike.yaml", "--dry-run")
+    assert result.returncode == 0
+    assert result.stderr.splitlines() == WARNINGS
+    (tmp_path / "kept.yaml").write_text(result.stdout)
+    assert len(warned(tetractl("validate", "kept.yaml"))) == 2
+
+
+@pytest.mark.parametrize("more", [["--dry-run"], []])
+def test_a_strict_run_runs_nothing(tetractl, tmp_path, more):
+    result = tetractl("run", "alike.yaml", "--strict", "--out", "logs", *more)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    *warnings, error = result.stderr.splitlines()
+    assert warnings == WARNINGS
+    assert error == "error: the spec has 2 warnings, and --strict allows none; nothing was run"
+    assert not (tmp_path / "logs").exists()
+
+
+def test_a_sound_spec_is_run_under_strict(tetractl):
+    apart = ["--set", "robots.two.a=3", "--strict", "--dry-run"]
+    assert tetractl("run", "alike.yaml", *apart).returncode == 0
+
+
+def test_reading_logs_warns_of_nothing(tetractl, tmp_path):
+    assert tetractl("run", "alike.yaml", "--out", "logs", "--quiet").returncode == 0
+    (tmp_path / "alike.yaml").unlink()
+    log = "logs/trial-000.mcap"
+    for words in (
+        ["info", log],
+        ["stats", "logs"],
+        ["replay", log],
+        ["verify", log],
+        ["plot", log, "-o", "figure.png"],
+        ["run", "--from", log, "--out", "again"],
+    ):
+        result = tetractl(*words)
+        assert result.returncode == 0, result.stderr
+        assert warned(result) == []
+    shutil.rmtree(tmp_path / "again")

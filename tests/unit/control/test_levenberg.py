@@ -1,0 +1,112 @@
+"""The readable Levenberg-Marquardt and its compiled twin, and what both promise."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support import problems
+
+from tetractl.control import levenberg
+from tetractl.control.cost import evaluate, predict
+from tetractl.control.kernels.levenberg import lay_route
+from tetractl.control.kernels.levenberg import polish as compiled_polish
+
+MOTIONS = st.sampled_from(["euler", "arc", "exact"])
+TOLERANCE, SLACK = 1e-3, 0.5
+
+
+def compiled(problem, start, iterations, budget=2**62):
+    route = lay_route(problem, len(start))
+    rows, signals = len(route.residual), start.copy()
+    history = np.empty(iterations + 1)
+    merit, z, evaluations = compiled_polish(
+        route, signals, TOLERANCE, SLACK, iterations, budget, np.empty((rows, rows)), history
+    )
+    return levenberg.Polished(signals, merit, history[: z + 1].copy(), evaluations)
+
+
+def random_start(seed, length):
+    """A smooth sequence, as the optimiser polishes."""
+    knots = np.random.default_rng(seed).uniform(-math.pi, math.pi, 4)
+    return np.interp(np.linspace(0, 3, length), np.arange(4), knots)
+
+
+@settings(max_examples=120, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 4),
+    obstacles=st.integers(0, 4),
+    length=st.integers(1, 30),
+    motion=MOTIONS,
+    iterations=st.integers(1, 5),
+    budget=st.none() | st.integers(1, 200),
+)
+def test_the_compiled_twin_takes_the_same_steps(
+    seed, robots, obstacles, length, motion, iterations, budget
+):
+    problem = problems.problem(problems.world(seed, robots, obstacles, motion))
+    start = random_start(seed, length)
+    slow = levenberg.polish(problem, start, TOLERANCE, SLACK, iterations, budget)
+    fast = compiled(problem, start, iterations, 2**62 if budget is None else budget)
+    assert fast.history == pytest.approx(slow.history, rel=1e-6, abs=1e-6)
+    assert fast.evaluations == slow.evaluations
+    assert predict(problem, fast.signals)[..., :2] == pytest.approx(
+        predict(problem, slow.signals)[..., :2], abs=1e-3
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    obstacles=st.integers(0, 3),
+    length=st.integers(1, 40),
+    motion=MOTIONS,
+    twin=st.booleans(),
+    budget=st.integers(1, 400),
+)
+def test_a_polish_never_makes_it_worse_and_keeps_its_limits(
+    seed, obstacles, length, motion, twin, budget
+):
+    problem = problems.problem(problems.world(seed, 2, obstacles, motion))
+    start, kept = random_start(seed, length), random_start(seed, length)
+    if twin:
+        found = compiled(problem, start, 20, budget)
+    else:
+        found = levenberg.polish(problem, start, TOLERANCE, SLACK, 20, budget)
+    assert np.array_equal(start, kept)
+    assert np.all(np.diff(found.history) <= 0)
+    assert found.merit == found.history[-1]
+    assert len(found.history) <= 21
+    assert found.evaluations <= budget
+    assert evaluate(problem, found.signals[None]).target[0] <= found.merit * (1 + 1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32), length=st.integers(1, 20), motion=MOTIONS)
+def test_the_derivatives_are_those_of_the_prediction(seed, length, motion):
+    """Against differences of whole predictions, one signal nudged at a time."""
+    problem = problems.problem(problems.world(seed, 3, 0, motion))
+    u, h = random_start(seed, length), 1e-5
+    path, by_signal = levenberg.positions(problem, u)
+    assert path == pytest.approx(predict(problem, u)[1:, :, :2], rel=1e-12)
+    for j in range(length):
+        nudge = h * np.eye(length)[j]
+        up, down = predict(problem, u + nudge), predict(problem, u - nudge)
+        numeric = (up - down)[1:, :, :2] / (2 * h)
+        assert by_signal[..., j] == pytest.approx(numeric, rel=1e-5, abs=1e-4)
+
+
+@pytest.mark.parametrize("twin", [False, True])
+def test_one_robot_in_the_open_is_brought_to_its_target(twin):
+    problem = problems.problem(problems.world(3, robots=1, obstacles=0, model="exact"))
+    gap = problem.targets[0] - problem.poses.xy[0]
+    length = math.ceil(1.5 * np.hypot(*gap) / problem.speed[0] / problem.period)
+    start = np.linspace(0, 2, length)
+    found = (
+        compiled(problem, start, 60)
+        if twin
+        else levenberg.polish(problem, start, TOLERANCE, SLACK, 60)
+    )
+    assert found.merit <= TOLERANCE

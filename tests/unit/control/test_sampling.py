@@ -1,0 +1,132 @@
+"""The optimisers that learn from samples, cross-entropy and MPPI, and what they are built from."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from unit.control import problems
+
+from tetractl.control.cost import evaluate
+from tetractl.control.curves import bearing, interpolate
+from tetractl.control.evaluate import compiled_costs
+from tetractl.control.optimizers.cem import CrossEntropy
+from tetractl.control.optimizers.mppi import Mppi
+from tetractl.control.progress import Progress
+from tetractl.core.errors import ControlError
+from tetractl.core.plan import Limits, StopReason
+from tetractl.experiment.load import load_spec
+
+EXPERIMENT = Path(__file__).parents[3] / "experiments" / "three_m3pi_paper.yaml"
+SMALL = [CrossEntropy(particles=12, elite=3, iterations=8), Mppi(particles=12, iterations=8)]
+OPTIMIZERS = pytest.mark.parametrize("optimizer", SMALL, ids=["cem", "mppi"])
+SOLVED = {"cem": (CrossEntropy(), 150.0), "mppi": (Mppi(), 100.0)}
+"""Each with its defaults, and the J to which it solves step 0 of the reference experiment [mm]."""
+
+
+@pytest.mark.parametrize(("optimizer", "cost"), SOLVED.values(), ids=list(SOLVED))
+def test_the_reference_problem_is_solved_to_a_stated_cost_from_any_seed(optimizer, cost):
+    experiment = load_spec(EXPERIMENT).experiment
+    problem = experiment.controller.problem(experiment.setup)
+    found = [optimizer.search(problem, 44, None, key, Limits()) for key in range(8)]
+    assert max(search.cost for search in found) <= cost
+    straight = np.full((1, 44), bearing(problem))
+    assert cost < 0.1 * evaluate(problem, straight).total[0]
+
+
+@OPTIMIZERS
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 3),
+    length=st.integers(1, 40),
+    warm=st.booleans(),
+    budget=st.none() | st.integers(13, 200),
+)
+def test_what_is_found_is_what_it_is_said_to_be(optimizer, seed, robots, length, warm, budget):
+    problem = problems.problem(problems.world(seed, robots))
+    start = np.random.default_rng(seed).uniform(-math.pi, math.pi, length) if warm else None
+    found = optimizer.search(problem, length, start, seed, Limits(budget))
+    assert found.signals.shape == (length,)
+    assert np.all(np.abs(found.signals) <= math.pi)
+    again = evaluate(problem, found.signals[None]).total[0]
+    assert found.cost == pytest.approx(again, rel=1e-9, abs=1e-9)
+    assert found.history[-1] == found.cost
+    assert np.all(np.diff(found.history) <= 0)
+    assert (found.cost <= optimizer.tolerance) == (found.stopped is StopReason.TARGET)
+    assert found.evaluations <= (optimizer.evaluations_max if budget is None else budget)
+    if start is not None:
+        assert found.cost <= evaluate(problem, start[None]).total[0] * (1 + 1e-9)
+
+
+@OPTIMIZERS
+def test_the_key_alone_decides(optimizer):
+    problem = problems.problem(problems.world(1))
+    one, two, other = (optimizer.search(problem, 9, None, key, Limits()) for key in (1, 1, 2))
+    assert one.history.tobytes() == two.history.tobytes()
+    assert one.signals.tobytes() == two.signals.tobytes()
+    assert one.signals.tobytes() != other.signals.tobytes()
+
+
+@OPTIMIZERS
+def test_a_warm_start_is_left_alone_and_better_than_none(optimizer):
+    problem = problems.problem(problems.world(2, obstacles=0))
+    warm = optimizer.model_copy(update={"iterations": 60}).search(problem, 20, None, 1, Limits())
+    kept = warm.signals.copy()
+    found = optimizer.search(problem, 20, warm.signals, 2, Limits())
+    assert warm.signals.tolist() == kept.tolist()
+    assert found.cost <= warm.cost * (1 + 1e-12)
+    assert found.cost < optimizer.search(problem, 20, None, 2, Limits()).cost
+
+
+@OPTIMIZERS
+def test_a_deadline_or_a_budget_ends_a_search_with_the_best_so_far(optimizer):
+    problem, whole = problems.problem(problems.world(3)), None
+    for looks in (1, 3):
+        late = iter([False] * looks)
+        found = optimizer.search(problem, 15, None, 1, Limits(expired=lambda: next(late, True)))  # noqa: B023
+        assert found.stopped is StopReason.DEADLINE
+        assert found.evaluations == 12 * (looks + 1)
+        same = optimizer.search(problem, 15, None, 1, Limits(evaluations=found.evaluations + 11))
+        assert same.stopped is StopReason.EVALUATIONS
+        assert same.signals.tobytes() == found.signals.tobytes()
+        assert whole is None or len(found.history) > len(whole.history)
+        whole = found
+
+
+@OPTIMIZERS
+def test_costs_that_are_not_finite_are_refused(optimizer):
+    world = problems.world(9, robots=1)
+    world.robots[0] = (math.nan, *world.robots[0][1:])
+    with pytest.raises(ControlError, match="not finite"):
+        optimizer.search(problems.problem(world), 4, None, 1, Limits())
+
+
+@given(st.integers(1, 9), st.integers(0, 60), st.integers(0, 2**32))
+def test_curves_pass_through_their_knots(count, extra, seed):
+    knots = np.random.default_rng(seed).normal(size=(count, 3))
+    length = count + extra
+    curve = interpolate(knots, length)
+    expected = [np.interp(np.linspace(0, count - 1, length), range(count), k) for k in knots.T]
+    assert pytest.approx(np.array(expected), abs=1e-12) == curve.T
+
+
+def test_compiled_costs_are_those_of_the_reference_and_may_be_asked_again():
+    problem = problems.problem(problems.world(5))
+    costs, rng = compiled_costs(problem, 7), np.random.default_rng(1)
+    for _ in range(2):
+        signals = rng.uniform(-math.pi, math.pi, (12, 7))
+        assert costs(signals) == pytest.approx(evaluate(problem, signals.T).total, rel=1e-9)
+
+
+def test_progress_keeps_the_best_and_counts():
+    progress = Progress(2, Limits(evaluations=5))
+    progress.add(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([7.0, 5.0]))
+    progress.add(np.array([[0.0], [0.0]]), np.array([6.0]))
+    assert progress.affords(2)
+    assert not progress.affords(3)
+    found = progress.search()
+    assert (found.signals.tolist(), found.cost, found.evaluations) == ([2.0, 4.0], 5.0, 3)
+    assert (found.history.tolist(), found.stopped) == ([5.0, 5.0], StopReason.EVALUATIONS)

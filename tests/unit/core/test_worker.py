@@ -1,0 +1,79 @@
+"""The background worker: order, a full queue, failures, and the end."""
+
+import threading
+
+import pytest
+
+from tetractl.core.errors import LogError
+from tetractl.core.worker import Worker
+
+
+def make(**changes) -> Worker:
+    settings = {"size": 10, "wait_s": 0.0, "patience_s": 10.0, "too_slow": LogError("too slow")}
+    return Worker("test", **(settings | changes))
+
+
+def test_calls_are_done_in_order_in_one_other_thread():
+    done: list[tuple[int, int]] = []
+    worker = make(wait_s=10.0)
+    for i in range(100):
+        worker.put(lambda i: done.append((i, threading.get_ident())), i)
+    worker.close()
+    assert [i for i, _ in done] == list(range(100))
+    assert {thread for _, thread in done} != {threading.get_ident()}
+    assert len({thread for _, thread in done}) == 1
+
+
+def test_a_full_queue_fails_at_once_and_what_waits_is_still_done():
+    done: list[int] = []
+    gate = threading.Event()
+    worker = make(size=2)
+    worker.put(gate.wait, 10)
+    with pytest.raises(LogError, match="too slow"):
+        for i in range(4):
+            worker.put(done.append, i)
+    worker.put(done.append, 9)  # dropped: the failure was raised
+    gate.set()
+    last = threading.Event()
+    worker.close(last.set)
+    assert last.wait(10)
+    assert done == list(range(len(done)))
+    assert 1 <= len(done) <= 2
+
+
+def test_a_failure_is_raised_once_and_ends_the_calls_but_not_the_last():
+    done: list[str] = []
+    worker = make()
+    worker.put(lambda: 1 / 0)
+    worker.put(done.append, "after")
+    with pytest.raises(ZeroDivisionError):
+        worker.drain()
+    worker.put(done.append, "later")
+    worker.close(lambda: done.append("last"))
+    assert done == ["last"]
+    assert isinstance(worker.failure, ZeroDivisionError)
+
+
+def test_a_thread_that_does_not_end_is_a_failure():
+    gate = threading.Event()
+    worker = make(patience_s=0.01)
+    worker.put(gate.wait, 10)
+    with pytest.raises(LogError, match="too slow"):
+        worker.drain()
+    worker.close()
+    gate.set()
+
+
+def test_tend_is_called_after_each_call_and_when_its_time_has_come():
+    tended = threading.Semaphore(0)
+    times = iter([0.001, 0.001, None])
+
+    def tend() -> float | None:
+        tended.release()
+        return next(times, None)
+
+    worker = make(tend=tend)
+    worker.put(lambda: None)
+    for _ in range(3):
+        assert tended.acquire(timeout=10)
+    worker.close()

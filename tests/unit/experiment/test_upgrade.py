@@ -1,0 +1,140 @@
+"""Old names in a spec: read, told, and complained of at the place where they were written."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.yaml import upgrade as module
+from tetractl.experiment.yaml.document import parse_document
+from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.experiment.yaml.upgrade import Renamed, Revalued, upgrade
+from tetractl.log.read.reader import read_trial
+from tetractl.replay.verify import verify
+
+ROOT = Path(__file__).parents[3]
+GOLDEN = ROOT / "tests" / "golden"
+HEAD = """name: s
+arena: {left: 0, bottom: 0, width: 9, height: 9}
+robots: [{name: r, start: [1, 1], target: [2, 2], a: 1, speed: 1}]
+"""
+OLD = """controller:
+  type: pso-mpc
+  model: exact
+  swarm: {type: multistart, particles: 20}
+plant: {motion: continuous}
+"""
+NEW = """controller:
+  type: mpc
+  motion: exact
+  optimizer: {type: multistart, particles: 20}
+plant: {motion: exact}
+"""
+
+
+def test_an_old_spec_is_the_same_experiment_and_each_old_name_is_told_once():
+    old, new = parse_spec(HEAD + OLD, "s.yaml"), parse_spec(HEAD + NEW, "s.yaml")
+    assert old.experiment == new.experiment
+    assert new.notices == ()
+    assert sorted(old.notices) == [
+        "s.yaml:5:3: controller.type: pso-mpc is now called mpc",
+        "s.yaml:6:3: controller.model is now called controller.motion",
+        "s.yaml:7:3: controller.swarm is now called controller.optimizer",
+        "s.yaml:8:9: plant.motion: continuous is now called exact",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("controller.swarm.particles=7", ["swarm.particles is now called"]),
+        ("controller.swarm={particles: 7}", ["swarm is now called"]),
+        ("controller={swarm: {particles: 7}}", ["swarm is now called"]),
+        ("controller.optimizer.particles=7", []),
+    ],
+)
+def test_settings_may_use_old_names(setting, told):
+    spec = parse_spec(HEAD, "s.yaml", [setting])
+    assert spec.experiment.controller.optimizer.particles == 7
+    assert len(spec.notices) == len(told)
+    for notice, words in zip(spec.notices, told, strict=True):
+        assert notice.startswith(f"--set {setting}: controller.")
+        assert words in notice
+
+
+def test_a_setting_by_its_old_name_reaches_into_the_spec():
+    spec = parse_spec(HEAD + NEW, "s.yaml", ["controller.swarm.rounds=3", "controller.model=arc"])
+    optimizer = spec.experiment.controller.optimizer
+    assert (optimizer.type, optimizer.particles, optimizer.rounds) == ("multistart", 20, 3)
+    assert spec.experiment.controller.motion == "arc"
+
+
+def test_errors_point_at_what_was_written():
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(HEAD + OLD.replace("particles: 20", "particles: -1"), "s.yaml")
+    (line,) = caught.value.lines()
+    assert line == "s.yaml:7:40: controller.optimizer.particles: -1: must be at least 1"
+
+
+def test_an_old_and_a_new_name_together_are_refused():
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(HEAD + NEW.replace("plant:", "  swarm: {}\nplant:"), "s.yaml")
+    (line,) = caught.value.lines()
+    assert line.startswith("s.yaml:8:3: controller.swarm: is now called controller.optimizer, ")
+
+
+def test_keys_move_with_their_places_into_lists_and_other_mappings(monkeypatch):
+    changes = (Renamed("a.*.b", "a.*.c.d"), Renamed("e", "f.g"), Revalued("a.*.c.d", "x", "y"))
+    monkeypatch.setattr(module, "UPGRADES", changes)
+    document = parse_document("a: [{b: x, z: 1}, {}]\ne: {h: 1}\n", "s")
+    upgrade(document)
+    assert document.data == {"a": [{"z": 1, "c": {"d": "y"}}, {}], "f": {"g": {"h": 1}}}
+    assert document.values["f", "g", "h"].line == 2
+    assert document.values["a", 0, "c", "d"].column == 9
+    assert ("e", "h") not in document.values
+    assert module.upgraded_path(["a", "3", "b", "q"]) == ["a", "3", "c", "d", "q"]
+    assert module.upgraded_path(["a"]) == ["a"]
+
+
+def test_a_renamed_key_keeps_its_rank():
+    document = parse_document(HEAD + OLD, "s")
+    upgrade(document)
+    assert list(document.data["controller"]) == ["type", "motion", "optimizer"]
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "experiments").glob("*.yaml")), ids=lambda p: p.stem
+)
+def test_shipped_specs_use_todays_names(path):
+    assert load_spec(path).notices == ()
+
+
+@pytest.mark.parametrize(("name", "particles"), [("sim", 4), ("lab", 100), ("torn", 4)])
+def test_logs_with_old_names_are_read(name, particles):
+    log = read_trial(GOLDEN / f"format-1-{name}.mcap")
+    assert "swarm" in log.start.resolved
+    assert log.experiment.controller.optimizer.particles == particles
+
+
+@pytest.mark.parametrize(("name", "problems"), [("sim", set()), ("torn", {"damage"})])
+def test_logs_with_old_names_verify(name, problems):
+    found = verify(GOLDEN / f"format-1-{name}.mcap")
+    assert {problem.field for problem in found.problems} == problems
+    assert found.checked == found.steps > 0
+
+
+def test_the_command_line_tells_what_changed_once(tmp_path):
+    (tmp_path / "s.yaml").write_text(HEAD + OLD, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "tetractl", "validate", "--json", tmp_path / "s.yaml"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert json.loads(done.stdout)["specs"][0]["ok"]
+    notices = done.stderr.splitlines()
+    assert len(notices) == 4
+    assert all(line.startswith("notice: ") for line in notices)

@@ -1,0 +1,166 @@
+"""Disturbances as files of their own: what each hook changes, and what stays as it was."""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pytest
+from support.plants import sim
+from support.trials import experiment
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Poses
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+
+PERIOD = SECOND // 5
+ROBOTS = [  # two that hardly turn, along +x
+    {"name": "one", "start": [900, 800], "target": [1700, 500], "a": 1e-9, "speed": 100},
+    {"name": "two", "start": [900, 900], "target": [1700, 900], "a": 1e-9, "speed": 50},
+]
+
+
+class Given(DisturbanceSection):
+    """Builds the disturbance it is given."""
+
+    type: Literal["given"] = "given"
+    what: object
+
+    def build(self, setup, rng):
+        self.what.rng = rng
+        return self.what
+
+
+def plant(*disturbances, seed=1, **fields):
+    sections = [Given.model_construct(what=each) for each in disturbances]
+    return sim(
+        experiment(robots=ROBOTS, obstacles=[], plant={"disturbances": sections, **fields}), seed
+    )
+
+
+def driven(simulated, periods=5):
+    simulated.open()
+    sent = []
+    for k in range(periods):
+        sent.append(simulated.steer(0.0))
+        simulated.clock.sleep_until((k + 1) * PERIOD)
+    return sent, simulated.samples()
+
+
+def test_parameters_are_those_the_robots_move_by():
+    class Slower(Disturbance):
+        def parameters(self, a, speed):
+            return a, speed * [0.5, 1.0]
+
+    simulated = plant(Slower())
+    driven(simulated)
+    assert simulated.observe().poses.x - 900 == pytest.approx([50, 50])
+
+
+def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
+    class OneLosesAll(Disturbance):
+        def sent(self, order):
+            return replace(order, reached=order.reached & [False, True])
+
+    simulated = plant(OneLosesAll())
+    sent, _ = driven(simulated)
+    assert simulated.observe().poses.x - 900 == pytest.approx([0, 50])
+    assert all(command.delivered == (False, True) for command in sent)
+
+    class FirstIsLate(Disturbance):
+        late = 3 * PERIOD
+
+        def sent(self, order):
+            late, self.late = self.late, 0
+            return replace(order, due_ns=order.due_ns + late)
+
+    simulated = plant(FirstIsLate())
+    driven(simulated)
+    assert simulated.observe().poses.x - 900 == pytest.approx([40, 20])
+
+
+def test_a_stop_waits_for_a_late_command_and_settle_for_the_stop():
+    class Late(Disturbance):
+        def sent(self, order):
+            return replace(order, due_ns=order.due_ns + SECOND)
+
+    simulated = plant(Late())
+    simulated.open()
+    simulated.steer(0.0)
+    simulated.stop()
+    assert simulated.settle().final.x == pytest.approx([900, 900])
+    assert simulated.clock.now() > SECOND
+
+
+def test_moved_acts_between_two_frames_on_the_true_poses():
+    class Drift(Disturbance):
+        seconds = 0.0
+
+        def moved(self, poses, moving, seconds):
+            self.seconds += seconds
+            return Poses(poses.x, poses.y + 10 * seconds * moving, poses.heading)
+
+    drift = Drift()
+    simulated = plant(drift)
+    _, samples = driven(simulated)
+    truth = samples[-1].truth
+    assert truth.y - [800, 900] == pytest.approx([10, 10], abs=0.1)
+    assert samples[-1].observation.poses.y == pytest.approx(truth.y)
+    assert drift.seconds == pytest.approx(1.0, abs=0.02)
+
+
+def test_measured_acts_on_the_frame_alone_and_who_is_lost_keeps_the_last_pose():
+    class Blind(Disturbance):
+        def measured(self, poses, valid, time_s):
+            shifted = Poses(poses.x + 1, poses.y, poses.heading)
+            return shifted, valid & [True, time_s < 0.5]
+
+    simulated = plant(Blind())
+    _, samples = driven(simulated)
+    for sample in samples:
+        seen, truth = sample.observation, sample.truth
+        assert seen.poses.x[0] == pytest.approx(truth.x[0] + 1)
+        assert seen.valid.tolist() == [True, seen.sampled_ns < SECOND // 2]
+    last_seen = max(s.truth.x[1] for s in samples if s.observation.valid[1])
+    assert samples[-1].observation.poses.x[1] == pytest.approx(last_seen + 1)
+
+
+def test_disturbances_act_in_order_each_with_draws_of_its_own():
+    class Draws(Disturbance):
+        def __init__(self, factor):
+            self.factor = factor
+
+        def parameters(self, a, speed):
+            self.drawn = self.rng.uniform()
+            return a, (speed + self.factor) * 2
+
+    one, two = Draws(1.0), Draws(10.0)
+    simulated = plant(one, two)
+    assert simulated.speed.tolist() == [((100 + 1) * 2 + 10) * 2, ((50 + 1) * 2 + 10) * 2]
+    assert one.drawn != two.drawn
+    again, other = Draws(1.0), Draws(1.0)
+    plant(again)
+    plant(other, seed=2)
+    assert again.drawn == one.drawn != other.drawn
+
+
+def test_further_disturbances_leave_the_draws_of_the_others():
+    noisy = {"measurement_noise": {"position": 2}, "lost_commands": 0.3}
+    sent, alone = driven(plant(**noisy))
+    sent_both, both = driven(plant(Disturbance(), **noisy))
+    assert [c.delivered for c in sent] == [c.delivered for c in sent_both]
+    for one, two in zip(alone, both, strict=True):
+        assert one.observation.poses.array() == pytest.approx(two.observation.poses.array())
+
+
+def test_tracking_is_lost_as_often_and_as_long_as_the_spec_says():
+    section = {"type": "tracking-loss", "every": 0.3, "duration": 0.1}
+    spec = experiment(robots=ROBOTS, obstacles=[], plant={"disturbances": [section]})
+    simulated = sim(spec, seed=3)
+    simulated.open()
+    simulated.clock.sleep_until(200 * SECOND)
+    valid = np.array([sample.observation.valid for sample in simulated.samples()])
+    assert valid[0].all()
+    assert valid.mean(axis=0) == pytest.approx(0.75, abs=0.05)
+    losses = (np.diff(valid.astype(int), axis=0) == -1).sum(axis=0)
+    assert losses == pytest.approx(200 / 0.4, rel=0.15)
+    assert np.abs(np.corrcoef(valid.T)[0, 1]) < 0.05

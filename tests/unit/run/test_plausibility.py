@@ -1,0 +1,235 @@
+"""Each warning where it is due, with its number, and none where a spec is sound."""
+
+import re
+
+import numpy as np
+import pytest
+from support.bounded import best_plan, spec
+from support.paths import ROOT
+
+from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.run.plausibility.case import Case
+from tetractl.run.plausibility.robots import beyond_the_plan, out_of_reach
+from tetractl.run.plausibility.warnings import find_warnings
+
+EXPERIMENTS = sorted((ROOT / "experiments").glob("*.yaml"))
+THREE = ROOT / "experiments" / "three_m3pi.yaml"
+LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
+WALL = "{type: rectangle, left: 1200, bottom: 0, width: 100, height: 3000}"
+GAP = (
+    "{type: rectangle, left: 1200, bottom: 0, width: 100, height: 1380}, "
+    "{type: rectangle, left: 1200, bottom: 1410, width: 100, height: 2000}"
+)
+
+
+def found(path, *sets):
+    return {w.field: w for w in find_warnings(load_spec(path, sets), sets)}
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+def test_the_shipped_experiments_have_none(path):
+    assert find_warnings(load_spec(path)) == ()
+
+
+@pytest.mark.parametrize(
+    ("path", "sets", "field", "message", "hint"),
+    [
+        (THREE, ["robots.red.heading=90"], "robots.2.heading", "6.283 rad", "write 1.571"),
+        (THREE, ["robots.red.heading=-7"], "robots.2.heading", "6.283 rad", "write -0.1222"),
+        (
+            THREE,
+            ["robots.blue.a=6"],
+            "robots.1.a",
+            "is that of green, .* error of the 2 is 575.6 mm",
+            "different a",
+        ),
+        (
+            THREE,
+            ["robots.blue.a=5.9"],
+            "robots.1.a",
+            "blue and green differ by 1.7 % in a and 0 rad .* would be 575.6 mm",
+            "different a",
+        ),
+        (
+            THREE,
+            ["robots.blue.a=6", "robots.blue.heading=0.04"],
+            "robots.1.a",
+            "0 % in a and 0.04 rad in start heading",
+            "different a",
+        ),
+        (THREE, ["robots.blue.a=6"], "robots", "any plan: 575.6 mm", "no controller"),
+        (
+            THREE,
+            ["controller.steps_max=20", "controller.horizon_max=20"],
+            "robots.0.target",
+            "854.4 mm away; in the 4.2 s of a trial the robot drives 756 mm, 98.4 too few",
+            "steps_max",
+        ),
+        (
+            THREE,
+            ["controller.horizon_max=20"],
+            "controller.horizon_max",
+            "red is 894.4 mm from .* in 20 signals, 4 s, it drives 600 mm, 294.4 too few",
+            "more than 30",
+        ),
+        (
+            THREE,
+            ["controller.horizon_max=102"],
+            "controller.horizon_max",
+            "plans of 20.4 s outlast the trial, .* 20.2 s",
+            "horizon_max to 101",
+        ),
+        (THREE, [f"obstacles=[{WALL}]"], "robots.1.target", "walled off: .* within 49\\d", "gap"),
+        (
+            THREE,
+            [f"obstacles=[{GAP}]"],
+            "robots.1.target",
+            "no way to it that keeps 20 mm .* within 51\\d",
+            "margin",
+        ),
+        (
+            THREE,
+            ["robots.blue.target=[1420, 1200]", "controller.collision.margin=25"],
+            "robots.1.target",
+            "is 20 mm from the nearest obstacle or wall; the plans keep 25",
+            "margin",
+        ),
+        (
+            THREE,
+            ["controller.period=0.4", "controller.model=euler"],
+            "controller.period",
+            "a T = 2.4 for green, .* T = 0.4 s, is above 2: by (6) it overshoots",
+            "less than 0.333 s",
+        ),
+        (
+            THREE,
+            ["controller.period=0.6"],
+            "controller.period",
+            "a T = 3.6 for green, .* 2 robots do 90.9 %",
+            "less than 0.333 s",
+        ),
+        (
+            LAB,
+            ["controller.hold=14"],
+            "controller.period",
+            "a T = 4.2 for green, with signals held for T = 0.7 s, .* 3 robots do 87.8 %",
+            "0.333 s",
+        ),
+        (
+            THREE,
+            ["plant.dead_time=0.3"],
+            "plant.dead_time",
+            "is 0.3 s and the controller counts on 0 s: .* 1.5 control periods",
+            "controller.dead_time to 0.3",
+        ),
+        (
+            LAB,
+            ["robots.blue.start=[900, 890]"],
+            "robots.1.start",
+            "is 90 mm from the start of green; .* 110 mm",
+            "lab.limits.separation_mm",
+        ),
+        (
+            LAB,
+            ["robots.blue.target=[1700, 590]"],
+            "robots.1.target",
+            "is 90 mm from the target of green",
+            "apart",
+        ),
+    ],
+)
+def test_each_is_found_at_its_field_with_its_number(path, sets, field, message, hint):
+    warning = found(path, *sets)[field]
+    assert re.search(message.replace("(6)", r"\(6\)"), warning.message), warning.message
+    assert hint in warning.hint
+
+
+@pytest.mark.parametrize(
+    "sets",
+    [
+        ["robots.red.heading=6.28"],
+        ["robots.blue.a=6", "robots.blue.target=[1700, 900]", "robots.blue.speed=180"],
+        ["robots.blue.a=6", "robots.blue.heading=0.5"],
+        ["robots.blue.a=5.6"],
+        ["controller.horizon_max=101"],
+        ["controller.period=0.3", "controller.model=euler"],
+        ["controller.period=0.4"],
+        ["plant.dead_time=0.2"],
+        ["plant.dead_time=0.3", "controller.dead_time=0.25"],
+        ["obstacles=[]"],
+        ["robots.blue.start=[900, 890]"],
+    ],
+)
+def test_what_is_only_near_a_warning_is_none(sets):
+    assert found(THREE, *sets) == {}
+
+
+def test_the_lab_is_judged_in_millimetres_whatever_the_unit():
+    text = LAB.read_text("utf-8").replace("length: mm", "length: cm")
+    warnings = find_warnings(parse_spec(text, "cm"))
+    assert all("start" not in warning.field for warning in warnings)  # 400 cm apart
+    close = find_warnings(parse_spec(text.replace("[900, 1200]", "[900, 808]"), "cm"))
+    (start,) = [warning for warning in close if warning.field == "robots.1.start"]
+    assert "is 80 mm from the start of green" in start.message
+
+
+def test_a_warning_stands_at_its_line_or_at_its_setting():
+    text = THREE.read_text("utf-8").replace(
+        "heading: 0, target: [1700, 2000]", "heading: 90, target: [1700, 2000]"
+    )
+    (warning,) = find_warnings(parse_spec(text, "s.yaml"))
+    line = text[: text.index("heading: 90")].count("\n") + 1
+    assert str(warning).startswith(f"s.yaml:{line}:")
+    assert ": robots.2.heading: 90: is more than" in str(warning)
+    (set_,) = found(THREE, "robots.red.heading=90").values()
+    assert str(set_).startswith("--set robots.red.heading=90: robots.2.heading: 90: ")
+
+
+def test_warnings_come_in_the_order_of_their_lines():
+    warnings = found(THREE, "controller.steps_max=10", "robots.red.heading=90").values()
+    lines = [warning.line for warning in warnings if warning.line]
+    assert len(lines) > 3
+    assert lines == sorted(lines)
+    assert next(reversed(warnings)).line is None
+
+
+def test_very_many_robots_alike_are_one_line():
+    names = "".join(
+        f"  - {{name: r{i}, start: [{i}, 0], target: [{i * i % 97}, 90], a: 4, speed: 100}}\n"
+        for i in range(90)
+    )
+    text = f"name: many\narena: {{left: 0, bottom: 0, width: 100, height: 100}}\nrobots:\n{names}"
+    fields = [w.field for w in find_warnings(parse_spec(text, "many"))]
+    assert fields == ["robots", "robots.1.a"]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("big", ["1.0e+308", "1.0e+160", "1.0e-290"])
+def test_numbers_at_the_end_of_floating_point_break_nothing(big):
+    text = f"""
+name: big
+arena: {{left: -{big}, bottom: -{big}, width: {big}, height: {big}}}
+robots:
+  - {{name: a, start: [-{big}, -{big}], target: [0, 0], a: {big}, speed: {big}}}
+  - {{name: b, start: [0, 0], target: [0, -{big}], a: {big}, speed: 0, heading: 1.0e+300}}
+  - {{name: c, start: [0, 0], target: [0, -{big}], a: 1.0e-300, speed: 1.0e-300}}
+obstacles: [{{type: circle, center: [-{big}, 0], radius: 1.0e-320}}]
+controller: {{period: {big}, collision: {{margin: {big}, walls: true}}}}
+"""
+    for warning in find_warnings(parse_spec(text, "big")):
+        assert "\n" not in str(warning)
+
+
+def test_what_the_optimiser_solves_is_never_called_out_of_reach():
+    solved, warned = set(), set()
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        experiment = spec(rng, robots=2, signals=int(rng.integers(10, 40)), kind="apart")
+        case = Case.of(experiment)
+        if [*out_of_reach(case), *beyond_the_plan(case)]:
+            warned.add(seed)
+        if best_plan(experiment) < 1:
+            solved.add(seed)
+    assert len(solved) > 5
+    assert len(warned) > 3
+    assert not solved & warned

@@ -1,0 +1,24 @@
+"""Smooth random sequences: few knots with straight lines between them."""
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
+
+
+def bearing(problem: Problem) -> float:
+    """Return the direction from all robots towards all targets, the mean gap's [rad]."""
+    gaps = problem.targets - problem.poses.xy
+    return float(np.arctan2(gaps[:, 1].sum(), gaps[:, 0].sum()))
+
+
+def interpolate(knots: Floats, length: int) -> Floats:
+    """Return sequences (length, P) that are linear between knots (K, P), evenly spread.
+
+    The first signal is the first knot and the last one the last; K is at most `length`.
+    """
+    count = len(knots)
+    at = np.linspace(0, count - 1, length)
+    below = np.minimum(at.astype(np.int64), max(count - 2, 0))
+    share = (at - below)[:, None]
+    return knots[below] * (1 - share) + knots[np.minimum(below + 1, count - 1)] * share

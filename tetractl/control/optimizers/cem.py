@@ -1,0 +1,98 @@
+"""The cross-entropy method: fit a normal distribution to the best of its own samples.
+
+Source: de Boer, Kroese, Mannor and Rubinstein, "A tutorial on the cross-entropy method", Annals of
+Operations Research 134 (2005), section 3 (continuous optimisation, with smoothed updates).
+
+A sequence is u = base + W x: K knots x, joined by straight lines (W), added to the warm start, or
+to the bearing of the targets where there is none. The knots are independent, x_k ~ N(m_k, s_k^2).
+Each iteration draws P samples, takes the E of them with the least J, the elite, and moves the
+distribution towards it:
+
+    m <- (1 - alpha) m + alpha mean(elite),     s <- (1 - alpha) s + alpha std(elite)
+
+From m = 0 and s = spread the distribution contracts around a minimum of J. The best sample of all
+is the result; a warm start is evaluated first, so that the result is never worse.
+"""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.control.curves import bearing, interpolate
+from tetractl.control.evaluate import compiled_costs
+from tetractl.control.progress import Progress
+from tetractl.control.rng import normal
+from tetractl.core.plan import Limits, Search, StopReason
+from tetractl.core.poses import Floats, wrap
+from tetractl.core.problem import Problem
+from tetractl.experiment.base import Positive
+from tetractl.experiment.controller import OptimizerSection
+
+
+class CrossEntropy(OptimizerSection):
+    """The cross-entropy method of Rubinstein and Kroese over the knots of smooth sequences."""
+
+    type: Literal["cem"] = "cem"
+    particles: int = Field(default=256, ge=2, le=1_000_000)
+    """Samples P of an iteration."""
+    elite: int = Field(default=16, ge=1, le=1_000_000)
+    """The best samples E of an iteration, which the distribution is moved towards."""
+    iterations: int = Field(default=80, ge=1, le=1_000_000)
+    """Largest number of iterations of one search."""
+    knots: int = Field(default=24, ge=2, le=1000)
+    """Directions K of a sequence that are drawn, evenly spread over its length."""
+    spread: Positive = 3.0
+    """Standard deviation of the knots at first, without a warm start [rad]."""
+    spread_warm: Positive = 0.3
+    """Standard deviation of the knots at first, around a warm start [rad]."""
+    smoothing: float = Field(default=0.4, gt=0, le=1, allow_inf_nan=False)
+    """Weight alpha of an iteration's elite in the distribution of the next."""
+    tolerance: Positive = 1.0
+    """Cost J at which a sequence is good enough and the search ends [length unit]."""
+
+    @property
+    def iterations_max(self) -> int:
+        """Updates of the distribution."""
+        return self.iterations
+
+    @property
+    def evaluations_min(self) -> int:
+        """One iteration and a warm start."""
+        return self.particles + 1
+
+    @property
+    def evaluations_max(self) -> int:
+        """Every sample of every iteration, and a warm start."""
+        return self.particles * self.iterations + 1
+
+    @property
+    def good_enough(self) -> float:
+        """The tolerance."""
+        return self.tolerance
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Search sequences of `length` signals around the warm start or the targets' bearing."""
+        progress, costs = Progress(length, limits), compiled_costs(problem, self.particles)
+        base = np.full(length, bearing(problem)) if warm is None else warm
+        if warm is not None:
+            progress.add(warm[:, None], compiled_costs(problem, 1)(warm[:, None]))
+        shape = (min(self.knots, length), self.particles)
+        mean = np.zeros((shape[0], 1))
+        std = np.full_like(mean, self.spread if warm is None else self.spread_warm)
+        for z in range(self.iterations):
+            if progress.history and progress.cost <= self.tolerance:
+                progress.ended = StopReason.TARGET
+            if progress.history and not progress.affords(self.particles):
+                break
+            noise = normal(key, z * mean.size * self.particles, mean.size * self.particles)
+            knots = mean + std * noise.reshape(shape)
+            signals = wrap(base[:, None] + interpolate(knots, length))
+            found = costs(signals)
+            progress.add(signals, found)
+            elite = knots[:, np.argsort(found, kind="stable")[: self.elite]]
+            mean += self.smoothing * (elite.mean(axis=1, keepdims=True) - mean)
+            std += self.smoothing * (elite.std(axis=1, keepdims=True) - std)
+        return progress.search()

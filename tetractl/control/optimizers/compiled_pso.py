@@ -1,0 +1,98 @@
+"""Algorithm 1 by the compiled kernels: the twin of `tetractl.control.optimizers.pso.pso`."""
+
+import numpy as np
+
+from tetractl.control.cost import require_finite
+from tetractl.control.kernels import pso as kernel
+from tetractl.control.kernels.rollout import Course, aligned, costs, lay_out
+from tetractl.control.optimizers.pso import Pso, Swarm
+from tetractl.control.rng import mix
+from tetractl.control.stop import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
+from tetractl.core.plan import Limits, Search, StopReason
+from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
+
+NO_LIMIT = 2**62
+BETWEEN_LOOKS = 130_000  # robot-steps between two looks at the deadline, some 0.1 ms
+BETWEEN_SIGNALS = 2_000_000  # and between two chances for Python to see a Ctrl-C
+REASONS = {
+    kernel.CRITERION: StopReason.CRITERION,
+    kernel.ITERATIONS: StopReason.ITERATIONS,
+    kernel.TARGET: StopReason.TARGET,
+    kernel.EVALUATIONS: StopReason.EVALUATIONS,
+    kernel.PAUSED: StopReason.DEADLINE,
+}
+
+
+def pso(
+    section: Pso, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+) -> Search:
+    """Algorithm 1 with the same draws as the reference, to which it agrees but for rounding."""
+    course = lay_out(problem, section.particles)
+    swarm, evaluations = scatter(section, problem, course, length, warm, key)
+    rules = make_rules(section, key, evaluations, limits)
+    work = BETWEEN_LOOKS if limits.timed else BETWEEN_SIGNALS
+    stride = max(1, work // (length * section.particles * problem.a.size))
+    reason, z = kernel.PAUSED, 0
+    while reason == kernel.PAUSED and not limits.expired():
+        reason, z = kernel.iterate(course, swarm, rules, z, z + stride)
+    if reason == kernel.NOT_FINITE:
+        require_finite(swarm.cost)
+    history = swarm.history[: z + 1].copy()
+    evaluations += z * section.particles
+    return Search(length, swarm.u_gb, float(history[-1]), history, evaluations, REASONS[reason])
+
+
+def scatter(
+    section: Pso, problem: Problem, course: Course, length: int, warm: Floats | None, key: int
+) -> tuple[kernel.SwarmArrays, int]:
+    """Algorithm 1, lines 1-6: return the swarm and the evaluations spent."""
+    drawn = Swarm.scatter(section, length, key)
+    u, v, best = (aligned((length, section.particles)) for _ in range(3))
+    u[:], v[:], best[:] = drawn.u.T, drawn.v.T, drawn.best.T
+    best_cost = np.empty(section.particles)
+    costs(course, best, best_cost)
+    require_finite(best_cost)
+    evaluations = section.particles
+    history = np.empty(section.iterations + 1)
+    if warm is None:
+        leader = int(np.argmin(best_cost))
+        u_gb, history[0] = best[:, leader].copy(), best_cost[leader]
+    else:
+        first = np.empty(1)
+        costs(lay_out(problem, 1), np.ascontiguousarray(warm[:, None]), first)
+        require_finite(first)
+        u_gb, history[0] = warm.copy(), first[0]
+        evaluations += 1
+    cost, better = np.zeros((2, section.particles))
+    return kernel.SwarmArrays(u, v, best, cost, best_cost, better, u_gb, history), evaluations
+
+
+def make_rules(section: Pso, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:
+    """Return the parameters of (14)-(20) as the kernel reads them; `spent` counts evaluations."""
+    stop, window, decrease, target = _stop(section.stop)
+    return kernel.SwarmRules(
+        key=np.uint64(mix(key, 1)),
+        inertia=section.inertia,
+        cognitive=section.cognitive,
+        social=section.social,
+        iterations=section.iterations,
+        budget=NO_LIMIT if limits.evaluations is None else limits.evaluations,
+        spent=spent,
+        stop=stop,
+        window=window,
+        decrease=decrease,
+        target=target,
+    )
+
+
+def _stop(stop: Stop) -> tuple[int, int, float, float]:
+    match stop:
+        case PaperStop():
+            return kernel.PAPER_STOP, 10, 0.0, 0.0
+        case RelativeStop(window=window, decrease=decrease):
+            return kernel.RELATIVE_STOP, window, decrease, 0.0
+        case TargetStop(cost=cost):
+            return kernel.TARGET_STOP, 10, 0.0, cost
+        case BudgetStop():
+            return kernel.BUDGET_STOP, 10, 0.0, 0.0

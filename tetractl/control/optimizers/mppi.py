@@ -1,0 +1,99 @@
+"""Model predictive path integral control: the mean of noisy sequences, weighted by their cost.
+
+Source: Williams, Aldrich and Theodorou, "Model predictive path integral control: from theory to
+parallel computation", Journal of Guidance, Control, and Dynamics 40 (2017), algorithm 2.
+
+From a nominal sequence u, each iteration draws P perturbations e_p, curves of K normal knots with
+standard deviation s joined by straight lines, evaluates J(u + e_p), and moves the nominal sequence
+by the mean of the perturbations under the weights of a Boltzmann distribution of the cost:
+
+    w_p = exp(-(J(u + e_p) - min J) / lambda) / sum_q exp(-(J(u + e_q) - min J) / lambda)
+    u  <- u + sum_p w_p e_p
+
+The temperature lambda is `temperature` times the standard deviation of the iteration's costs, so
+that it needs no unit; s falls by the factor `cooling` from iteration to iteration. The nominal
+sequence is the first sample of each iteration, with e_1 = 0; the best sample of all is the result.
+"""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.control.curves import bearing, interpolate
+from tetractl.control.evaluate import compiled_costs
+from tetractl.control.progress import Progress
+from tetractl.control.rng import normal
+from tetractl.core.plan import Limits, Search, StopReason
+from tetractl.core.poses import Floats, wrap
+from tetractl.core.problem import Problem
+from tetractl.experiment.base import Positive
+from tetractl.experiment.controller import OptimizerSection
+
+
+class Mppi(OptimizerSection):
+    """Model predictive path integral control of Williams et al., iterated with falling noise."""
+
+    type: Literal["mppi"] = "mppi"
+    particles: int = Field(default=128, ge=2, le=1_000_000)
+    """Perturbed sequences P of an iteration, the nominal one among them."""
+    iterations: int = Field(default=150, ge=1, le=1_000_000)
+    """Largest number of iterations of one search."""
+    knots: int = Field(default=32, ge=2, le=1000)
+    """Normal knots K of a perturbation, evenly spread over its length."""
+    noise: Positive = 2.0
+    """Standard deviation s of the knots at first, without a warm start [rad]."""
+    noise_warm: Positive = 0.3
+    """Standard deviation s of the knots at first, around a warm start [rad]."""
+    cooling: float = Field(default=0.97, gt=0, le=1, allow_inf_nan=False)
+    """Factor by which s falls from iteration to iteration."""
+    temperature: Positive = 0.02
+    """Temperature lambda as a share of the costs' standard deviation."""
+    tolerance: Positive = 1.0
+    """Cost J at which a sequence is good enough and the search ends [length unit]."""
+
+    @property
+    def iterations_max(self) -> int:
+        """Moves of the nominal sequence."""
+        return self.iterations
+
+    @property
+    def evaluations_min(self) -> int:
+        """One iteration."""
+        return self.particles
+
+    @property
+    def evaluations_max(self) -> int:
+        """Every sample of every iteration."""
+        return self.particles * self.iterations
+
+    @property
+    def good_enough(self) -> float:
+        """The tolerance."""
+        return self.tolerance
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Search sequences of `length` signals from the warm start or the targets' bearing."""
+        progress, costs = Progress(length, limits), compiled_costs(problem, self.particles)
+        nominal = np.full(length, bearing(problem)) if warm is None else warm.copy()
+        std = self.noise if warm is None else self.noise_warm
+        shape = (min(self.knots, length), self.particles)
+        count = shape[0] * self.particles
+        for z in range(self.iterations):
+            if progress.history and not progress.affords(self.particles):
+                break
+            knots = std * normal(key, z * count, count).reshape(shape)
+            knots[:, 0] = 0.0
+            moves = interpolate(knots, length)
+            signals = wrap(nominal[:, None] + moves)
+            found = costs(signals)
+            progress.add(signals, found)
+            if progress.cost <= self.tolerance:
+                progress.ended = StopReason.TARGET
+                break
+            weights = np.exp((found.min() - found) / (self.temperature * found.std() + 1e-300))
+            nominal = nominal + moves @ (weights / weights.sum())
+            std *= self.cooling
+        return progress.search()

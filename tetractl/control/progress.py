@@ -1,0 +1,53 @@
+"""What a search has found so far and what it has spent, for optimisers."""
+
+import numpy as np
+
+from tetractl.core.plan import Limits, Search, StopReason
+from tetractl.core.poses import Floats
+
+
+class Progress:
+    """The best of the sequences of `length` signals evaluated so far.
+
+    `history` has one entry an iteration, (z + 1,); `ended` is why the search is over, None while it
+    goes on.
+    """
+
+    def __init__(self, length: int, limits: Limits) -> None:
+        self.length, self.limits = length, limits
+        self.best = np.zeros(length)
+        self.cost = np.inf
+        self.history: list[float] = []
+        self.evaluations = 0
+        self.ended: StopReason | None = None
+
+    def affords(self, evaluations: int) -> bool:
+        """Return whether the limits allow so many more evaluations now; if not, the search ends."""
+        if self.ended is None and not self.limits.allow(self.evaluations + evaluations):
+            self.ended = StopReason.EVALUATIONS
+        if self.ended is None and self.limits.expired():
+            self.ended = StopReason.DEADLINE
+        return self.ended is None
+
+    def add(self, signals: Floats, costs: Floats) -> None:
+        """Note the costs (P,) of sequences (length, P): one more entry of the history."""
+        self.evaluations += costs.size
+        leader = int(np.argmin(costs))
+        self.keep(signals[:, leader], float(costs[leader]))
+
+    def keep(self, signals: Floats, cost: float) -> None:
+        """Add an entry to the history; the sequence (length,) is kept if it is the best."""
+        if cost < self.cost or not self.history:
+            self.best, self.cost = signals.copy(), cost
+        self.history.append(self.cost)
+
+    def search(self) -> Search:
+        """Return what was found; a search that nothing else ended did all its iterations."""
+        return Search(
+            length=self.length,
+            signals=self.best,
+            cost=self.cost,
+            history=np.minimum.accumulate(np.array(self.history)),
+            evaluations=self.evaluations,
+            stopped=self.ended or StopReason.ITERATIONS,
+        )

@@ -1,0 +1,108 @@
+"""Calls done in order by a background thread, so that a slow disk or screen delays nobody."""
+
+import queue
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from tetractl.core.errors import TetractlError
+
+
+def _idle() -> float | None:
+    return None
+
+
+class Worker:
+    """A thread with a queue of at most `size` calls.
+
+    A call for which there is no place within `wait_s` fails, and so do `drain` and `close` where
+    the thread does not finish within `patience_s`; the error is `too_slow`. The first failure, of
+    these or of a call itself, is `failure`. The next `put`, `drain` or `check` raises it, once; of
+    the calls after it none is done. After each call, and whenever the time it returned has passed,
+    the thread calls `tend`, which returns the time until it wants to be called again [s], None for
+    after the next call.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        size: int,
+        wait_s: float,
+        patience_s: float,
+        too_slow: TetractlError,
+        tend: Callable[[], float | None] = _idle,
+    ) -> None:
+        self._wait_s, self._patience_s = wait_s, patience_s
+        self._too_slow, self._tend = too_slow, tend
+        self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
+        self._places = threading.Semaphore(size)
+        self.failure: Exception | None = None
+        self._raised = False
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, call: Callable[..., object], *args: object) -> None:
+        """Queue `call(*args)`."""
+        self.check()
+        if self.failure is None:
+            if self._places.acquire(timeout=self._wait_s):
+                self._calls.put(lambda: self._do(call, *args))
+            else:
+                self._fail(self._too_slow)
+                self.check()
+
+    def drain(self) -> None:
+        """Wait until every call so far is done."""
+        self.check()
+        if self.failure is None:
+            done = threading.Event()
+            self._calls.put(done.set)
+            if not done.wait(self._patience_s):
+                self._fail(self._too_slow)
+        self.check()
+
+    def check(self) -> None:
+        """Raise the failure unless it was raised before."""
+        if self.failure is not None and not self._raised:
+            self._raised = True
+            raise self.failure
+
+    def close(self, last: Callable[[], object] = _idle) -> None:
+        """Do what waits and then `last`, whatever failed before, and end the thread.
+
+        Raises nothing: see `failure`, or call `check`. A second call does nothing. After a stall
+        the thread is not waited for.
+        """
+        if not self._thread.is_alive():
+            return
+        self._calls.put(last)
+        self._calls.put(None)
+        if self.failure is not self._too_slow:
+            self._thread.join(self._patience_s)
+            if self._thread.is_alive():
+                self._fail(self._too_slow)
+
+    def _fail(self, error: Exception) -> None:
+        self.failure = self.failure or error
+
+    def _do(self, call: Callable[..., object], *args: object) -> None:
+        self._places.release()
+        if self.failure is None or self.failure is self._too_slow:
+            call(*args)
+
+    def _work(self) -> None:
+        wait_s: float | None = None
+        while True:
+            try:
+                call = self._calls.get(timeout=wait_s)
+            except queue.Empty:
+                call = _idle
+            if call is None:
+                return
+            try:
+                call()
+                wait_s = self._tend()
+            except Exception as error:
+                self._fail(error)
+                wait_s = None

@@ -1,0 +1,139 @@
+"""The records found in a log file, and its metadata decoded once."""
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from mcap.records import Attachment, Channel, Metadata, Schema
+
+from tetractl.core.errors import LogError
+from tetractl.core.trial import Result
+from tetractl.log import provenance
+from tetractl.log.format import channels
+from tetractl.log.format.channels import FORMAT_VERSION, Entry
+from tetractl.log.format.digest import CHECKSUM, DIGEST, ContentDigest
+from tetractl.log.format.metadata import RunRecord, read_damage, read_result, read_run
+from tetractl.log.read.trial_log import Damage
+
+
+@dataclass
+class Contents:
+    """The intact records of a log file; `problems` and `lost` are empty for an undamaged file."""
+
+    path: Path
+    size: int = 0  # bytes
+    records: list[Entry | Metadata | Attachment] = field(default_factory=list)  # in file order
+    chunks: int = 0
+    problems: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)  # by topic
+
+    @cached_property
+    def entries(self) -> list[Entry]:
+        """All messages, in file order."""
+        return [record for record in self.records if isinstance(record, Entry)]
+
+    @cached_property
+    def by_topic(self) -> dict[str, list[Entry]]:
+        """The messages of each topic, in file order."""
+        found: dict[str, list[Entry]] = defaultdict(list)
+        for entry in self.entries:
+            found[entry.topic].append(entry)
+        return found
+
+    @cached_property
+    def attachments(self) -> dict[str, Attachment]:
+        """The attachments by name; of two with one name, the first."""
+        found: dict[str, Attachment] = {}
+        for record in self.records:
+            if isinstance(record, Attachment):
+                found.setdefault(record.name, record)
+        return found
+
+    @cached_property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """The items of each metadata record by its name, as written; of two with one name, the
+        first."""
+        found: dict[str, dict[str, str]] = {}
+        for record in self.records:
+            if isinstance(record, Metadata):
+                found.setdefault(record.name, record.metadata)
+        return found
+
+    @cached_property
+    def run(self) -> RunRecord:
+        """The run record; LogError where it is lost, unreadable or of a newer log format."""
+        items = self.metadata.get(channels.RUN)
+        if items is None:
+            if self.problems:
+                raise LogError(f"{self.path}: damaged: the record of the run is lost")
+            raise LogError(f"{self.path}: an MCAP file, but no log of tetractl's")
+        try:
+            version = int(items["format_version"])
+            if version <= FORMAT_VERSION:
+                return read_run(items)
+        except (KeyError, RecursionError, TypeError, ValueError) as error:
+            raise LogError(f"{self.path}: the record of the run cannot be read: {error}") from None
+        raise LogError(
+            f"{self.path}: of log format {version}; this tetractl reads up to {FORMAT_VERSION}",
+            "update tetractl",
+        )
+
+    @cached_property
+    def result(self) -> Result | None:
+        """The result the log states, None where none can be read."""
+        items = self.metadata.get(channels.RESULT)
+        if items is None:
+            return None
+        try:
+            timing = self.metadata.get(channels.TIMING)
+            return read_result(items, timing, len(self.run.robots))
+        except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError):
+            return None
+
+    @property
+    def stated_digest(self) -> str | None:
+        """The content digest that the result record states."""
+        return self.metadata.get(channels.RESULT, {}).get(DIGEST)
+
+    @cached_property
+    def recovered(self) -> Damage | None:
+        """The damage of the log that this one was recovered from, None for none."""
+        items = self.metadata.get(channels.RECOVERED)
+        if items is None:
+            return None
+        try:
+            return read_damage(items)
+        except (KeyError, RecursionError, TypeError, ValueError):
+            return Damage(("recovered from a damaged log",), ())
+
+    @cached_property
+    def host(self) -> dict[str, str]:
+        """Machine and hour of the run."""
+        items = self.metadata.get(channels.HOST, {})
+        return {k: v for k, v in items.items() if k != CHECKSUM and not provenance.is_version(k)}
+
+    @cached_property
+    def versions(self) -> dict[str, str]:
+        """Versions of the code that ran the trial."""
+        items = self.metadata.get(channels.HOST, {})
+        return {key: value for key, value in items.items() if provenance.is_version(key)}
+
+    def text(self, name: str) -> str | None:
+        """Return an attachment as text, None where it is lost."""
+        found = self.attachments.get(name)
+        return None if found is None else found.data.decode(errors="replace")
+
+    @cached_property
+    def digest(self) -> str:
+        """The content digest, computed from the records."""
+        digest = ContentDigest()
+        for record in self.records:
+            if isinstance(record, Entry):
+                digest.message(record)
+            elif isinstance(record, Metadata):
+                digest.metadata(record.name, record.metadata)
+            else:
+                digest.attachment(record.name, record.media_type, record.data)
+        return digest.hexdigest()

@@ -1,0 +1,42 @@
+"""`{type: tracking-loss}`: the camera loses a robot for a while, as behind a cable or a hand."""
+
+from typing import Literal
+
+import numpy as np
+
+from tetractl.core.poses import Bools, Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Positive
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+
+
+class TrackingLossSection(DisturbanceSection):
+    """The camera loses each robot now and then, all independently."""
+
+    type: Literal["tracking-loss"]
+    every: Positive
+    """Mean time a robot is tracked between two losses [s], exponentially distributed."""
+    duration: Positive = 0.2
+    """Mean time it then stays lost [s], exponentially distributed."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "TrackingLoss":
+        """Return the losses of one trial."""
+        return TrackingLoss(self, len(setup.names), rng)
+
+
+class TrackingLoss(Disturbance):
+    """Each robot is tracked and lost by turns; it is tracked at first."""
+
+    def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
+        self._means_s = (section.duration, section.every)  # by whether it is tracked
+        self._rng = rng
+        self._tracked = np.ones(robots, dtype=np.bool_)
+        self._until_s = rng.exponential(section.every, robots)
+
+    def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
+        """Return the poses as they are, the robots lost at this time as not tracked."""
+        for i in np.flatnonzero(self._until_s <= time_s):
+            while self._until_s[i] <= time_s:
+                self._tracked[i] = not self._tracked[i]
+                self._until_s[i] += self._rng.exponential(self._means_s[int(self._tracked[i])])
+        return poses, valid & self._tracked

@@ -1,0 +1,23 @@
+"""The statistics by name, in the order of the tables. A new one is one file and one line here."""
+
+from tetractl.core.registry import Registry
+from tetractl.stats.statistic import Statistic
+
+STATISTICS = Registry(
+    "tetractl.statistics",
+    "statistic",
+    {
+        "arrived": "tetractl.stats.outcomes:ARRIVED",
+        "obstacle_violations": "tetractl.stats.outcomes:OBSTACLE_VIOLATIONS",
+        "aborted": "tetractl.stats.outcomes:ABORTED",
+        "interrupted": "tetractl.stats.outcomes:INTERRUPTED",
+        "recovered": "tetractl.stats.outcomes:RECOVERED",
+        "solve_ms": "tetractl.stats.timing:SOLVE_MS",
+        "deadline_misses": "tetractl.stats.timing:DEADLINE_MISSES",
+    },
+)
+
+
+def statistics() -> list[Statistic]:
+    """Return every statistic, the built-in ones first."""
+    return [STATISTICS.load(name) for name in STATISTICS.names()]

@@ -1,0 +1,34 @@
+"""How the trials of a batch ended: counts and shares of trials."""
+
+from collections.abc import Sequence
+
+from tetractl.core.plan import Outcome
+from tetractl.log.read.trial_log import ResultSummary
+from tetractl.stats.statistic import Statistic, Value, count, share
+from tetractl.stats.text import NONE
+
+_ARRIVED = share("arrived", "arrived", lambda trial: trial.outcome is Outcome.ARRIVED)
+_ENTERED = share(
+    "obstacle_violations", "entered an obstacle", lambda trial: trial.result.entered_obstacle
+)
+
+
+def _arrived(trials: Sequence[ResultSummary]) -> Value:
+    found = _ARRIVED.of_batch(trials)
+    if trials[0].experiment.controller.arrival_tolerance > 0:
+        return found
+    return Value(found.items, (("arrived", f"{NONE} (no arrival_tolerance set)"),))
+
+
+ARRIVED = Statistic(_arrived)
+OBSTACLE_VIOLATIONS = Statistic(
+    _ENTERED.of_batch, lambda trial: {"entered_obstacle": trial.result.entered_obstacle}
+)
+ABORTED = count("aborted", "aborted", lambda trial: trial.outcome is Outcome.ABORTED)
+INTERRUPTED = count(
+    "interrupted", "interrupted", lambda trial: trial.outcome is Outcome.INTERRUPTED
+)
+RECOVERED = Statistic(
+    count("recovered", "read from damaged logs", lambda trial: trial.recovered).of_batch,
+    lambda trial: {"recovered": trial.recovered},
+)

@@ -1,0 +1,101 @@
+"""The paper's Figure 3: the cost of the best sequence over the iterations of the optimiser."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from tetractl.core.colors import BLUE, RED
+from tetractl.core.trial import Step
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.view import style
+from tetractl.view.figures.axes import need_steps, one_trial, plain_log, positive, span
+
+
+def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
+    """Draw J(u_gb) against the iteration for step 0 (Figure 3), and what later searches gained."""
+    log = one_trial(logs)
+    need_steps(log)
+    unit = style.unit_of(log.start.setup.unit)
+    with style.styled():
+        figure = style.figure(style.PAGE_IN, 2.75)
+        grid = figure.add_gridspec(2, 2, width_ratios=[1.15, 1], height_ratios=[1.6, 1])
+        first = figure.add_subplot(grid[:, 0])
+        gain = figure.add_subplot(grid[0, 1])
+        count = figure.add_subplot(grid[1, 1], sharex=gain)
+        _first_plan(first, log.steps[0], unit)
+        _later_plans(gain, log.steps, unit)
+        _iterations(count, log.steps, log.start.setup.iterations_max)
+        gain.tick_params(labelbottom=False)
+    return figure
+
+
+def _first_plan(axes: Axes, step: Step, unit: str) -> None:
+    for search in step.plan.searches:
+        if search is not step.plan.search:
+            axes.plot(positive(search.history), color=style.FAINT, lw=0.6, zorder=1)
+    best = step.plan.search
+    history = positive(best.history)
+    axes.plot(history, "*-", color=BLUE, ms=4, mew=0, lw=1.0, zorder=3)
+    last = len(history) - 1
+    axes.plot(last, history[-1], "o", ms=8, mfc="none", mec=RED, mew=1.2, zorder=4)
+    longest = max(len(search.history) for search in step.plan.searches) - 1
+    side = "right" if last > longest / 2 else "left"
+    note = f"{best.length} signals: stopped\nat iteration {last} ({best.stopped})"
+    axes.annotate(
+        note, (last, history[-1]), (0, -9), textcoords="offset points", ha=side, va="top",
+        fontsize=6.5, color=RED,
+    )  # fmt: skip
+    axes.set_yscale("log")
+    finite = np.concatenate([positive(search.history) for search in step.plan.searches])
+    low, high = span(finite)
+    axes.set_ylim(low * (low / high) ** 0.22, high * (high / low) ** 0.05)
+    plain_log(axes)
+    axes.set_xlabel("iteration z")
+    axes.set_ylabel(f"$J(u_{{gb}})$ [{unit}]")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    others = len(step.plan.searches) - 1
+    style.panel(axes, "a", f"control step {step.k}")
+    axes.legend(
+        handles=[
+            Line2D([], [], color=BLUE, marker="*", ms=5, mew=0, label="chosen"),
+            *(
+                [Line2D([], [], color=style.FAINT, label=f"{others} other horizons")]
+                if others
+                else []
+            ),
+        ],
+        loc="lower right",
+        bbox_to_anchor=(1.02, 0.985),
+        ncols=2,
+        borderaxespad=0.3,
+    )
+
+
+def _later_plans(axes: Axes, steps: Sequence[Step], unit: str) -> None:
+    k = np.array([step.k for step in steps])
+    begin = positive(np.array([step.plan.search.history[0] for step in steps]))
+    end = positive(np.array([step.plan.search.history[-1] for step in steps]))
+    axes.vlines(k, end, begin, color=style.FAINT, lw=1.6)
+    axes.plot(k, begin, "_", color=style.GREY, ms=4, mew=1.0, label="before")
+    axes.plot(k, end, ".-", color=BLUE, ms=4, lw=0.8, label="at the stop")
+    axes.set_yscale("log")
+    low, high = span(np.concatenate([begin, end]))
+    axes.set_ylim(low / (high / low) ** 0.06, high * (high / low) ** 0.25)
+    plain_log(axes)
+    axes.set_ylabel(f"$J(u_{{gb}})$ [{unit}]")
+    axes.legend(loc="upper right", ncols=2)
+    style.panel(axes, "b", "chosen search of each control step")
+
+
+def _iterations(axes: Axes, steps: Sequence[Step], most: int) -> None:
+    done = [len(step.plan.search.history) - 1 for step in steps]
+    axes.bar([step.k for step in steps], done, width=0.8, color=BLUE, alpha=0.55)
+    axes.axhline(most, color=style.GREY, lw=0.6, ls="--")
+    axes.set_ylim(0, most * 1.12)
+    axes.set_ylabel("iterations")
+    axes.set_xlabel("control step k")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))

@@ -1,0 +1,35 @@
+"""The figures of `tetractl plot` by name. A new figure is one file and one line here."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from tetractl.core.errors import UsageError
+from tetractl.core.registry import Registry
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from tetractl.log.read.trial_log import TrialLog
+
+FIGURES = Registry(
+    "tetractl.figures",
+    "figure",
+    {
+        "trajectory": "tetractl.view.figures.trajectory:trajectory_figure",
+        "convergence": "tetractl.view.figures.convergence:convergence_figure",
+        "error": "tetractl.view.figures.error:error_figure",
+        "timing": "tetractl.view.figures.timing:timing_figure",
+    },
+)
+
+
+def check_kind(kind: str) -> None:
+    """Raise UsageError for a name that no figure has."""
+    if kind not in FIGURES:
+        raise UsageError(f"no figure is called {kind!r}", f"there are {', '.join(FIGURES.names())}")
+
+
+def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
+    """Draw the figure of a kind; only a trajectory shows several trials."""
+    check_kind(kind)
+    return FIGURES.load(kind)(logs)

@@ -99,19 +99,24 @@ plant: {type: sim, dead_time: 0.05}
 
 # With --plant lab: what differs between two labs. Try it first with `tetractl lab emulate`.
 lab:
-  mocap:
+  camera:
+    type: optitrack
     server: 192.168.1.10        # the computer that runs Motive
     interface: 192.168.1.20     # this computer's network card on that network
     transport: multicast        # as in Motive's streaming settings
-  radio:
+    robots:
+      - {name: green, body: green}   # body: its name in Motive
+      - {name: blue, body: blue}
+  actuator:
+    type: m3pi-xbee
     port: /dev/ttyUSB0
     baud: 57600
-  protocol: {type: broadcast}   # robots with the mbed firmware, which has a watchdog
+    protocol: {type: broadcast}   # robots with the mbed firmware, which has a watchdog
+    robots:
+      - {name: green, index: 0}
+      - {name: blue, index: 1}
   # Gains, dead zones, swaps and offsets come from `tetractl lab calibrate`:
   # calibration: m3pi.calibration.yaml
-  robots:
-    - {name: green, body: green, index: 0}   # body: its name in Motive
-    - {name: blue, body: blue, index: 1}
 """
 
 TRIALS = """

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import problems
+from support.paths import ROOT
 
 from tetractl.control.cost import evaluate
 from tetractl.control.curves import bearing, interpolate

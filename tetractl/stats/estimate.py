@@ -271,7 +271,7 @@ def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
     from scipy import optimize  # slow to import, and needed by comparisons alone
 
-    return float(optimize.brentq(function, low, high))
+    return float(optimize.root_scalar(function, bracket=(low, high), method="brentq").root)
 
 
 def proportion_interval(successes: int, n: int) -> Interval:

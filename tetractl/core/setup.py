@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -68,10 +68,8 @@ class Shape(Protocol):
         """Return the shape's numbers for the compiled functions of `packed`."""
         ...
 
-    @property
-    def packed(self) -> type[Any]:
-        """Return the class of these shapes for compiled code: a `PackedShapes`."""
-        ...
+    packed: ClassVar[Any]
+    """The class of these shapes for compiled code: `tetractl.model.shapes.base.PackedShapes`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

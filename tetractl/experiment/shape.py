@@ -12,8 +12,9 @@ from tetractl.experiment.base import Model
 class ShapeSection(Model):
     """An obstacle: a `tetractl.core.setup.Shape`, which says what the methods return."""
 
-    type: str
-    packed: ClassVar[type[Any]]
+    type: Any  # each section's own name, as a Literal
+    packed: ClassVar[Any]
+    """The class of these shapes for compiled code: `tetractl.model.shapes.base.PackedShapes`."""
     _margin: float = PrivateAttr(default=0.0)
 
     @property

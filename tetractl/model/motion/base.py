@@ -68,9 +68,20 @@ class Lanes(Protocol):
     returns x, y after the last piece: then a sole obstacle is tested in the same loop as well.
     """
 
-    rows: Floats  # (N, size): the numbers of each robot, `k` of the functions
-    pieces: int  # equal pieces that a step is divided into
-    size: int
+    @property
+    def rows(self) -> Floats:
+        """The numbers of each robot, (N, size): `k` of the functions is one row."""
+        ...
+
+    @property
+    def pieces(self) -> int:
+        """Number of equal pieces that a step is divided into."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """How many numbers a robot has."""
+        ...
 
     @classmethod
     def of(cls, a: Floats, v: Floats, t: float) -> Self:

@@ -62,7 +62,7 @@ class Circle(ShapeSection):
     radius: Positive
     """Radius [length unit]."""
 
-    packed: ClassVar[type[Any]] = PackedCircles
+    packed: ClassVar[Any] = PackedCircles
 
     def row(self) -> tuple[float, float, float]:
         """Return centre x, y and radius, grown."""

@@ -138,7 +138,7 @@ class Polygon(ShapeSection):
     vertices: tuple[Point, ...] = Field(min_length=3, max_length=200)
     """Corners [x, y] in order round the polygon, either way; the last is joined to the first."""
 
-    packed: ClassVar[type[Any]] = PackedPolygons
+    packed: ClassVar[Any] = PackedPolygons
 
     @model_validator(mode="after")
     def _is_simple(self) -> Self:

@@ -58,7 +58,7 @@ class Rectangle(ShapeSection):
     height: Positive
     """Extent in y [length unit]."""
 
-    packed: ClassVar[type[Any]] = PackedRectangles
+    packed: ClassVar[Any] = PackedRectangles
 
     def row(self) -> tuple[float, float, float, float]:
         """Return left, bottom, right and top: grown, with sharp corners."""

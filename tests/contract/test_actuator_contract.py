@@ -45,6 +45,7 @@ def test_robots_turn_towards_the_direction(rig):
     with rig.actuator:
         for direction in (0.0, 1.5, -2.5):
             turning = steer(rig, direction).turning
+            rig.clock.sleep_until(rig.clock.now() + rig.actuator.period_ns)
             wished = rig.setup.a * np.sin(direction - rig.setup.starts.heading)
             np.testing.assert_allclose(turning, wished, atol=0.2 * rig.setup.a.max())
 

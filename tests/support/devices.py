@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from support.emulated_lab import SPEC, emulated
+import pytest
+from support.emulated_lab import APRILTAG_SPEC, FIELD_SPEC, SPEC, emulated
 from support.labs import STEP_NS, FakeActuator, FakeCamera, SteppedClock, World
 
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
@@ -98,14 +99,13 @@ def fake_actuator(folder: Path) -> Iterator[ActuatorRig]:
 
 
 @contextmanager
-def _running(folder: Path) -> Iterator:
-    """An emulated lab that runs in a thread, and the spec that leads to it."""
-    with emulated(folder) as lab:
-        settings = [
-            f"lab.camera.command_port={lab.camera.motive.command_port}",
-            f"lab.actuator.port={lab.actuator.port.link}",
-        ]
-        experiment = parse_spec(SPEC, "emulated", settings).experiment
+def running(folder: Path, spec: str = SPEC) -> Iterator:
+    """An emulated lab that runs in a thread, and the experiment that leads to it."""
+    with emulated(folder, spec=spec) as lab:
+        settings = [f"lab.actuator.port={lab.actuator.port.link}"]
+        if spec != APRILTAG_SPEC:
+            settings.append(f"lab.camera.command_port={lab.camera.motive.command_port}")
+        experiment = parse_spec(spec, "emulated", settings).experiment
         thread = threading.Thread(target=lab.run)
         thread.start()
         try:
@@ -123,7 +123,7 @@ def optitrack(folder: Path) -> Iterator[CameraRig]:
         count[0] += 1
         changed.set()
 
-    with _running(folder) as (lab, experiment):
+    with running(folder) as (lab, experiment):
         camera = experiment.lab.camera.build(experiment.setup, clock, NO_TAP, wake)
 
         def hide(name: str) -> None:
@@ -139,9 +139,9 @@ def optitrack(folder: Path) -> Iterator[CameraRig]:
 
 
 @contextmanager
-def m3pi(folder: Path) -> Iterator[ActuatorRig]:
+def _actuator(folder: Path, spec: str) -> Iterator[ActuatorRig]:
     clock = MonotonicClock()
-    with _running(folder) as (lab, experiment):
+    with running(folder, spec) as (lab, experiment):
         actuator = experiment.lab.actuator.build(experiment.setup, clock, NO_TAP)
 
         def moves() -> list[bool]:
@@ -155,11 +155,39 @@ def m3pi(folder: Path) -> Iterator[ActuatorRig]:
         actuator.__exit__(None, None, None)
 
 
+@contextmanager
+def apriltag(folder: Path) -> Iterator[CameraRig]:
+    pytest.importorskip("cv2")
+    clock, changed, count = MonotonicClock(), threading.Event(), [0]
+
+    def wake() -> None:
+        count[0] += 1
+        changed.set()
+
+    with running(folder, APRILTAG_SPEC) as (lab, experiment):
+        source = experiment.lab.camera.source.model_copy(update={"url": lab.camera.camera.url})
+        section = experiment.lab.camera.model_copy(update={"source": source, "connect": 10.0})
+        camera = section.build(experiment.setup, clock, NO_TAP, wake)
+
+        def hide(name: str) -> None:
+            lab.camera.renderer.hidden.add(lab.camera.tag(name))
+
+        def poses() -> np.ndarray:
+            return np.array([(b.x, b.y, b.heading) for b in lab.actuator.bodies])
+
+        yield CameraRig(
+            camera, clock, experiment.setup, poses, hide, _waiting(changed), lambda: count[0]
+        )
+        camera.__exit__(None, None, None)
+
+
 CAMERAS: dict[str, Callable[[Path], AbstractContextManager[CameraRig]]] = {
     "fake": fake_camera,
     "optitrack": optitrack,
+    "apriltag": apriltag,
 }
 ACTUATORS: dict[str, Callable[[Path], AbstractContextManager[ActuatorRig]]] = {
     "fake": fake_actuator,
-    "m3pi-xbee": m3pi,
+    "m3pi-xbee": lambda folder: _actuator(folder, SPEC),
+    "field": lambda folder: _actuator(folder, FIELD_SPEC),
 }

@@ -1,4 +1,4 @@
-"""`tetractl info`: what is in a log."""
+"""`tetractl info`: the contents of a log."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,7 +17,7 @@ def info(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, finished or not.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
 ) -> int:
-    """Print what is in a log: the run, its result, channels, origin, and any damage.
+    """Print the contents of a log: run, result, channels, provenance, and any damage.
 
     Everything is read and checked. Exits with 1 where the log is damaged or has no result.
 
@@ -57,12 +57,12 @@ def _lines(found: "Overview") -> "Iterator[str]":
         yield from (f"  lost: {lost}" for lost in found.damage.lost)
 
 
-def _section(title: str, facts: dict[str, str]) -> "Iterator[str]":
-    if facts:
-        width = max(map(len, facts))
+def _section(title: str, items: dict[str, str]) -> "Iterator[str]":
+    if items:
+        width = max(map(len, items))
         yield ""
         yield title
-        yield from (f"  {key:<{width}}  {value}" for key, value in facts.items())
+        yield from (f"  {key:<{width}}  {value}" for key, value in items.items())
 
 
 def _result(found: "Overview") -> dict[str, str]:

@@ -39,6 +39,9 @@ class Bounds:
 class Shape(Protocol):
     """The shape of an obstacle in the plane; its edge belongs to it. Lengths in the spec's unit."""
 
+    packed: ClassVar[Any]
+    """The class of these shapes for compiled code: a `PackedShapes`."""
+
     def contain(self, x: Floats, y: Floats) -> Bools:
         """Return whether each point lies in the shape, p(s) of (13)."""
         ...
@@ -67,9 +70,6 @@ class Shape(Protocol):
     def row(self) -> tuple[float, ...]:
         """Return the shape's numbers for the compiled functions of `packed`."""
         ...
-
-    packed: ClassVar[Any]
-    """The class of these shapes for compiled code: `tetractl.model.shapes.base.PackedShapes`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ class ShapeSection(Model):
 
     type: Any  # each section's own name, as a Literal
     packed: ClassVar[Any]
-    """The class of these shapes for compiled code: `tetractl.model.shapes.base.PackedShapes`."""
+    """The class of these shapes for compiled code: a `PackedShapes`."""
     _margin: float = PrivateAttr(default=0.0)
 
     @property

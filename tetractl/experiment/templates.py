@@ -50,7 +50,7 @@ obstacles:
 
 CONTROLLER = """
 controller:
-  type: pso-mpc
+  type: mpc
   period: 0.2             # s: a new direction five times a second
   motion: exact           # predict by the closed form of the motion
   estimate: true          # learn each robot's a and speed on the way
@@ -58,12 +58,12 @@ controller:
   steps_max: 100          # control steps of a trial at most
   arrival_tolerance: {tolerance}   # {unit}; a trial ends when every robot is this near its target
   collision: {{check: swept, margin: {margin}, walls: true}}   # {unit} kept from obstacles and edge
-  swarm: {{type: multistart}}   # the optimiser; pso is the paper's
+  optimizer: {{type: multistart}}   # the optimiser; pso is the paper's
 """
 
 LAB_CONTROLLER = """
 controller:
-  type: pso-mpc
+  type: mpc
   period: 0.05            # s: control at 20 Hz ...
   hold: 4                 # ... of a plan whose directions are held for 0.2 s
   motion: exact           # predict by the closed form of the motion
@@ -74,7 +74,7 @@ controller:
   arrival_tolerance: {tolerance}   # {unit}; a trial ends when every robot is this near its target
   collision: {{check: swept, margin: {margin}, walls: true}}   # {unit} kept from obstacles and edge
   deadline: 0.035         # s: a control step has to end before the next
-  swarm: {{type: multistart}}   # the optimiser; pso is the paper's
+  optimizer: {{type: multistart}}   # the optimiser; pso is the paper's
 """
 
 M3PI_PLANT = """
@@ -99,19 +99,24 @@ plant: {type: sim, dead_time: 0.05}
 
 # With --plant lab: what differs between two labs. Try it first with `tetractl lab emulate`.
 lab:
-  mocap:
+  camera:
+    type: optitrack
     server: 192.168.1.10        # the computer that runs Motive
     interface: 192.168.1.20     # this computer's network card on that network
     transport: multicast        # as in Motive's streaming settings
-  radio:
+    robots:                     # body: a robot's name in Motive
+      - {name: green, body: green}
+      - {name: blue, body: blue}
+  actuator:
+    type: m3pi-xbee
     port: /dev/ttyUSB0
     baud: 57600
-  protocol: {type: broadcast}   # robots with the mbed firmware, which has a watchdog
+    protocol: {type: broadcast}   # robots with the mbed firmware, which has a watchdog
+    robots:                       # index: as each robot's firmware was built with
+      - {name: green, index: 0}
+      - {name: blue, index: 1}
   # Gains, dead zones, swaps and offsets come from `tetractl lab calibrate`:
   # calibration: m3pi.calibration.yaml
-  robots:
-    - {name: green, body: green, index: 0}   # body: its name in Motive
-    - {name: blue, body: blue, index: 1}
 """
 
 TRIALS = """

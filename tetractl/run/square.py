@@ -1,4 +1,4 @@
-"""Drive a square while the first plan is computed, and come back to the start (IV-B.1).
+"""The square that robots drive while the first plan is computed, and its check (IV-B.1).
 
 All robots get the same four directions, a quarter turn apart, each for the same time. A robot
 that starts a quarter turn behind the first direction repeats the same curve on every side, turned
@@ -35,7 +35,7 @@ def check_square(experiment: Experiment, square: Square) -> None:
     if np.ptp(np.unwrap(np.sort(headings))) > 1e-6:
         raise SpecError(
             "controller.first_plan: a square needs all robots to start with one heading",
-            "turn the robots alike, or use {type: stand}",
+            "give all robots one heading, or use {type: stand}",
         )
     obstacles = Obstacles.of(experiment.obstacles)
     x, y = (np.array([robot.start[axis] for robot in robots]) for axis in (0, 1))

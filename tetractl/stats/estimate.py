@@ -1,6 +1,6 @@
 """Estimates with intervals: a mean, a difference of two means, an effect size.
 
-Every estimate that the data cannot carry is NaN with a reason, never a number that looks like one.
+An estimate that needs more data than there is, is NaN with a reason.
 """
 
 import math
@@ -10,20 +10,22 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import special
 
 from tetractl.core.poses import Floats
 
 CONFIDENCE = 0.95
 RESAMPLES = 9999
 SEED = 20_100_503
-"""Of every bootstrap, so that the same trials always give the same interval."""
+"""The seed of every bootstrap, so that the same trials always give the same interval."""
 ENOUGH = 8
 """Fewest values for a bootstrap or a verdict: below it bootstrap intervals are too short."""
 
 _BATCH_ELEMENTS = 4_000_000  # resampled values held in memory at once
 _GRID = 2.0**40
 _NAN = math.nan
+_Z = float(special.ndtri((1 + CONFIDENCE) / 2))
+"""Of the normal distribution: |z| lies below it with the confidence of the intervals."""
 
 
 def finite(value: float) -> float | None:
@@ -33,7 +35,7 @@ def finite(value: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A 95 % interval; `low` and `high` are NaN where there is none, and `reason` says why."""
+    """A 95 % interval; where there is none, `low` and `high` are NaN and `reason` is the cause."""
 
     low: float
     high: float
@@ -42,7 +44,7 @@ class Interval:
 
     @classmethod
     def none(cls, reason: str) -> Self:
-        """No interval, and why."""
+        """Return the absence of an interval, with its cause."""
         return cls(_NAN, _NAN, None, reason)
 
     @property
@@ -64,7 +66,7 @@ class Interval:
 class Distribution:
     """n values described: mean, standard deviation (n - 1), median, range, interval of the mean.
 
-    What n cannot carry is NaN: everything at n = 0, the deviation at n = 1.
+    For n = 0 everything is NaN, for n = 1 the deviation.
     """
 
     n: int
@@ -94,7 +96,7 @@ def describe(rows: Floats) -> list[Distribution]:
     if n == 0:
         nothing = Distribution(0, _NAN, _NAN, _NAN, _NAN, _NAN, Interval.none("no values"))
         return [nothing] * count
-    rows = np.sort(rows, axis=1)  # makes every figure independent of the order of the trials
+    rows = np.sort(rows, axis=1)  # makes every number independent of the order of the trials
     low, high = rows[:, 0], rows[:, -1]
     mean = np.clip(rows.mean(axis=1), low, high)
     std = np.where(high > low, rows.std(axis=1, ddof=1), 0.0) if n > 1 else np.full(count, _NAN)
@@ -110,9 +112,14 @@ def describe(rows: Floats) -> list[Distribution]:
 def describe_published(n: int, mean: float, std: float) -> Distribution:
     """Describe a published result of which only n, mean and deviation are known; the interval is
     Student's t."""
-    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1)) * std / math.sqrt(n)
+    half = _t_quantile(n - 1) * std / math.sqrt(n)
     interval = Interval(mean - half, mean + half, "t")
     return Distribution(n, mean, std, _NAN, _NAN, _NAN, interval)
+
+
+def _t_quantile(degrees: float) -> float:
+    """The bound below which |t| lies with the confidence of the intervals, t being Student's."""
+    return float(special.stdtrit(degrees, (1 + CONFIDENCE) / 2))
 
 
 def _mean_intervals(rows: Floats, mean: Floats, std: Floats) -> list[Interval]:
@@ -124,7 +131,7 @@ def _mean_intervals(rows: Floats, mean: Floats, std: Floats) -> list[Interval]:
     varied = np.flatnonzero(spread > 0)
     intervals = [Interval.none(f"all {n} values are equal")] * len(rows)
     if n < ENOUGH:
-        half = stats.t.ppf((1 + CONFIDENCE) / 2, n - 1) * std / math.sqrt(n)
+        half = _t_quantile(n - 1) * std / math.sqrt(n)
         for i in varied:
             low, high = float(mean[i] - half[i]), float(mean[i] + half[i])
             intervals[i] = Interval(low, high, "t")
@@ -156,6 +163,8 @@ def _difference(ours: Floats, theirs: Floats, axis: int = -1) -> Floats:
 
 def _bootstrap(samples: Sequence[Floats]) -> tuple[Floats, Floats]:
     """BCa interval of the mean of one sample, or of the difference of the means of two."""
+    from scipy import stats  # takes half a second, which a short run need not wait for
+
     with warnings.catch_warnings():  # a degenerate bootstrap is NaN, and `_bca` says so
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         result = stats.bootstrap(
@@ -204,10 +213,10 @@ def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float
         return MeanDifference(difference, Interval.none(why), _NAN, _NAN)
     share = v1 / (v1 + v2)
     degrees = 1 / (share**2 / (n1 - 1) + (1 - share) ** 2 / (n2 - 1))
-    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, degrees)) * math.sqrt(v1 + v2)
-    test = stats.ttest_ind_from_stats(mean1, std1, n1, mean2, std2, n2, equal_var=False)
+    half = _t_quantile(degrees) * math.sqrt(v1 + v2)
+    p_value = 2 * float(special.stdtr(degrees, -abs(difference) / math.sqrt(v1 + v2)))
     interval = Interval(difference - half, difference + half, "Welch")
-    return MeanDifference(difference, interval, float(test.pvalue), degrees)
+    return MeanDifference(difference, interval, p_value, degrees)
 
 
 def bootstrap_difference(ours: Floats, theirs: Floats) -> Interval:
@@ -241,11 +250,12 @@ def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
     m, n = len(ours), len(theirs)
     if min(m, n) == 0:
         return Effect(_NAN, Interval.none("no values"))
-    ranks = stats.rankdata(np.concatenate([ours, theirs]))
-    theta = float(ranks[:m].sum() - m * (m + 1) / 2) / (m * n)
+    ordered = np.sort(theirs)
+    below, up_to = (np.searchsorted(ordered, ours, side).sum() for side in ("left", "right"))
+    theta = float(below + up_to) / (2 * m * n)  # a tie counts half
     if min(m, n) < 2:
         return Effect(2 * theta - 1, Interval.none("one value has no spread"))
-    z2 = float(stats.norm.ppf((1 + CONFIDENCE) / 2)) ** 2
+    z2 = _Z**2
     extra = (m + n) / 2 - 1
 
     def excess(t: float) -> float:
@@ -259,12 +269,19 @@ def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    from scipy import optimize  # slow to import, and needed by comparisons alone
+
     return float(optimize.root_scalar(function, bracket=(low, high), method="brentq").root)
 
 
 def proportion_interval(successes: int, n: int) -> Interval:
-    """Wilson's interval of a proportion."""
+    """Wilson's interval of a proportion p: (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) /
+    (1 + z^2 / n)."""
     if n == 0:
         return Interval.none("no trials")
-    found = stats.binomtest(successes, n).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(float(found.low), float(found.high), "Wilson")
+    p, z2 = successes / n, _Z**2
+    middle, scale = p + z2 / (2 * n), 1 + z2 / n
+    half = _Z * math.sqrt(p * (1 - p) / n + z2 / (4 * n**2))
+    low = (middle - half) / scale if successes > 0 else 0.0
+    high = (middle + half) / scale if successes < n else 1.0
+    return Interval(low, high, "Wilson")

@@ -85,6 +85,7 @@ def count_deepest(packs: Any, path: Any, depths: Any, where: Any) -> Any:
     path (N, L, 2); depths (N, O) [length unit], at most 0 where no position is inside; where
     (N, O), the index of the first deepest position.
     """
+    raise NotImplementedError("called by compiled code only")
 
 
 @overload(count_deepest, jit_options=PIECE)

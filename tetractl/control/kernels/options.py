@@ -8,19 +8,14 @@ from typing import Any
 from numba import njit
 from numba.extending import overload
 
-FAST: Any = {
-    "contract",
-    "reassoc",
-    "arcp",
-    "nsz",
-}  # NaN and inf keep their meaning: costs are checked
+FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
 PIECE: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "forceinline": True}
 """Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
 been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
 the cache: two machine codes, and results that differ in the last bits from run to run."""
-PART: Any = {**PIECE, "cache": True}
-KERNEL: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "cache": True}
-INLINE: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
+PART = {**PIECE, "cache": True}
+KERNEL = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "cache": True}
+INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """Of functions of scalars: compiled as if they were written where they are called."""
 
 

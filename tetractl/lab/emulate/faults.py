@@ -63,6 +63,28 @@ class Mark(Fault):
         return lambda: None
 
 
+class Unplug(Fault):
+    """The actuator's port is pulled out."""
+
+    fault: Literal["unplug"]
+
+    def begin(self, device: Any) -> Undo:
+        """Take the port away."""
+        device.unplug()
+        return device.plug
+
+
+class StuckPort(Fault):
+    """The actuator's port takes no bytes."""
+
+    fault: Literal["stuck_port"]
+
+    def begin(self, device: Any) -> Undo:
+        """Stall the port."""
+        device.port.stall(True)
+        return lambda: device.port.stall(False)
+
+
 def setting(target: object, **values: object) -> Undo:
     """Set attributes; the undo sets them back."""
     before = {name: getattr(target, name) for name in values}

@@ -168,14 +168,12 @@ class EmulatedLab:
             return
         self._ran = False
         self.camera.hide(True)
-        for body in self.actuator.bodies:
-            body.switch(False)
+        self.actuator.switch(False)
         self.timeline.at(now + CARRY_NS, self._put_down)
 
     def _put_down(self) -> None:
         self._put_on_starts()
-        for body in self.actuator.bodies:
-            body.switch(True)
+        self.actuator.switch(True)
         self.camera.hide(False)
         self._note("placed")
         self._report("placed", {})

@@ -61,10 +61,25 @@ class Stage:
 class Body(Protocol):
     """A robot as it truly is: x, y [mm] and heading [rad] in the spec's axes."""
 
-    name: str
-    x: float
-    y: float
-    heading: float
+    @property
+    def name(self) -> str:
+        """The robot's name in the spec."""
+        ...
+
+    @property
+    def x(self) -> float:
+        """Its place along x [mm]."""
+        ...
+
+    @property
+    def y(self) -> float:
+        """Its place along y [mm]."""
+        ...
+
+    @property
+    def heading(self) -> float:
+        """Its heading [rad]."""
+        ...
 
     @property
     def standing(self) -> bool:
@@ -73,10 +88,6 @@ class Body(Protocol):
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Put it somewhere, at rest."""
-        ...
-
-    def switch(self, on: bool) -> None:
-        """Switch it on, which starts it anew, or off."""
         ...
 
 
@@ -122,6 +133,10 @@ class EmulatedActuator(EmulatedSide, Protocol):
     @property
     def truth(self) -> Mapping[str, Any]:
         """What truly happens now, for the record of each exposure."""
+        ...
+
+    def switch(self, on: bool) -> None:
+        """Switch off what is driven, as while robots are carried, or on, which starts it anew."""
         ...
 
     def advance(self, until_ns: int) -> None:

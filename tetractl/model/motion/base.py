@@ -68,19 +68,16 @@ class Lanes(Protocol):
     returns x, y after the last piece: then a sole obstacle is tested in the same loop as well.
     """
 
+    size: int
+
     @property
     def rows(self) -> Floats:
-        """The numbers of each robot, (N, size): `k` of the functions is one row."""
+        """The numbers of each robot, `k` of the functions, (N, size)."""
         ...
 
     @property
     def pieces(self) -> int:
-        """Number of equal pieces that a step is divided into."""
-        ...
-
-    @property
-    def size(self) -> int:
-        """How many numbers a robot has."""
+        """Equal pieces that a step is divided into."""
         ...
 
     @classmethod

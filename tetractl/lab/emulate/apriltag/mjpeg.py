@@ -75,6 +75,11 @@ class EmulatedNetworkCamera:
         return self._server.server_address[1]
 
     @property
+    def watched(self) -> bool:
+        """Whether anybody reads the stream."""
+        return bool(self._clients)
+
+    @property
     def url(self) -> str:
         """The stream's address."""
         return f"http://127.0.0.1:{self.port}/"

@@ -10,7 +10,7 @@ from pydantic import Field
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
-from tetractl.lab.emulate.faults import Fault, Undo, setting
+from tetractl.lab.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
 from tetractl.lab.emulate.loop import Loop
 from tetractl.lab.emulate.m3pi.command_log import CommandLog
 from tetractl.lab.emulate.m3pi.module import ModuleSettings
@@ -95,28 +95,6 @@ class WheelStuck(RobotFault):
         """Stick the wheel."""
         stuck = self.wheel in ("left", "both"), self.wheel in ("right", "both")
         return setting(device.robot(self.robot), stuck=stuck)
-
-
-class Unplug(Fault):
-    """The radio is pulled out."""
-
-    fault: Literal["unplug"]
-
-    def begin(self, device: "EmulatedM3pi") -> Undo:
-        """Take the port away."""
-        device.unplug()
-        return device.plug
-
-
-class StuckPort(Fault):
-    """The radio takes no bytes."""
-
-    fault: Literal["stuck_port"]
-
-    def begin(self, device: "EmulatedM3pi") -> Undo:
-        """Stall the port."""
-        device.port.stall(True)
-        return lambda: device.port.stall(False)
 
 
 class Loss(Fault):
@@ -234,6 +212,11 @@ class EmulatedM3pi:
         """Pull the radio out."""
         self.unplug()
         return {"garbled": self.radio.garbled}
+
+    def switch(self, on: bool) -> None:
+        """Switch every robot on or off."""
+        for robot in self.robots:
+            robot.switch(on)
 
     def advance(self, until_ns: int) -> None:
         """Move the robots on."""

@@ -126,9 +126,9 @@ def test_checks_plant_log_and_pictures_honour_them(installed):
     done = run("-m", "tetractl", "validate", "outside.yaml")
     assert "is entirely outside the arena" in done.stderr + done.stdout
     # through the obstacle, since the weight of the potential is 0: the plant's verdict tells
-    swarm = "controller.optimizer={type: pso, particles: 60, iterations: 60}"
-    through = ("--out", "through", "--set", "controller.obstacle_weight=0", "--set", swarm)
-    done = run("-m", "tetractl", "run", "s.yaml", "--quiet", *through)
+    done = run("-m", "tetractl", "run", "s.yaml", "--out", "through", "--quiet",
+               "--set", "controller.obstacle_weight=0",
+               "--set", "controller.optimizer={type: pso}")  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "1 of 1" in next(line for line in done.stdout.splitlines() if "entered" in line)
     done = run("-m", "tetractl", "run", "s.yaml", "--out", "past", "--quiet")

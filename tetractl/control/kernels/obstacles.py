@@ -79,7 +79,7 @@ def _narrow(packs, x0, y0, x, y, i, swept, gap):
     return narrow_to_kind
 
 
-def count_deepest(packs: Any, path: Any, depths: Any, where: Any) -> int:
+def count_deepest(packs: Any, path: Any, depths: Any, where: Any) -> Any:
     """Find each robot's deepest position in each obstacle; return the number of obstacles.
 
     path (N, L, 2); depths (N, O) [length unit], at most 0 where no position is inside; where

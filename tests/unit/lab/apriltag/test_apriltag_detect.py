@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from needs_opencv import cv2
-from tagscene import LARGE, ROBOTS, SMALL, STANDING, rendered
+from support.needs_opencv import cv2
+from support.tagscene import LARGE, ROBOTS, SMALL, STANDING, rendered
 
 from tetractl.lab.cameras.apriltag.detect import MODULES, Detector, tag_picture
 from tetractl.lab.emulate.apriltag.renderer import CARD

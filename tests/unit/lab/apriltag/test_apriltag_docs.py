@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from needs_opencv import cv2
+from support.needs_opencv import cv2
 
 from tetractl.lab.cameras.apriltag.detect import Detector
 from tetractl.lab.cameras.apriltag.section import AprilTagSection

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tagscene import (
+from support.tagscene import (
     FLOOR,
     LARGE,
     NAMES,

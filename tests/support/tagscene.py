@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from needs_opencv import cv2
+from support.needs_opencv import cv2
 
 from tetractl.core.poses import Poses
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag

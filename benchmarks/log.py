@@ -55,7 +55,7 @@ from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.salvage import scan  # noqa: E402
 from tetractl.log.write import sink  # noqa: E402
 from tetractl.log.write.writer import LogWriter  # noqa: E402
-from tetractl.replay.verify import REEVALUATED, verify  # noqa: E402
+from tetractl.replay.verify import Method, verify  # noqa: E402
 from tetractl.run.batch import log_path, run_trial  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.seeds import trial_seeds  # noqa: E402
@@ -131,7 +131,7 @@ def mutations(folder: Path, scale: float) -> None:
                 kind = ".".join(part for part in place if isinstance(part, str))
                 missed[kind] = missed.get(kind, 0) + 1
             path.unlink()
-        where = "on the machine that wrote it" if here else f"elsewhere ({REEVALUATED})"
+        where = "on the machine that wrote it" if here else f"elsewhere ({Method.REEVALUATED})"
         share = f"{seen} of {len(chosen)} changes {least} noticed ({seen / len(chosen):.2%})"
         print(f"{where}: {share}")
         if missed:

@@ -47,9 +47,7 @@ def examples(page: str) -> Iterator[Example]:
     for fence in _FENCE.finditer(page):
         if fence[1] != "console":
             continue
-        for found in re.finditer(
-            r"^\$ ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", fence[3], re.MULTILINE
-        ):
+        for found in _COMMAND.finditer(fence[3]):
             begin = fence.start(3)
             yield Example(found[1], found[2], begin + found.start(2), begin + found.end(2))
 

@@ -11,12 +11,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.protocols import Observer
@@ -108,7 +108,9 @@ def run_batch(
         make_folder(place)
         for trial in todo:
             set_aside(place, trial)
-        batch.run_batch(spec, place, todo, jobs, interrupt, _Watcher(on_result))
+        report = batch.run_batch(spec, place, todo, jobs, interrupt, _Watcher(on_result))
+    if report.refused:
+        raise report.refused
     return read_batch(place)
 
 
@@ -181,7 +183,7 @@ def to_arrays(trial: TrialLog) -> TrialArrays:
         cost=np.array([step.plan.cost for step in steps], dtype=float),
         length=np.array([len(step.plan.signals) for step in steps], dtype=np.int64),
         evaluations=np.array([step.plan.evaluations for step in steps], dtype=np.int64),
-        solve_ms=np.array([step.solve_ns for step in steps], dtype=float) / 1e6,
+        solve_ms=np.array([step.solve_ns for step in steps], dtype=float) / MILLISECOND,
     )
 
 
@@ -223,19 +225,20 @@ def compare(ours: "Summary", theirs: "Summary") -> "Comparison":
 
 def plot(
     data: "TrialLog | Sequence[TrialLog] | Summary | Comparison",
-    kind: Literal["trajectory", "convergence", "error", "timing"] = "trajectory",
+    kind: str = "trajectory",
     *,
     file: str | Path | None = None,
 ) -> "Figure":
     """Draw a matplotlib figure, and write it to a .png, .svg or .pdf file if one is named.
 
-    Trials are drawn as `kind` says, and only trajectories of several in one figure; statistics and
-    comparisons have one figure each, every trial a dot.
+    `kind` names the figure of a trial: "trajectory", which alone shows several trials,
+    "convergence", "error", "timing" or one of another package. Statistics and comparisons have one
+    figure each, every trial a dot.
     """
-    from tetractl.stats.figure import batch_figure
     from tetractl.stats.summary import Comparison, Summary
     from tetractl.view import style
-    from tetractl.view.figures.figures import draw
+    from tetractl.view.figures.batch import batch_figure
+    from tetractl.view.figures.kinds import draw
 
     if isinstance(data, Comparison):
         figure = batch_figure(data.ours, data)
@@ -279,7 +282,7 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
 
 @dataclass(frozen=True, slots=True)
 class _Watcher:
-    """A `Watcher` of a batch that passes each result on."""
+    """A `BatchObserver` that passes each result on."""
 
     on_result: Callable[[int, Result], object]
 

@@ -60,7 +60,8 @@ def plain_cost(problem: Problem) -> Cost:
     """J of the printed problem as one writes it in NumPy: arrays (P, N), one step after another."""
     assert problem.motion == "euler" and not problem.swept
     t, a, v, weight = problem.period, problem.a, problem.speed, problem.obstacle_weight
-    left, bottom, right, top = problem.obstacles.rectangles[0]
+    (box,) = problem.obstacles.shapes
+    left, bottom, right, top = box.row()
     poses, targets = problem.poses, problem.targets
 
     def cost(signals: Floats) -> Floats:
@@ -83,7 +84,8 @@ def tuned_cost(problem: Problem) -> Cost:
     """The same, tuned: particles contiguous, sums in place, constants taken out of the loop."""
     assert problem.motion == "euler" and not problem.swept
     turn, step = problem.a[:, None] * problem.period, problem.speed[:, None] * problem.period
-    ((left, bottom, right, top),) = problem.obstacles.rectangles
+    (box,) = problem.obstacles.shapes
+    left, bottom, right, top = box.row()
     start, target, weight = problem.poses, problem.targets[:, :, None], problem.obstacle_weight
 
     def cost(signals: Floats) -> Floats:

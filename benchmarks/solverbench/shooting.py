@@ -44,7 +44,7 @@ class Shooter:
         kept = [ca.vec(after - states)]
         low = [np.zeros(3 * count * length)]
         high = [np.zeros(3 * count * length)]
-        for left, bottom, right, top in problem.obstacles.rectangles:
+        for left, bottom, right, top in (box.row() for box in problem.obstacles.shapes):
             wall = _wall(problem, left, bottom, right, top)
             if wall is not None:
                 axis, bound, sign = wall
@@ -135,7 +135,7 @@ _built: dict[tuple, Shooter] = {}
 
 def shooter(problem: Problem, length: int, cap_s: float) -> Shooter:
     """Return the programme for a length, built once: building is not timed."""
-    key = (problem.motion, problem.obstacles.rectangles.tobytes(), length, cap_s)
+    key = (problem.motion, problem.obstacles.shapes, length, cap_s)
     if key not in _built:
         _built[key] = Shooter(problem, length, cap_s)
     return _built[key]

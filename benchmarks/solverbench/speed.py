@@ -8,11 +8,12 @@ from numba import njit
 
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels import pso as kernel
-from tetractl.control.kernels.math import KERNEL, horner
+from tetractl.control.kernels.options import KERNEL, inlined
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers import compiled_pso, pso
 from tetractl.core.plan import Limits
 from tetractl.core.problem import Problem
+from tetractl.model.motion.polynomials import horner
 
 from .peers import OPTIONS, available
 from .problems import PARTICLES, SIGNALS, SWARM, plain_cost, printed, recommended, tuned_cost
@@ -20,6 +21,7 @@ from .report import Pair, Report, Settings, in_pairs, load
 
 SHORT = 20
 """Iterations timed at once: few, so that most repetitions run through without an interruption."""
+polynomial = inlined(horner)
 ROBOT_STEPS = 3 * PARTICLES * SIGNALS
 EULER_WORK = 42
 """Vector instructions of one robot-step of (4)-(6), counted in the source: 26 for the motion, 9 for
@@ -172,8 +174,11 @@ def _arithmetic(q, rows, times):
     for _ in range(times):
         for n in range(q.size):
             z = q[n]
-            left, right = horner(_A, z) * horner(_B, z), horner(_C, z) * horner(_D, z)
-            out[n] = left * right * (horner(_E, z) * horner(_F, z)) + z
+            left, right = (
+                polynomial(_A, z) * polynomial(_B, z),
+                polynomial(_C, z) * polynomial(_D, z),
+            )
+            out[n] = left * right * (polynomial(_E, z) * polynomial(_F, z)) + z
         q[0] = 0.5 * out[0]  # so that no pass can be left out
     return out[0]
 

@@ -120,7 +120,7 @@ def test_a_torn_log_is_flagged_and_the_rest_printed(work):
 
 
 def test_two_batches_are_compared(work):
-    write(work / "exact", 12, controller={"model": "exact"})
+    write(work / "exact", 12, controller={"motion": "exact"})
     done = stats("exact", "--against", "ten", "--plot", "both.png", cwd=work)
     assert done.returncode == 0
     assert "differs in" in done.stdout
@@ -133,7 +133,7 @@ def test_two_batches_are_compared(work):
 
 
 def test_two_experiments_in_one_batch_are_refused(work):
-    write(work / "exact", 2, first=20, controller={"model": "exact"})
+    write(work / "exact", 2, first=20, controller={"motion": "exact"})
     done = stats("ten", "exact", cwd=work)
     assert (done.returncode, done.stdout) == (2, "")
     assert "not the same experiment: controller.motion: euler != exact" in done.stderr

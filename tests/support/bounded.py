@@ -43,11 +43,11 @@ def spec(
         for i in range(robots)
     ]
     controller = {
-        "type": "pso-mpc",
-        "model": motion,
+        "type": "mpc",
+        "motion": motion,
         "horizon_max": signals,
         "collision": {"check": "swept", "walls": bool(obstacles)},
-        "swarm": {"type": "multistart", "rounds": 3},
+        "optimizer": {"type": "multistart", "rounds": 3},
     }
     arena = {"left": 0, "bottom": 0, "width": 1000, "height": 1000}
     text = {"name": "bounded", "arena": arena, "robots": listed, "controller": controller}

@@ -13,7 +13,7 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab import LabLimits
 from tetractl.lab.rig import Rig
-from tetractl.model.cell import exact
+from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.lab import LabPlant
 

@@ -7,8 +7,9 @@ from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.pso import Pso, Swarm
 from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
-from tetractl.experiment.experiment import Circle, Rectangle
 from tetractl.model.obstacles import Obstacles
+from tetractl.model.shapes.circle import Circle
+from tetractl.model.shapes.rectangle import Rectangle
 
 
 def world(

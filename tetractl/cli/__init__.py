@@ -1,4 +1,4 @@
-"""The command line: one module a command; parses, calls, prints, nothing else.
+"""The command line: one module for each command, which parses, calls and prints.
 
 Heavy modules are imported inside the command that needs them, so that `--help` answers at once.
 """
@@ -50,7 +50,7 @@ def _root(
 ) -> None:
     """Steer several robots at once with one control signal.
 
-    Run an experiment from a YAML spec, look at its trials, and weigh them up.
+    Run an experiment from a YAML spec, show its trials, and compute their statistics.
     """
 
 
@@ -76,7 +76,7 @@ def main() -> None:
 def _run() -> int:
     try:
         code = app(standalone_mode=False)
-        sys.stdout.flush()  # here, so that a reader gone by now is met below
+        sys.stdout.flush()  # here, so that a closed pipe is handled below
     except TetractlError as error:
         complain(str(error), error.hint)
         return error.exit
@@ -86,7 +86,7 @@ def _run() -> int:
     except (typer.Abort, KeyboardInterrupt):
         complain("interrupted")
         return Exit.INTERRUPTED
-    except BrokenPipeError:  # the reader of our output went away, as in `tetractl stats | head`
+    except BrokenPipeError:  # the reader of the output has ended, as in `tetractl stats | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.DONE
     except OSError as error:

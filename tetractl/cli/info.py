@@ -57,12 +57,12 @@ def _lines(found: "Overview") -> "Iterator[str]":
         yield from (f"  lost: {lost}" for lost in found.damage.lost)
 
 
-def _section(title: str, facts: dict[str, str]) -> "Iterator[str]":
-    if facts:
-        width = max(map(len, facts))
+def _section(title: str, items: dict[str, str]) -> "Iterator[str]":
+    if items:
+        width = max(map(len, items))
         yield ""
         yield title
-        yield from (f"  {key:<{width}}  {value}" for key, value in facts.items())
+        yield from (f"  {key:<{width}}  {value}" for key, value in items.items())
 
 
 def _result(found: "Overview") -> dict[str, str]:

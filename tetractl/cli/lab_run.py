@@ -30,7 +30,7 @@ def run_in_lab(
 
     from tetractl.core.operators import Operators
     from tetractl.lab.recorder import WireRecorder
-    from tetractl.run.batch import run_lab_batch
+    from tetractl.run.batch import run_batch
     from tetractl.view.terminal.lab_watch import LabWatch, TerminalAttendant
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
@@ -51,7 +51,7 @@ def run_in_lab(
                 if isinstance(tap, WireRecorder) and tap.error:
                     console.print(f"{tap.path}: recording ended: {tap.error}", highlight=False)
 
-        return run_lab_batch(loaded, folder, todo, interrupt, watch, [watch], operators)
+        return run_batch(loaded, folder, todo, 1, interrupt, watch, [watch], operators)
 
 
 def _recorder(stack: ExitStack, folder: Path | None, trial: int) -> "Tap":

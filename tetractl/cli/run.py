@@ -21,7 +21,7 @@ STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
 
 class PlantChoice(StrEnum):
-    """What to steer."""
+    """The plant of a run."""
 
     SIM = "sim"
     LAB = "lab"
@@ -196,7 +196,7 @@ def _run(
 
 
 def _conclude(report: "Report", folder: Path, json: bool) -> int:
-    """Print the statistics of the whole folder, then say how the run ended."""
+    """Print the statistics of the whole folder, then how the run ended; return the exit code."""
     from tetractl.run.batch import log_path
 
     if report.refused and not report.results:
@@ -205,7 +205,7 @@ def _conclude(report: "Report", folder: Path, json: bool) -> int:
         try:
             _print_statistics(folder, json)
         except UsageError:
-            if not report.aborted:  # an aborted trial may leave no log, or none that tells a pose
+            if not report.aborted:  # an aborted trial may leave no log, or one without poses
                 raise
     for trial, result in report.aborted.items():
         print(f"error: trial {trial + 1}: {result.reason}", file=sys.stderr)

@@ -1,7 +1,7 @@
 """`tetractl stats`: statistics of a batch, and how two batches compare."""
 
 import sys
-from collections.abc import Iterable
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,6 +10,8 @@ import typer
 from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from tetractl.stats.summary import Comparison, Summary
 
 Format = Literal["table", "json", "csv", "markdown", "latex"]
@@ -65,7 +67,8 @@ def _summary(paths: list[str]) -> "Summary":
     from tetractl.stats.summary import summarise
     from tetractl.stats.trials import load_trials
 
-    trials, damaged = load_trials(paths, _progress)
+    with _progress() as on_log:
+        trials, damaged = load_trials(paths, on_log)
     for trial in trials:
         if trial.recovered:
             print(f"damaged: {printable(trial.path)}: read as far as possible", file=sys.stderr)
@@ -76,14 +79,16 @@ def _summary(paths: list[str]) -> "Summary":
     return summarise(trials, damaged)
 
 
-def _progress(logs: list[Path]) -> Iterable[Path]:
+@contextmanager
+def _progress() -> "Iterator[Callable[[int, int], object]]":
+    """Show a bar on a terminal; yields what to call with the numbers of logs read and of all."""
     from rich.console import Console
-    from rich.progress import track
+    from rich.progress import Progress
 
     console = Console(stderr=True)
-    return track(
-        logs, "Reading logs", console=console, transient=True, disable=not console.is_terminal
-    )
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("Reading logs")
+        yield lambda done, count: bar.update(task, completed=done, total=count)
 
 
 def _show(form: Format, summary: "Summary", comparison: "Comparison | None") -> None:

@@ -54,11 +54,13 @@ def verify(
 
 
 def _lines(found: "Verification") -> "Iterator[str]":
+    from tetractl.replay.verify import Method
+
     verdict = "ok" if found.ok else "FAILED"
     text = f"{found.checked} of {found.steps} decisions {found.method}"
     yield f"{found.path}: {verdict}: {text} ({found.seconds:.2f} s)"
-    if found.method.startswith("costs"):
-        yield from (f"  written elsewhere: {fact}" for fact in found.elsewhere)
+    if found.method is Method.REEVALUATED:
+        yield from (f"  written elsewhere: {line}" for line in found.elsewhere)
     for problem in found.problems[:SHOWN]:
         where = "trial" if problem.step is None else f"step {problem.step}"
         yield f"  {where}: {problem.field}: {problem.message}"

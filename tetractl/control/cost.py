@@ -8,7 +8,7 @@
 
 A sequence is counted here, as in Algorithm 2, by its length L in signals: u(k), ..., u(k+L-1). The
 paper's horizon in (7)-(12) is h = L - 1. The prediction s(k+j|k) comes from (4)-(6) or from one of
-the other models in `tetractl.model.cell`.
+the other motions in `tetractl.model.motion`.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ import numpy as np
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
-from tetractl.model.cell import MOTIONS
+from tetractl.experiment.kinds import MOTIONS
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Costs:
 
 def predict(problem: Problem, signals: Floats) -> Floats:
     """Predict the poses under sequences (..., L); returns (L + 1, ..., N, 3), the start first."""
-    advance = MOTIONS[problem.motion]
+    step = MOTIONS.load(problem.motion).step
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     poses = problem.poses
     x, y, heading = (np.broadcast_to(s, shape) for s in (poses.x, poses.y, poses.heading))
@@ -41,7 +41,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     for j in range(signals.shape[-1]):
         u = signals[..., j, None]  # (..., 1), the same direction for every robot
         held = problem.first_period if j == 0 else problem.period
-        x, y, heading = advance(x, y, heading, u, problem.a, problem.speed, held)
+        x, y, heading = step(x, y, heading, u, problem.a, problem.speed, held)
         path[j + 1] = np.stack((x, y, heading), axis=-1)
     return path
 

@@ -7,7 +7,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
-from tetractl.model.cell import MOTIONS
+from tetractl.experiment.kinds import MOTIONS
 
 Held = tuple[int, int, float]
 """A direction u [rad] and the times from and until which it acts [ns]."""
@@ -46,9 +46,10 @@ class Predictor:
 
 def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
     """Return the poses after the directions held, by the problem's motion."""
+    step = MOTIONS.load(problem.motion).step
     x, y, heading = poses.x, poses.y, poses.heading
     for since, until, direction in held:
         seconds = (until - since) / SECOND
         u = np.array(direction)
-        x, y, heading = MOTIONS[problem.motion](x, y, heading, u, problem.a, problem.speed, seconds)
+        x, y, heading = step(x, y, heading, u, problem.a, problem.speed, seconds)
     return Poses(x, y, heading)

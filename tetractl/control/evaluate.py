@@ -17,11 +17,11 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
     """
     from tetractl.control.kernels.rollout import costs, lay_out
 
-    course = lay_out(problem, count)
+    rollout = lay_out(problem, count)
 
     def evaluate(signals: Floats) -> Floats:
         found = np.empty(count)
-        costs(course, np.ascontiguousarray(signals), found)
+        costs(rollout, np.ascontiguousarray(signals), found)
         require_finite(found)
         return found
 

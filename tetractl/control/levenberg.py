@@ -28,7 +28,7 @@ import numpy as np
 from tetractl.control.cost import predict
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
-from tetractl.model.cell import MOTIONS
+from tetractl.experiment.kinds import MOTIONS
 
 LARGEST_STEP = 1.0  # of any signal in one iteration [rad]
 DEPTH_WEIGHT = 3.0  # W, of a depth against a miss
@@ -98,8 +98,7 @@ def polish(
 
 
 def _rows_max(problem: Problem) -> int:
-    obstacles = len(problem.obstacles.rectangles) + len(problem.obstacles.circles)
-    return len(problem.a) * (2 + obstacles)
+    return len(problem.a) * (2 + len(problem.obstacles.shapes))
 
 
 def _step(u: Floats, residual: Floats, jacobian: Floats, damped: Floats) -> Floats | None:
@@ -171,9 +170,11 @@ def _step_derivatives(
 ) -> tuple[Floats, Floats]:
     """Return how x, y and turn of one step of all robots depend on heading and u, each (N, 3)."""
 
+    step = MOTIONS.load(problem.motion).step
+
     def moved(turned: float, steered: float) -> Floats:
         zero = np.zeros_like(heading)
-        x, y, after = MOTIONS[problem.motion](
+        x, y, after = step(
             zero, zero, heading + turned, np.array(u + steered), problem.a, problem.speed, t
         )
         return np.stack([x, y, after - (heading + turned)], axis=-1)
@@ -191,20 +192,14 @@ def _step_derivatives(
 def _depths(problem: Problem, path: Floats) -> tuple[Floats, Floats]:
     """Return how deep positions (L, N, 2) are in each obstacle and the way out, a unit vector.
 
-    Shapes (O, L, N) and (O, L, N, 2); a depth is negative outside. The way out of a rectangle is
-    that through its nearest side.
+    Shapes (O, L, N) and (O, L, N, 2); a depth is at most 0 outside. They are the shapes' own
+    functions of scalars, uncompiled, in the order in which the kernels keep obstacles.
     """
-    x, y = path[..., 0], path[..., 1]
-    depths, outwards = [], []
-    for left, bottom, right, top in problem.obstacles.rectangles:
-        sides = np.stack([left - x, x - right, bottom - y, y - top])  # at most 0 inside
-        nearest = sides.argmax(axis=0)
-        depths.append(-sides.max(axis=0))
-        outwards.append(np.array([[-1.0, 0], [1, 0], [0, -1], [0, 1]])[nearest])
-    for cx, cy, radius in problem.obstacles.circles:
-        gap = path - np.array([cx, cy])
-        distance = np.hypot(gap[..., 0], gap[..., 1])
-        depths.append(radius - distance)
-        outwards.append(gap / np.maximum(distance, 1e-300)[..., None])
-    shape = (len(depths), *x.shape)
-    return np.array(depths).reshape(shape), np.array(outwards).reshape(*shape, 2)
+    count, shape = len(problem.obstacles.shapes), path.shape[:-1]
+    depths, outwards = np.empty((count, *shape)), np.empty((count, *shape, 2))
+    found = [(pack, row) for pack in problem.obstacles.packed() for row in pack.rows]
+    for o, (pack, row) in enumerate(found):
+        for at in np.ndindex(shape):
+            x, y = path[at].tolist()
+            depths[o][at], outwards[o][at] = pack.depth(x, y, row), pack.outward(x, y, row)
+    return depths, outwards

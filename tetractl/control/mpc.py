@@ -40,9 +40,9 @@ from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, inconsistent
-from tetractl.experiment.choice import Choice
+from tetractl.experiment.choice import Choice, OneOf
 from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
-from tetractl.experiment.kinds import OPTIMIZERS
+from tetractl.experiment.kinds import MOTIONS, OPTIMIZERS
 from tetractl.model.obstacles import Obstacles
 
 WORTHWHILE = 4
@@ -72,7 +72,7 @@ class MpcSection(ControllerSection):
     hold: PositiveInt = 1
     """Control periods for which each signal of a sequence is meant to be held: the plan's grid is
     `hold` times coarser than the control's, and a signal under way can still be changed."""
-    motion: Literal["euler", "arc", "exact"] = "euler"
+    motion: Annotated[str, OneOf(MOTIONS)] = "euler"
     """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
     `exact` is the closed form of (1)-(3) under a held direction."""
     estimate: bool = False

@@ -1,4 +1,4 @@
-"""Time, injected: nanoseconds since the trial's start, virtual or monotonic."""
+"""Clocks: nanoseconds since a clock was made, virtual or monotonic."""
 
 import time
 from typing import Protocol
@@ -18,14 +18,14 @@ def milliseconds(ns: int) -> float:
 
 
 class Clock(Protocol):
-    """A clock that starts at 0 when it is made."""
+    """A source of time that starts at 0 when it is made."""
 
     def now(self) -> int:
         """Return the time [ns]."""
         ...
 
     def sleep_until(self, when: int) -> None:
-        """Wait until `when` [ns]; return at once where that has passed."""
+        """Wait until `when` [ns]; return at once for a time that has passed."""
         ...
 
 

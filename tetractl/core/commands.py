@@ -1,4 +1,4 @@
-"""What passes between a trial and its plant: camera samples, commands, notes and the verdict."""
+"""The records that a plant and the devices of a lab return: samples, commands, verdict, health."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from tetractl.core.poses import Floats, Observation, Poses
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One camera frame as it came, with the true poses where a simulation knows them."""
+    """One camera frame, and the true poses at its exposure in a simulation, else None."""
 
     observation: Observation
     truth: Poses | None
@@ -16,11 +16,12 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What was really sent to the robots.
+    """One command as it was sent to N robots.
 
-    `direction` is the common direction u [rad], None for a stop; `sent_ns` when it left and
-    `delivered` (N,) whether each robot got it, as far as the plant can know. `left`, `right` (N,)
-    are the wheel speeds of (24)-(25) [length unit/s] where the robots have wheels.
+    `direction` is the common direction u [rad], None for a stop; `sent_ns` is the time of sending
+    on the trial's clock. `delivered` (N,) is False for a robot that the plant knows did not receive
+    the command. `left`, `right` (N,) are the wheel speeds of (24)-(25) [length unit/s], None for
+    robots without wheels.
     """
 
     direction: float | None
@@ -32,7 +33,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A message for people; `level` is "info", "warning" or "error"."""
+    """A message for people at a time of the trial; `level` is "info", "warning" or "error"."""
 
     t_ns: int
     level: str
@@ -41,11 +42,12 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the plant's own path says of the trial, sampled as finely as the plant can.
+    """The end of a trial of N robots, from the plant's finest samples of their path.
 
-    `entered` (N,) tells which robots were ever inside an obstacle, `clearance` (N,) is each one's
-    least distance to one [length unit], negative inside, inf without obstacles. `unrest` says who
-    still moved after the stop, "" where all stood.
+    `final` are the poses after the stop. `entered` (N,) is True for robots whose path touched an
+    obstacle, by `model.path_check`; `clearance` (N,) is the least distance of each robot to an
+    obstacle [length unit], negative inside, inf without obstacles. `unrest` names the robots that
+    still moved after the stop, "" for none.
     """
 
     final: Poses
@@ -56,7 +58,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class PlantInfo:
-    """What a plant says of itself when opened; `facts` go into the log's metadata."""
+    """A description of an open plant; `facts` go into the log's metadata, `kind` is its type."""
 
     kind: str
     simulated: bool
@@ -68,11 +70,11 @@ class PlantInfo:
 class Transmission:
     """One transmission of an actuator to N robots.
 
-    `sent_ns` is when it left, on the run's clock; `direction` the common direction u [rad], None
-    for a stop; `moving` (N,) tells which robots move by it. `speed` (N,) [length unit/s] and
-    `turning` (N,) [rad/s] are the motion it asks of each robot. `left`, `right` (N,) are the wheel
-    speeds [length unit/s] of robots with wheels. `outputs` are the actuator's own numbers by a name
-    with its unit, such as `current_x_a`.
+    `sent_ns` is the time of sending on the run's clock; `direction` the common direction u [rad],
+    None for a stop; `moving` (N,) is False for robots that are held still. `speed` (N,) [length
+    unit/s] and `turning` (N,) [rad/s] are the motion commanded to each robot. `left`, `right`
+    (N,) are the wheel speeds [length unit/s] of robots with wheels. `outputs` are the actuator's
+    own numbers by a name with its unit, such as `current_x_a`.
     """
 
     sent_ns: int
@@ -87,7 +89,7 @@ class Transmission:
 
 @dataclass(frozen=True, slots=True)
 class RobotStatus:
-    """What one robot answered when it was polled; `answers` None where it cannot answer at all."""
+    """The answer of one robot to a poll; `answers` is None for a robot that cannot answer."""
 
     answers: bool | None
     battery_v: float | None = None
@@ -97,7 +99,7 @@ class RobotStatus:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What a device of the lab says of itself before a run.
+    """The state of a device of the lab before a run.
 
     `problems` keep a run from starting, `warnings` do not; both are lines for people. `facts` go
     into the log's metadata.

@@ -1,9 +1,11 @@
 """The optimal control problem of one control step, as data."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.setup import Shape
 
 
 class Region(Protocol):
@@ -18,13 +20,12 @@ class Region(Protocol):
         ...
 
     @property
-    def rectangles(self) -> Floats:
-        """Left, bottom, right, top of each rectangle, (R, 4)."""
+    def shapes(self) -> Sequence[Shape]:
+        """Return the shapes whose union the region is."""
         ...
 
-    @property
-    def circles(self) -> Floats:
-        """Centre x, y and radius of each circle, (C, 3)."""
+    def packed(self) -> tuple[Any, ...]:
+        """Return the shapes as compiled code takes them, one `PackedShapes` for each kind."""
         ...
 
 

@@ -1,11 +1,13 @@
 """Kinds by name: what a `type` in a spec stands for, built in or installed with other packages."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import UsageError
@@ -94,6 +96,16 @@ class Registry:
             f"{package} {version}: the {self.what} '{point.name}' cannot be used: {why}",
             f"its entry point is '{where}'; update or uninstall the package",
         )
+
+    def files(self) -> Iterator[Path]:
+        """Yield the source file of each kind's module, without importing it."""
+        modules = [target.partition(":")[0] for target in self.builtin.values()]
+        modules += [point.module for point in self._installed.values()]
+        for module in dict.fromkeys(modules):
+            with suppress(ImportError, ValueError):  # of a package that cannot be imported
+                spec = find_spec(module)
+                if spec is not None and spec.origin is not None and Path(spec.origin).exists():
+                    yield Path(spec.origin)
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:

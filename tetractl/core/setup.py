@@ -39,8 +39,6 @@ class Bounds:
 class Shape(Protocol):
     """The shape of an obstacle in the plane; its edge belongs to it. Lengths in the spec's unit."""
 
-    type: str
-
     def contain(self, x: Floats, y: Floats) -> Bools:
         """Return whether each point lies in the shape, p(s) of (13)."""
         ...
@@ -54,11 +52,20 @@ class Shape(Protocol):
         ...
 
     def grown(self, margin: float) -> "Shape":
-        """Return the shape grown by a margin on every side."""
+        """Return the shape grown by a margin >= 0 on every side [length unit].
+
+        A grown shape contains every point within the margin of the shape.
+        """
         ...
 
     def outline(self) -> Floats:
-        """Return the corners of a closed polygon that draws the shape, (M, 2), anticlockwise."""
+        """Return the corners of a simple polygon that draws the shape as it was before it was
+        grown, (M, 2), anticlockwise.
+        """
+        ...
+
+    def row(self) -> tuple[float, ...]:
+        """Return the shape's numbers for the compiled functions of `packed`."""
         ...
 
 

@@ -14,7 +14,7 @@ EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01 UTC: virtual trials start her
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Everything known before the first step of a trial.
+    """What is known of a trial before its first step.
 
     `resolved` is the spec as YAML with every field, defaults and `--set` applied; `spec_hash` is
     the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the packages
@@ -30,15 +30,16 @@ class Start:
     trial: int  # index in the batch, from 0
     plant: PlantInfo
     start_unix_ns: int  # trial clock 0 in Unix time; EPOCH_NS in simulation
-    attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
+    attached: tuple[tuple[str, str], ...] = ()  # name and text of files that the spec names
     packages: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One control step k: what was seen, decided and sent.
+    """One control step k: observation, plan and command.
 
-    `solve_ns` and `deadline_missed` are host facts: they differ from run to run on the same seed.
+    `solve_ns` is the wall time of planning; `deadline_missed` is True where it exceeds the control
+    period. Both differ from run to run on the same seed.
     """
 
     k: int

@@ -1,4 +1,4 @@
-"""A field of a spec whose `type` names its section in a registry."""
+"""Fields of a spec whose values are found by name in a registry."""
 
 from typing import Any
 
@@ -72,3 +72,25 @@ class Choice:
             fitting = {"known": {k: v for k, v in known.items() if k != name}}
             raise PydanticCustomError("union_tag_invalid", "does not fit here", fitting)
         return section
+
+
+class OneOf:
+    """Annotation of a text field: one of the names in a registry. Nothing is imported for it."""
+
+    def __init__(self, registry: Registry) -> None:
+        self.registry = registry
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def check(value: str) -> str:
+            if value not in self.registry:
+                raise PydanticCustomError("literal_error", "is an unknown name")
+            return value
+
+        return core_schema.no_info_after_validator_function(check, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"type": "string", "enum": list(self.registry.names())}

@@ -1,14 +1,16 @@
 """What the parts of a spec must be to each other."""
 
-import math
 from collections.abc import Iterator, Mapping
 
-from tetractl.experiment.experiment import Arena, Circle, Experiment, Obstacle, Rectangle, Robot
+import numpy as np
+
+from tetractl.experiment.experiment import Arena, Experiment, Robot
+from tetractl.experiment.shape import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
 
 def contradictions(
-    arena: Arena | None, robots: Mapping[int, Robot], obstacles: Mapping[int, Obstacle]
+    arena: Arena | None, robots: Mapping[int, Robot], obstacles: Mapping[int, ShapeSection]
 ) -> Iterator[tuple[Loc, str]]:
     """Yield where the parts contradict each other, and how.
 
@@ -24,7 +26,7 @@ def contradictions(
             if arena is not None and not arena.contains(*point):
                 yield loc, f"is outside the arena; must be within {_extent(arena)}"
             for j, obstacle in obstacles.items():
-                if obstacle.contains(*point):
+                if _depth(obstacle, point) >= 0:
                     yield loc, f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
     for j, obstacle in obstacles.items():
         if arena is not None and not _touches(arena, obstacle):
@@ -45,15 +47,18 @@ def _extent(arena: Arena) -> str:
     return f"x {arena.left:g} to {right:g}, y {arena.bottom:g} to {top:g}"
 
 
-def _touches(arena: Arena, obstacle: Rectangle | Circle) -> bool:
+def _depth(obstacle: ShapeSection, point: tuple[float, float]) -> float:
+    """Return how deep a point lies inside an obstacle, negative outside [length unit]."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return -float(obstacle.distance(*np.array(point)))
+
+
+def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
+    """Return whether the edge of the arena meets an obstacle, or a corner of it lies within."""
     right, top = arena.left + arena.width, arena.bottom + arena.height
-    if isinstance(obstacle, Circle):
-        x, y = obstacle.center
-        nearest = min(max(x, arena.left), right), min(max(y, arena.bottom), top)
-        return math.dist(nearest, obstacle.center) <= obstacle.radius
-    return (
-        obstacle.left <= right
-        and arena.left <= obstacle.left + obstacle.width
-        and obstacle.bottom <= top
-        and arena.bottom <= obstacle.bottom + obstacle.height
-    )
+    x = np.array([arena.left, right, right, arena.left])
+    y = np.array([arena.bottom, arena.bottom, top, top])
+    with np.errstate(over="ignore", invalid="ignore"):
+        if obstacle.cross(x, y, np.roll(x, -1), np.roll(y, -1)).any():
+            return True
+    return any(arena.contains(*corner) for corner in obstacle.outline().tolist())

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Disturbance:
 class DisturbanceSection(Model):
     """A disturbance and its parameters."""
 
-    type: str
+    type: Any  # each section's own name, as a Literal
 
     @abstractmethod
     def build(self, setup: Setup, rng: np.random.Generator) -> Disturbance:

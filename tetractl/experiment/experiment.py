@@ -1,6 +1,5 @@
 """The experiment: everything a batch of trials depends on."""
 
-import math
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -12,9 +11,10 @@ from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.choice import Choice
 from tetractl.experiment.controller import ControllerSection
-from tetractl.experiment.kinds import CONTROLLERS, PLANTS
+from tetractl.experiment.kinds import CONTROLLERS, PLANTS, SHAPES
 from tetractl.experiment.lab import LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
+from tetractl.experiment.shape import ShapeSection
 
 
 class Units(Model):
@@ -24,40 +24,7 @@ class Units(Model):
     """Of every position, distance, speed and cost."""
 
 
-class Rectangle(Model):
-    """An axis-aligned rectangle, given as the paper gives it: [left, bottom, width, height]."""
-
-    type: Literal["rectangle"]
-    left: Finite
-    """Least x [length unit]."""
-    bottom: Finite
-    """Least y [length unit]."""
-    width: Positive
-    """Extent in x [length unit]."""
-    height: Positive
-    """Extent in y [length unit]."""
-
-    def contains(self, x: float, y: float) -> bool:
-        """Whether a point lies in the rectangle, its edge included."""
-        inside_x = self.left <= x <= self.left + self.width
-        return inside_x and self.bottom <= y <= self.bottom + self.height
-
-
-class Circle(Model):
-    """A round obstacle."""
-
-    type: Literal["circle"]
-    center: Point
-    """Centre [x, y]."""
-    radius: Positive
-    """Radius [length unit]."""
-
-    def contains(self, x: float, y: float) -> bool:
-        """Whether a point lies in the disc, its edge included."""
-        return math.hypot(x - self.center[0], y - self.center[1]) <= self.radius
-
-
-Obstacle = Annotated[Rectangle | Circle, Field(discriminator="type")]
+Obstacle = Annotated[ShapeSection, Choice(SHAPES)]
 
 
 class Arena(Model):

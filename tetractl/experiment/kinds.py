@@ -29,17 +29,18 @@ MOTIONS = Registry(
     "tetractl.motions",
     "motion",
     {
-        "euler": "tetractl.model.cell:euler",
-        "arc": "tetractl.model.cell:arc",
-        "exact": "tetractl.model.cell:exact",
+        "euler": "tetractl.model.motion.euler:EULER",
+        "arc": "tetractl.model.motion.arc:ARC",
+        "exact": "tetractl.model.motion.exact:EXACT",
     },
 )
 SHAPES = Registry(
     "tetractl.shapes",
     "shape",
     {
-        "rectangle": "tetractl.experiment.experiment:Rectangle",
-        "circle": "tetractl.experiment.experiment:Circle",
+        "rectangle": "tetractl.model.shapes.rectangle:Rectangle",
+        "circle": "tetractl.model.shapes.circle:Circle",
+        "polygon": "tetractl.model.shapes.polygon:Polygon",
     },
     SECTION,
 )

@@ -16,7 +16,7 @@ from tetractl.experiment.consistency import contradictions, plant_contradictions
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.kinds import packages
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.experiment.yaml.document import parse_document, read_text
+from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.overrides import override
 from tetractl.experiment.yaml.problems import InvalidSpecError
@@ -83,12 +83,21 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
     )
 
 
-def _experiment(text: str, origin: str, sets: Sequence[str]) -> tuple[Experiment, tuple[str, ...]]:
-    """Return the experiment and what names have changed."""
+def document_of(text: str, origin: str, sets: Sequence[str]) -> Document:
+    """Return the data of a spec with `sets` applied, names of today, and the place of each value.
+
+    What is wrong is among its problems; InvalidSpecError where nothing can be made of the text.
+    """
     document = parse_document(text, origin)
     upgrade(document)
     for setting in sets:
         override(document, setting)
+    return document
+
+
+def _experiment(text: str, origin: str, sets: Sequence[str]) -> tuple[Experiment, tuple[str, ...]]:
+    """Return the experiment and what names have changed."""
+    document = document_of(text, origin, sets)
     experiment = None
     try:
         experiment = Experiment.model_validate(frozen(document.data), strict=True, context=STRICT)

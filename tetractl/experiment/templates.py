@@ -50,23 +50,23 @@ obstacles:
 
 CONTROLLER = """
 controller:
-  type: pso-mpc
+  type: mpc
   period: 0.2             # s: a new direction five times a second
-  model: exact            # predict by the closed form of the motion
+  motion: exact           # predict by the closed form of the motion
   estimate: true          # learn each robot's a and speed on the way
   horizon_max: 51         # signals: the longest plan is 10.2 s
   steps_max: 100          # control steps of a trial at most
   arrival_tolerance: {tolerance}   # {unit}; a trial ends when every robot is this near its target
   collision: {{check: swept, margin: {margin}, walls: true}}   # {unit} kept from obstacles and edge
-  swarm: {{type: multistart}}   # the optimiser; pso is the paper's
+  optimizer: {{type: multistart}}   # the optimiser; pso is the paper's
 """
 
 LAB_CONTROLLER = """
 controller:
-  type: pso-mpc
+  type: mpc
   period: 0.05            # s: control at 20 Hz ...
   hold: 4                 # ... of a plan whose directions are held for 0.2 s
-  model: exact            # predict by the closed form of the motion
+  motion: exact           # predict by the closed form of the motion
   estimate: true          # learn each robot's a and speed on the way
   dead_time: 0.05         # s: cameras (`tetractl lab check` tells), radio, the wheels' lag
   horizon_max: 51         # signals: the longest plan is 10.2 s
@@ -74,7 +74,7 @@ controller:
   arrival_tolerance: {tolerance}   # {unit}; a trial ends when every robot is this near its target
   collision: {{check: swept, margin: {margin}, walls: true}}   # {unit} kept from obstacles and edge
   deadline: 0.035         # s: a control step has to end before the next
-  swarm: {{type: multistart}}   # the optimiser; pso is the paper's
+  optimizer: {{type: multistart}}   # the optimiser; pso is the paper's
 """
 
 M3PI_PLANT = """

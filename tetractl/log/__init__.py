@@ -1,1 +1,1 @@
-"""The MCAP log of a trial: records, writer, reader, salvage, provenance."""
+"""The MCAP log of a trial: its format, writing it, reading it, and its provenance."""

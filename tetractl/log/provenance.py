@@ -1,4 +1,4 @@
-"""Where a log comes from: the machine, the hour, the versions, the state of the source tree."""
+"""The provenance of a log: machine, hour, versions, and state of the source tree."""
 
 import hashlib
 import json
@@ -27,10 +27,10 @@ PACKAGES = (
     "zstandard",
     "protobuf",
 )
-"""Packages whose version may change a result or how it is stored."""
+"""The packages whose version may change a result or its log."""
 
 VERSION_KEYS = frozenset({"python", "tetractl", "code", "git_commit", "git_dirty", *PACKAGES})
-"""What `versions` may hold."""
+"""The keys that `versions` may return."""
 
 PLUGIN = "package."
 """Before the name of a package that provides a kind which the spec uses; the value is its version.
@@ -42,13 +42,13 @@ _GIT_TIMEOUT_S = 5.0
 
 
 def now() -> str:
-    """Return the time of day, UTC, as ISO 8601."""
+    """Return date and time, UTC, as ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 @cache
 def host() -> dict[str, str]:
-    """Return what is known of the machine."""
+    """Return name, system and processor of this machine."""
     return {
         "host": socket.gethostname(),
         "os": platform.platform(),
@@ -67,13 +67,13 @@ def versions() -> dict[str, str]:
     is not installed.
     """
     sources = [file for part in ("control", "model") for file in (_here() / part).rglob("*.py")]
-    facts = {
+    found = {
         "python": platform.python_version(),
         "tetractl": __version__,
         "code": cache_name(sources),
     }
-    facts |= {name: metadata.version(name) for name in PACKAGES}
-    return facts | _git_state()
+    found |= {name: metadata.version(name) for name in PACKAGES}
+    return found | _git_state()
 
 
 def host_metadata(packages: Mapping[str, str]) -> dict[str, str]:
@@ -98,7 +98,7 @@ def is_version(key: str) -> bool:
 def environment() -> str:
     """Return machine, versions, every installed package and local changes, as JSON."""
     packages = {item.name: item.version for item in metadata.distributions() if item.name}
-    facts: dict[str, object] = {
+    found: dict[str, object] = {
         "host": host(),
         "versions": versions(),
         "python": sys.version,
@@ -107,11 +107,11 @@ def environment() -> str:
     if versions().get("git_dirty") == "true":
         diff = _git("diff", "HEAD") or ""
         untracked = _git("ls-files", "--others", "--exclude-standard", ":/") or ""
-        facts["git_diff"] = diff[:DIFF_LIMIT]
-        facts["git_diff_characters"] = len(diff)
-        facts["git_diff_sha256"] = hashlib.sha256(diff.encode()).hexdigest()
-        facts["git_untracked"] = untracked.splitlines()[:UNTRACKED_LIMIT]
-    return json.dumps(facts, indent=1) + "\n"
+        found["git_diff"] = diff[:DIFF_LIMIT]
+        found["git_diff_characters"] = len(diff)
+        found["git_diff_sha256"] = hashlib.sha256(diff.encode()).hexdigest()
+        found["git_untracked"] = untracked.splitlines()[:UNTRACKED_LIMIT]
+    return json.dumps(found, indent=1) + "\n"
 
 
 def _here() -> Path:

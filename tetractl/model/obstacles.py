@@ -1,122 +1,85 @@
-"""The obstacles: point test (13), swept test, and distance, for rectangles and circles."""
+"""The obstacle region O of (13): a union of shapes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Shape
-from tetractl.experiment.experiment import Circle, Rectangle
-
-Bools = NDArray[np.bool_]
+from tetractl.model.shapes.circle import PackedCircles
+from tetractl.model.shapes.rectangle import PackedRectangles, Rectangle
 
 
 @dataclass(frozen=True, slots=True)
 class Obstacles:
-    """The obstacle region O of (13), a union of rectangles and circles.
+    """A union of shapes; their edges belong to it. Lengths in the spec's unit."""
 
-    `rectangles` (R, 4) holds left, bottom, right, top; `circles` (C, 3) holds x, y, radius; both
-    in the spec's length unit. Edges belong to the obstacle.
-    """
-
-    rectangles: Floats
-    circles: Floats
+    shapes: tuple[Shape, ...]
 
     @classmethod
-    def of(
-        cls,
-        obstacles: Sequence[Shape],
-        margin: float = 0.0,
-        walls: Bounds | None = None,
-    ) -> Self:
-        """Take obstacles from a spec, each side and radius grown by `margin` [length unit].
+    def of(cls, shapes: Sequence[Shape], margin: float = 0.0, walls: Bounds | None = None) -> Self:
+        """Return the union of shapes, each grown by `margin` [length unit].
 
-        With `walls`, everything outside that arena belongs to O too, as four broad rectangles.
+        With `walls`, everything outside that arena belongs to it too, as four broad rectangles.
         """
-        rectangles = [
-            (
-                o.left - margin,
-                o.bottom - margin,
-                o.left + o.width + margin,
-                o.bottom + o.height + margin,
-            )
-            for o in obstacles
-            if isinstance(o, Rectangle)
-        ]
-        circles = [(*o.center, o.radius + margin) for o in obstacles if isinstance(o, Circle)]
-        if walls is not None:
-            rectangles += _walls(walls, margin)
-        return cls(
-            np.array(rectangles, dtype=np.float64).reshape(-1, 4),
-            np.array(circles, dtype=np.float64).reshape(-1, 3),
-        )
+        every = [*shapes, *(_walls(walls) if walls else ())]
+        return cls(tuple(shape.grown(margin) for shape in every))
 
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Whether each point is in an obstacle, p(s) of (13); x, y broadcast to the result."""
+        """Return whether each point is in an obstacle, p(s) of (13); x, y broadcast."""
         inside = np.zeros(np.broadcast(x, y).shape, dtype=np.bool_)
-        for left, bottom, right, top in self.rectangles:
-            inside |= (left <= x) & (x <= right) & (bottom <= y) & (y <= top)
-        for cx, cy, radius in self.circles:
-            inside |= (x - cx) ** 2 + (y - cy) ** 2 <= radius**2
+        for shape in self.shapes:
+            inside |= shape.contain(x, y)
         return inside
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Whether each straight segment from (x0, y0) to (x1, y1) touches an obstacle."""
-        dx, dy = x1 - x0, y1 - y0
+        """Return whether each straight segment from (x0, y0) to (x1, y1) touches an obstacle."""
         touched = np.zeros(np.broadcast(x0, y0, x1, y1).shape, dtype=np.bool_)
-        for left, bottom, right, top in self.rectangles:
-            touched |= _crosses_rectangle(x0, y0, dx, dy, left, bottom, right, top)
-        for cx, cy, radius in self.circles:
-            length2 = dx * dx + dy * dy
-            along = (cx - x0) * dx + (cy - y0) * dy
-            nearest = np.clip(along / np.where(length2 > 0, length2, 1.0), 0.0, 1.0)
-            gap2 = (x0 + nearest * dx - cx) ** 2 + (y0 + nearest * dy - cy) ** 2
-            touched |= gap2 <= radius**2
+        for shape in self.shapes:
+            touched |= shape.cross(x0, y0, x1, y1)
         return touched
 
     def distance(self, x: Floats, y: Floats) -> Floats:
-        """Distance to the nearest obstacle [length unit], negative inside; inf if there is none."""
+        """Return the distance to the nearest obstacle, negative inside; inf if there is none."""
         nearest = np.full(np.broadcast(x, y).shape, np.inf)
-        for left, bottom, right, top in self.rectangles:
-            gap_x = np.maximum(left - x, x - right)
-            gap_y = np.maximum(bottom - y, y - top)
-            outside = np.hypot(np.maximum(gap_x, 0.0), np.maximum(gap_y, 0.0))
-            nearest = np.minimum(nearest, outside + np.minimum(np.maximum(gap_x, gap_y), 0.0))
-        for cx, cy, radius in self.circles:
-            nearest = np.minimum(nearest, np.hypot(x - cx, y - cy) - radius)
+        for shape in self.shapes:
+            nearest = np.minimum(nearest, shape.distance(x, y))
         return nearest
 
+    def packed(self) -> tuple[Any, ...]:
+        """Return the shapes as the kernels take them: one `PackedShapes` a kind.
 
-def _crosses_rectangle(
-    x0: Floats,
-    y0: Floats,
-    dx: Floats,
-    dy: Floats,
-    left: float,
-    bottom: float,
-    right: float,
-    top: float,
-) -> Bools:
-    """Segment against rectangle by the separating axis theorem: two box axes and the normal."""
-    center_x, center_y = (left + right) / 2, (bottom + top) / 2
-    half_x, half_y = (right - left) / 2, (top - bottom) / 2
-    mid_x, mid_y = x0 + dx / 2 - center_x, y0 + dy / 2 - center_y
-    across = np.abs(dx * mid_y - dy * mid_x) <= half_x * np.abs(dy) + half_y * np.abs(dx)
-    overlap_x = np.abs(mid_x) <= half_x + np.abs(dx) / 2
-    return overlap_x & (np.abs(mid_y) <= half_y + np.abs(dy) / 2) & across
+        Rectangles and circles are always among them, if need be none, so that one compiled kernel
+        serves most experiments.
+        """
+        rows: dict[type[Any], list[tuple[float, ...]]] = {PackedRectangles: [], PackedCircles: []}
+        for shape in self.shapes:
+            rows.setdefault(shape.packed, []).append(shape.row())
+        return tuple(kind(_table(kind.size or 0, found)) for kind, found in rows.items())
 
 
-def _walls(arena: Bounds, margin: float) -> list[tuple[float, float, float, float]]:
+def _table(width: int, rows: list[tuple[float, ...]]) -> Floats:
+    """Return rows as an array, padded with zeros at the end to the longest."""
+    table = np.zeros((len(rows), max(map(len, rows), default=width)))
+    for i, row in enumerate(rows):
+        table[i, : len(row)] = row
+    return table
+
+
+def _walls(arena: Bounds) -> list[Rectangle]:
     """Four rectangles round an arena, as broad as three arenas: no robot crosses them in a step."""
     broad = 3 * max(arena.width, arena.height)
-    left, bottom = arena.left + margin, arena.bottom + margin
-    right, top = arena.right - margin, arena.top - margin
+
+    def wall(left: float, bottom: float, right: float, top: float) -> Rectangle:
+        sides = {"left": left, "bottom": bottom, "width": right - left, "height": top - bottom}
+        return Rectangle(type="rectangle", **sides)
+
+    low, high = arena.bottom - broad, arena.top + broad
     return [
-        (left - broad, bottom - broad, left, top + broad),
-        (right, bottom - broad, right + broad, top + broad),
-        (left - broad, bottom - broad, right + broad, bottom),
-        (left - broad, top, right + broad, top + broad),
+        wall(arena.left - broad, low, arena.left, high),
+        wall(arena.right, low, arena.right + broad, high),
+        wall(arena.left - broad, low, arena.right + broad, arena.bottom),
+        wall(arena.left - broad, arena.top, arena.right + broad, high),
     ]

@@ -49,7 +49,7 @@ class LabPlant:
         self._operators = operators
         rig.on_frame = self._see
         self._heading = self.setup.starts.heading
-        self._judge = PathCheck(Obstacles.of(self.setup.obstacles), len(self.setup.names))
+        self._path_check = PathCheck(Obstacles.of(self.setup.obstacles), len(self.setup.names))
         self._judging = False
         self._newest: Observation | None = None
         self._fresh: deque[Sample] = deque(maxlen=KEPT)
@@ -131,8 +131,8 @@ class LabPlant:
             self._news.append(Note(self.clock.now(), "error", restless))
         self._judging = False
         final = self._newest.poses if self._newest is not None else self.setup.starts
-        entered = tuple(bool(e) for e in self._judge.entered)
-        return Verdict(final, entered, tuple(self._judge.clearance.tolist()), restless)
+        entered = tuple(bool(e) for e in self._path_check.entered)
+        return Verdict(final, entered, tuple(self._path_check.clearance.tolist()), restless)
 
     def close(self) -> None:
         """Release camera and actuator."""
@@ -156,7 +156,7 @@ class LabPlant:
         poses = Poses(x, y, heading)
         self._newest = Observation(frame.number, frame.sampled_ns, frame.received_ns, poses, valid)
         if self._judging:
-            self._judge.add(poses.x[None], poses.y[None])
+            self._path_check.add(poses.x[None], poses.y[None])
         self._fresh.append(Sample(self._newest, None))
 
     def _command(self, sent: Transmission) -> Command:

@@ -6,7 +6,7 @@ integrated: its error does not depend on the sampling rate.
 
 import json
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -18,11 +18,11 @@ from tetractl.core.operators import Operators
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Model, NonNegative, inconsistent
-from tetractl.experiment.choice import Choice
+from tetractl.experiment.choice import Choice, OneOf
 from tetractl.experiment.disturbance import DisturbanceSection, Order
-from tetractl.experiment.kinds import DISTURBANCES
+from tetractl.experiment.kinds import DISTURBANCES, MOTIONS
 from tetractl.experiment.plant import PlantSection
-from tetractl.model.cell import exact
+from tetractl.model.motion.base import Held, Motion
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
@@ -43,7 +43,7 @@ class SimSection(PlantSection):
 
     simulated: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
-    motion: Literal["exact", "arc", "euler"] = "exact"
+    motion: Annotated[str, OneOf(MOTIONS)] = "exact"
     """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25) between two commands;
     `euler` moves by (4)-(6) themselves, on straight chords."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
@@ -87,16 +87,6 @@ class SimSection(PlantSection):
         return SimPlant(self, setup, clock, seed)
 
 
-@dataclass(slots=True)
-class _Held:
-    """What each robot holds between commands, (N,) each; a robot told nothing yet stands still."""
-
-    direction: Floats  # u [rad]
-    turning: Floats  # a sin(u - heading) when the command came [rad/s]
-    course: Floats  # heading when the command came [rad]
-    moving: Floats  # 1 where the robot moves, else 0
-
-
 class SimPlant:
     """A `Plant` of simulated robots; `seed` feeds every disturbance."""
 
@@ -105,6 +95,7 @@ class SimPlant:
     ) -> None:
         self.spec = section
         self.wheel_radius = setup.wheel_radius
+        self._motion: Motion = MOTIONS.load(section.motion)
         self.clock = clock
         streams = (np.random.default_rng(child) for child in seed.spawn(4))
         self._measuring, self._swerving, self._losing, erring = streams
@@ -119,9 +110,9 @@ class SimPlant:
         for disturbance in self._disturbances:
             self.a, self.speed = disturbance.parameters(self.a, self.speed)
         self.poses = setup.starts
-        self._held = _Held(*(np.zeros(count) for _ in range(4)))
+        self._held = Held(*(np.zeros(count) for _ in range(4)))
         self._orders: deque[Order] = deque()
-        self._judge = PathCheck(Obstacles.of(setup.obstacles), count)
+        self._path_check = PathCheck(Obstacles.of(setup.obstacles), count)
         self._time = 0
         self._frames = 0  # frames exposed so far
         self._ticks = 0  # true samples judged so far
@@ -188,8 +179,8 @@ class SimPlant:
         stopped = self._orders[-1].due_ns if self._orders else self.clock.now()
         self.clock.sleep_until(stopped + round(2 * SECOND / self.spec.camera_rate))
         self._advance(self.clock.now())
-        entered = tuple(bool(e) for e in self._judge.entered)
-        return Verdict(self.poses, entered, tuple(self._judge.clearance.tolist()))
+        entered = tuple(bool(e) for e in self._path_check.entered)
+        return Verdict(self.poses, entered, tuple(self._path_check.clearance.tolist()))
 
     def close(self) -> None:
         """Nothing to release."""
@@ -262,7 +253,7 @@ class SimPlant:
             self._ticks += 1
         times = np.unique(np.array([*(due for _, due in frames), *ticks, end], dtype=np.int64))
         x, y, heading = self._at((times - self._time)[:, None] / SECOND)
-        self._judge.add(x, y)
+        self._path_check.add(x, y)
         for number, due in frames:
             i = np.searchsorted(times, due)
             self._expose(number, due, Poses(x[i], y[i], heading[i]))
@@ -272,14 +263,7 @@ class SimPlant:
         """Poses (M, N) after times t (M, 1) [s] from now, in closed form."""
         p, held = self.poses, self._held
         t = t * held.moving
-        if self.spec.motion == "exact":
-            return exact(p.x, p.y, p.heading, held.direction, self.a, self.speed, t)
-        half = 0.5 * held.turning * t
-        if self.spec.motion == "arc":
-            chord, course = self.speed * t * np.sinc(half / np.pi), p.heading + half
-        else:
-            chord, course = self.speed * t, held.course
-        return p.x + chord * np.cos(course), p.y + chord * np.sin(course), p.heading + 2 * half
+        return self._motion.hold(p.x, p.y, p.heading, held, self.a, self.speed, t)
 
     def _expose(self, number: int, when: int, truth: Poses) -> None:
         """Take one camera frame."""

@@ -1,1 +1,1 @@
-"""Replay: play a recorded trial back, and verify it by re-computation."""
+"""Replay of recorded trials, and their verification by re-computation."""

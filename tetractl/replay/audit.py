@@ -1,4 +1,4 @@
-"""A log checked against itself: what it says twice, or what follows from something else it says."""
+"""Checks a log against itself: values it states twice, and values that follow from others."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,13 +19,13 @@ from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import check_path
 from tetractl.replay.recompute import Difference
 
-REST = 1e-6  # of a coordinate: how far a robot at rest may be from where it stopped
-LAST_FRAMES = 120  # among which a lab's final poses are
+REST = 1e-6  # relative to a coordinate: tolerance for the position of a robot at rest
+LAST_FRAMES = 120  # of a lab trial, one of which shows the final poses
 
 
 @dataclass(slots=True)
 class Audit:
-    """What a log contradicts itself in, and notes that are no contradiction."""
+    """The contradictions in a log, and notes on it that are no contradictions."""
 
     problems: list[Difference] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -66,7 +66,7 @@ def _run(log: TrialLog) -> Iterator[Difference]:
 
 
 def _frames(log: TrialLog) -> Iterator[Difference]:
-    """Time goes on from frame to frame, and nothing is received before it is seen."""
+    """Frame numbers and times rise, and no frame is received before its exposure."""
     for name, values, least in (
         ("frames", log.frames, 1),
         ("sampled_ns", log.mocap_ns, 1),
@@ -76,11 +76,13 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
             text = f"after frame {log.frames[i]} it goes from {values[i]} to {values[i + 1]}"
             yield Difference(None, f"mocap.{name}", text)
     for i in np.flatnonzero(log.received_ns < log.mocap_ns):
-        yield Difference(None, "mocap.received_ns", f"frame {log.frames[i]} came before it was")
+        yield Difference(
+            None, "mocap.received_ns", f"frame {log.frames[i]} was received before its exposure"
+        )
 
 
 def _ends(log: TrialLog) -> Iterator[Difference]:
-    """A simulation's frames begin with the trial and go on until its robots have stopped."""
+    """The frames of a simulation begin with the trial and end after the stop."""
     if not log.start.plant.simulated or log.damage:
         return
     if not len(log.frames) or log.frames[0] != 0:
@@ -92,7 +94,7 @@ def _ends(log: TrialLog) -> Iterator[Difference]:
 def _steps(log: TrialLog) -> Iterator[Difference]:
     seen = {int(number): i for i, number in enumerate(log.frames)}
     sent: dict[int, list[Command]] = {}
-    for command in log.commands:  # an interrupted trial's stop may go with its last step
+    for command in log.commands:  # the stop may be sent together with the last step
         sent.setdefault(command.sent_ns, []).append(command)
     control, simulated = log.experiment.controller, log.start.plant.simulated
     before: Step | None = None
@@ -235,7 +237,7 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _stands(log: TrialLog, final: Poses) -> bool:
-    """Whether the robots were last seen where they ended."""
+    """Return whether the final poses are those of the last frames."""
     if log.truth is not None:
         return not len(log.truth) or bool(
             np.allclose(final.array(), log.truth[-1], rtol=REST, atol=REST)

@@ -1,4 +1,4 @@
-"""The time of a replay: a trial's clock driven by the wall clock, as rosbag2's player clock."""
+"""The clock of a replay, driven by the wall clock, as rosbag2's player clock."""
 
 import math
 
@@ -6,10 +6,10 @@ from tetractl.core.clock import Clock
 
 
 class PlayerClock:
-    """A trial's time [ns], `rate` times as fast as the wall clock, that can stand still and jump.
+    """A trial's time [ns], `rate` times as fast as the wall clock; it can be paused and set.
 
-    now = anchor + rate * (wall - wall at the anchor); a change of rate, a pause and a jump each set
-    a new anchor, so that time never leaps by itself.
+    now = anchor + rate * (wall - wall at the anchor). A change of rate, a pause and a jump each set
+    a new anchor, so that the time is continuous but for jumps.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class PlayerClock:
 
     @property
     def paused(self) -> bool:
-        """Whether time stands still."""
+        """Whether the clock is paused."""
         return self._paused
 
     def now(self) -> int:
@@ -38,25 +38,25 @@ class PlayerClock:
         return self._anchor + round(self._rate * (self._wall.now() - self._anchor_wall))
 
     def sleep_until(self, time_ns: int) -> bool:
-        """Wait for a time of the trial; return whether it has come. A paused clock never waits."""
+        """Wait until a time of the trial, and return True; a paused clock returns at once."""
         if not self._paused:
             wall_ns = math.ceil((time_ns - self._anchor) / self._rate)
             self._wall.sleep_until(self._anchor_wall + wall_ns)
         return self.now() >= time_ns
 
     def set_rate(self, rate: float) -> None:
-        """Go on from now at another rate, above 0."""
+        """Change the rate; it must be above 0."""
         rate = _positive(rate)
         self.jump(self.now())
         self._rate = rate
 
     def pause(self) -> None:
-        """Stand still."""
+        """Stop the clock."""
         self.jump(self.now())
         self._paused = True
 
     def resume(self) -> None:
-        """Go on from where time stood."""
+        """Start a paused clock."""
         self.jump(self.now())
         self._paused = False
 

@@ -1,4 +1,4 @@
-"""The player: what the keys do to the time of a replay."""
+"""The player of a recorded trial: the effect of keys on the time that is shown."""
 
 from enum import StrEnum
 
@@ -14,20 +14,20 @@ RATE_MIN, RATE_MAX = 1 / 16, 64.0
 
 
 class Playback(StrEnum):
-    """What a player is doing."""
+    """The state of a player."""
 
     PLAYING = "playing"
     PAUSED = "paused"
-    ENDED = "end"  # paused because there is no more to play
+    ENDED = "end"  # paused at the end of the span
     QUIT = "quit"
 
 
 class Player:
     """Plays a span [ns] of a recording: a state machine over a `PlayerClock`.
 
-    Call `update` before looking at `now`, and `press` with the name of each key: "space" pauses and
-    resumes (and plays again from the start at the end), "left" and "right" seek 1 s, "." goes on by
-    one control step and pauses, "+" and "-" double and halve the rate, "q" quits.
+    Call `update` before reading `now`, and `press` with the name of each key: "space" pauses and
+    resumes, and at the end plays again from the start; "left" and "right" seek 1 s; "." seeks the
+    next control step and pauses; "+" and "-" double and halve the rate, "q" quits.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Player:
 
     @property
     def state(self) -> Playback:
-        """What the player is doing."""
+        """The state of the player."""
         if self._quit:
             return Playback.QUIT
         if not self._clock.paused:
@@ -66,7 +66,7 @@ class Player:
         return Playback.ENDED if self._clock.now() >= self.until_ns else Playback.PAUSED
 
     def update(self) -> None:
-        """At the end of the span: begin again with `loop`, else stand still."""
+        """At the end of the span, begin again with `loop`, else pause."""
         if self._clock.now() >= self.until_ns and not self._clock.paused:
             if self._loop:
                 self._clock.jump(self.start_ns)
@@ -75,7 +75,7 @@ class Player:
                 self._clock.pause()
 
     def press(self, key: str) -> None:
-        """Obey a key; others are ignored."""
+        """Act on a key; unknown keys are ignored."""
         match key:
             case "space":
                 self._toggle()
@@ -110,7 +110,7 @@ class Player:
 
 
 def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[int, int]:
-    """Return the times [ns] to play from and to; raise UsageError if none lies between."""
+    """Return the times [ns] of the first and last instant to play; UsageError for an empty span."""
     for option, value in (("--start", start_s), ("--until", until_s)):
         if value is not None and not value >= 0:
             raise UsageError(f"{option} must not be negative, and is {value:g}")

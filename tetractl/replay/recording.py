@@ -1,4 +1,4 @@
-"""What there is to see of a trial at one instant, recorded or running."""
+"""The state of a trial at one instant, and a recorded trial as a sequence of such instants."""
 
 from dataclasses import dataclass
 
@@ -14,12 +14,12 @@ from tetractl.log.read.trial_log import TrialLog
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """One instant of a trial of N robots; lengths in the experiment's unit.
+    """One instant of a trial of N robots after M frames and K control steps; lengths in its unit.
 
-    `poses` (N, 3) as the cameras saw them last, `trail` (M, N, 2) the way there with NaN where a
-    robot was not tracked, `step` the decision in force, `totals` (K,) the total error at each
-    control step so far. `end_s` is the trial's length where it is known, `steps_end` the number of
-    its control steps or the most there can be.
+    `poses` (N, 3) are the newest measured poses and `trail` (M, N, 2) the measured positions, NaN
+    where a robot was not tracked. `step` is the newest control step and `totals` (K,) the total
+    error at each. `end_s` is the duration of the trial and `steps_end` the number of its control
+    steps; None and 0 where the trial is not over.
     """
 
     setup: Setup
@@ -34,19 +34,19 @@ class Moment:
 
     @property
     def distances(self) -> Floats:
-        """Each robot's distance to its target, shape (N,)."""
+        """The distance of each robot to its target, shape (N,)."""
         return self.setup.distances(self.poses[:, :2])
 
 
 def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
-    """Positions (M, N, 2) from poses (M, N, 3), NaN where a robot was not tracked."""
+    """Return positions (M, N, 2) of poses (M, N, 3), NaN where a robot was not tracked."""
     return np.where(valid[..., None], mocap[..., :2], np.nan)
 
 
 class Recording:
-    """A trial's log made ready to be looked at, at any time of it.
+    """A recorded trial, of which `at` returns any instant.
 
-    A control step counts from when its command was sent: what is shown is what was in force.
+    A control step begins when its command is sent.
     """
 
     def __init__(self, log: TrialLog) -> None:
@@ -65,7 +65,7 @@ class Recording:
         self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
 
     def at(self, time_ns: int) -> Moment:
-        """Return what was to be seen at a time of the trial [ns]."""
+        """Return the instant at a time of the trial [ns]."""
         log = self.log
         seen = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
         done = int(np.searchsorted(self.step_ns, time_ns, side="right"))
@@ -83,7 +83,7 @@ class Recording:
 
 
 def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
-    """Poses (M + 1, N, 3) with the last tracked one kept; row m is known after m frames."""
+    """Return poses (M + 1, N, 3), row m after m frames; a robot not tracked keeps its last pose."""
     poses = np.concatenate([first[None], mocap])
     seen = np.vstack([np.ones(len(first), dtype=bool), valid])
     index = np.arange(len(poses))[:, None] * seen

@@ -1,4 +1,4 @@
-"""`tetractl run --from LOG`: a trial once more, from its own log."""
+"""`tetractl run --from LOG`: run a trial again from its own log, and compare the two logs."""
 
 import sys
 from pathlib import Path
@@ -22,9 +22,9 @@ def recorded(log: Path) -> "tuple[LoadedSpec, int]":
 
 
 def compare(log: Path, again: Path) -> int:
-    """Say whether a trial came out as before; exit code FAILED where it did not."""
+    """Print whether two logs of a trial have the same content; FAILED where they have not."""
     from tetractl.log.read.reader import content_digest, read_result, read_trial
-    from tetractl.replay.verify import differing_facts
+    from tetractl.replay.verify import host_differences
 
     first = read_result(log)
     if not first.simulated:
@@ -41,6 +41,6 @@ def compare(log: Path, again: Path) -> int:
         print("  its spec sets a deadline: plans depend on how fast the host is", file=sys.stderr)
     if read_trial(log).start.resolved != read_trial(again).start.resolved:
         print("  its spec is written with an earlier tetractl's names or fields", file=sys.stderr)
-    for fact in differing_facts(read_trial(log)):
-        print(f"  {fact}", file=sys.stderr)
+    for line in host_differences(read_trial(log)):
+        print(f"  {line}", file=sys.stderr)
     return Exit.FAILED

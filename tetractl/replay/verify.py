@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 from tetractl.experiment.kinds import packages
@@ -12,24 +13,28 @@ from tetractl.replay.audit import audit
 from tetractl.replay.recompute import TOLERANCE, Difference, first_steps, recompute
 
 DECIDES_BITS = ("cpu", "cpu_target", "code", "python", "numpy", "numba", "llvmlite")
-"""Host facts that must agree before the same bits can be asked for."""
+"""What must be the same on two hosts for the same bits to come out."""
 
-RECOMPUTED = "re-computed, bit-identical"
-REEVALUATED = f"costs of the logged plans re-evaluated, to {TOLERANCE:g}"
+
+class Method(StrEnum):
+    """How the decisions of a log are checked; see `recompute`."""
+
+    RECOMPUTED = "re-computed, bit-identical"
+    REEVALUATED = f"costs of the logged plans re-evaluated, to {TOLERANCE:g}"
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What came of verifying one log.
+    """The result of verifying one log.
 
-    `method` is RECOMPUTED or REEVALUATED: which of the two the decisions were put to, the second
-    only where `elsewhere` says what differs between the host that wrote the log and this one.
+    `method` is REEVALUATED only where `elsewhere` names differences between the host that wrote the
+    log and this one. `checked` counts the steps whose decision came out as logged.
     """
 
     path: str
     steps: int
-    checked: int  # steps whose decision was computed again and came out as logged
-    method: str
+    checked: int
+    method: Method
     elsewhere: tuple[str, ...]
     problems: tuple[Difference, ...]  # the first decision that differs comes first
     notes: tuple[str, ...]
@@ -46,10 +51,10 @@ def verify(path: Path) -> Verification:
     began = time.perf_counter()
     log = read_trial(path)
     findings = audit(log)
-    elsewhere = differing_facts(log)
-    method, found = RECOMPUTED, recompute(log, again=True)
+    elsewhere = host_differences(log)
+    method, found = Method.RECOMPUTED, recompute(log, again=True)
     if found and elsewhere:
-        method, found = REEVALUATED, recompute(log, again=False)
+        method, found = Method.REEVALUATED, recompute(log, again=False)
     known = len(first_steps(log))
     checked = found.step if found and found.step is not None else known
     return Verification(
@@ -64,8 +69,8 @@ def verify(path: Path) -> Verification:
     )
 
 
-def differing_facts(log: TrialLog) -> tuple[str, ...]:
-    """Return what decides bits and differs between the log's host and this one."""
+def host_differences(log: TrialLog) -> tuple[str, ...]:
+    """Return the differences between the log's host and this one that change bits, a line each."""
     used = provenance.plugins(packages(log.experiment))
     here = provenance.host() | provenance.versions() | used
     there = log.host | log.provenance

@@ -1,4 +1,4 @@
-"""A batch: many trials of one experiment, each in its own log, over one or more processes."""
+"""A batch: the trials of one experiment, each with its own log, in one or more processes."""
 
 import gc
 import multiprocessing
@@ -8,14 +8,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Protocol
 
 from tetractl.control.build import build_controller
-from tetractl.core.clock import Clock
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import AbortError, TetractlError
 from tetractl.core.operators import Operators
@@ -29,11 +28,11 @@ from tetractl.run.relay import Relay
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
 
-TELL_AGAIN_S = 1.0
+SIGNAL_AGAIN_S = 1.0
 
 
-class Watcher(Protocol):
-    """Is told of the trials of a batch; `index` counts from 0, trials may end in any order."""
+class BatchObserver(Protocol):
+    """Watches a batch; `index` counts trials from 0, and trials may end in any order."""
 
     def trial_started(self, index: int, n: int) -> None:
         """Trial `index` of `n` starts."""
@@ -46,12 +45,12 @@ class Watcher(Protocol):
 
 @dataclass(slots=True)
 class Report:
-    """What came of a batch: results by trial, and the trials that were never run."""
+    """The outcome of a batch: results by trial, and the trials that were not run."""
 
     results: dict[int, Result] = field(default_factory=dict)
     not_run: list[int] = field(default_factory=list)
     asked_to_stop: bool = False
-    refused: TetractlError | None = None  # why a plant would not start a trial
+    refused: TetractlError | None = None  # why a trial could not start
 
     @property
     def interrupted(self) -> bool:
@@ -66,93 +65,40 @@ class Report:
 
 
 def log_path(folder: Path, trial: int) -> Path:
-    """Return where the log of a trial goes."""
+    """Return the file of a trial's log."""
     return folder / f"trial-{trial:03d}.mcap"
 
 
-def run_lab_trial(
+def run_trial(
     spec: LoadedSpec,
     folder: Path,
     trial: int,
-    observers: Sequence[Observer],
-    interrupt: Interrupt,
-    operators: Operators,
-) -> Result:
-    """Run one trial in real time and write its log; no observer can hold it up."""
-    clock, start_ns = spec.experiment.plant.clock(), time.time_ns()
-    with ExitStack() as stack:
-        log = stack.enter_context(LogWriter(log_path(folder, trial), real_time=True))
-        relays = [log, *(stack.enter_context(Relay(observer)) for observer in observers)]
-        return _made(spec, trial, clock, start_ns, relays, interrupt, operators).run()
-
-
-def run_trial(
-    spec: LoadedSpec, folder: Path, trial: int, observers: Sequence[Observer], interrupt: Interrupt
-) -> Result:
-    """Run one trial in virtual time and write its log."""
-    with LogWriter(log_path(folder, trial)) as writer:
-        watching = (writer, *observers)
-        clock = spec.experiment.plant.clock()
-        return _made(spec, trial, clock, EPOCH_NS, watching, interrupt).run()
-
-
-def _made(
-    spec: LoadedSpec,
-    trial: int,
-    clock: Clock,
-    start_unix_ns: int,
     observers: Sequence[Observer],
     interrupt: Interrupt,
     operators: Operators | None = None,
-) -> Trial:
-    """Make a trial from its spec and its number; `operators` are for the lab."""
-    experiment = spec.experiment
-    key, seed = trial_seeds(experiment.trials.seed, trial)
-    return Trial(
-        start=start_of(
-            spec, trial, PlantInfo("", experiment.plant.simulated, 0.0, {}), start_unix_ns
-        ),
-        plant=experiment.plant.build(experiment.setup, clock, seed, operators or Operators()),
-        controller=build_controller(experiment, key),
-        first_plan=experiment.controller.first_plan,
-        clock=clock,
-        observers=observers,
-        interrupt=interrupt,
-    )
+) -> Result:
+    """Run one trial and write its log; `operators` are the people and files at a lab's robots.
 
-
-def run_lab_batch(
-    spec: LoadedSpec,
-    folder: Path,
-    trials: Sequence[int],
-    interrupt: Interrupt,
-    watcher: Watcher,
-    observers: Sequence[Observer],
-    operators: Callable[[int], AbstractContextManager[Operators]],
-) -> Report:
-    """Run trials in the lab, one after another, in this process.
-
-    `operators` gives, for each trial, the people and files at it. A lab that refuses to start a
-    trial ends the batch, as does an interruption or an aborted trial.
+    A plant that is not simulated runs in real time; then a background thread calls the observers,
+    so that none of them delays the loop.
     """
-    report = Report()
-    gc.collect()
-    gc.freeze()  # so that no collection of all that was imported ever holds the inner loop up
-    for trial in trials:
-        if interrupt.requested or report.aborted:
-            break
-        watcher.trial_started(trial, spec.experiment.trials.count)
-        try:
-            with operators(trial) as mine:
-                result = run_lab_trial(spec, folder, trial, observers, interrupt, mine)
-        except TetractlError as error:
-            report.refused = error
-            break
-        report.results[trial] = result
-        watcher.trial_finished(trial, result)
-    report.not_run = [trial for trial in trials if trial not in report.results]
-    report.asked_to_stop = interrupt.requested
-    return report
+    experiment = spec.experiment
+    real_time, clock = not experiment.plant.simulated, experiment.plant.clock()
+    start_unix_ns = time.time_ns() if real_time else EPOCH_NS
+    key, seed = trial_seeds(experiment.trials.seed, trial)
+    with ExitStack() as stack:
+        log = stack.enter_context(LogWriter(log_path(folder, trial), real_time))
+        if real_time:
+            observers = [stack.enter_context(Relay(observer)) for observer in observers]
+        return Trial(
+            start=start_of(spec, trial, PlantInfo("", not real_time, 0.0, {}), start_unix_ns),
+            plant=experiment.plant.build(experiment.setup, clock, seed, operators or Operators()),
+            controller=build_controller(experiment, key),
+            first_plan=experiment.controller.first_plan,
+            clock=clock,
+            observers=[log, *observers],
+            interrupt=interrupt,
+        ).run()
 
 
 def run_batch(
@@ -161,24 +107,35 @@ def run_batch(
     trials: Sequence[int],
     jobs: int,
     interrupt: Interrupt,
-    watcher: Watcher,
+    watcher: BatchObserver,
     observers: Sequence[Observer] = (),
+    operators: Callable[[int], AbstractContextManager[Operators]] | None = None,
 ) -> Report:
     """Run trials, `jobs` at a time; an interruption or an aborted trial ends the batch.
 
-    `observers` watch every trial, which only works in this process: jobs must be 1 to have any.
+    `observers` are called in every trial. They and `operators`, which returns the
+    people and files at a trial in the lab, need `jobs` to be 1. A trial that cannot start ends the
+    batch too.
     """
     report = Report()
-    if min(jobs, len(trials)) <= 1:
+    if min(jobs, len(trials)) > 1:
+        _run_processes(spec, folder, trials, jobs, interrupt, watcher, report)
+    else:
+        if operators is not None:
+            gc.collect()
+            gc.freeze()  # so that collecting what was imported never delays the inner loop
         for trial in trials:
             if interrupt.requested or report.aborted:
                 break
             watcher.trial_started(trial, spec.experiment.trials.count)
-            result = run_trial(spec, folder, trial, observers, interrupt)
+            try:
+                with nullcontext() if operators is None else operators(trial) as mine:
+                    result = run_trial(spec, folder, trial, observers, interrupt, mine)
+            except TetractlError as error:
+                report.refused = error
+                break
             report.results[trial] = result
             watcher.trial_finished(trial, result)
-    else:
-        _run_processes(spec, folder, trials, jobs, interrupt, watcher, report)
     report.not_run = [trial for trial in trials if trial not in report.results]
     report.asked_to_stop = interrupt.requested
     return report
@@ -190,7 +147,7 @@ def _run_processes(
     trials: Sequence[int],
     jobs: int,
     interrupt: Interrupt,
-    watcher: Watcher,
+    watcher: BatchObserver,
     report: Report,
 ) -> None:
     context = multiprocessing.get_context("spawn")  # a fork would copy threads half-way
@@ -198,7 +155,7 @@ def _run_processes(
     waiting = list(reversed(trials))
     running: dict[Future[Result], int] = {}
     count = min(jobs, len(trials))
-    again = 0.0  # when workers may be told once more to stop at once
+    again = 0.0  # when SIGTERM may be sent to the workers once more
     with ProcessPoolExecutor(count, context, _start_worker, (ending,)) as pool:
         while running or (waiting and not ending.is_set()):
             while waiting and len(running) < count and not ending.is_set():
@@ -224,12 +181,12 @@ def _run_processes(
                     if process.pid:
                         os.kill(process.pid, signal.SIGTERM)
                 # once is not always enough: an exception raised in a finaliser is lost
-                again = time.monotonic() + TELL_AGAIN_S
+                again = time.monotonic() + SIGNAL_AGAIN_S
 
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Let a process that is started inside begin with the signals blocked: see `_start_worker`."""
+    """Block the signals in a process started inside the block, until `_start_worker`."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -238,7 +195,7 @@ def _signals_held_back() -> Iterator[None]:
 
 
 class _SharedInterrupt(Interrupt):
-    """An interrupt of a worker: the parent asks first by an event, then by SIGTERM."""
+    """An interrupt of a worker: an event is the first request, SIGTERM the second."""
 
     def __init__(self, ending: Event) -> None:
         super().__init__()
@@ -249,7 +206,7 @@ class _SharedInterrupt(Interrupt):
         return self.count > 0 or self.ending.is_set()
 
     def request(self) -> None:
-        """SIGTERM reaches a worker only as the second request."""
+        """Count two requests: a worker gets SIGTERM only as the second."""
         self.count = 2
         if self._breakable:
             raise KeyboardInterrupt
@@ -259,12 +216,12 @@ _worker_interrupt: Interrupt
 
 
 def _start_worker(ending: Event) -> None:
-    """Leave Ctrl-C, which the terminal sends to all, to the parent."""
+    """Ignore Ctrl-C, which the terminal sends to every process: the parent acts on it."""
     global _worker_interrupt
     _worker_interrupt = interrupt = _SharedInterrupt(ending)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # one that came too early comes now
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers what came before
 
 
 def _work(spec: LoadedSpec, folder: Path, trial: int) -> Result:

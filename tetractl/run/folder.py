@@ -1,4 +1,4 @@
-"""The folder of a batch: where its logs go, and which trials an interrupted one still lacks."""
+"""The folder of a batch: its logs, and the trials that an interrupted batch lacks."""
 
 import itertools
 from datetime import datetime
@@ -18,10 +18,10 @@ def default_folder(name: str, now: datetime) -> Path:
 
 
 def trials_to_run(experiment: Experiment, folder: Path, resume: bool) -> list[int]:
-    """Return the trials a run has to do, all of them or, to resume, those without a complete log.
+    """Return the trials to run: all of them or, to resume, those without a complete log.
 
     Raises UsageError for a folder that holds logs already and, to resume, for logs of another spec
-    or seed. `count` may differ: a batch can be resumed with more trials.
+    or seed; only the number of trials may differ.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: not a folder", "name another with --out")
@@ -34,7 +34,7 @@ def trials_to_run(experiment: Experiment, folder: Path, resume: bool) -> list[in
 
 
 def make_folder(folder: Path) -> None:
-    """Create the folder; raises LogError where that is refused."""
+    """Create the folder; LogError where the file system refuses."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -42,7 +42,7 @@ def make_folder(folder: Path) -> None:
 
 
 def set_aside(folder: Path, trial: int) -> None:
-    """Rename what an unfinished trial left, so that it is kept but no longer counted."""
+    """Rename the log of an unfinished trial, so that it is kept but not counted as a log."""
     path = log_path(folder, trial)
     for left in (path, path.with_name(path.name + ".part")):
         if left.exists():
@@ -60,7 +60,7 @@ def _is_complete(experiment: Experiment, folder: Path, trial: int) -> bool:
         return False
     try:
         found = read_result(path)
-    except LogError:  # what cannot be read is set aside and run again
+    except LogError:  # it is set aside and the trial is run again
         return False
     same = experiment.model_copy(update={"trials": found.experiment.trials})
     if found.seed != experiment.trials.seed or spec_hash(found.experiment) != spec_hash(same):

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: the first lets the step finish and stops the robots, the second now."""
+"""Ctrl-C and SIGTERM: the first stops the robots after the control step, the second at once."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -9,7 +9,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupt:
-    """Counts requests to stop; `KeyboardInterrupt` is raised only where nothing can be torn."""
+    """Counts requests to stop; raises KeyboardInterrupt only in code marked `breakable`."""
 
     def __init__(self, notice: Callable[[], object] = lambda: None) -> None:
         self.count = 0
@@ -22,7 +22,7 @@ class Interrupt:
         return self.count > 0
 
     def request(self) -> None:
-        """Ask once: a second request breaks into the breakable part that is under way."""
+        """Count a request; from the second on, raise KeyboardInterrupt in breakable code."""
         self.count += 1
         if self.count == 1:
             self.notice()
@@ -31,7 +31,7 @@ class Interrupt:
 
     @contextmanager
     def watch(self) -> Iterator[None]:
-        """Take requests from SIGINT and SIGTERM while inside; main thread only."""
+        """Count SIGINT and SIGTERM as requests inside the block; main thread only."""
         before = [signal.signal(number, self._on_signal) for number in SIGNALS]
         try:
             yield
@@ -41,7 +41,7 @@ class Interrupt:
 
     @contextmanager
     def breakable(self) -> Iterator[None]:
-        """Mark code, planning or sleeping, that a second request may break off at once."""
+        """Mark the code inside the block, planning or sleeping, as breakable."""
         self._breakable = True
         try:
             if self.count > 1:

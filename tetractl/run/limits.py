@@ -1,4 +1,4 @@
-"""What an experiment can do at most, and the checks before it is run."""
+"""The limits of an experiment, and the checks before it is run."""
 
 from tetractl.experiment.controller import Square
 from tetractl.experiment.experiment import Experiment
@@ -6,7 +6,7 @@ from tetractl.run.square import check_square
 
 
 def limits(experiment: Experiment) -> dict[str, str]:
-    """Return what bounds a trial, in words for people."""
+    """Return the limits of a trial by name, as text for people."""
     control, unit = experiment.controller, experiment.units.length
     steps = control.steps_max + 1
     longest = steps * control.period
@@ -24,7 +24,7 @@ def limits(experiment: Experiment) -> dict[str, str]:
 
 
 def check(experiment: Experiment) -> None:
-    """Raise SpecError for what only shows when the motion is computed."""
+    """Raise SpecError for a spec that cannot work, where only the computed motion shows it."""
     first = experiment.controller.first_plan
     if isinstance(first, Square):
         check_square(experiment, first)

@@ -1,10 +1,10 @@
-"""Every random number of a batch comes from one root seed, by trial and by purpose."""
+"""The seeds of a trial, all from the root seed of its batch."""
 
 import numpy as np
 
 
 def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
-    """Return (key of the controller's draws, seed of the plant's disturbances) of one trial.
+    """Return the key of the controller's random numbers and the seed of the plant's disturbances.
 
     Children of SeedSequence(root) by spawn key (trial, purpose): a trial's numbers depend on
     neither the number of trials nor the order in which they run.

@@ -1,4 +1,4 @@
-"""Drive a square while the first plan is computed, and come back to the start (IV-B.1).
+"""The square that robots drive while the first plan is computed, and its check (IV-B.1).
 
 All robots get the same four directions, a quarter turn apart, each for the same time. A robot
 that starts a quarter turn behind the first direction repeats the same curve on every side, turned
@@ -15,7 +15,7 @@ from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats
 from tetractl.experiment.controller import Square
 from tetractl.experiment.experiment import Experiment
-from tetractl.model.cell import exact
+from tetractl.model.motion.exact import step
 from tetractl.model.obstacles import Obstacles
 
 SAMPLES = 64  # of a side, when a square is checked against the arena
@@ -35,14 +35,14 @@ def check_square(experiment: Experiment, square: Square) -> None:
     if np.ptp(np.unwrap(np.sort(headings))) > 1e-6:
         raise SpecError(
             "controller.first_plan: a square needs all robots to start with one heading",
-            "turn the robots alike, or use {type: stand}",
+            "give all robots one heading, or use {type: stand}",
         )
     obstacles = Obstacles.of(experiment.obstacles)
     x, y = (np.array([robot.start[axis] for robot in robots]) for axis in (0, 1))
     a, speed = np.array([robot.a for robot in robots]), np.array([robot.speed for robot in robots])
     t = np.linspace(0, square.side, SAMPLES)[:, None]
     for direction in directions(headings):
-        path_x, path_y, turned = exact(x, y, headings, np.array(direction), a, speed, t)
+        path_x, path_y, turned = step(x, y, headings, np.array(direction), a, speed, t)
         for i, robot in enumerate(robots):
             where = zip(path_x[:, i], path_y[:, i], strict=True)
             if not all(experiment.arena.contains(px, py) for px, py in where):

@@ -1,4 +1,4 @@
-"""One trial: observe, plan, steer, record, until the controller, a fault or a person ends it."""
+"""One trial: the control loop of Algorithm 2, from opening the plant to the result."""
 
 import itertools
 import time
@@ -22,9 +22,9 @@ Decision = Plan | Outcome
 
 @dataclass(slots=True)
 class Trial:
-    """One trial in the making; `run` does it once.
+    """One trial, run once by `run`.
 
-    `start` holds the facts of the log's head; the plant adds its own when it is opened.
+    `start` is completed with the plant's description when the plant is opened.
     """
 
     start: Start
@@ -40,10 +40,11 @@ class Trial:
     _opened_ns: int = 0
 
     def run(self) -> Result:
-        """Run to the end. Whatever happens, the robots are stopped before anything else is done.
+        """Run the trial and return its result.
 
-        A TetractlError or an interruption becomes the outcome; any other exception is raised again
-        once the robots stand and the observers know the result.
+        Whatever ends the loop, the robots are stopped first. A TetractlError or an interruption
+        becomes the outcome; any other exception is raised again after the observers were called
+        with the result.
         """
         bug: Exception | None = None
         try:
@@ -85,7 +86,7 @@ class Trial:
             self._solve_ns.append(self._solving_ns)
             missed = k > 0 and self._solving_ns > period
             self._misses += missed
-            self._tell_samples()
+            self._pass_samples()
             step = Step(k, observation, decision, command, self._solving_ns, missed)
             for observer in self.observers:
                 observer.on_step(step)
@@ -110,7 +111,7 @@ class Trial:
         return decision
 
     def _plan_standing(self, observation: Observation, info: PlantInfo) -> Decision:
-        """Compute the first plan while the robots stand; it may take long, and frames go on."""
+        """Compute the first plan while the robots stand; a lab goes on recording frames."""
         if info.simulated:
             return self._plan(observation)
         pool = ThreadPoolExecutor(1)
@@ -119,7 +120,7 @@ class Trial:
             while not planning.done():
                 with self.interrupt.breakable():
                     wait([planning], timeout=self.start.setup.period_s)
-                self._tell_samples()
+                self._pass_samples()
             return planning.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -150,7 +151,7 @@ class Trial:
             for observer in self.observers:
                 observer.on_command(command)
             self._sleep_until(min(now + period, end))
-            self._tell_samples()
+            self._pass_samples()
             if self.interrupt.requested:
                 raise KeyboardInterrupt
 
@@ -158,16 +159,17 @@ class Trial:
         with self.interrupt.breakable():
             self.clock.sleep_until(when)
 
-    def _tell_samples(self) -> None:
+    def _pass_samples(self) -> None:
         samples, news = self.plant.samples(), self.plant.news()
         for observer in self.observers:
             observer.on_samples(samples)
-            _tell_news(observer, news)
+            _pass_news(observer, news)
 
     def _end(self, outcome: Outcome, reason: str, bug: Exception | None) -> Result:
-        """Stop the robots, let them come to rest, and tell every observer, failed ones too.
+        """Stop the robots, wait for rest, and call every observer, one that failed before too.
 
-        What an observer raises keeps nothing from the others; a bug is raised again at the end.
+        An exception of one observer does not keep the others from being called; a bug is raised
+        again at the end.
         """
         stop = self.plant.stop()
         stopped = self.clock.now()
@@ -192,7 +194,7 @@ class Trial:
             try:
                 try:
                     observer.on_samples(samples)
-                    _tell_news(observer, news)
+                    _pass_news(observer, news)
                 finally:
                     observer.on_stop(stop, result)
             except Exception as error:
@@ -205,7 +207,7 @@ class Trial:
         return result
 
 
-def _tell_news(observer: Observer, news: Sequence[Command | Note]) -> None:
+def _pass_news(observer: Observer, news: Sequence[Command | Note]) -> None:
     for item in news:
         if isinstance(item, Command):
             observer.on_command(item)

@@ -1,1 +1,1 @@
-"""How good a batch of trials is."""
+"""Statistics of a batch of trials."""

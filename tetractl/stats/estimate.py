@@ -1,6 +1,6 @@
 """Estimates with intervals: a mean, a difference of two means, an effect size.
 
-Every estimate that the data cannot carry is NaN with a reason, never a number that looks like one.
+An estimate that needs more data than there is, is NaN with a reason.
 """
 
 import math
@@ -17,7 +17,7 @@ from tetractl.core.poses import Floats
 CONFIDENCE = 0.95
 RESAMPLES = 9999
 SEED = 20_100_503
-"""Of every bootstrap, so that the same trials always give the same interval."""
+"""The seed of every bootstrap, so that the same trials always give the same interval."""
 ENOUGH = 8
 """Fewest values for a bootstrap or a verdict: below it bootstrap intervals are too short."""
 
@@ -33,7 +33,7 @@ def finite(value: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A 95 % interval; `low` and `high` are NaN where there is none, and `reason` says why."""
+    """A 95 % interval; where there is none, `low` and `high` are NaN and `reason` is the cause."""
 
     low: float
     high: float
@@ -42,7 +42,7 @@ class Interval:
 
     @classmethod
     def none(cls, reason: str) -> Self:
-        """No interval, and why."""
+        """Return the absence of an interval, with its cause."""
         return cls(_NAN, _NAN, None, reason)
 
     @property
@@ -64,7 +64,7 @@ class Interval:
 class Distribution:
     """n values described: mean, standard deviation (n - 1), median, range, interval of the mean.
 
-    What n cannot carry is NaN: everything at n = 0, the deviation at n = 1.
+    For n = 0 everything is NaN, for n = 1 the deviation.
     """
 
     n: int
@@ -94,7 +94,7 @@ def describe(rows: Floats) -> list[Distribution]:
     if n == 0:
         nothing = Distribution(0, _NAN, _NAN, _NAN, _NAN, _NAN, Interval.none("no values"))
         return [nothing] * count
-    rows = np.sort(rows, axis=1)  # makes every figure independent of the order of the trials
+    rows = np.sort(rows, axis=1)  # makes every number independent of the order of the trials
     low, high = rows[:, 0], rows[:, -1]
     mean = np.clip(rows.mean(axis=1), low, high)
     std = np.where(high > low, rows.std(axis=1, ddof=1), 0.0) if n > 1 else np.full(count, _NAN)

@@ -1,4 +1,4 @@
-"""Statistics for other programs: one JSON object, and CSV with one row a trial."""
+"""Statistics as one JSON object, and as CSV with one row for each trial."""
 
 import csv
 import io
@@ -12,7 +12,7 @@ from tetractl.stats.trials import counts
 
 
 def as_json(summary: Summary, comparison: Comparison | None = None) -> dict[str, Any]:
-    """Return the object that `stats --format json` and `run --json` print; unknown is None.
+    """Return the object that `stats --format json` and `run --json` print; None for unknown values.
 
     Numbers are not rounded. Lengths are in `unit`, times in the unit of their key.
     """
@@ -112,9 +112,9 @@ def _statistics(trial: ResultSummary) -> dict[str, Any]:
 
 
 def as_csv(summary: Summary, comparison: Comparison | None = None) -> str:
-    """Return one row a trial, lengths with their unit in the column's name.
+    """Return one row for each trial, lengths with their unit in the column's name.
 
-    With a comparison the other batch's rows follow, and the column `batch` tells them apart.
+    With a comparison the rows of the other batch follow; the column `batch` names the batch.
     """
     rows = [row(trial, summary.unit) for trial in summary.trials]
     if comparison:

@@ -19,5 +19,5 @@ STATISTICS = Registry(
 
 
 def statistics() -> list[Statistic]:
-    """Return every statistic, the built-in ones first."""
-    return [STATISTICS.load(name) for name in STATISTICS.names()]
+    """Return every statistic that can be used, the built-in ones first."""
+    return list(STATISTICS.usable().values())

@@ -1,4 +1,4 @@
-"""Statistics for people: the same rows as a terminal table, Markdown or LaTeX."""
+"""Statistics as tables: in a terminal, in Markdown and in LaTeX, with the same rows."""
 
 from rich import box
 from rich.console import Console
@@ -9,7 +9,7 @@ from tetractl.experiment.yaml.problems import printable
 from tetractl.stats.rows import grids
 from tetractl.stats.summary import Comparison, Summary
 
-_PLAIN_WIDTH = 1000  # without a terminal nothing is wrapped or cut
+_PLAIN_WIDTH = 1000  # characters; without a terminal no line is wrapped or cut
 
 
 def print_table(summary: Summary, console: Console, comparison: Comparison | None = None) -> None:

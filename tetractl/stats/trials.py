@@ -12,9 +12,7 @@ from tetractl.log.read.find import find_logs
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
 
-"""Outcomes decided by the controller: only these trials ran to their end."""
-
-_BOOKKEEPING = {"trials", "description"}  # do not change what a trial does
+_BOOKKEEPING = {"trials", "description"}  # fields that do not change a trial
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,20 +25,22 @@ class Damaged:
 
 def load_trials(
     paths: Iterable[Path | str],
-    watch: Callable[[list[Path]], Iterable[Path]] = iter,
+    on_log: Callable[[int, int], object] = lambda done, count: None,
 ) -> tuple[list[ResultSummary], list[Damaged]]:
-    """Read the results of the logs that files, folders and patterns stand for.
+    """Read the results of the logs in files, folders and patterns.
 
-    `watch` passes the logs on one by one, and may show progress. Raises UsageError where a path
-    stands for no log.
+    `on_log` is called after each log with the numbers of logs read and of all. Raises UsageError
+    for a path without a log.
     """
     trials: list[ResultSummary] = []
     damaged: list[Damaged] = []
-    for log in watch(find_logs(paths)):
+    logs = find_logs(paths)
+    for done, log in enumerate(logs, start=1):
         try:
             trials.append(read_result(log))
         except LogError as error:
             damaged.append(Damaged(str(log), str(error).removeprefix(f"{log}: ")))
+        on_log(done, len(logs))
     return trials, damaged
 
 
@@ -53,8 +53,8 @@ def counts(trial: ResultSummary) -> bool:
 def one_batch(trials: Sequence[ResultSummary]) -> Experiment:
     """Return the experiment that all trials share.
 
-    Raises UsageError where they do not share one, or where a trial occurs twice, be it a copy of
-    a log or a simulation run again: averaging copies would make n larger than it is.
+    Raises UsageError where they do not share one, or where a trial occurs twice: copies of a log,
+    or a simulation run again, would make n larger than it is.
     """
     if not trials:
         raise UsageError("no trial to summarise")
@@ -88,8 +88,7 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
 def differences(one: Experiment, two: Experiment) -> list[str]:
     """Return `path: value != value` for each field in which two experiments differ.
 
-    The trials' count and seed and the description are left out: they do not change what one trial
-    does.
+    The description and the trials' count and seed are left out: they do not change a trial.
     """
     return list(
         _differences(

@@ -1,1 +1,1 @@
-"""Views of a trial: the terminal's live view and player, and the paper's figures."""
+"""Views of a trial: live view and player in a terminal, and figures."""

@@ -11,7 +11,7 @@ from support.trials import experiment
 from tetractl.control.cost import evaluate, predict
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Poses
-from tetractl.experiment.experiment import Rectangle
+from tetractl.model.shapes.rectangle import Rectangle
 
 
 def robot_at(x, y, heading=0.0, a=6.0, speed=100.0, target=(0.0, 0.0)):
@@ -94,7 +94,7 @@ def test_a_problem_is_taken_from_the_experiment():
     assert problem.targets.tolist() == [[1700, 500], [1700, 1500], [1700, 2000]]
     assert problem.a.tolist() == [6, 4, 3]
     assert problem.speed.tolist() == [180, 200, 150]
-    assert problem.obstacles.rectangles.tolist() == [[1190, 1090, 1410, 1310]]
+    assert [shape.row() for shape in problem.obstacles.shapes] == [(1190, 1090, 1410, 1310)]
     assert (problem.swept, problem.obstacle_weight, problem.period) == (True, 5, 0.2)
 
 

@@ -10,7 +10,7 @@ from support import problems
 
 from tetractl.control import levenberg
 from tetractl.control.cost import evaluate, predict
-from tetractl.control.kernels.levenberg import lay_route
+from tetractl.control.kernels.levenberg import lay_out_polish
 from tetractl.control.kernels.levenberg import polish as compiled_polish
 
 MOTIONS = st.sampled_from(["euler", "arc", "exact"])
@@ -18,11 +18,11 @@ TOLERANCE, SLACK = 1e-3, 0.5
 
 
 def compiled(problem, start, iterations, budget=2**62):
-    route = lay_route(problem, len(start))
-    rows, signals = len(route.residual), start.copy()
+    work = lay_out_polish(problem, len(start))
+    rows, signals = len(work.residual), start.copy()
     history = np.empty(iterations + 1)
     merit, z, evaluations = compiled_polish(
-        route, signals, TOLERANCE, SLACK, iterations, budget, np.empty((rows, rows)), history
+        work, signals, TOLERANCE, SLACK, iterations, budget, np.empty((rows, rows)), history
     )
     return levenberg.Polished(signals, merit, history[: z + 1].copy(), evaluations)
 

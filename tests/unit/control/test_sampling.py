@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unit.control import problems
+from support import problems
 
 from tetractl.control.cost import evaluate
 from tetractl.control.curves import bearing, interpolate

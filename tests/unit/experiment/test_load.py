@@ -97,13 +97,13 @@ def changed(old, new):
         (
             "type: rectangle",
             "type: rectangel",
-            "s.yaml:7:12: obstacles.0.type: rectangel: must be one of rectangle, circle; "
+            "s.yaml:7:12: obstacles.0.type: rectangel: must be one of rectangle, circle, polygon; "
             "did you mean 'rectangle'?",
         ),
         (
             "type: rectangle, ",
             "",
-            "s.yaml:7:5: obstacles.0.type: is missing; must be one of rectangle, circle",
+            "s.yaml:7:5: obstacles.0.type: is missing; must be one of rectangle, circle, polygon",
         ),
         (
             ", a: 3",

@@ -67,19 +67,10 @@ def test_the_continuous_plant_solves_1_to_3():
             state = done.y[:, -1]
 
 
-@pytest.mark.parametrize(("motion", "model"), [("euler", "euler"), ("arc", "arc")])
-def test_the_plant_reproduces_the_planners_prediction(motion, model):
+@pytest.mark.parametrize("motion", ["euler", "arc", "exact"])
+def test_the_plant_reproduces_the_planners_prediction(motion):
     path = truths(steered(plant(motion=motion), DIRECTIONS))[::24]
-    spec = experiment(controller={"motion": model})
-    predicted = predict(
-        spec.controller.problem(spec.setup, Poses.of(path[0])), np.array(DIRECTIONS)
-    )
-    assert path == pytest.approx(predicted, abs=1e-9)
-
-
-def test_the_continuous_plant_reproduces_the_exact_planners_prediction():
-    path = truths(steered(plant(), DIRECTIONS))[::24]
-    spec = experiment(controller={"motion": "exact"})
+    spec = experiment(controller={"motion": motion})
     predicted = predict(
         spec.controller.problem(spec.setup, Poses.of(path[0])), np.array(DIRECTIONS)
     )

@@ -17,7 +17,7 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.replay import verify as module
 from tetractl.replay.recompute import recompute
-from tetractl.replay.verify import RECOMPUTED, REEVALUATED, verify
+from tetractl.replay.verify import Method, verify
 from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
 
@@ -76,7 +76,7 @@ def contents(log: Path) -> Contents:
 def test_every_decision_comes_out_with_the_same_bits(tmp_path: Path, sets: list[str]) -> None:
     found = verify(run(tmp_path, sets))
     assert found.problems == ()
-    assert (found.method, found.elsewhere, found.notes) == (RECOMPUTED, (), ())
+    assert (found.method, found.elsewhere, found.notes) == (Method.RECOMPUTED, (), ())
     assert found.checked == found.steps > 0
     log = read_trial(tmp_path / "trial-001.mcap")
     assert recompute(log, again=False) is None
@@ -169,7 +169,7 @@ def elsewhere(name: str, facts: dict[str, str]) -> dict[str, str]:
 
 def test_on_another_processor_equal_bits_still_count(tmp_path: Path, contents: Contents) -> None:
     found = verify(rewrite(contents, tmp_path / "other.mcap", {}, elsewhere))
-    assert (found.method, found.problems) == (RECOMPUTED, ())
+    assert (found.method, found.problems) == (Method.RECOMPUTED, ())
     assert found.elsewhere == (f"cpu: another there, {provenance.host()['cpu']} here",)
 
 
@@ -182,13 +182,13 @@ def test_on_another_processor_the_costs_have_to_agree(
     changed = scan(with_entry(contents, tmp_path / "changed.mcap", steps[1], place))
     assert verify(tmp_path / "changed.mcap").problems
     found = verify(rewrite(changed, tmp_path / "there.mcap", {}, elsewhere))
-    assert (found.method, found.problems) == (REEVALUATED, ())
+    assert (found.method, found.problems) == (Method.REEVALUATED, ())
     monkeypatch.setattr(mutate, "CHANGE", 1e-8)
     for place in (("searches", 1, "signals", 0), ("searches", 0, "cost"), ("path_x", 3), ("cost",)):
         name = tmp_path / f"{'-'.join(map(str, place))}.mcap"
         changed = scan(with_entry(contents, name, steps[1], place))
         found = verify(rewrite(changed, name.with_suffix(".there.mcap"), {}, elsewhere))
-        assert found.method == REEVALUATED
+        assert found.method == Method.REEVALUATED
         assert found.problems[0].step == 1
 
 
@@ -234,7 +234,7 @@ def test_missing_frames_are_noticed(tmp_path: Path, contents: Contents) -> None:
 
 
 def test_a_log_without_an_end_is_no_failed_decision(tmp_path: Path, log: Path) -> None:
-    assert module.differing_facts(read_trial(log)) == ()
+    assert module.host_differences(read_trial(log)) == ()
     result = read_trial(log).result
     assert result is not None
     assert result.outcome is not Outcome.ABORTED

@@ -39,7 +39,7 @@ def scripted(monkeypatch, outcomes, action=lambda trial: None):
     result = made.trial(1, steps=2, frames=2).result
     ran = []
 
-    def run(spec, folder, trial, observers, interrupt):
+    def run(spec, folder, trial, observers, interrupt, operators):
         ran.append(trial)
         action(trial)
         return replace(result, outcome=outcomes.get(trial, Outcome.ARRIVED))

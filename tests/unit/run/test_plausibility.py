@@ -96,7 +96,7 @@ def test_the_shipped_experiments_have_none(path):
         ),
         (
             THREE,
-            ["controller.period=0.4", "controller.model=euler"],
+            ["controller.period=0.4", "controller.motion=euler"],
             "controller.period",
             "a T = 2.4 for green, .* T = 0.4 s, is above 2: by (6) it overshoots",
             "less than 0.333 s",
@@ -152,7 +152,7 @@ def test_each_is_found_at_its_field_with_its_number(path, sets, field, message, 
         ["robots.blue.a=6", "robots.blue.heading=0.5"],
         ["robots.blue.a=5.6"],
         ["controller.horizon_max=101"],
-        ["controller.period=0.3", "controller.model=euler"],
+        ["controller.period=0.3", "controller.motion=euler"],
         ["controller.period=0.4"],
         ["plant.dead_time=0.2"],
         ["plant.dead_time=0.3", "controller.dead_time=0.25"],
@@ -233,3 +233,11 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
     assert len(solved) > 5
     assert len(warned) > 3
     assert not solved & warned
+
+
+def test_a_value_under_an_earlier_name_is_found_where_it_was_written():
+    text = THREE.read_text("utf-8").replace("motion: exact  ", "model: euler  ")
+    sets = ["controller.period=0.4"]
+    (warning,) = find_warnings(parse_spec(text, "old", sets), sets)
+    assert warning.origin == "--set controller.period=0.4"
+    assert "by (6) it overshoots" in warning.message

@@ -9,16 +9,20 @@ answer for few residuals R, so the damped step is taken in the small space of th
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from tetractl.control.kernels.gradient import backward, trace
-from tetractl.control.kernels.math import KERNEL, PART
-from tetractl.control.kernels.motion import MODELS
+from tetractl.control.kernels.obstacles import count_deepest, outward
+from tetractl.control.kernels.options import KERNEL, PART
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
+from tetractl.experiment.kinds import MOTIONS
+
+Integers = NDArray[np.int64]
 
 LARGEST_STEP = 1.0  # of any signal in one iteration [rad]
 DEPTH_WEIGHT = 3.0  # of a depth against a miss
@@ -26,8 +30,8 @@ PATIENCE = 6  # iterations over which a hopeful search must ...
 PROGRESS = 0.8  # ... bring its cost below this share
 
 
-class Route(NamedTuple):
-    """A problem for one sequence at a time, with the room to polish it in."""
+class Polish(NamedTuple):
+    """A problem for one sequence at a time, with the arrays that polishing it works in."""
 
     start: Floats  # (N, 3) x, y, heading
     target: Floats  # (N, 2)
@@ -35,13 +39,12 @@ class Route(NamedTuple):
     v: Floats
     first_period: float
     period: float
-    model: int
-    boxes: Floats  # (R, 4)
-    discs: Floats  # (C, 3)
-    weight: float
-    swept: bool
+    motion: Any  # constants of the motion, `Lanes`: their class decides how the robots move
+    obstacles: tuple[Any, ...]  # `PackedShapes`
     path: Floats  # (N, L, 2)
-    slopes: Floats  # (N, L, 5)
+    gradients: Floats  # (N, L, 5)
+    depths: Floats  # (N, O) of the deepest position of each robot in each obstacle
+    where: Integers  # (N, O) its index
     rows: Floats  # (R, L) the Jacobian
     residual: Floats  # (R,)
     gram: Floats  # (R, R)
@@ -49,25 +52,25 @@ class Route(NamedTuple):
     trial: Floats  # (L,)
 
 
-def lay_route(problem: Problem, length: int) -> Route:
-    """Make room to polish sequences of `length` signals."""
-    count = problem.a.size
-    obstacles = len(problem.obstacles.rectangles) + len(problem.obstacles.circles)
+def lay_out_polish(problem: Problem, length: int) -> Polish:
+    """Return the workspace for sequences of `length` signals."""
+    count, packs = problem.a.size, problem.obstacles.packed()
+    obstacles = sum(len(pack.rows) for pack in packs)
     rows = 2 * count + count * obstacles
-    return Route(
+    constants = MOTIONS.load(problem.motion).lanes(problem.a, problem.period)
+    return Polish(
         start=problem.poses.array(),
         target=np.ascontiguousarray(problem.targets),
         a=problem.a,
         v=problem.speed,
         first_period=problem.first_period,
         period=problem.period,
-        model=MODELS[problem.motion],
-        boxes=problem.obstacles.rectangles,
-        discs=problem.obstacles.circles,
-        weight=float(problem.obstacle_weight),
-        swept=problem.swept,
+        motion=constants.of(problem.a, problem.speed, problem.period),
+        obstacles=packs,
         path=np.empty((count, length, 2)),
-        slopes=np.empty((count, length, 5)),
+        gradients=np.empty((count, length, 5)),
+        depths=np.empty((count, obstacles)),
+        where=np.empty((count, obstacles), dtype=np.int64),
         rows=np.empty((rows, length)),
         residual=np.empty(rows),
         gram=np.empty((rows, rows)),
@@ -77,75 +80,51 @@ def lay_route(problem: Problem, length: int) -> Route:
 
 
 @njit(**PART)
-def _depth(boxes, discs, o, x, y):
-    """(depth inside obstacle o, and the unit vector that leads out); depth <= 0 outside."""
-    if o < boxes.shape[0]:
-        left, right = boxes[o, 0] - x, x - boxes[o, 2]
-        below, above = boxes[o, 1] - y, y - boxes[o, 3]
-        if max(left, right) > max(below, above):
-            return -max(left, right), -1.0 if left > right else 1.0, 0.0
-        return -max(below, above), 0.0, -1.0 if below > above else 1.0
-    c = o - boxes.shape[0]
-    dx, dy = x - discs[c, 0], y - discs[c, 1]
-    gap = math.sqrt(dx * dx + dy * dy)
-    if gap < 1e-300:
-        return discs[c, 2], 1.0, 0.0
-    return discs[c, 2] - gap, dx / gap, dy / gap
-
-
-@njit(**PART)
-def _merit(route):
+def _merit(work):
     """f(u) + DEPTH_WEIGHT times the depth of the deepest position of each robot and obstacle."""
+    count_deepest(work.obstacles, work.path, work.depths, work.where)
     merit = 0.0
-    last = route.path.shape[1] - 1
-    for i in range(route.a.size):
-        dx = route.path[i, last, 0] - route.target[i, 0]
-        dy = route.path[i, last, 1] - route.target[i, 1]
+    last = work.path.shape[1] - 1
+    for i in range(work.a.size):
+        dx = work.path[i, last, 0] - work.target[i, 0]
+        dy = work.path[i, last, 1] - work.target[i, 1]
         merit += math.sqrt(dx * dx + dy * dy)
-        for o in range(route.boxes.shape[0] + route.discs.shape[0]):
-            depth = 0.0
-            for j in range(last + 1):
-                x, y = route.path[i, j, 0], route.path[i, j, 1]
-                depth = max(depth, _depth(route.boxes, route.discs, o, x, y)[0])
-            merit += DEPTH_WEIGHT * depth
+        for o in range(work.depths.shape[1]):
+            merit += DEPTH_WEIGHT * max(0.0, work.depths[i, o])
     return merit
 
 
 @njit(**PART)
-def _linearise(route, floor, slack):
-    """Fill residuals and Jacobian; return how many rows are in use.
+def _linearise(work, floor, slack):
+    """Fill residuals and Jacobian of the path `_merit` has just seen; return the rows in use.
 
     Obstacles are grown by `slack`, so that what ends on their edge ends outside.
     """
-    rows, residual, path = route.rows, route.residual, route.path
+    rows, residual, path = work.rows, work.residual, work.path
     last, r = path.shape[1] - 1, 0
-    for i in range(route.a.size):
-        dx, dy = path[i, last, 0] - route.target[i, 0], path[i, last, 1] - route.target[i, 1]
+    for i in range(work.a.size):
+        dx, dy = path[i, last, 0] - work.target[i, 0], path[i, last, 1] - work.target[i, 1]
         scale = 1 / math.sqrt(max(math.sqrt(dx * dx + dy * dy), floor))
         residual[r], residual[r + 1] = scale * dx, scale * dy
-        backward(route.slopes, i, last, scale, 0.0, rows[r])
-        backward(route.slopes, i, last, 0.0, scale, rows[r + 1])
+        backward(work.gradients, i, last, scale, 0.0, rows[r])
+        backward(work.gradients, i, last, 0.0, scale, rows[r + 1])
         r += 2
-    for i in range(route.a.size):
-        for o in range(route.boxes.shape[0] + route.discs.shape[0]):
-            deepest, where, east, north = -slack, -1, 0.0, 0.0
-            for j in range(last + 1):
-                x, y = path[i, j, 0], path[i, j, 1]
-                depth, e, n = _depth(route.boxes, route.discs, o, x, y)
-                if depth > deepest:
-                    deepest, where, east, north = depth, j, e, n
-            if where >= 0:
+    for i in range(work.a.size):
+        for o in range(work.depths.shape[1]):
+            deepest, at = work.depths[i, o], work.where[i, o]
+            if deepest > -slack:
+                east, north = outward(work.obstacles, o, path[i, at, 0], path[i, at, 1])
                 scale = DEPTH_WEIGHT / math.sqrt(max(deepest + slack, floor))
                 residual[r] = scale * (deepest + slack)
-                backward(route.slopes, i, where, -scale * east, -scale * north, rows[r])
+                backward(work.gradients, i, at, -scale * east, -scale * north, rows[r])
                 r += 1
     return r
 
 
 @njit(**PART)
-def _gram(route, r):
+def _gram(work, r):
     """J J' of the first r rows."""
-    rows, gram = route.rows, route.gram
+    rows, gram = work.rows, work.gram
     for p in range(r):
         for q in range(p + 1):
             total = 0.0
@@ -182,55 +161,55 @@ def _solve(gram, residual, step, r, damping, factor):
 
 
 @njit(**PART)
-def _propose(route, u, r):
-    """Write to route.trial the sequence u - J' step, no signal moved by more than LARGEST_STEP."""
+def _propose(work, u, r):
+    """Write to work.trial the sequence u - J' step, no signal moved by more than LARGEST_STEP."""
     largest = 0.0
     for j in range(u.size):
         move = 0.0
         for p in range(r):
-            move += route.rows[p, j] * route.step[p]
-        route.trial[j] = move
+            move += work.rows[p, j] * work.step[p]
+        work.trial[j] = move
         largest = max(largest, abs(move))
     shrink = min(1.0, LARGEST_STEP / largest) if largest > 0 else 1.0
     for j in range(u.size):
-        route.trial[j] = u[j] - shrink * route.trial[j]
+        work.trial[j] = u[j] - shrink * work.trial[j]
 
 
 @njit(**KERNEL)
-def polish(route, u, tolerance, slack, iterations, budget, factor, history):
+def polish(work, u, tolerance, slack, iterations, budget, factor, history):
     """Improve u (L,) in place; returns (merit, iterations used, evaluations).
 
     Ends when the merit is at most `tolerance`, when no step helps, when PATIENCE is at its end,
     after `iterations`, or before `budget` evaluations are exceeded. history[z] is the merit after z
-    iterations, of room iterations + 1. A Jacobian counts as one evaluation for each of its rows.
+    iterations, (iterations + 1,). A Jacobian counts as one evaluation for each of its rows.
     """
-    start, a, v, t0, t = route.start, route.a, route.v, route.first_period, route.period
-    trace(u, start, a, v, t0, t, route.model, route.path, route.slopes)
-    merit = _merit(route)
+    start, a, v, t0, t = work.start, work.a, work.v, work.first_period, work.period
+    trace(u, start, a, v, t0, t, work.motion, work.path, work.gradients)
+    merit = _merit(work)
     history[0] = merit
     evaluations, damping = 1, 1e-2
     z = 0
-    most = route.residual.size + 1  # evaluations of one iteration
+    most = work.residual.size + 1  # evaluations of one iteration
     while z < iterations and evaluations + most <= budget and not merit <= tolerance:
-        r = _linearise(route, max(tolerance, 1e-9), slack)
-        _gram(route, r)
+        r = _linearise(work, max(tolerance, 1e-9), slack)
+        _gram(work, r)
         evaluations += r
         size = 0.0
         for p in range(r):
-            size += route.gram[p, p] / r
+            size += work.gram[p, p] / r
         better = False
         while z < iterations and damping < 1e4 and evaluations < budget:
             z += 1
             history[z] = merit
-            if _solve(route.gram, route.residual, route.step, r, damping * size, factor):
-                _propose(route, u, r)
-                trace(route.trial, start, a, v, t0, t, route.model, route.path, route.slopes)
+            if _solve(work.gram, work.residual, work.step, r, damping * size, factor):
+                _propose(work, u, r)
+                trace(work.trial, start, a, v, t0, t, work.motion, work.path, work.gradients)
                 evaluations += 1
-                new = _merit(route)
+                new = _merit(work)
                 if new < merit:
                     better = True
                     for j in range(u.size):
-                        u[j] = route.trial[j]
+                        u[j] = work.trial[j]
                     merit = new
                     history[z] = merit
                     damping = max(0.2 * damping, 1e-10)

@@ -1,86 +1,130 @@
 """Obstacles against positions: the twins of `Obstacles.contain` and `Obstacles.cross`.
 
-Each test returns a gap: a number that is at most 0 exactly where it meets the obstacle. Comparing a
-difference with 0 is the same as comparing its terms, and faster in vector code.
+`packs` is a tuple of `PackedShapes`, one a kind, see `tetractl.model.obstacles`; what is compiled
+depends on their classes. Loops over kinds are unrolled by recursion: a tuple of several types has
+no loop in compiled code.
 """
 
-from numba import njit
+import math
+from typing import Any, NamedTuple
 
-from tetractl.control.kernels.math import INLINE, PART
+from numba.extending import overload
 
-
-@njit(**INLINE)
-def in_rectangle(x, y, left, bottom, right, top):
-    """Whether (x, y) is in the rectangle."""
-    return max(max(left - x, x - right), max(bottom - y, y - top))
+from tetractl.control.kernels.options import PIECE, entries, inlined
 
 
-@njit(**INLINE)
-def in_circle(x, y, cx, cy, radius):
-    """Whether (x, y) is in the disc."""
-    dx, dy = x - cx, y - cy
-    return dx * dx + dy * dy - radius * radius
+class Sole(NamedTuple):
+    """The only obstacle there is, tested at the samples in the loop that moves the robots."""
+
+    shape: Any  # PackedShapes of one row
 
 
-@njit(**INLINE)
-def through_rectangle(x0, y0, x1, y1, left, bottom, right, top):
-    """Whether the segment from (x0, y0) to (x1, y1) meets the rectangle (separating axes)."""
-    hx, hy, dx, dy = (right - left) / 2, (top - bottom) / 2, x1 - x0, y1 - y0
-    mx, my = x0 + dx / 2 - (left + right) / 2, y0 + dy / 2 - (bottom + top) / 2
-    beside = max(abs(mx) - (hx + abs(dx) / 2), abs(my) - (hy + abs(dy) / 2))
-    return max(beside, abs(dx * my - dy * mx) - (hx * abs(dy) + hy * abs(dx)))
+def row(pack: Any, o: int) -> Any:
+    """Return the numbers of obstacle o of a kind: a tuple, or an array where rows differ."""
 
 
-@njit(**INLINE)
-def through_circle(x0, y0, x1, y1, cx, cy, radius):
-    """Whether the segment from (x0, y0) to (x1, y1) meets the disc."""
-    dx, dy = x1 - x0, y1 - y0
-    length2 = dx * dx + dy * dy
-    along = (cx - x0) * dx + (cy - y0) * dy
-    nearest = max(0.0, min(along / (length2 if length2 > 0 else 1.0), 1.0))
-    gx, gy = x0 + nearest * dx - cx, y0 + nearest * dy - cy
-    return gx * gx + gy * gy - radius * radius
+@overload(row, jit_options=PIECE)
+def _row(pack, o):
+    size = pack.instance_class.size
+    if size is None:
+        return lambda pack, o: pack.rows[o]
+    columns = tuple(range(size))
+    return lambda pack, o: entries(pack.rows, o, columns)
 
 
-@njit(**PART)
-def count_one(x0, y0, x, y, i, boxes, swept, count):
-    """Do as `count_hits` where there is one rectangle and nothing else."""
-    left, bottom, right, top = boxes[0, 0], boxes[0, 1], boxes[0, 2], boxes[0, 3]
-    if swept:
-        for n in range(x0.size):
-            gap = through_rectangle(x0[n], y0[n], x[i, n], y[i, n], left, bottom, right, top)
-            count[i, n] += 1.0 if gap <= 0 else 0.0
-    else:
-        for n in range(x0.size):
-            gap = in_rectangle(x[i, n], y[i, n], left, bottom, right, top)
-            count[i, n] += 1.0 if gap <= 0 else 0.0
+def count_hits(
+    packs: Any, x0: Any, y0: Any, x: Any, y: Any, i: int, swept: bool, gap: Any, hits: Any
+) -> None:
+    """Add 1 to hits[i, n] where robot i is in, or came through, any obstacle.
 
-
-@njit(**PART)
-def count_hits(x0, y0, x, y, i, boxes, discs, swept, gap, count):
-    """Add 1 to count[i, n] where robot i is in (or, if swept, came through) any obstacle.
-
-    It came from x0, y0 (P,) to x, y (N, P); boxes (R, 4) hold left, bottom, right, top; discs
-    (C, 3) x, y, radius. gap (P,) is the least gap so far, 1 before and after.
+    It is at x, y (N, P), or has come there from x0, y0 (P,) where `swept`. gap (P,) is 1 before and
+    after.
     """
-    for o in range(boxes.shape[0]):
-        left, bottom, right, top = boxes[o, 0], boxes[o, 1], boxes[o, 2], boxes[o, 3]
-        if swept:
-            for n in range(gap.size):
-                new = through_rectangle(x0[n], y0[n], x[i, n], y[i, n], left, bottom, right, top)
-                gap[n] = min(gap[n], new)
-        else:
-            for n in range(gap.size):
-                gap[n] = min(gap[n], in_rectangle(x[i, n], y[i, n], left, bottom, right, top))
-    for o in range(discs.shape[0]):
-        cx, cy, radius = discs[o, 0], discs[o, 1], discs[o, 2]
-        if swept:
-            for n in range(gap.size):
-                new = through_circle(x0[n], y0[n], x[i, n], y[i, n], cx, cy, radius)
-                gap[n] = min(gap[n], new)
-        else:
-            for n in range(gap.size):
-                gap[n] = min(gap[n], in_circle(x[i, n], y[i, n], cx, cy, radius))
-    for n in range(gap.size):
-        count[i, n] += 1.0 if gap[n] <= 0 else 0.0
-        gap[n] = 1.0
+
+
+@overload(count_hits, jit_options=PIECE)
+def _count_hits(packs, x0, y0, x, y, i, swept, gap, hits):
+    def count_hits(packs, x0, y0, x, y, i, swept, gap, hits):
+        narrow(packs, x0, y0, x, y, i, swept, gap)
+        for n in range(gap.size):
+            hits[i, n] += 1.0 if gap[n] <= 0 else 0.0
+            gap[n] = 1.0
+
+    return count_hits
+
+
+def narrow(packs: Any, x0: Any, y0: Any, x: Any, y: Any, i: int, swept: bool, gap: Any) -> None:
+    """Bring gap (P,) down to the least gap of robot i to any obstacle; as `count_hits`."""
+
+
+@overload(narrow, jit_options=PIECE)
+def _narrow(packs, x0, y0, x, y, i, swept, gap):
+    if len(packs) == 0:
+        return lambda packs, x0, y0, x, y, i, swept, gap: None
+    kind = packs[-1].instance_class
+    point, segment = inlined(kind.gap), inlined(kind.gap_between)
+
+    def narrow_to_kind(packs, x0, y0, x, y, i, swept, gap):
+        narrow(packs[:-1], x0, y0, x, y, i, swept, gap)
+        rows = packs[-1].rows
+        for o in range(rows.shape[0]):
+            p = row(packs[-1], o)
+            if swept:
+                for n in range(gap.size):
+                    gap[n] = min(gap[n], segment(x0[n], y0[n], x[i, n], y[i, n], p))
+            else:
+                for n in range(gap.size):
+                    gap[n] = min(gap[n], point(x[i, n], y[i, n], p))
+
+    return narrow_to_kind
+
+
+def count_deepest(packs: Any, path: Any, depths: Any, where: Any) -> int:
+    """Find each robot's deepest position in each obstacle; return the number of obstacles.
+
+    path (N, L, 2); depths (N, O) [length unit], at most 0 where no position is inside; where
+    (N, O), the index of the first deepest position.
+    """
+    raise NotImplementedError("called by compiled code only")
+
+
+@overload(count_deepest, jit_options=PIECE)
+def _count_deepest(packs, path, depths, where):
+    if len(packs) == 0:
+        return lambda packs, path, depths, where: 0
+    depth_of = inlined(packs[-1].instance_class.depth)
+
+    def count_deepest_in_kind(packs, path, depths, where):
+        first = count_deepest(packs[:-1], path, depths, where)
+        rows = packs[-1].rows
+        for o in range(rows.shape[0]):
+            p = row(packs[-1], o)
+            for i in range(path.shape[0]):
+                deepest, at = -math.inf, 0
+                for j in range(path.shape[1]):
+                    depth = depth_of(path[i, j, 0], path[i, j, 1], p)
+                    if depth > deepest:
+                        deepest, at = depth, j
+                depths[i, first + o], where[i, first + o] = deepest, at
+        return first + rows.shape[0]
+
+    return count_deepest_in_kind
+
+
+def outward(packs: Any, o: int, x: float, y: float) -> Any:
+    """Return the unit vector that leads (x, y) out of obstacle o of them all."""
+
+
+@overload(outward, jit_options=PIECE)
+def _outward(packs, o, x, y):
+    if len(packs) == 0:
+        return lambda packs, o, x, y: (0.0, 0.0)
+    direction = inlined(packs[0].instance_class.outward)
+
+    def outward_of_kind(packs, o, x, y):
+        count = packs[0].rows.shape[0]
+        if o < count:
+            return direction(x, y, row(packs[0], o))
+        return outward(packs[1:], o - count, x, y)
+
+    return outward_of_kind

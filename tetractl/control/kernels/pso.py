@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from tetractl.control.kernels.math import KERNEL, PART
-from tetractl.control.kernels.rollout import roll
+from tetractl.control.kernels.options import KERNEL, PART
+from tetractl.control.kernels.rollout import add_up, begin, follow, views
+from tetractl.control.kernels.update import move
 from tetractl.core.poses import Floats
 
 CRITERION, ITERATIONS, TARGET, EVALUATIONS, PAUSED, NOT_FINITE = range(6)
@@ -82,7 +83,7 @@ def stop_reason(history, z, rules):
 
 
 @njit(**KERNEL)
-def iterate(course, swarm, rules, z, pause):
+def iterate(rollout, swarm, rules, z, pause):
     """Run iterations z + 1, ... until something stops the search or iteration `pause` is done.
 
     Returns (reason, iterations done).
@@ -90,6 +91,7 @@ def iterate(course, swarm, rules, z, pause):
     u, v, best, better, u_gb = swarm.u, swarm.v, swarm.best, swarm.better, swarm.u_gb
     length, particles = u.shape
     key, w, c1, c2 = rules.key, rules.inertia, rules.cognitive, rules.social
+    lanes, scratch = views(rollout)
     while True:
         if z >= rules.iterations:
             return ITERATIONS, z
@@ -97,8 +99,12 @@ def iterate(course, swarm, rules, z, pause):
             return EVALUATIONS, z
         if z >= pause:
             return PAUSED, z
-        first = z * length * particles
-        if not roll(course, u, swarm.cost, True, v, best, better, u_gb, key, first, w, c1, c2):
+        begin(rollout, lanes, scratch)
+        for j in range(length):
+            draw = (z * length + j) * particles
+            move(u, v, best, better, j, u_gb[j], key, draw, w, c1, c2)
+            follow(rollout, lanes, scratch, u, j)
+        if not add_up(rollout, lanes, swarm.cost):
             return NOT_FINITE, z
         z += 1
         update_bests(swarm, z)

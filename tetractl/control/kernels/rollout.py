@@ -1,47 +1,39 @@
 """The cost (7)-(9) of a whole swarm: the twin of `tetractl.control.cost.evaluate`.
 
-Views of arrays are made outside the loops: each costs the compiled code a reference count.
+Particles are followed signal by signal: `begin`, `follow` for each signal, `add_up`. So a swarm can
+be moved row by row of its signals, while the row is in the processor's cache.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import overload
 
-from tetractl.control.kernels.math import KERNEL, PART, sincos
-from tetractl.control.kernels.motion import (
-    GENTLE,
-    advance,
-    coast_past_one,
-    constants,
-    gentle_past_one,
-    model_code,
-)
-from tetractl.control.kernels.obstacles import count_hits, count_one
-from tetractl.control.kernels.update import move
+from tetractl.control.kernels.motion import advance
+from tetractl.control.kernels.obstacles import Sole, count_hits, row
+from tetractl.control.kernels.options import KERNEL, PART, PIECE, entries, inlined
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
+from tetractl.experiment.kinds import MOTIONS
+from tetractl.model.motion.polynomials import sincos
 
 LINE = 8  # numbers in a cache line
 
 
-class Course(NamedTuple):
-    """A problem laid out for N robots of P particles, with the room its rollouts work in."""
+class Rollout(NamedTuple):
+    """A problem laid out for N robots of P particles, with the scratch arrays of its rollouts."""
 
     start: Floats  # (4, N): x, y, cos and sin of the heading
     target: Floats  # (2, N)
-    first: Floats  # (3, N): see `motion.constants`, of the first signal
-    rest: Floats  # and of the others
-    first_pieces: int
-    rest_pieces: int
-    model: int
-    boxes: Floats  # (R, 4)
-    discs: Floats  # (C, 3)
+    first: Any  # constants of the motion, `Lanes`: for the first signal
+    rest: Any  # and for the others
+    obstacles: Any  # `Sole`, or a tuple of `PackedShapes`
     weight: float
     swept: bool
     lanes: Floats  # (5, N, P): x, y, cos, sin, hits
-    room: Floats  # (5, P): cos and sin of the direction; x, y before the step; gap of `world`
+    scratch: Floats  # (5, P): cos and sin of the direction; x, y before the step; gap
 
 
 def aligned(shape: tuple[int, ...]) -> Floats:
@@ -52,100 +44,133 @@ def aligned(shape: tuple[int, ...]) -> Floats:
     return raw[first : first + size].reshape(shape)
 
 
-def lay_out(problem: Problem, particles: int) -> Course:
+def lay_out(problem: Problem, particles: int) -> Rollout:
     """Prepare a problem for rollouts of so many particles at once."""
     p, a, v = problem.poses, problem.a, problem.speed
-    first, first_pieces = constants(problem.motion, a, v, problem.first_period)
-    rest, rest_pieces = constants(problem.motion, a, v, problem.period)
-    return Course(
+    times = problem.first_period, problem.period
+    constants = MOTIONS.load(problem.motion).lanes(a, max(times))
+    packs = problem.obstacles.packed()
+    filled = [pack for pack in packs if len(pack.rows)]
+    sole = len(filled) == len(filled[0].rows) == 1 if filled else False
+    if sole and not problem.swept and hasattr(constants, "finish"):
+        packs = Sole(filled[0])
+    return Rollout(
         start=np.stack([p.x, p.y, np.cos(p.heading), np.sin(p.heading)]),
         target=np.ascontiguousarray(problem.targets.T),
-        first=first,
-        rest=rest,
-        first_pieces=first_pieces,
-        rest_pieces=rest_pieces,
-        model=model_code(problem.motion, a, problem.period),
-        boxes=problem.obstacles.rectangles,
-        discs=problem.obstacles.circles,
+        first=constants.of(a, v, times[0]),
+        rest=constants.of(a, v, times[1]),
+        obstacles=packs,
         weight=float(problem.obstacle_weight),
         swept=problem.swept,
         lanes=aligned((5, a.size, particles)),
-        room=aligned((5, particles)),
+        scratch=aligned((5, particles)),
     )
 
 
 @njit(**KERNEL)
-def costs(course, signals, total):
+def costs(rollout, signals, total):
     """Write J of each column of signals (L, P) to total (P,); return whether all are finite."""
-    key, none = np.uint64(0), 0.0
-    return roll(
-        course, signals, total, False, signals, signals, total, total, key, 0, none, none, none
-    )
+    lanes, scratch = views(rollout)
+    begin(rollout, lanes, scratch)
+    for j in range(signals.shape[0]):
+        follow(rollout, lanes, scratch, signals, j)
+    return add_up(rollout, lanes, total)
 
 
 @njit(**PART)
-def roll(course, signals, total, moving, v, best, better, u_gb, key, drawn, w, g1, g2):
-    """`costs`, each row of signals moved just before it is followed, while it is at hand.
+def views(rollout):
+    """Return (x, y, cos, sin, hits) and (cos_u, sin_u, x0, y0, gap).
 
-    `moving` says whether; what comes after it is then what `move` needs, with draws from `drawn`.
+    To be called outside the loops: each view costs the compiled code a reference count.
     """
-    lanes, room, start, first, rest = (
-        course.lanes,
-        course.room,
-        course.start,
-        course.first,
-        course.rest,
-    )
-    x, y, cos, sin, hits = lanes[0], lanes[1], lanes[2], lanes[3], lanes[4]
-    cos_u, sin_u, x0, y0, gap = room[0], room[1], room[2], room[3], room[4]
-    model, swept, boxes, discs = course.model, course.swept, course.boxes, course.discs
-    alone = boxes.shape[0] == 1 and discs.shape[0] == 0
-    printed = alone and not swept and model == GENTLE
+    a, b = rollout.lanes, rollout.scratch
+    return (a[0], a[1], a[2], a[3], a[4]), (b[0], b[1], b[2], b[3], b[4])
+
+
+@njit(**PART)
+def begin(rollout, lanes, scratch):
+    """Put every particle's robots at their start."""
+    x, y, cos, sin, hits = lanes
+    gap, start = scratch[4], rollout.start
     for n in range(gap.size):
         gap[n] = 1.0
     for i in range(x.shape[0]):
         for n in range(gap.size):
             x[i, n], y[i, n], hits[i, n] = start[0, i], start[1, i], 0.0
             cos[i, n], sin[i, n] = start[2, i], start[3, i]
-    for j in range(signals.shape[0]):
-        if moving:
-            at = drawn + j * gap.size
-            move(signals, v, best, better, j, u_gb[j], key, at, w, g1, g2)
-        last = printed and j == signals.shape[0] - 1
-        if not last:
-            for n in range(gap.size):
-                sin_u[n], cos_u[n] = sincos(signals[j, n])
-        constant = first if j == 0 else rest
-        pieces = course.first_pieces if j == 0 else course.rest_pieces
+
+
+def follow(rollout: Any, lanes: Any, scratch: Any, signals: Any, j: int) -> None:
+    """Move every robot by signal j of every particle, and count who is in an obstacle."""
+
+
+@overload(follow, jit_options=PIECE)
+def _follow(rollout, lanes, scratch, signals, j):
+    fields = dict(zip(rollout.fields, rollout.types, strict=True))
+    if getattr(fields["obstacles"], "instance_class", None) is Sole:
+        return _follow_past_sole(fields["rest"], fields["obstacles"])
+    sincos_of = inlined(sincos)
+
+    def follow(rollout, lanes, scratch, signals, j):
+        x, y, cos, sin, hits = lanes
+        cos_u, sin_u, x0, y0, gap = scratch
+        constants = rollout.first if j == 0 else rollout.rest
+        for n in range(gap.size):
+            sin_u[n], cos_u[n] = sincos_of(signals[j, n])
         for i in range(x.shape[0]):
-            if swept:
+            if rollout.swept:
                 for n in range(gap.size):
                     x0[n], y0[n] = x[i, n], y[i, n]
-            c0, c1, c2 = constant[0, i], constant[1, i], constant[2, i]
+            advance(constants, x, y, cos, sin, cos_u, sin_u, i)
+            count_hits(rollout.obstacles, x0, y0, x, y, i, rollout.swept, gap, hits)
+
+    return follow
+
+
+def _follow_past_sole(constants, obstacles):
+    """Return `follow` for a sole obstacle, tested at the samples: one loop does it all."""
+    kind, shape = constants.instance_class, obstacles[0].instance_class
+    step, finish, gap_of = inlined(kind.advance), inlined(kind.finish), inlined(shape.gap)
+    sincos_of, columns = inlined(sincos), tuple(range(kind.size))
+
+    def follow(rollout, lanes, scratch, signals, j):
+        x, y, cos, sin, hits = lanes
+        cos_u, sin_u = scratch[0], scratch[1]
+        constants = rollout.first if j == 0 else rollout.rest
+        p = row(rollout.obstacles.shape, 0)
+        last = j == signals.shape[0] - 1
+        if not last:
+            for n in range(cos_u.size):
+                sin_u[n], cos_u[n] = sincos_of(signals[j, n])
+        for i in range(x.shape[0]):
+            k = entries(constants.rows, i, columns)
             if last:
-                coast_past_one(x, y, cos, sin, i, c0, boxes, hits)
-                continue
-            if printed:
-                gentle_past_one(x, y, cos, sin, cos_u, sin_u, i, c0, c1, boxes, hits)
-                continue
-            advance(model, pieces, x, y, cos, sin, cos_u, sin_u, i, c0, c1, c2)
-            if alone:
-                count_one(x0, y0, x, y, i, boxes, swept, hits)
+                for n in range(cos_u.size):
+                    new_x, new_y = finish(x[i, n], y[i, n], cos[i, n], sin[i, n], k)
+                    x[i, n], y[i, n] = new_x, new_y
+                    hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
             else:
-                count_hits(x0, y0, x, y, i, boxes, discs, swept, gap, hits)
-    _sum_up(x, y, hits, course.target, course.weight, total)
-    finite = True
-    for n in range(total.size):
-        finite &= math.isfinite(total[n])
-    return finite
+                for n in range(cos_u.size):
+                    new_x, new_y, c, s = step(
+                        x[i, n], y[i, n], cos[i, n], sin[i, n], cos_u[n], sin_u[n], k
+                    )
+                    x[i, n], y[i, n], cos[i, n], sin[i, n] = new_x, new_y, c, s
+                    hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
+
+    return follow
 
 
 @njit(**PART)
-def _sum_up(x, y, hits, target, weight, total):
-    """Add up (7) and (8) over the robots of each particle."""
+def add_up(rollout, lanes, total):
+    """Write (7) of each particle to total (P,); return whether all are finite."""
+    x, y, hits, target, weight = lanes[0], lanes[1], lanes[4], rollout.target, rollout.weight
     for n in range(total.size):
         total[n] = 0.0
     for i in range(x.shape[0]):
         for n in range(total.size):
             dx, dy = x[i, n] - target[0, i], y[i, n] - target[1, i]
-            total[n] += math.sqrt(dx * dx + dy * dy) + weight * hits[i, n]
+            total[n] += math.sqrt(dx * dx + dy * dy) + weight * hits[i, n]  # (8), (9)
+    finite = True
+    for n in range(total.size):
+        finite &= math.isfinite(total[n])
+    return finite

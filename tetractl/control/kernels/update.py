@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tetractl.control.kernels.math import PART
+from tetractl.control.kernels.options import PART
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)

@@ -4,7 +4,7 @@ import numpy as np
 
 from tetractl.control.cost import require_finite
 from tetractl.control.kernels import pso as kernel
-from tetractl.control.kernels.rollout import Course, aligned, costs, lay_out
+from tetractl.control.kernels.rollout import Rollout, aligned, costs, lay_out
 from tetractl.control.optimizers.pso import Pso, Swarm
 from tetractl.control.rng import mix
 from tetractl.control.stop import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
@@ -28,14 +28,14 @@ def pso(
     section: Pso, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
 ) -> Search:
     """Algorithm 1 with the same draws as the reference, to which it agrees but for rounding."""
-    course = lay_out(problem, section.particles)
-    swarm, evaluations = scatter(section, problem, course, length, warm, key)
+    rollout = lay_out(problem, section.particles)
+    swarm, evaluations = scatter(section, problem, rollout, length, warm, key)
     rules = make_rules(section, key, evaluations, limits)
     work = BETWEEN_LOOKS if limits.timed else BETWEEN_SIGNALS
     stride = max(1, work // (length * section.particles * problem.a.size))
     reason, z = kernel.PAUSED, 0
     while reason == kernel.PAUSED and not limits.expired():
-        reason, z = kernel.iterate(course, swarm, rules, z, z + stride)
+        reason, z = kernel.iterate(rollout, swarm, rules, z, z + stride)
     if reason == kernel.NOT_FINITE:
         require_finite(swarm.cost)
     history = swarm.history[: z + 1].copy()
@@ -44,14 +44,14 @@ def pso(
 
 
 def scatter(
-    section: Pso, problem: Problem, course: Course, length: int, warm: Floats | None, key: int
+    section: Pso, problem: Problem, rollout: Rollout, length: int, warm: Floats | None, key: int
 ) -> tuple[kernel.SwarmArrays, int]:
     """Algorithm 1, lines 1-6: return the swarm and the evaluations spent."""
     drawn = Swarm.scatter(section, length, key)
     u, v, best = (aligned((length, section.particles)) for _ in range(3))
     u[:], v[:], best[:] = drawn.u.T, drawn.v.T, drawn.best.T
     best_cost = np.empty(section.particles)
-    costs(course, best, best_cost)
+    costs(rollout, best, best_cost)
     require_finite(best_cost)
     evaluations = section.particles
     history = np.empty(section.iterations + 1)

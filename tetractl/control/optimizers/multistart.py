@@ -115,15 +115,15 @@ class _PolishedProgress(Progress):
     """The progress of a search that polishes, with the workspace of the kernels."""
 
     def __init__(self, section: Multistart, problem: Problem, length: int, limits: Limits) -> None:
-        from tetractl.control.kernels.levenberg import lay_route, polish
+        from tetractl.control.kernels.levenberg import lay_out_polish, polish
 
         super().__init__(length, limits)
         self.section, self.kernel = section, polish
         self.many = compiled_costs(problem, section.particles)
         self.one = compiled_costs(problem, 1)
-        self.route = lay_route(problem, length)
+        self.work = lay_out_polish(problem, length)
         self.slack = SLACK * float(problem.speed.max()) * problem.period
-        rows = len(self.route.residual)
+        rows = len(self.work.residual)
         self.factor = np.empty((rows, rows))
         self.trace = np.empty(section.polish_steps + 1)
 
@@ -144,7 +144,7 @@ class _PolishedProgress(Progress):
         signals, before = start.copy(), self.cost
         most = NO_LIMIT if self.limits.evaluations is None else self.limits.evaluations
         _, steps, evaluations = self.kernel(
-            self.route,
+            self.work,
             signals,
             self.section.tolerance,
             self.slack,

@@ -1,1 +1,1 @@
-"""TODO."""
+"""The format of a log: channels, messages, metadata, digest."""

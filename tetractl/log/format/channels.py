@@ -1,7 +1,7 @@
 """The records of a log by name: channels and their schemas, metadata, attachments.
 
-What is called a host record here tells about the machine and the hour and differs between two runs
-of the same trial; everything else in a simulated trial's log repeats byte for byte.
+A host record describes the machine and the hour and differs between two runs of the same trial; all
+other records of a simulated trial's log repeat byte for byte.
 """
 
 from typing import NamedTuple
@@ -46,7 +46,7 @@ CHANNELS: dict[str, type[Message]] = {
     HOST_TIMING: StepTiming,
 }
 """Topic and message of each channel. The order is part of format version 1: it makes the channel
-ids 1, 2, ..., by which a log is read whose channel records are all lost."""
+ids 1, 2, ..., which identify the messages of a log that has lost its channel records."""
 
 RUN = "tetractl.run"
 HOST = "tetractl.host"
@@ -64,7 +64,7 @@ HOST_RECORDS = frozenset({HOST_TIMING, HOST, TIMING, ENVIRONMENT, RECOVERED})
 
 
 class Entry(NamedTuple):
-    """One message as stored: times are Unix ns, received (log) and sampled (publish)."""
+    """One message: topic, time received (log) and time sampled (publish) [Unix ns], and bytes."""
 
     topic: str
     log_ns: int

@@ -1,4 +1,4 @@
-"""Our own messages: from the dataclasses of a trial to protobuf and back, bit for bit."""
+"""tetractl's own messages: from the records of a trial to protobuf and back, bit for bit."""
 
 from collections.abc import Iterable
 
@@ -26,7 +26,7 @@ def encode_observation(observation: Observation) -> pb.MocapSample:
 
 
 def decode_observation(message: pb.MocapSample, robots: int | None = None) -> Observation:
-    """Decode one camera frame; ValueError where it is not of so many robots."""
+    """Decode one camera frame; ValueError for another number of robots than `robots`."""
     if robots is not None and len(message.valid) != robots:
         raise ValueError(f"a frame of {len(message.valid)} robots, not {robots}")
     return Observation(
@@ -50,7 +50,7 @@ def encode_truth(observation: Observation, truth: Poses) -> pb.Truth:
 
 
 def decode_poses(message: pb.MocapSample | pb.Truth, robots: int | None = None) -> Poses:
-    """Decode the poses of a camera frame, measured or true; ValueError as above."""
+    """Decode measured or true poses; ValueError for another number of robots than `robots`."""
     found = {len(message.x), len(message.y), len(message.heading)}
     if len(found) > 1 or (robots is not None and found != {robots}):
         raise ValueError(f"poses of {sorted(found)} robots, not {robots}")
@@ -58,7 +58,7 @@ def decode_poses(message: pb.MocapSample | pb.Truth, robots: int | None = None) 
 
 
 def encode_command(command: Command) -> pb.WheelCommand:
-    """Encode what was sent."""
+    """Encode a command."""
     return pb.WheelCommand(
         direction=command.direction,
         stop=command.direction is None,
@@ -70,7 +70,7 @@ def encode_command(command: Command) -> pb.WheelCommand:
 
 
 def decode_command(message: pb.WheelCommand) -> Command:
-    """Decode what was sent."""
+    """Decode a command."""
     return Command(
         direction=message.direction if message.HasField("direction") else None,
         sent_ns=message.sent_ns,
@@ -81,7 +81,7 @@ def decode_command(message: pb.WheelCommand) -> Command:
 
 
 def encode_step(step: Step) -> pb.ControllerStep:
-    """Encode one decision; how long it took goes into its own message."""
+    """Encode one control step without its time of solving, which has its own message."""
     plan = step.plan
     return pb.ControllerStep(
         k=step.k,
@@ -103,9 +103,9 @@ def encode_step(step: Step) -> pb.ControllerStep:
 def decode_step(
     message: pb.ControllerStep, timing: pb.StepTiming | None, robots: int | None = None
 ) -> Step:
-    """Decode one decision; without its timing, solve_ns is 0.
+    """Decode one control step; without its timing, solve_ns is 0.
 
-    Raises ValueError where the arrays do not fit each other or so many robots.
+    Raises ValueError for arrays of unequal lengths and for another number of robots than `robots`.
     """
     observation = decode_observation(message.observation, robots)
     robots = len(observation.poses.x)
@@ -133,7 +133,7 @@ def decode_step(
 
 
 def encode_timing(step: Step) -> pb.StepTiming:
-    """Encode how long a decision took."""
+    """Encode the time of solving of a control step."""
     return pb.StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
 
 

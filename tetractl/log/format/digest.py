@@ -1,4 +1,4 @@
-"""The content digest: one number for all that repeats when a trial is run again."""
+"""The content digest: a hash of all records that repeat when a trial is run again."""
 
 import hashlib
 from collections.abc import Mapping
@@ -13,8 +13,8 @@ class ContentDigest:
     """SHA-256 over the records of a log, in file order, host records left out.
 
     A record is preceded by its number of fields and a field by its length in bytes, so that no two
-    different logs read alike. Of a message the fields are topic, both times and data; of metadata
-    its name and its items by key, without the checksum and the digest itself; of an attachment
+    different logs give the same bytes to hash. The fields of a message are topic, both times and
+    data; of metadata, name and items by key without the checksum and the digest; of an attachment,
     name, media type and data.
     """
 
@@ -27,12 +27,12 @@ class ContentDigest:
             times = b"%d %d" % (entry.log_ns, entry.publish_ns)
             self._add(b"message", entry.topic.encode(), times, entry.data)
 
-    def metadata(self, name: str, facts: Mapping[str, str]) -> None:
+    def metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add one metadata record."""
         if name not in HOST_RECORDS:
-            keys = sorted(facts.keys() - {CHECKSUM, DIGEST})
-            items = [text.encode() for key in keys for text in (key, facts[key])]
-            self._add(b"metadata", name.encode(), *items)
+            keys = sorted(items.keys() - {CHECKSUM, DIGEST})
+            fields = [text.encode() for key in keys for text in (key, items[key])]
+            self._add(b"metadata", name.encode(), *fields)
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Add one attachment."""

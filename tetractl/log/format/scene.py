@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
-from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
-from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -29,7 +27,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup, Shape
-from tetractl.experiment.experiment import Circle, Rectangle
+from tetractl.log.format.prism import prism
 
 WORLD = "world"
 GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
@@ -128,22 +126,15 @@ class Scene:
         return SceneUpdate(entities=entities)
 
     def _obstacle(self, entity_id: str, unix_ns: int, obstacle: Shape) -> SceneEntity:
-        metres, height = self._metres, self._body
-        if isinstance(obstacle, Rectangle):
-            size = Vector3(x=obstacle.width * metres, y=obstacle.height * metres, z=height)
-            center = obstacle.left + obstacle.width / 2, obstacle.bottom + obstacle.height / 2
-            cube = CubePrimitive(pose=self._pose(*center, height / 2), size=size, color=GREY)
-            return self._entity(entity_id, unix_ns, cubes=[cube])
-        assert isinstance(obstacle, Circle)
-        across = 2 * obstacle.radius * metres
-        cylinder = CylinderPrimitive(
-            pose=self._pose(*obstacle.center, height / 2),
-            size=Vector3(x=across, y=across, z=height),
-            bottom_scale=1.0,
-            top_scale=1.0,
+        """An upright block over the outline, as high as a robot."""
+        corners, triangles = prism(obstacle.outline() * self._metres, self._body)
+        block = TriangleListPrimitive(
+            pose=Pose(orientation=_UPRIGHT),
+            points=[Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
+            indices=triangles.ravel().tolist(),
             color=GREY,
         )
-        return self._entity(entity_id, unix_ns, cylinders=[cylinder])
+        return self._entity(entity_id, unix_ns, triangles=[block])
 
     def _target(self, name: str, color: Color, target: Floats, unix_ns: int) -> SceneEntity:
         """A ring the size of the robot round its target."""
@@ -178,10 +169,6 @@ class Scene:
             frame_locked=True,
             **primitives,
         )
-
-    def _pose(self, x: float, y: float, z_metres: float) -> Pose:
-        position = Vector3(x=x * self._metres, y=y * self._metres, z=z_metres)
-        return Pose(position=position, orientation=_UPRIGHT)
 
     def _line(self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType) -> LinePrimitive:
         """A line 2 pixels wide through xy (M, 2)."""

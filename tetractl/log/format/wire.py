@@ -1,4 +1,4 @@
-"""A recorded wire read back, by the reader of logs: checksums decide and every size is bounded."""
+"""Reads a recorded wire as logs are read: checksums are tested and every size is bounded."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ _TOPICS = {f"/{wire}/{way}" for wire in ("natnet", "radio") for way in ("receive
 
 
 def read_wire(path: Path) -> Iterator[Passage]:
-    """Yield what passed, oldest first; LogError where the file is none of ours or damaged."""
+    """Yield the recorded passages, oldest first; LogError for a damaged file or another's."""
     contents = scan(path)
     if wrong := [*contents.problems, *contents.lost]:
         raise LogError(f"{path}: not a recorded wire, or damaged: {wrong[0]}")

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Reading logs: whole, by their results, and damaged ones."""

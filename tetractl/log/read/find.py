@@ -1,4 +1,4 @@
-"""The logs that file names, folders and patterns stand for."""
+"""Finds the logs in file names, folders and patterns."""
 
 import glob
 import re
@@ -13,13 +13,13 @@ RECOVERED_SUFFIX = ".recovered.mcap"
 
 
 def find_logs(paths: Iterable[Path | str]) -> list[Path]:
-    """Return the logs that paths stand for, each once, in the order given.
+    """Return the logs of some paths, each once, in the order given.
 
-    A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder stands for the
-    logs in it and in its sub-folders, by name with numbers in their order; a .part counts too, for
-    a trial that crashed is part of its batch, unless the finished log lies beside it. What
-    `tetractl recover` wrote is passed over where the log that it comes from is given too. Raises
-    UsageError for a path that does not exist, a folder without logs, or a pattern without a match.
+    A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
+    in it and in its sub-folders, sorted by name with numbers in their order. A .part counts as a
+    log, since a trial that crashed is part of its batch, unless the finished log lies beside it. A
+    recovered log is left out where its source is among the paths. Raises UsageError for a path that
+    does not exist, a folder without logs, or a pattern without a match.
     """
     found: dict[Path, Path] = {}
     for path in map(Path, paths):
@@ -29,7 +29,7 @@ def find_logs(paths: Iterable[Path | str]) -> list[Path]:
 
 
 def _sources(log: Path) -> set[Path]:
-    """Return what a log was recovered from, if it was."""
+    """Return the possible sources of a recovered log, none for another log."""
     if not log.name.endswith(RECOVERED_SUFFIX):
         return set()
     stem = log.name.removesuffix(RECOVERED_SUFFIX)
@@ -63,6 +63,6 @@ def _logs(paths: Iterable[Path]) -> list[Path]:
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """Sort trial-2 before trial-10."""
+    """Return a sorting key that puts trial-2 before trial-10."""
     pieces = re.split(r"(\d+)", str(path))
     return [(int(piece), 1, "") if piece.isdecimal() else (0, 0, piece) for piece in pieces]

@@ -1,4 +1,4 @@
-"""Where something is missing in a trial's log: in camera frames and in control steps."""
+"""The gaps in a trial's log: missing camera frames and control steps."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ class Gap:
 
 
 def frame_gaps(log: TrialLog) -> list[Gap]:
-    """Return the camera frames missing inside a log, by their numbers."""
+    """Return the camera frames missing between those of a log, by their numbers."""
     numbers, times = log.frames, log.mocap_ns / SECOND
     return [
         Gap(
@@ -41,7 +41,7 @@ def frame_gaps(log: TrialLog) -> list[Gap]:
 
 
 def step_gaps(log: TrialLog) -> list[Gap]:
-    """Return the control steps missing: before, between, and behind those there are."""
+    """Return the control steps missing before, between and after those of a log."""
     ks = [step.k for step in log.steps]
     sent = [seconds(step.command.sent_ns) for step in log.steps]
     if log.result and log.result.steps > (ks[-1] + 1 if ks else 0):

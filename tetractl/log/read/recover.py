@@ -1,4 +1,4 @@
-"""From a torn or bit-rotted log back to a complete file, with all that is provably intact."""
+"""Copies the intact records of a damaged log to a complete file."""
 
 import hashlib
 from collections import Counter
@@ -22,10 +22,7 @@ from tetractl.log.write.sink import Sink
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What was saved from `source` into `path`, None where there was nothing to repair.
-
-    `damage.lost` is empty for a log of which nothing is lost.
-    """
+    """The records copied from the log `source` to the file `path`, None for an undamaged log."""
 
     source: str
     path: str | None
@@ -42,7 +39,7 @@ class Recovery:
 
 
 def recovered_path(log: Path) -> Path:
-    """Return where a recovered log goes by default: beside the one it comes from."""
+    """Return the default file of a recovered log, beside its source."""
     for suffix in (PART, SUFFIX):
         if log.name.endswith(suffix):
             return log.with_name(log.name.removesuffix(suffix) + RECOVERED_SUFFIX)
@@ -52,8 +49,8 @@ def recovered_path(log: Path) -> Path:
 def recover(log: Path, out: Path | None = None) -> Recovery:
     """Write every intact chunk, metadata record and attachment of a log to a complete file.
 
-    Goes to `recovered_path` unless `out` says where; a log that is complete already is only copied
-    where it does. Raises LogError where nothing can be read, or where the file exists already.
+    The file is `out`, by default `recovered_path`; an undamaged log is copied only to `out`. Raises
+    LogError where nothing can be read, or where the file exists already.
     """
     contents = scan(log)
     if not contents.records:
@@ -76,7 +73,7 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
 
 
 def _examine(contents: Contents) -> tuple[list[str], list[str]]:
-    """Say what is wrong, and what is lost and when: nothing where the digest proves it."""
+    """Return what is wrong and what is lost; nothing is lost where the content digest matches."""
     try:
         trial = trial_of(contents)
     except LogError as error:

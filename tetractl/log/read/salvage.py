@@ -1,10 +1,10 @@
-"""Every record of an MCAP file that is provably as it was written, however damaged the file is.
+"""Finds every intact record of an MCAP file, however damaged the file is.
 
-Chunks and attachments have checksums in MCAP and our metadata has its own, so each is believed by
-itself. The file is walked from record to record; where that walk fails, or the checksum over the
-data section does not match, the file is also searched for records that the walk did not find.
+MCAP has checksums for chunks and attachments, and tetractl's metadata has its own, so each record
+is verified by itself. The file is read from record to record; where a record is damaged, or the
+checksum over the data section does not match, the file is also searched for further records.
 
-A file may come from anybody: what it can make us unpack, copy and keep is bounded.
+A file may be hostile: the bytes that it can make tetractl unpack, copy and keep are bounded.
 """
 
 import mmap
@@ -40,12 +40,12 @@ from tetractl.log.read.contents import Contents
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_LIMIT = 1 << 24
-"""Most bytes a chunk may unpack to; ours have about a million."""
+"""Most bytes a chunk may unpack to; tetractl's have about a million."""
 TOTAL_LIMIT = 1 << 32
 """Most bytes all chunks may unpack to: some ten hours of a trial."""
 MESSAGE_LIMIT = 10_000_000
 OVERLAP_LIMIT = 32
-"""How often the whole file may be read, by records that claim the same bytes."""
+"""How many times the file's size may be read, by records that overlap."""
 PROBLEM_LIMIT = 50
 
 _HEAD = 9  # opcode and length, before the body of every record
@@ -108,7 +108,7 @@ class _Scan:
         self._expected: int | None = None  # messages, by the index
 
     def contents(self) -> Contents:
-        """Walk, search if something is amiss, and put what was found in order."""
+        """Read the file from record to record, search it where that fails, and sort the records."""
         begins = self._data[: len(MAGIC)] == MAGIC
         if not begins:
             self._problems.append("the file does not begin as an MCAP file")
@@ -122,7 +122,7 @@ class _Scan:
         return self._result
 
     def indexed(self) -> Contents | None:
-        """Take metadata and attachments from where the index says they are."""
+        """Read metadata and attachments by the file's index; None for a damaged file."""
         self._read_index()
         try:
             for offset, opcode in self._indexed:
@@ -135,7 +135,7 @@ class _Scan:
         return self._result
 
     def _read_index(self) -> None:
-        """Take from the summary, if it is as written, what the file ought to hold and where."""
+        """Read the index at the end of the file: the number of messages, and where records are."""
         body = len(self._data) - len(MAGIC) - _FOOTER_BODY
         head = bytes([Opcode.FOOTER]) + _FOOTER_BODY.to_bytes(8, "little")
         whole = body >= _HEAD and self._data[-len(MAGIC) :] == MAGIC
@@ -163,7 +163,7 @@ class _Scan:
             offset = end
 
     def _walk(self) -> None:
-        """Read record after record of the data section."""
+        """Verify record after record of the data section."""
         offset = len(MAGIC)
         while offset + _HEAD <= len(self._data):
             opcode, end = self._head(offset)
@@ -184,7 +184,7 @@ class _Scan:
         self._problems.append(f"the file breaks off in the record at byte {offset}")
 
     def _search(self) -> None:
-        """Find records by what they hold, whatever stands around them."""
+        """Find records by typical bytes in them, whatever the bytes around them are."""
         for match in _TRACES.finditer(self._data):
             opcode, before = _TRACED[match.lastgroup or ""]
             offset = match.start() - before
@@ -193,16 +193,16 @@ class _Scan:
                     self._verify(offset, opcode)
 
     def _verify(self, offset: int, opcode: int) -> None:
-        """Take the record at an offset; raise where its checksum does not match."""
+        """Decode and keep the record at an offset; raise where its checksum does not match."""
         if self._read > OVERLAP_LIMIT * len(self._data):
             raise ValueError("too many records claim the same bytes")
         stream = self._stream(offset + _HEAD)
         try:
-            self._take(offset, opcode, stream)
+            self._keep(offset, opcode, stream)
         finally:
             self._read += self._data.tell() - offset
 
-    def _take(self, offset: int, opcode: int, stream: ReadDataStream) -> None:
+    def _keep(self, offset: int, opcode: int, stream: ReadDataStream) -> None:
         if opcode == Opcode.CHUNK:
             chunk = Chunk.read(stream)
             schemas, channels, messages = self._unpack(chunk)
@@ -226,7 +226,7 @@ class _Scan:
 
     def _unpack(self, chunk: Chunk) -> Inside:
         size = chunk.uncompressed_size
-        if chunk.compression == "zstd":  # a frame that states its size heeds no other limit
+        if chunk.compression == "zstd":  # zstd ignores a limit where the frame states its size
             size = max(size, zstandard.frame_content_size(chunk.data))
         elif chunk.compression:
             raise ValueError(f"its compression {chunk.compression[:20]!r} is not known")
@@ -247,14 +247,14 @@ class _Scan:
         return inside
 
     def _collect(self) -> None:
-        """Put what was found into file order, and count what was not."""
+        """Sort the records found into file order, and count the messages that are missing."""
         result = self._result
         names = {item.name for item in self._found.values() if isinstance(item, Metadata)}
         if not self._topics and RUN in names:  # the first chunk and the index are lost
             self._topics = dict(enumerate(CHANNELS, start=1))
         for offset, record in sorted(self._found.items()):
             if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
-                continue  # without a checksum of its own, or of its name, it proves nothing
+                continue  # it may be damaged: another program's, without a checksum
             if isinstance(record, Chunk):
                 result.chunks += 1
                 result.records += [
@@ -288,7 +288,7 @@ class _Scan:
 
 
 def _inside(data: bytes) -> Inside:
-    """Take an unpacked chunk apart."""
+    """Return schemas, channels and messages of an unpacked chunk."""
     schemas, channels, messages = [], [], []
     offset, end = 0, len(data)
     while offset < end:

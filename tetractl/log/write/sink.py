@@ -1,4 +1,4 @@
-"""An MCAP file under construction: bytes in, chunks out, every fault one clear error."""
+"""An MCAP file while it is written: messages go in, chunks go to the disk."""
 
 import errno
 import os
@@ -22,10 +22,10 @@ from tetractl.log.format.digest import DIGEST, ContentDigest
 from tetractl.log.format.metadata import seal
 
 CHUNK_S = 0.7
-"""No message waits longer in memory [s of wall time]. With a control period of 0.2 s, in which the
-loop gathers camera frames, a killed process then loses less than 1.2 s of its trial."""
+"""The longest time a message waits in memory [s of wall time]. With a control period of 0.2 s, in
+which the loop gathers camera frames, a killed process then loses less than 1.2 s of its trial."""
 SYNC_S = 1.0
-"""What was written is on the disk after this long [s of wall time], should the power fail."""
+"""The longest time written bytes may be lost by a power cut [s of wall time]."""
 
 P = ParamSpec("P")
 Method = Callable[Concatenate["Sink", P], None]
@@ -33,7 +33,7 @@ _sync_data = getattr(os, "fdatasync", os.fsync)  # not everywhere
 
 
 def _while_open(method: Method[P]) -> Method[P]:
-    """Do nothing on a closed sink; close it and raise LogError where the file system refuses."""
+    """Make a method do nothing on a closed sink, and close it with LogError for an OSError."""
 
     @wraps(method)
     def guarded(self: "Sink", *args: P.args, **kwargs: P.kwargs) -> None:
@@ -50,10 +50,9 @@ def _while_open(method: Method[P]) -> Method[P]:
 class Sink:
     """Writes NAME.part and renames it to NAME when it is complete.
 
-    Only bytes and strings come in, so that a sink can live in a thread of its own. Where the file
-    system refuses, the call raises LogError and the file is closed as it is: what it holds stays
-    readable under NAME.part, and later calls do nothing, so that stopping the trial for a full disk
-    meets no second error.
+    Where the file system refuses a write, the call raises LogError and the file is closed: it stays
+    readable as NAME.part. Later calls do nothing, so that stopping a trial because of a full disk
+    gives no second error.
     """
 
     def __init__(self, path: Path) -> None:
@@ -63,7 +62,7 @@ class Sink:
         self._file: BinaryIO | None = None
         self._chunk_since: float | None = None  # when the oldest message of the open chunk came
         self._dirty_since: float | None = None  # when something was written that is not synced
-        for name in (path, self._part):  # never lose a trial for another of the same name
+        for name in (path, self._part):  # never overwrite a trial
             if os.path.lexists(name):
                 raise LogError(f"{name}: this log exists already", "write to another folder")
         try:
@@ -81,7 +80,7 @@ class Sink:
         }
 
     def channel(self, channel: Channel, schema: Schema | None) -> None:
-        """Take on a channel of another log; ours are there already."""
+        """Add a channel of another log, unless there is one of that topic."""
         if channel.topic not in self._channels:
             known = schema and self._mcap.register_schema(schema.name, schema.encoding, schema.data)
             self._channels[channel.topic] = self._mcap.register_channel(
@@ -90,7 +89,7 @@ class Sink:
 
     @property
     def digest(self) -> str:
-        """The content digest of all so far."""
+        """The content digest of the records so far."""
         return self._digest.hexdigest()
 
     @_while_open
@@ -103,51 +102,51 @@ class Sink:
             self._mcap.add_message(channel, entry.log_ns, entry.data, entry.publish_ns)
 
     @_while_open
-    def metadata(self, name: str, facts: Mapping[str, str]) -> None:
-        """Add a metadata record, sealed with its checksum, behind all messages so far."""
+    def metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Add a metadata record with its checksum, after all messages so far."""
         self.flush()
-        self._digest.metadata(name, facts)
-        self._mcap.add_metadata(name, seal(facts))
+        self._digest.metadata(name, items)
+        self._mcap.add_metadata(name, seal(items))
 
     @_while_open
-    def last_metadata(self, name: str, facts: Mapping[str, str]) -> None:
-        """Add the metadata record that states the content digest of the log, itself included."""
+    def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Add the metadata record that states the content digest of the log with this record."""
         self.flush()
-        self._digest.metadata(name, facts)
-        self._mcap.add_metadata(name, seal({**facts, DIGEST: self._digest.hexdigest()}))
+        self._digest.metadata(name, items)
+        self._mcap.add_metadata(name, seal({**items, DIGEST: self._digest.hexdigest()}))
 
     @_while_open
     def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add a metadata record of another log as it is, its checksum and digest included."""
+        """Add a metadata record of another log unchanged, with its checksum and digest."""
         self.flush()
         self._digest.metadata(name, items)
         self._mcap.add_metadata(name, dict(items))
 
     @_while_open
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Add an attachment behind all messages so far."""
+        """Add an attachment after all messages so far."""
         self.flush()
         self._digest.attachment(name, media_type, data)
         self._mcap.add_attachment(0, unix_ns, name, media_type, data)
 
     @_while_open
     def flush(self) -> None:
-        """End the chunk and hand everything so far to the operating system."""
+        """End the chunk and write it to the file."""
         self._mcap.flush()
         self._chunk_since = None
         self._dirty_since = self._dirty_since or time.monotonic()
 
     @_while_open
     def sync(self) -> None:
-        """Wait until the disk has everything so far, and look that the file is still there."""
+        """Wait until the disk has every record so far, and check that the file still exists."""
         assert self._file is not None
         self.flush()
         _sync_data(self._file.fileno())
         self._dirty_since = None
-        self._look()
+        self._check_exists()
 
     def tend(self) -> float | None:
-        """Flush and sync what waited long enough; return after how long to come again [s]."""
+        """Flush and sync after CHUNK_S and SYNC_S; return the time until the next is due [s]."""
         now, times = time.monotonic(), []
         if self._chunk_since is not None:
             times.append(self._chunk_since + CHUNK_S)
@@ -158,8 +157,8 @@ class Sink:
         if min(times) > now:
             return min(times) - now
         if self._chunk_since is not None and self._chunk_since + CHUNK_S > now:
-            # A simulation runs faster than the clock: leave its chunk to end on a second of the
-            # trial, so that they end alike in every run.
+            # A simulation runs faster than the clock: its chunks end with the seconds of the
+            # trial, so that they are the same in every run.
             self._sync_written()
             return self._chunk_since + CHUNK_S - now
         self.sync()
@@ -167,7 +166,7 @@ class Sink:
 
     @_while_open
     def close(self, complete: bool) -> None:
-        """Write the index and close; only a complete log loses its .part."""
+        """Write the index and close; only a complete log is renamed from NAME.part to NAME."""
         self._mcap.finish()
         self.sync()
         self._release()
@@ -180,16 +179,16 @@ class Sink:
         assert self._file is not None
         _sync_data(self._file.fileno())
         self._dirty_since = None
-        self._look()
+        self._check_exists()
 
-    def _look(self) -> None:
-        """Raise where the file is no longer under its name; put back what was removed."""
+    def _check_exists(self) -> None:
+        """Raise OSError where the file was moved or removed; restore a removed file first."""
         assert self._file is not None
         mine = os.fstat(self._file.fileno())
         with suppress(FileNotFoundError, NotADirectoryError):
             if os.path.samestat(mine, self._part.stat()):
                 return
-        if mine.st_nlink == 0:  # nobody else has it any more
+        if mine.st_nlink == 0:  # no other name is left
             self._part.parent.mkdir(parents=True, exist_ok=True)
             self._file.seek(0)
             with self._part.open("xb") as copy:
@@ -214,7 +213,7 @@ class Sink:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make new names in a folder survive a power cut, where its file system can."""
+    """Sync a folder, so that new names in it survive a power cut, where the file system can."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

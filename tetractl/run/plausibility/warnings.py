@@ -9,9 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.experiment.load import LoadedSpec
-from tetractl.experiment.yaml.document import parse_document
-from tetractl.experiment.yaml.overrides import override
+from tetractl.experiment.load import LoadedSpec, document_of
 from tetractl.experiment.yaml.problems import Problem
 from tetractl.run.plausibility import places, robots, settings
 from tetractl.run.plausibility.case import Case, Doubt
@@ -45,9 +43,7 @@ class SpecWarning(Problem):
 def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[SpecWarning, ...]:
     """Return what is doubtful in a spec that was loaded with `sets`, in the order of its lines."""
     case = Case.of(loaded.experiment)
-    document = parse_document(loaded.text, str(loaded.path or loaded.name))
-    for setting in sets:
-        override(document, setting)
+    document = document_of(loaded.text, str(loaded.path or loaded.name), sets)
     found = []
     for doubt in (doubt for check in CHECKS for doubt in check(case)):
         place = document.place(doubt.loc)

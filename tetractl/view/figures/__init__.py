@@ -1,1 +1,1 @@
-"""TODO."""
+"""Figures, one module each."""

@@ -16,7 +16,7 @@ from tetractl.view.figures.axes import need_steps, one_trial, plain_log, positiv
 
 
 def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw J(u_gb) against the iteration for step 0 (Figure 3), and what later searches gained."""
+    """Draw J(u_gb) over the iterations at step 0 (Figure 3), and its fall in later searches."""
     log = one_trial(logs)
     need_steps(log)
     unit = style.unit_of(log.start.setup.unit)

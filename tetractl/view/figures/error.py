@@ -16,7 +16,7 @@ from tetractl.view.figures.axes import LABELLED, one_trial
 
 
 def error_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the total error and each robot's distance to its target over the trial's time."""
+    """Draw the total error and the distance of each robot to its target over time."""
     log = one_trial(logs)
     if not len(log.mocap_ns):
         raise LogError(f"{log.path}: holds no camera frames to plot")

@@ -1,4 +1,4 @@
-"""Words beside trails, kept clear of what is drawn."""
+"""Text beside trails, placed where nothing else is drawn."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +12,7 @@ HALO = [withStroke(linewidth=1.6, foreground="white")]
 
 
 def edge(arena: Bounds) -> Floats:
-    """Points all along the edge of the arena, shape (M, 2)."""
+    """Return points along the edge of the arena, shape (M, 2)."""
     x = np.linspace(arena.left, arena.right, 60)
     y = np.linspace(arena.bottom, arena.top, 60)
     rows = [np.column_stack([x, np.full(60, end)]) for end in (y[0], y[-1])]
@@ -21,7 +21,7 @@ def edge(arena: Bounds) -> Floats:
 
 
 class Labels:
-    """Writes times beside the trails, each on the side where there is most room."""
+    """Writes times beside the trails, each where the distance to other marks is largest."""
 
     def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
         """Keep clear of `trails` (M, 2); `point` is a typographic point in length units."""
@@ -29,7 +29,7 @@ class Labels:
         self._taken = trails[np.isfinite(trails).all(axis=1)]
 
     def write(self, xy: Floats, tip: Floats, text: str) -> None:
-        """Write beside the mark at `xy` whose tick ends at `tip`."""
+        """Write text beside the mark at `xy`, whose tick ends at `tip`."""
         self._taken = np.concatenate([self._taken, [tip, (xy + tip) / 2]])
         angles = np.arange(0, 2 * np.pi, np.pi / 6)
         aside = np.column_stack([9 * np.cos(angles), 6.5 * np.sin(angles)])

@@ -16,7 +16,7 @@ from tetractl.view.figures.axes import need_steps, one_trial, plain_log, positiv
 
 
 def timing_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the time each control step took to solve against the control period."""
+    """Draw the time of solving of each control step, the control period and the distribution."""
     log = one_trial(logs)
     need_steps(log)
     period_ms = 1e3 * log.start.setup.period_s

@@ -1,4 +1,4 @@
-"""The paper's Figure 5: how the robots drove, for one trial or many over one another."""
+"""The paper's Figure 5: the paths of the robots in one trial or in several."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
 
 from tetractl.core.clock import SECOND, seconds
@@ -25,10 +25,10 @@ MARKS = 5  # about as many times are marked along a trail
 
 
 def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw one trial with times, headings and errors, or several lightly over one another.
+    """Draw one trial with times, headings and errors, or several trials, lighter, together.
 
-    Trails are as measured; where the truth is known and differs visibly it is dashed. Raises
-    UsageError where the logs are not of the same robots, arena and obstacles.
+    Trails are as measured; a true path that differs visibly is dashed. Raises UsageError for logs
+    of different robots, arenas or obstacles.
     """
     setup = logs[0].start.setup
     for log in logs[1:]:
@@ -74,11 +74,7 @@ def _scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
     for side in ("top", "right"):
         axes.spines[side].set_visible(True)
     for obstacle in setup.obstacles:
-        patch = (
-            Circle(obstacle.center, obstacle.radius)
-            if obstacle.type == "circle"
-            else Rectangle((obstacle.left, obstacle.bottom), obstacle.width, obstacle.height)
-        )
+        patch = Polygon(obstacle.outline(), closed=True)
         patch.set(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, linewidth=0.6, zorder=1)
         axes.add_patch(patch)
     starts = setup.starts.xy
@@ -142,7 +138,7 @@ def _end_marks(axes: Axes, ends: Floats, color: str, alone: bool) -> None:
 
 
 def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
-    """Show the whole arena, and what lies beyond it with the arena's edge dashed."""
+    """Show the whole arena and all paths; dash the arena's edge where a path leaves it."""
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])
     points = points[np.isfinite(points).all(axis=1)]
@@ -161,7 +157,7 @@ def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
 
 
 def _errors(figure: Figure, logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> None:
-    """Name the robots and their errors (trials, N) above the axes, where no trail is."""
+    """Write the robots' names and their errors (trials, N) above the axes."""
     setup = logs[0].start.setup
     unit = style.unit_of(setup.unit)
     total = errors.sum(axis=1)
@@ -189,14 +185,14 @@ def _errors(figure: Figure, logs: Sequence[TrialLog], colors: list[str], errors:
 
 
 def _spread(errors: Floats) -> str:
-    """Mean and standard deviation (n - 1)."""
+    """Return mean and standard deviation (n - 1) as text."""
     mean, std = float(errors.mean()), float(errors.std(ddof=1))
     digits = 0 if mean >= 100 else 1 if mean >= 10 else 2
     return f"{mean:.{digits}f} ± {std:.{digits}f}"
 
 
 def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
-    """Explain the signs below the axes."""
+    """Draw the legend of the markers below the axes."""
     grey: dict[str, Any] = {"color": style.GREY, "linestyle": "none"}
     dashed: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
     signs: list[Line2D | Patch] = [
@@ -222,7 +218,7 @@ def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
 
 
 def _final(log: TrialLog) -> Floats:
-    """Last poses (N, 3): as the plant judged them, else the last that were measured."""
+    """Return the final poses (N, 3) of the result, else the last measured ones."""
     if log.result is not None:
         return log.result.verdict.final.array()
     poses = log.start.setup.starts.array()
@@ -234,7 +230,7 @@ def _final(log: TrialLog) -> Floats:
 
 
 def _visible_truth(log: TrialLog) -> Floats | None:
-    """True positions (M, N, 2), if they leave the measured ones by more than 0.5 % of the arena."""
+    """Return true positions (M, N, 2), None within 0.5 % of the arena of the measured ones."""
     if log.truth is None or not len(log.truth):
         return None
     gap = np.linalg.norm(log.truth[..., :2] - tracked(log.mocap, log.valid), axis=-1)
@@ -244,7 +240,7 @@ def _visible_truth(log: TrialLog) -> Floats | None:
 
 
 def _marked_times(log: TrialLog) -> list[float]:
-    """Whole numbers of 1, 2, 5, 10 ... s, at most `MARKS` of them, within the trial."""
+    """Return at most `MARKS` times [s] within the trial, in steps of 1, 2 or 5 times 10^n s."""
     end_s = seconds(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
     if end_s <= 0:
         return []
@@ -253,6 +249,6 @@ def _marked_times(log: TrialLog) -> list[float]:
 
 
 def _nice_step(length: float, most: int) -> float:
-    """Least 1, 2 or 5 times a power of ten that divides a length into at most `most` parts."""
+    """Return the least 1, 2 or 5 times 10^n that divides a length into at most `most` parts."""
     power = 10.0 ** np.floor(np.log10(length / most))
     return float(next(n * power for n in (1, 2, 5, 10) if length / (n * power) <= most))

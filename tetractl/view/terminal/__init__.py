@@ -1,1 +1,1 @@
-"""TODO."""
+"""Views in a terminal."""

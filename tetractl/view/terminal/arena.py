@@ -11,8 +11,7 @@ from rich.segment import Segment
 from rich.style import Style
 
 from tetractl.core.poses import Floats
-from tetractl.core.setup import Bounds
-from tetractl.experiment.experiment import Obstacle
+from tetractl.core.setup import Bounds, Shape
 from tetractl.replay.recording import Moment
 from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
 
@@ -155,24 +154,24 @@ def framed(canvas: Canvas, label: str, glyphs: Glyphs) -> Iterable[list[Segment]
     yield [Segment(sw + edge + se, BORDER_STYLE)]
 
 
-def _filling(obstacle: Obstacle, view: Projection) -> Floats:
-    """Points that fill an obstacle, one a dot, always its middle: shape (M, 2)."""
-    if obstacle.type == "circle":
-        (x, y), half_x, half_y = obstacle.center, obstacle.radius, obstacle.radius
-    else:
-        half_x, half_y = obstacle.width / 2, obstacle.height / 2
-        x, y = obstacle.left + half_x, obstacle.bottom + half_y
-    most = 2 * max(view.arena.width, view.arena.height)
-    xs = x + _ticks(min(half_x, most), view.scale)
-    ys = y + _ticks(min(half_y, most), view.scale)
-    grid = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
-    if obstacle.type == "circle":
-        grid = grid[np.hypot(grid[:, 0] - x, grid[:, 1] - y) <= obstacle.radius]
-    return grid
+def _filling(shape: Shape, view: Projection) -> Floats:
+    """Return points that fill a shape, one a dot, and its outline: shape (M, 2).
+
+    A shape smaller than a dot is drawn by its outline alone.
+    """
+    arena, outline = view.arena, shape.outline()
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    x = _ticks(max(low[0], arena.left), min(high[0], arena.right), view.scale)
+    y = _ticks(max(low[1], arena.bottom), min(high[1], arena.top), view.scale)
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return np.vstack([grid[shape.contain(grid[:, 0], grid[:, 1])], outline])
 
 
-def _ticks(half: float, step: float) -> Floats:
-    return np.linspace(-half, half, 2 * math.ceil(half / step) + 1)
+def _ticks(low: float, high: float, step: float) -> Floats:
+    """Return points from low to high at most a step apart; none where high < low."""
+    return (
+        np.linspace(low, high, math.ceil((high - low) / step) + 1) if high >= low else np.empty(0)
+    )
 
 
 def _target(

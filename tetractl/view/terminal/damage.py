@@ -1,4 +1,4 @@
-"""Says what is wrong with a log before what is left of it is shown."""
+"""Warns of a damaged log before its trial is shown."""
 
 import sys
 

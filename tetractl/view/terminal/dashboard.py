@@ -15,13 +15,13 @@ from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
 SIDE_MIN, SIDE_MAX = 20, 58  # columns of the numbers
-ARENA_SHARE = 0.58  # of the width, at most, where the numbers need the rest
+ARENA_SHARE = 0.58  # largest share of the width, where the numbers need the rest
 COMPACT = 30  # columns of the numbers below which labels are short
 
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """The lowest line: a word at the left, a bar, a word at the right, what fits of `hints`."""
+    """The lowest line: text at the left, a bar, text at the right, and the `hints` that fit."""
 
     left: str
     fraction: float
@@ -29,7 +29,7 @@ class Footer:
     hints: tuple[str, ...] = ()
 
     def text(self, glyphs: Glyphs, width: int) -> Text:
-        """Lay the line out; hints are left out from the end, then the bar shrinks."""
+        """Return the line; where it is too long, hints are left out, then the bar is shortened."""
         fixed = len(self.left) + len(self.right) + 2
         hints = list(self.hints)
         while hints and fixed + 12 + _length(hints) > width:
@@ -49,10 +49,10 @@ def _length(hints: list[str]) -> int:
 
 
 class Dashboard:
-    """A frame of a trial as a rich renderable that fills the space it is given.
+    """One instant of a trial as a rich renderable that fills the space available.
 
-    `heading` names the trial, `notes` are warnings such as a log's damage, `aside` is what else is
-    worth knowing.
+    `heading` names the trial, `notes` are warnings such as a log's damage, `aside` is a line below
+    them.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Dashboard:
         yield from Segment.adjust_line_length(list(footer.render(console)), width)
 
     def side(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
-        """Lay out the numbers in at most `height` lines; the least important blocks go first."""
+        """Return the numbers in at most `height` lines, without the least important blocks."""
         blocks = [
             (0, self._head(glyphs, width)),
             (3, self._robots(glyphs, width, height)),

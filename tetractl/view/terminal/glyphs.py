@@ -1,4 +1,4 @@
-"""The characters a terminal view is made of, with an ASCII twin for terminals without more."""
+"""The characters of the terminal views, in Unicode and in ASCII."""
 
 import math
 from collections.abc import Sequence
@@ -69,7 +69,7 @@ ASCII = Glyphs(
 
 
 def glyphs_for(console: Console) -> Glyphs:
-    """Braille and arrows, unless the terminal is dumb, not UTF-8, or wants no colour.
+    """Return Unicode, but ASCII for a terminal that is dumb, not UTF-8, or without colour.
 
     Without colour the robots' dots look alike: the ASCII view tells them apart by number.
     """
@@ -83,14 +83,14 @@ def arrow(glyphs: Glyphs, angle: float) -> str:
 
 
 def eighth(angle: float) -> int:
-    """Return the nearest eighth of a turn, 0 to 7 anticlockwise from +x; 0 for what is no angle."""
+    """Return the nearest eighth of a turn, 0 to 7 anticlockwise from +x, 0 for an unknown angle."""
     if not math.isfinite(angle):
         return 0
     return round(math.remainder(angle, math.tau) / (math.pi / 4)) % 8
 
 
 def bar(glyphs: Glyphs, width: int, fraction: float, style: str) -> Text:
-    """Draw a bar, `fraction` of it done."""
+    """Return a bar of `width` characters, `fraction` of it filled."""
     done = round(width * min(max(fraction, 0.0), 1.0)) if math.isfinite(fraction) else width
     return Text.assemble((glyphs.bar[0] * done, style), (glyphs.bar[1] * (width - done), "dim"))
 
@@ -103,9 +103,9 @@ def sparkline(
     total: int = 0,
     log: bool = False,
 ) -> Text:
-    """Draw values as a line of bars from 0, or on a log scale from the least.
+    """Return values as a line of bars from 0, or on a logarithmic scale from the least.
 
-    `total` values (at least those given) take the whole width: what is to come shows as dots.
+    The width stands for `total` values, at least those given; values to come are dots.
     """
     y = np.asarray(values, dtype=float)
     y = np.where(np.isfinite(y), y, np.nan)

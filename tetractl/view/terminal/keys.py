@@ -1,4 +1,4 @@
-"""Keys straight from the terminal, which is always given back as it was."""
+"""Reads single keys from a terminal, whose settings are restored at the end."""
 
 import os
 import select
@@ -20,7 +20,7 @@ _NAMES = {" ": "space", "=": "+", "_": "-", "Q": "q"}
 
 
 def decode(data: bytes) -> tuple[list[str], bytes]:
-    """Split what a terminal sent into names of keys, and the start of an escape sequence to come.
+    """Split bytes of a terminal into names of keys and an unfinished escape sequence.
 
     Printable characters name themselves, except "space"; unknown sequences are dropped.
     """
@@ -42,7 +42,7 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
 
 
 def _sequence_length(data: bytes) -> int | None:
-    """Length of the escape sequence at the start; None where it is not complete."""
+    """Return the length of the escape sequence at the start; None where it is not complete."""
     if len(data) < 2:
         return None
     if data[1] == ord("O"):
@@ -58,11 +58,11 @@ def _sequence_length(data: bytes) -> int | None:
 
 
 class Keyboard:
-    """A terminal that gives each key at once and shows none of them, for a `with` block.
+    """Reads each key when it is pressed, without echo; a context manager.
 
     Ctrl-C still interrupts. On Ctrl-Z `leave` is called and the terminal restored before the
-    process stops; back in the foreground the keys are taken again and `back` is called. SIGTERM and
-    SIGHUP end the block as Ctrl-C does.
+    process stops; in the foreground again, `back` is called. SIGTERM and SIGHUP end the block as
+    Ctrl-C does.
     """
 
     def __init__(self, leave: Callable[[], None], back: Callable[[], None]) -> None:
@@ -95,7 +95,7 @@ class Keyboard:
             signal.signal(number, handler)
 
     def read(self, timeout_s: float) -> list[str]:
-        """Wait for keys, at most `timeout_s`; a terminal that has gone away gives "q"."""
+        """Wait for keys, at most `timeout_s`; return ["q"] where the terminal was closed."""
         if self._stop_wanted:
             self._suspend()
         try:

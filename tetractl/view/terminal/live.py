@@ -1,4 +1,4 @@
-"""The live view of running trials: the dashboard, drawn as the loop goes on."""
+"""The live view of running trials: the dashboard, drawn while the loop runs."""
 
 import time
 from collections.abc import Callable
@@ -23,9 +23,9 @@ FRAME_S = 1 / 12  # least wall time between two pictures
 
 class LiveView:
     """Shows one trial after another on the terminal's other screen: an `Observer` of each trial and
-    a `Watcher` of a batch; a context manager.
+    a `BatchObserver`; a context manager.
 
-    It draws at most 12 pictures a second of `wall` time [s], so that it never holds the loop up.
+    It draws at most 12 pictures a second of `wall` time [s].
     """
 
     def __init__(self, console: Console, wall: Callable[[], float] = time.monotonic) -> None:
@@ -51,17 +51,17 @@ class LiveView:
         self._live.stop()
 
     def trial_started(self, index: int, n: int) -> None:
-        """Note which trial of how many comes next."""
+        """Set the number of the trial and that of all trials."""
         self._index, self._tally.n = index, n
         if self._began is None:
             self._began = self._wall()
 
     def trial_finished(self, index: int, result: Result) -> None:
-        """Count it."""
+        """Count the trial."""
         self._tally.add(result)
 
     def on_start(self, start: Start) -> None:
-        """Clear the arena for a new trial."""
+        """Clear the view for a new trial."""
         setup = self._setup = start.setup
         self._plant = start.plant.kind
         simulated = start.plant.simulated
@@ -86,20 +86,20 @@ class LiveView:
         self._draw_in_time()
 
     def on_step(self, step: Step) -> None:
-        """Show the decision."""
+        """Show the control step."""
         self._step = step
         self._time_ns = max(self._time_ns, step.command.sent_ns)
         self._totals.append(float(self._setup.distances(step.observation.poses.xy).sum()))
         self._draw_in_time()
 
     def on_command(self, command: Command) -> None:
-        """Commands outside the control steps show in the trails alone."""
+        """Show nothing: a command outside the control steps is seen in the trails."""
 
     def on_note(self, note: Note) -> None:
-        """Notes stay in the log; the picture has no room for them."""
+        """Show nothing: the view has no space for notes; the log holds them."""
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Show how it ended."""
+        """Show the outcome."""
         self._result = result
         self._draw()
 

@@ -1,4 +1,4 @@
-"""Progress of a batch: a bar with the time left on a terminal, one line a trial elsewhere."""
+"""Progress of a batch: on a terminal a bar with the time left, elsewhere a line for each trial."""
 
 from contextlib import ExitStack
 from types import TracebackType
@@ -19,7 +19,7 @@ from tetractl.core.trial import Result
 
 
 class Tally:
-    """What is known of a batch so far."""
+    """Counts of the trials of a batch so far."""
 
     def __init__(self) -> None:
         self.n = 0
@@ -34,7 +34,7 @@ class Tally:
         self.entered += result.entered_obstacle
 
     def summary(self, unit: str) -> str:
-        """Say it in a few words."""
+        """Return the counts as text."""
         if not self.errors:
             return ""
         words = [f"mean total error {sum(self.errors) / len(self.errors):.1f} {unit}"]
@@ -44,7 +44,7 @@ class Tally:
 
 
 class BatchProgress:
-    """A `Watcher` of a batch that reports to a console, best one on stderr; a context manager.
+    """A `BatchObserver` that prints to a console; a context manager.
 
     `total` is the number of trials to be run, `unit` the experiment's length unit.
     """
@@ -80,11 +80,11 @@ class BatchProgress:
         self._stack.close()
 
     def trial_started(self, index: int, n: int) -> None:
-        """Note how many trials the batch has, those done before included."""
+        """Set the number of trials of the batch, earlier ones included."""
         self._tally.n = n
 
     def trial_finished(self, index: int, result: Result) -> None:
-        """Move the bar on, or print the trial's line."""
+        """Advance the bar, or print a line on the trial."""
         self._tally.add(result)
         if self._bar:
             self._bar.update(self._task, advance=1, description=self._tally.summary(self._unit))
@@ -94,7 +94,7 @@ class BatchProgress:
 
 
 def trial_line(index: int, n: int, result: Result, unit: str) -> str:
-    """One finished trial in words."""
+    """Return a line on one finished trial, the `index`-th of n."""
     entered = ", entered an obstacle" if result.entered_obstacle else ""
     why = f" ({result.reason})" if result.outcome == "aborted" else ""
     return (
@@ -110,7 +110,7 @@ class _TimeLeft(ProgressColumn):
 
 
 def duration(seconds: float) -> str:
-    """Write a time as people say it: 45 s, 3 min 20 s, 2 h 5 min."""
+    """Return a time as 45 s, 3 min 20 s or 2 h 5 min."""
     whole = max(round(seconds), 0)
     if whole < 60:
         return f"{whole} s"

@@ -1,4 +1,4 @@
-"""A replay on the terminal's other screen, obeying keys."""
+"""Plays a recorded trial on the terminal's alternate screen, controlled by keys."""
 
 from rich.console import Console
 from rich.live import Live
@@ -16,7 +16,7 @@ SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "a
 
 
 def play(console: Console, recording: Recording, player: Player) -> None:
-    """Play on the terminal's other screen until the viewer quits."""
+    """Play until the key q is pressed."""
     setup = recording.log.start.setup
     colors = robot_colors(setup.names, setup.colors)
     drawn: object = None
@@ -35,7 +35,7 @@ def play(console: Console, recording: Recording, player: Player) -> None:
 
 
 def dashboard(recording: Recording, player: Player, colors: list[str], glyphs: Glyphs) -> Dashboard:
-    """Return the picture of this moment."""
+    """Return the view at the player's time."""
     log = recording.log
     sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
     end_s = seconds(recording.end_ns)

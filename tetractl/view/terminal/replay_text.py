@@ -1,4 +1,4 @@
-"""A replay where there is no terminal: one plain line a control step."""
+"""Prints a recorded trial without a terminal: one line for each control step."""
 
 import math
 
@@ -35,7 +35,7 @@ def print_steps(
 
 
 def step_line(recording: Recording, index: int) -> str:
-    """Say one control step in words."""
+    """Return one control step as a line of text."""
     step = recording.log.steps[index]
     unit = recording.log.start.setup.unit
     plan, u = step.plan, step.command.direction

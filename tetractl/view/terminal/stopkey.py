@@ -19,8 +19,8 @@ POLL_S = 0.2
 class StopKey:
     """Calls `stop` on space, Esc, or when the terminal goes away; a context manager.
 
-    Enter calls `enter`. Other keys do nothing, and Ctrl-Z does not put the program to sleep while
-    robots move. Works only where stdin is a terminal; `listening` tells.
+    Enter calls `enter`. Other keys do nothing, and Ctrl-Z does not suspend the program while robots
+    move. Works only where stdin is a terminal: then `listening` is True.
     """
 
     def __init__(self, stop: Callable[[], None], enter: Callable[[], None]) -> None:

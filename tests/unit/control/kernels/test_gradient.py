@@ -9,25 +9,25 @@ from support import problems
 
 from tetractl.control.cost import predict
 from tetractl.control.kernels.gradient import backward, trace
-from tetractl.control.kernels.levenberg import lay_route
+from tetractl.control.kernels.levenberg import lay_out_polish
 
 MODELS = st.sampled_from(["euler", "arc", "exact"])
 
 
 def traced(problem, signals):
-    route = lay_route(problem, len(signals))
+    work = lay_out_polish(problem, len(signals))
     trace(
         signals,
-        route.start,
-        route.a,
-        route.v,
-        route.first_period,
-        route.period,
-        route.model,
-        route.path,
-        route.slopes,
+        work.start,
+        work.a,
+        work.v,
+        work.first_period,
+        work.period,
+        work.motion,
+        work.path,
+        work.gradients,
     )
-    return route
+    return work
 
 
 @settings(max_examples=60, deadline=None)
@@ -54,7 +54,7 @@ def test_the_path_is_the_predicted_one(seed, robots, length, model, first):
     model=MODELS,
     last=st.floats(0, 1),
 )
-def test_the_slope_is_that_of_the_path(seed, robots, length, model, last):
+def test_the_gradient_is_that_of_the_path(seed, robots, length, model, last):
     """`backward` against central differences of the readable model, in a random direction."""
     problem = problems.problem(problems.world(seed, robots, model=model))
     rng = np.random.default_rng(seed)
@@ -62,7 +62,7 @@ def test_the_slope_is_that_of_the_path(seed, robots, length, model, last):
     step, robot, at = 1e-6, int(rng.integers(robots)), int(last * (length - 1))
     east, north = rng.normal(size=2)
     row = np.empty(length)
-    backward(traced(problem, signals).slopes, robot, at, east, north, row)
+    backward(traced(problem, signals).gradients, robot, at, east, north, row)
     ahead, behind = (
         predict(problem, signals + sign * step * toward)[at + 1, robot, :2] for sign in (1, -1)
     )
@@ -73,8 +73,8 @@ def test_the_slope_is_that_of_the_path(seed, robots, length, model, last):
 
 @pytest.mark.parametrize("heading", [0.0, 1e-9, math.pi - 1e-9, -math.pi])
 @pytest.mark.parametrize("model", ["euler", "arc", "exact"])
-def test_a_robot_along_or_against_the_direction_has_a_finite_slope(model, heading):
+def test_a_robot_along_or_against_the_direction_has_a_finite_gradient(model, heading):
     problem = problems.problem(problems.world(5, 1, model=model))
     poses = replace(problem.poses, heading=np.array([heading]))
-    slopes = traced(replace(problem, poses=poses), np.zeros(10)).slopes
-    assert np.isfinite(slopes).all()
+    gradients = traced(replace(problem, poses=poses), np.zeros(10)).gradients
+    assert np.isfinite(gradients).all()

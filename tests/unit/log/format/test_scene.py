@@ -43,6 +43,10 @@ def _numbers(message: Message) -> Iterator[float]:
                 yield item
 
 
+def corners_of(entity: Any) -> np.ndarray:
+    return np.array([(point.x, point.y, point.z) for point in entity.triangles[0].points])
+
+
 def test_every_channel_has_its_schema(messages: dict[str, list[Any]]) -> None:
     kinds = {topic: found[0].DESCRIPTOR.full_name for topic, found in messages.items()}
     assert kinds == {
@@ -100,13 +104,11 @@ def test_the_scene_stands_where_the_spec_says(made: Made, messages: dict[str, li
     assert len(entities) == len(scene.entities) == 1 + 2 + 2 * 3
     corners = [(point.x, point.y) for point in entities["arena"].lines[0].points]
     assert np.allclose(corners, [(0.6, 0.35), (2.2, 0.35), (2.2, 2.15), (0.6, 2.15)])
-    box = entities["obstacle/0"].cubes[0]
-    assert (box.pose.position.x, box.pose.position.y) == pytest.approx((1.3, 1.2))
-    assert (box.size.x, box.size.y) == pytest.approx((0.2, 0.2))
-    disc = entities["obstacle/1"].cylinders[0]
-    assert (disc.pose.position.x, disc.pose.position.y) == pytest.approx((0.7, 1.9))
-    assert disc.size.x == disc.size.y == pytest.approx(0.101)
-    assert (disc.bottom_scale, disc.top_scale) == (1, 1)
+    box, disc = (corners_of(entities[f"obstacle/{i}"]) for i in range(2))
+    assert box.min(axis=0) == pytest.approx((1.2, 1.1, 0))
+    assert box.max(axis=0)[:2] == pytest.approx((1.4, 1.3))
+    assert np.hypot(*(disc[:, :2] - (0.7, 1.9)).T) == pytest.approx(0.0505)
+    assert {z > 0 for z in disc[:, 2]} == {True, False}
     ring = np.array([(p.x, p.y) for p in entities["target/robot 1"].lines[0].points])
     assert np.allclose(ring.mean(axis=0), (1.7, 0.5997))
     body = entities["robot/robot 2"]
@@ -166,8 +168,8 @@ def test_a_robot_that_is_not_tracked_has_no_transform() -> None:
 @pytest.mark.parametrize(("unit", "metres"), [("um", 1e-6), ("mm", 1e-3), ("cm", 1e-2), ("m", 1)])
 def test_every_unit_comes_to_metres(unit: str, metres: float) -> None:
     scene = Scene(experiment(1, units={"length": unit}).setup).static(EPOCH_NS)
-    box = next(item for item in scene.entities if item.id == "obstacle/0").cubes[0]
-    assert box.size.x == pytest.approx(200 * metres)
+    box = corners_of(next(item for item in scene.entities if item.id == "obstacle/0"))
+    assert np.ptp(box[:, 0]) == pytest.approx(200 * metres)
 
 
 def test_a_robot_with_wheels_is_drawn_as_wide_as_it_is() -> None:

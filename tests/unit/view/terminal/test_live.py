@@ -8,7 +8,7 @@ from support.trials import samples, three_robots
 
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
-from tetractl.run.batch import Watcher
+from tetractl.run.batch import BatchObserver
 from tetractl.view.terminal.live import LiveView
 from tetractl.view.terminal.progress import BatchProgress, duration
 
@@ -63,7 +63,7 @@ def drive(view: Observer) -> None:
 def run(tick: float) -> Console:
     console = terminal()
     with LiveView(console, wall=Wall(tick)) as view:
-        watcher: Watcher = view
+        watcher: BatchObserver = view
         watcher.trial_started(2, 20)
         drive(view)
         result = three_robots().result

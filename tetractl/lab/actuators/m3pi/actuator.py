@@ -24,7 +24,7 @@ from tetractl.lab.actuators.m3pi.command import (
 from tetractl.lab.actuators.m3pi.protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
 from tetractl.lab.actuators.xbee.link import Link
-from tetractl.model.cell import exact
+from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import body_velocity, wheel_speeds
 
 MM = 1e-3  # m

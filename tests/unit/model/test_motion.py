@@ -8,7 +8,11 @@ from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
 from tetractl.core.poses import Poses
-from tetractl.model.cell import MOTIONS, arc, euler, exact
+from tetractl.experiment.kinds import MOTIONS as REGISTRY
+from tetractl.model.motion.exact import rates
+
+MOTIONS = {name: REGISTRY.load(name) for name in REGISTRY.builtin}
+euler, arc, exact = (MOTIONS[name].step for name in ("euler", "arc", "exact"))
 
 ANGLES = st.floats(-10, 10)
 TURNS = st.floats(0.01, 12)  # a [rad/s]
@@ -24,12 +28,11 @@ def one(motion, x, y, heading, u, a, v, t):
 def integrated(x, y, heading, u, a, v, t, turning=None):
     """(1)-(3) by a Runge-Kutta method of order 8; `turning` [rad/s] holds the wheels instead."""
 
-    def rates(_, state):
-        theta = state[2]
-        turn = a * math.sin(u - theta) if turning is None else turning
-        return [v * math.cos(theta), v * math.sin(theta), turn]
+    def change(_, state):
+        east, north, turn = rates(state[2], u, a, v)
+        return [east, north, turn if turning is None else turning]
 
-    found = solve_ivp(rates, (0, t), [x, y, heading], method="DOP853", rtol=3e-14, atol=1e-12)
+    found = solve_ivp(change, (0, t), [x, y, heading], method="DOP853", rtol=3e-14, atol=1e-12)
     return tuple(found.y[:, -1])
 
 
@@ -135,7 +138,7 @@ def test_two_exact_steps_are_one(heading, u, a, v, first, second):
 @given(heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, t=TIMES)
 def test_every_motion_keeps_to_its_speed_and_turns_towards_u(heading, u, a, v, t):
     for name, motion in MOTIONS.items():
-        x, y, turned = one(motion, 0, 0, heading, u, a, v, t)
+        x, y, turned = one(motion.step, 0, 0, heading, u, a, v, t)
         assert math.hypot(x, y) <= v * t * (1 + 1e-12) + 1e-12, name
         phi = math.remainder(u - heading, 2 * math.pi)
         assert (turned - heading) * phi >= 0, name
@@ -147,7 +150,7 @@ def test_steps_broadcast_over_particles_and_robots():
     poses = np.random.default_rng(1).uniform(-1, 1, (3, 7, 2))
     u = np.random.default_rng(2).uniform(-3, 3, (7, 1))
     a, v = np.array([6.0, 3.0]), np.array([180.0, 150.0])
-    for motion in MOTIONS.values():
+    for motion in (euler, arc, exact):
         moved = motion(*poses, u, a, v, 0.2)
         assert {s.shape for s in moved} == {(7, 2)}
         for n in range(7):

@@ -1,4 +1,6 @@
-"""Elementary functions as polynomials, for loops over lanes.
+"""Elementary functions as polynomials, for compiled loops over the particles of a robot.
+
+They are plain functions of scalars, which kernels compile and which work without a compiler too.
 
 Coefficients are fitted when the module is imported: interpolation at Chebyshev points of the
 degree that brings the error below 1e-13 on the range named, in the squared argument: errors of a
@@ -9,21 +11,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
 from tetractl.core.poses import Floats
 
-FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
-INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
-KERNEL = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "cache": True}
-PART = {**KERNEL, "forceinline": True}
-"""Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
-been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
-the cache: two machine codes, and results that differ in the last bits from run to run."""
-
 LOG_2 = math.log(2.0)
-LARGEST_TURN = 1.25
-"""Largest a t of one exact step: a longer one is divided, so that `arctan` stays in its range."""
+ARCTAN_MAX = math.sinh(0.625)  # largest argument of `arctan`
 
 
 def fit(function: Callable[[Floats], Floats], top: float, degree: int) -> tuple[float, ...]:
@@ -42,16 +34,14 @@ def _atan_ratio(q: Floats) -> Floats:
     return np.arctan(root) / root
 
 
-_STEEPEST = math.sinh(LARGEST_TURN / 2)  # of tan((phi - phi')/2), over all phi
 SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), (math.pi / 4) ** 2, 5)  # sin(t)/t, t = sqrt(q)
 COSINE = fit(lambda q: np.cos(np.sqrt(q)), (math.pi / 4) ** 2, 5)
 HALF_SINE = fit(lambda q: np.sinc(np.sqrt(q) / (2 * np.pi)), (math.pi / 2) ** 2, 5)  # 2 sin(x/2)/x
 HALF_COSINE = fit(lambda q: np.cos(np.sqrt(q) / 2), (math.pi / 2) ** 2, 5)
 ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
-ATAN = fit(_atan_ratio, _STEEPEST**2, 11)  # atan(z)/z
+ATAN = fit(_atan_ratio, ARCTAN_MAX**2, 11)  # atan(z)/z
 
 
-@njit(inline="always")
 def horner(coefficients, q):
     """Value of a polynomial, lowest coefficient first."""
     value = coefficients[-1]
@@ -60,7 +50,6 @@ def horner(coefficients, q):
     return value
 
 
-@njit(**INLINE)
 def sincos(x):
     """(sin x, cos x) for |x| <= pi, by two halvings."""
     t = 0.25 * x
@@ -70,7 +59,6 @@ def sincos(x):
     return 2 * s * c, 1 - 2 * s * s
 
 
-@njit(**INLINE)
 def sincos_quarter(x):
     """(sin x, cos x) for |x| <= pi/2, by one halving."""
     q = x * x
@@ -78,13 +66,11 @@ def sincos_quarter(x):
     return s * c, 1 - 0.5 * s * s
 
 
-@njit(**INLINE)
 def wrap(x):
     """The angle x within [-pi, pi]."""
     return x - 2 * math.pi * np.rint(x / (2 * math.pi))
 
 
-@njit(**INLINE)
 def mantissa(y):
     """(m, k) with y = m 2^k and sqrt(1/2) <= m < sqrt(2), for finite y > 0."""
     bits = np.float64(y).view(np.int64)
@@ -92,13 +78,11 @@ def mantissa(y):
     return np.int64(bits - (k << 52)).view(np.float64), np.float64(k)
 
 
-@njit(**INLINE)
 def log_from_ratio(f, k):
     """Return ln(m 2^k) from f = (m - 1)/(m + 1): ln m = 2 atanh f."""
     return k * LOG_2 + 2 * f * horner(ATANH, f * f)
 
 
-@njit(**INLINE)
 def arctan(z):
-    """Atan z for |z| <= sinh(LARGEST_TURN / 2), which an exact step never exceeds."""
+    """Return atan z for |z| <= ARCTAN_MAX."""
     return z * horner(ATAN, z * z)

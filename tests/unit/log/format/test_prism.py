@@ -1,0 +1,43 @@
+import numpy as np
+from hypothesis import given
+from support.shapes import L_SHAPE, SHAPES
+
+from tetractl.log.format.prism import prism, triangulate
+
+
+def doubled_areas(a, b, c):
+    return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+
+
+@given(SHAPES)
+def test_the_triangles_cover_the_outline_and_no_more(shape):
+    outline = shape.outline()
+    triangles = triangulate(outline)
+    assert triangles.shape == (len(outline) - 2, 3)
+    areas = doubled_areas(*(outline[triangles[:, i]] for i in range(3)))
+    x, y = outline.T
+    whole = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+    assert np.all(areas >= -1e-9)
+    assert np.isclose(areas.sum(), whole, rtol=1e-9)
+
+
+def test_a_concave_polygon_is_not_filled_across_its_notch():
+    outline = L_SHAPE.outline()
+    middles = outline[triangulate(outline)].mean(axis=1)
+    assert L_SHAPE.contain(*middles.T).all()
+
+
+@given(SHAPES)
+def test_walls_stand_on_the_outline_and_face_outwards(shape):
+    outline = shape.outline()
+    corners, triangles = prism(outline, 3.0)
+    assert corners[:, 2].tolist() == [0.0] * len(outline) + [3.0] * len(outline)
+    assert np.array_equal(corners[: len(outline), :2], outline)
+    a, b, c = (corners[triangles[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    volume = np.einsum("ij,ij->i", a, normals).sum() / 6  # of a closed surface but for its floor
+    x, y = outline.T
+    area = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) / 2
+    assert np.isclose(volume, 3.0 * area, rtol=1e-9)
+    top = normals[2 * len(outline) :]
+    assert np.all(top[:, 2] >= -1e-9)

@@ -1,0 +1,55 @@
+"""How kernels and what they call are compiled."""
+
+from collections.abc import Callable
+from functools import cache
+from types import FunctionType
+from typing import Any
+
+from numba import njit
+from numba.extending import overload
+
+FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
+PIECE: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "forceinline": True}
+"""Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
+been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
+the cache: two machine codes, and results that differ in the last bits from run to run."""
+PART = {**PIECE, "cache": True}
+KERNEL = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "cache": True}
+INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
+"""Of functions of scalars: compiled as if they were written where they are called."""
+
+
+@cache
+def inlined(function: FunctionType) -> Callable[..., Any]:
+    """Return a plain function of scalars, compiled together with the plain functions it calls.
+
+    Motions and shapes are written in plain Python and know no compiler: specs are checked without
+    one.
+    """
+    names = function.__code__.co_names
+    called = {name: function.__globals__.get(name) for name in names}
+    compiled = {name: inlined(f) for name, f in called.items() if isinstance(f, FunctionType)}
+    scope = {**function.__globals__, **compiled}
+    return njit(**INLINE)(FunctionType(function.__code__, scope, function.__name__))
+
+
+def entries(rows: Any, i: int, columns: Any) -> Any:
+    """Return rows[i, c] for each c in a tuple of columns, as a tuple."""
+
+
+@overload(entries, jit_options=PIECE)
+def _entries(rows, i, columns):
+    def several(rows, i, columns):
+        a, b, c = columns[:3]
+        first = rows[i, a], rows[i, b], rows[i, c]
+        return first + entries(rows, i, columns[3:])
+
+    match len(columns):
+        case 0:
+            return lambda rows, i, columns: ()
+        case 1:
+            return lambda rows, i, columns: (rows[i, columns[0]],)
+        case 2:
+            return lambda rows, i, columns: (rows[i, columns[0]], rows[i, columns[1]])
+        case _:
+            return several

@@ -1,0 +1,49 @@
+"""What the section of every obstacle shape has; the shapes are in `tetractl.model.shapes`."""
+
+from abc import abstractmethod
+from typing import Any, ClassVar, Self
+
+from pydantic import PrivateAttr
+
+from tetractl.core.poses import Bools, Floats
+from tetractl.experiment.base import Model
+
+
+class ShapeSection(Model):
+    """An obstacle: a `tetractl.core.setup.Shape`, which says what the methods return."""
+
+    type: Any  # each section's own name, as a Literal
+    packed: ClassVar[Any]
+    """The class of these shapes for compiled code: a `PackedShapes`."""
+    _margin: float = PrivateAttr(default=0.0)
+
+    @property
+    def margin(self) -> float:
+        """By how much the shape is grown on every side [length unit]; at least 0."""
+        return self._margin
+
+    def grown(self, margin: float) -> Self:
+        """Return the shape grown by a further margin [length unit]."""
+        copy = self.model_copy()
+        copy._margin = self._margin + margin
+        return copy
+
+    @abstractmethod
+    def contain(self, x: Floats, y: Floats) -> Bools:
+        """Return whether each point lies in the shape, p(s) of (13)."""
+
+    @abstractmethod
+    def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
+        """Return whether each straight segment from (x0, y0) to (x1, y1) touches the shape."""
+
+    @abstractmethod
+    def distance(self, x: Floats, y: Floats) -> Floats:
+        """Return the signed distance of each point to the edge, negative inside."""
+
+    @abstractmethod
+    def outline(self) -> Floats:
+        """Return the corners of a closed polygon that draws the shape, (M, 2), anticlockwise."""
+
+    @abstractmethod
+    def row(self) -> tuple[float, ...]:
+        """Return the numbers that the compiled functions of `packed` take."""

@@ -1,0 +1,1 @@
+"""Motions of a robot under the common direction: one file each, named in `experiment.kinds`."""

@@ -1,0 +1,110 @@
+"""What a motion consists of: one definition for the planner, its compiled twin and the plant.
+
+A motion is one file that ends in a `Motion`, named by one line in `tetractl.experiment.kinds`. See
+docs/how-to/extend.md.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+from tetractl.core.poses import Floats
+
+Time = float | Floats
+XYHeading = tuple[Floats, Floats, Floats]
+Derivatives = tuple[float, float, float, float, float, float, float, float]
+"""dx, dy, dheading of one step; d(dx)/dheading, d(dy)/dheading, d(dx)/du, d(dy)/du, and
+d(heading')/dheading = 1 - d(heading')/du."""
+
+
+@dataclass(slots=True)
+class Held:
+    """What N robots hold between two commands, (N,) each; before the first they stand still."""
+
+    direction: Floats  # u [rad]
+    turning: Floats  # a sin(u - heading) when the command came [rad/s], (3)
+    course: Floats  # heading when the command came [rad]
+    moving: Floats  # 1 where the robot moves, else 0
+
+
+class Step(Protocol):
+    """Poses after a time t [s] under a held direction u [rad].
+
+    Arguments broadcast against each other: typically x, y [length unit] and heading [rad] of shape
+    (..., N), u of shape (..., 1), turning rates a [rad/s] and speeds v [length unit/s] of shape
+    (N,). Headings are not wrapped.
+    """
+
+    def __call__(
+        self, x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
+    ) -> XYHeading:
+        """Return x, y and heading after the step."""
+        ...
+
+
+class Hold(Protocol):
+    """Poses of simulated robots a time t [s] later, in closed form, while nothing new arrives.
+
+    As `Step`, with what the robots hold in place of u; t (M, N) gives poses (M, N).
+    """
+
+    def __call__(
+        self, x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
+    ) -> XYHeading:
+        """Return x, y and heading a time t later."""
+        ...
+
+
+class Lanes(Protocol):
+    """Constants of N robots for steps of one duration, and the step of one robot in scalars.
+
+    A `NamedTuple` with the fields `rows` and `pieces`. Each class is a type of its own to the
+    compiler, which makes one kernel for each. The functions are compiled where a kernel calls them,
+    with the plain functions they call; they may use arithmetic, `math` and
+    `tetractl.model.motion.polynomials`. `advance` runs in a loop over particles that is to become
+    vector code: conditional values rather than branches, polynomials rather than calls to `math`.
+
+    A class whose last signal cannot move the last position may add `finish(x, y, c, s, k)`, which
+    returns x, y after the last piece: then a sole obstacle is tested in the same loop as well.
+    """
+
+    size: int
+
+    @property
+    def rows(self) -> Floats:
+        """The numbers of each robot, `k` of the functions, (N, size)."""
+        ...
+
+    @property
+    def pieces(self) -> int:
+        """Equal pieces that a step is divided into."""
+        ...
+
+    @classmethod
+    def of(cls, a: Floats, v: Floats, t: float) -> Self:
+        """Return the constants of robots with a, v (N,) for steps of t [s]."""
+        ...
+
+    @staticmethod
+    def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
+        """Return x, y, c, s after a piece; c, s and cu, su are cos and sin of heading and u."""
+        ...
+
+    @staticmethod
+    def differentiate(heading: float, u: float, a: float, v: float, t: float) -> Derivatives:
+        """Return a step and its derivatives."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A motion: the NumPy step, the plant's, and the compiled one.
+
+    `lanes(a, longest)` returns the class of constants for robots that turn at a (N,) [rad/s] in
+    steps of at most `longest` [s]: a motion may have a faster one for robots that turn slowly.
+    """
+
+    name: str
+    step: Step
+    hold: Hold
+    lanes: Callable[[Floats, float], type[Lanes]]

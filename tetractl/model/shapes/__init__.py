@@ -1,0 +1,1 @@
+"""Shapes of obstacles: one file each, named in `experiment.kinds`."""

@@ -1,0 +1,46 @@
+"""The compiled side of a shape: its numbers packed in rows, and functions of scalars.
+
+A shape is one file with two classes: its section of a spec, with the readable geometry in NumPy,
+and a `NamedTuple` as described here, which the section names as `packed`. One line in
+`tetractl.experiment.kinds` adds it. See docs/how-to/extend.md.
+"""
+
+from typing import Any, Protocol
+
+from tetractl.core.poses import Floats
+
+
+class PackedShapes(Protocol):
+    """M obstacles of one shape; `p` of the functions is the row of one of them.
+
+    Each class is a type of its own to the compiler. The functions are compiled where a kernel calls
+    them, with the functions of the same file that they call; they may use arithmetic, `math` and
+    loops. A gap is a number that is at most 0 exactly where an obstacle is met. Comparing a
+    difference with 0 is the same as comparing its terms, and faster in vector code.
+    """
+
+    rows: Floats
+    """(M, K): what `row` of the section returns."""
+    size: int | None
+    """K, where it is the same for every obstacle: then `p` is a tuple. None where rows differ in
+    length: then `p` is an array, padded with zeros."""
+
+    @staticmethod
+    def gap(x: float, y: float, p: Any) -> float:
+        """Return a number that is at most 0 exactly where (x, y) is in the obstacle."""
+        ...
+
+    @staticmethod
+    def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
+        """Return a number that is at most 0 exactly where the segment meets the obstacle."""
+        ...
+
+    @staticmethod
+    def depth(x: float, y: float, p: Any) -> float:
+        """Return how deep (x, y) lies inside the obstacle [length unit], at most 0 outside."""
+        ...
+
+    @staticmethod
+    def outward(x: float, y: float, p: Any) -> tuple[float, float]:
+        """Return the unit vector along which the depth falls by 1 a length unit."""
+        ...

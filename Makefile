@@ -4,7 +4,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 DEMO := logs/demo
 
-.PHONY: demo test lint clean
+.PHONY: demo test test-fast lint clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || (echo "tetractl needs Python 3.11 or later" && exit 1)
@@ -22,7 +22,11 @@ demo: $(STAMP)
 	@echo "Look at $(DEMO)/figure-5.png, or play a trial: $(BIN)/tetractl replay $(DEMO)/trial-000.mcap"
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist loadgroup --no-loadscope-reorder
+
+# What needs neither other processes nor much time: for work on the code.
+test-fast: $(STAMP)
+	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow"
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -1,6 +1,40 @@
-"""Settings of all tests."""
+"""Settings of all tests: which are slow, in what order they run, and in which process."""
 
+import os
+from pathlib import Path
+
+import pytest
 from hypothesis import settings
 
 settings.register_profile("tetractl", deadline=None)  # a slow machine is no failure
 settings.load_profile("tetractl")
+
+FOLDER = Path(__file__).parent
+PROCESSES = ("cli", "emulated")  # folders of tests that start processes and wait for them
+LANES = 2  # plays of an emulated lab at a time: each has deadlines to keep
+TURNS = ("emulated", "cli/test_docs", "cli", "")  # what takes longest is started first
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what is slow, and choose which tests follow one another in one process.
+
+    A module's tests do, as they share fixtures, but for those marked as slow one by one.
+    """
+    places = {item: item.path.relative_to(FOLDER).as_posix() for item in items}
+    items.sort(key=lambda item: next(i for i, t in enumerate(TURNS) if places[item].startswith(t)))
+    for number, item in enumerate(items):
+        folder = places[item].partition("/")[0]
+        alone = any(mark.name == "slow" for mark in item.own_markers)
+        group = item.name if alone else places[item]
+        if folder in PROCESSES:
+            item.add_marker(pytest.mark.slow)
+        if folder == "emulated":
+            group = f"lane {number % LANES}"
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Return a process a core for `-n logical`, and two for `-n auto`: many tests wait."""
+    cores = os.cpu_count() or 1
+    return cores if config.option.numprocesses == "logical" else 2 * cores

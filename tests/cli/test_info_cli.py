@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.trials import cut_short, three_robots, write_trial
+from support.trials import SEED, three_robots, write_torn, write_trial
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 
@@ -15,8 +15,8 @@ TETRACTL = Path(sys.executable).with_name("tetractl")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
-    write_trial(three_robots(1), folder / "whole.mcap")
-    write_trial(cut_short(three_robots(1), 10), folder / "cut.mcap")
+    write_trial(folder / "whole.mcap")
+    write_torn(folder / "cut.mcap.part")
     data = bytearray((folder / "whole.mcap").read_bytes())
     data[len(data) // 2] ^= 0xFF
     (folder / "flipped.mcap").write_bytes(data)
@@ -38,10 +38,10 @@ def tetractl(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
 def test_it_says_what_is_in_a_log(folder: Path) -> None:
     done = tetractl(folder, "info whole.mcap")
     assert (done.returncode, done.stderr) == (0, "")
-    trial = three_robots(1)
+    trial = three_robots()
     assert trial.result is not None
     for text in (
-        'robots          ["green", "blue", "red"]',
+        'robots            ["green", "blue", "red"]',
         f"steps             {trial.result.steps}",
         f"total error       {trial.result.total_error:.1f} mm",
         f"/mocap            tetractl.MocapSample      {len(trial.mocap):>6} messages  120.0 Hz",
@@ -56,10 +56,10 @@ def test_it_says_what_is_in_a_log(folder: Path) -> None:
 def test_json_holds_the_same(folder: Path) -> None:
     done = tetractl(folder, "info whole.mcap --json")
     found = json.loads(done.stdout, parse_constant=pytest.fail)
-    trial = three_robots(1)
+    trial = three_robots()
     assert trial.result is not None
     assert done.returncode == 0
-    assert found["run"]["seed"] == "1"
+    assert found["run"]["seed"] == str(SEED)
     assert found["result"]["robot_errors"] == list(trial.result.robot_errors)
     assert found["result"]["outcome"] == "sequence used up"
     channels = {item["topic"]: item for item in found["channels"]}

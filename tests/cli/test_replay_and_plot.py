@@ -1,4 +1,5 @@
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -8,7 +9,9 @@ from pathlib import Path
 
 import pytest
 from support.terminal import Terminal
-from support.trials import cut_short, three_robots, write_trial
+from support.trials import three_robots, write_torn, write_trial
+
+from tetractl.log.read.reader import read_trial
 
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))
 LFLAG = 3
@@ -17,9 +20,9 @@ LFLAG = 3
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
-    write_trial(three_robots(1), folder / "whole.mcap")
-    write_trial(three_robots(2), folder / "other.mcap")
-    write_trial(cut_short(three_robots(1), 10), folder / "cut.mcap")
+    write_trial(folder / "whole.mcap")
+    write_trial(folder / "other.mcap", seed=3)
+    write_torn(folder / "cut.mcap.part")
     return folder
 
 
@@ -40,12 +43,12 @@ def play(folder: Path, *options: str, **env: str) -> Terminal:
 
 
 def at(seconds: float) -> str:
-    return rf"{seconds:.1f} / 8\.4 s"
+    return re.escape(f"{seconds:.1f} / {three_robots().result.duration_s:.1f} s")
 
 
 def test_every_key_does_what_it_says(folder):
     with play(folder, "--paused") as terminal:
-        terminal.expect(r"‖ 1×.*0\.0 / 8\.4 s")
+        terminal.expect("‖ 1×.*" + at(0.0))
         terminal.press(".")
         terminal.expect(r"step k      1 ")
         terminal.press(".")
@@ -92,7 +95,7 @@ def test_it_follows_the_size_of_the_terminal(folder):
     with play(folder, "--paused") as terminal:
         terminal.expect("solve time|step k")
         terminal.resize(40, 12)
-        terminal.expect(r"t     0\.0 / 8\.4 s")
+        terminal.expect("t     " + at(0.0))
         terminal.resize(120, 40)
         terminal.expect("evaluations")
         terminal.press("q")
@@ -146,14 +149,14 @@ def test_a_dumb_terminal_gets_plain_lines(folder):
     with play(folder, TERM="dumb") as terminal:
         assert terminal.finish() == 0
         assert "\x1b" not in terminal.raw
-        assert terminal.raw.count("total error") == len(three_robots(1).steps)
+        assert terminal.raw.count("total error") == len(three_robots().steps)
 
 
 def test_without_a_terminal_one_line_a_step(folder):
     done = run("replay", "whole.mcap", cwd=folder)
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
-    steps = three_robots(1).steps
+    steps = three_robots().steps
     assert len(lines) == len(steps)
     for line, step in zip(lines, steps, strict=True):
         assert f"k {step.k} " in line
@@ -172,7 +175,7 @@ def test_start_until_and_rate_without_a_terminal(folder):
 def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
     done = run("replay", "cut.mcap.part", cwd=folder)
     assert done.returncode == 1
-    assert len(done.stdout.splitlines()) == 10
+    assert len(done.stdout.splitlines()) == len(read_trial(folder / "cut.mcap.part").steps)
     assert done.stderr.startswith("damaged: cut.mcap.part: ")
     assert "lost: cut.mcap.part: " in done.stderr
     done = run("plot", "cut.mcap.part", "--kind", "error", cwd=folder)
@@ -186,7 +189,7 @@ def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
         (["replay", "whole.mcap", "--rate", "0"], 2, "--rate must be above 0"),
         (["replay", "whole.mcap", "--rate", "nan"], 2, "--rate must be above 0"),
         (["replay", "whole.mcap", "--rate", "fast"], 2, "'--rate'"),
-        (["replay", "whole.mcap", "--start", "99"], 2, "the trial lasts 8.4 s"),
+        (["replay", "whole.mcap", "--start", "99"], 2, "the trial lasts"),
         (["replay", "whole.mcap", "--paused"], 2, "--paused needs a terminal"),
         (["replay", "nothing.mcap"], 1, "nothing.mcap"),
         (["replay", "."], 1, ""),

@@ -19,13 +19,29 @@ from tetractl.log.read.salvage import scan
 SCRIPTS = sorted((ROOT / "experiments" / "faults").glob("*.yaml"))
 REACTION_S = 0.1  # on top of a fault's own tolerance, until the stop frame is on the wire
 ROLLING_S = 0.3  # from the stop frame on the wire until the wheels are at rest
+ATTEMPTS = 3
+LATE_S = 0.05  # half of the shortest tolerance: a host as late as that spoils the play
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
 def test_fault(path, tmp_path):
+    """A play that fails on a host too busy to keep the lab's time is played again."""
     script = load_script(path)
+    for attempt in range(1, ATTEMPTS + 1):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        played = play(path, script, folder)
+        try:
+            check(script, played)
+        except AssertionError:
+            if attempt == ATTEMPTS or played.driven_late_s() < LATE_S:
+                raise
+        else:
+            break
+
+
+def check(script, played):
     expect = script.expect
-    played = play(path, script, tmp_path)
     said = "\n".join([*played.said, *messages(played.logs)])
     note = f"\nsaid: {said}"
     assert played.exits[0] == expect.exit, note

@@ -151,6 +151,11 @@ class Played:
         over = [e for e in late if e["t_ns"] + 1e6 * e["lag_ms"] >= start_ns]
         return max((e["lag_ms"] / 1e3 for e in over), default=0.0)
 
+    def driven_late_s(self):
+        """The most the emulator was late while robots were driven."""
+        start = next((e["t_ns"] for e in self.of("run")), 0)
+        return self.lag_s(start, self.record[-1]["t_ns"])
+
     def stop_after(self, name, since_ns):
         """Seconds from `since_ns` until a stop for a robot was on the wire."""
         place = self.record[0]["robots"].index(name)

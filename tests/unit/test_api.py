@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
+from support.paths import ROOT
 
 import tetractl
 from tetractl.core.errors import SpecError, UsageError
@@ -149,7 +150,7 @@ def test_what_cannot_be_run_is_refused(tmp_path):
         tetractl.run_trial(spec, folder=tmp_path)
     with pytest.raises(SpecError, match="unknown key"):
         tetractl.parse_spec(SPEC, "controller.perod=1")
-    lab = Path(__file__).parents[2] / "experiments" / "three_m3pi_lab.yaml"
+    lab = ROOT / "experiments" / "three_m3pi_lab.yaml"
     with pytest.raises(UsageError, match="plant is the lab"):
         tetractl.run_trial(on_plant(tetractl.load_spec(lab), "lab"))
 

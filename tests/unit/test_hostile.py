@@ -25,6 +25,7 @@ def caches():
             target.run(seed)
 
 
+@pytest.mark.slow
 @every_target
 @given(data=st.binary(max_size=400))
 @settings(max_examples=25)
@@ -33,6 +34,7 @@ def test_any_bytes(name, data):
         TARGETS[name].run(data)
 
 
+@pytest.mark.slow
 @every_target
 @given(rng=st.randoms(use_true_random=False))
 @settings(max_examples=25)
@@ -80,6 +82,7 @@ def test_a_promise_that_is_broken_is_noticed(monkeypatch):
             TARGETS["natnet"].run(mutant(seeds, rng))
 
 
+@pytest.mark.slow
 def test_the_long_run_prints_what_it_found(tmp_path):
     script = targets.ROOT / "benchmarks" / "fuzz.py"
     words = [sys.executable, str(script), "--target", "serial", "--seconds", "0.2"]

@@ -1,4 +1,4 @@
-"""`tetractl info`: what is in a log."""
+"""`tetractl info`: the contents of a log."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,7 +17,7 @@ def info(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, finished or not.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
 ) -> int:
-    """Print what is in a log: the run, its result, channels, origin, and any damage.
+    """Print the contents of a log: run, result, channels, provenance, and any damage.
 
     Everything is read and checked. Exits with 1 where the log is damaged or has no result.
 

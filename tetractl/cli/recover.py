@@ -19,7 +19,7 @@ def recover(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
 ) -> int:
-    """Save what is intact of a torn or damaged log into a complete file; say what is lost and when.
+    """Copy the intact records of a damaged log to a complete file, and print what is lost.
 
     Exits with 0 where nothing is lost, 3 where something is, 1 where nothing can be saved.
 

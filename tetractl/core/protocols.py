@@ -193,7 +193,7 @@ class Observer(Protocol):
         ...
 
     def on_step(self, step: Step) -> None:
-        """After each control step; `step.command` is not told again by `on_command`."""
+        """After each control step; `on_command` is not called for `step.command`."""
         ...
 
     def on_command(self, command: Command) -> None:
@@ -201,7 +201,7 @@ class Observer(Protocol):
         ...
 
     def on_note(self, note: Note) -> None:
-        """Something a person should know of, such as a robot that does not move as told."""
+        """A message for people, such as a robot that does not move as commanded."""
         ...
 
     def on_stop(self, stop: Command, result: Result) -> None:

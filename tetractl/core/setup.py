@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -38,6 +38,9 @@ class Bounds:
 
 class Shape(Protocol):
     """The shape of an obstacle in the plane; its edge belongs to it. Lengths in the spec's unit."""
+
+    packed: ClassVar[Any]
+    """The class of these shapes for compiled code: a `PackedShapes`."""
 
     def contain(self, x: Floats, y: Floats) -> Bools:
         """Return whether each point lies in the shape, p(s) of (13)."""

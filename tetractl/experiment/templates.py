@@ -104,15 +104,15 @@ lab:
     server: 192.168.1.10        # the computer that runs Motive
     interface: 192.168.1.20     # this computer's network card on that network
     transport: multicast        # as in Motive's streaming settings
-    robots:
-      - {name: green, body: green}   # body: its name in Motive
+    robots:                     # body: a robot's name in Motive
+      - {name: green, body: green}
       - {name: blue, body: blue}
   actuator:
     type: m3pi-xbee
     port: /dev/ttyUSB0
     baud: 57600
     protocol: {type: broadcast}   # robots with the mbed firmware, which has a watchdog
-    robots:
+    robots:                       # index: as each robot's firmware was built with
       - {name: green, index: 0}
       - {name: blue, index: 1}
   # Gains, dead zones, swaps and offsets come from `tetractl lab calibrate`:

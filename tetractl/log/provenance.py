@@ -97,7 +97,8 @@ def is_version(key: str) -> bool:
 @cache
 def environment() -> str:
     """Return machine, versions, every installed package and local changes, as JSON."""
-    packages = {item.name: item.version for item in metadata.distributions() if item.name}
+    installed = [item.metadata for item in metadata.distributions()]  # each look parses a file
+    packages = {item["Name"]: item["Version"] for item in installed if item["Name"]}
     found: dict[str, object] = {
         "host": host(),
         "versions": versions(),

@@ -77,28 +77,31 @@ def run_trial(
     interrupt: Interrupt,
     operators: Operators | None = None,
 ) -> Result:
-    """Run one trial and write its log; `operators` are the people and files at a lab's robots.
+    """Run one trial and write its log.
 
-    A plant that is not simulated runs in real time; then a background thread calls the observers,
-    so that none of them delays the loop.
+    In real time a background thread calls the observers, so that none of them delays the loop.
     """
     experiment = spec.experiment
-    real_time, clock = not experiment.plant.simulated, experiment.plant.clock()
-    start_unix_ns = time.time_ns() if real_time else EPOCH_NS
+    plant, real_time = experiment.plant, not experiment.plant.simulated
+    clock, start_unix_ns = plant.clock(), time.time_ns() if real_time else EPOCH_NS
     key, seed = trial_seeds(experiment.trials.seed, trial)
     with ExitStack() as stack:
         log = stack.enter_context(LogWriter(log_path(folder, trial), real_time))
         if real_time:
             observers = [stack.enter_context(Relay(observer)) for observer in observers]
         return Trial(
-            start=start_of(spec, trial, PlantInfo("", not real_time, 0.0, {}), start_unix_ns),
-            plant=experiment.plant.build(experiment.setup, clock, seed, operators or Operators()),
+            start=start_of(spec, trial, PlantInfo("", plant.simulated, 0.0, {}), start_unix_ns),
+            plant=plant.build(experiment.setup, clock, seed, operators or Operators()),
             controller=build_controller(experiment, key),
             first_plan=experiment.controller.first_plan,
             clock=clock,
             observers=[log, *observers],
             interrupt=interrupt,
         ).run()
+
+
+def _nobody(trial: int) -> AbstractContextManager[Operators | None]:
+    return nullcontext()
 
 
 def run_batch(
@@ -109,19 +112,18 @@ def run_batch(
     interrupt: Interrupt,
     watcher: BatchObserver,
     observers: Sequence[Observer] = (),
-    operators: Callable[[int], AbstractContextManager[Operators]] | None = None,
+    operators: Callable[[int], AbstractContextManager[Operators | None]] = _nobody,
 ) -> Report:
     """Run trials, `jobs` at a time; an interruption or an aborted trial ends the batch.
 
-    `observers` are called in every trial. They and `operators`, which returns the
-    people and files at a trial in the lab, need `jobs` to be 1. A trial that cannot start ends the
-    batch too.
+    `observers` are called in every trial, and `operators` returns the people and files at a trial
+    in the lab; both need `jobs` to be 1. A trial that cannot start ends the batch too.
     """
     report = Report()
     if min(jobs, len(trials)) > 1:
         _run_processes(spec, folder, trials, jobs, interrupt, watcher, report)
     else:
-        if operators is not None:
+        if not spec.experiment.plant.simulated:
             gc.collect()
             gc.freeze()  # so that collecting what was imported never delays the inner loop
         for trial in trials:
@@ -129,7 +131,7 @@ def run_batch(
                 break
             watcher.trial_started(trial, spec.experiment.trials.count)
             try:
-                with nullcontext() if operators is None else operators(trial) as mine:
+                with operators(trial) as mine:
                     result = run_trial(spec, folder, trial, observers, interrupt, mine)
             except TetractlError as error:
                 report.refused = error

@@ -111,7 +111,7 @@ class Trial:
         return decision
 
     def _plan_standing(self, observation: Observation, info: PlantInfo) -> Decision:
-        """Compute the first plan while the robots stand; a lab goes on recording frames."""
+        """Compute the first plan while the robots stand; in the lab, record frames meanwhile."""
         if info.simulated:
             return self._plan(observation)
         pool = ThreadPoolExecutor(1)

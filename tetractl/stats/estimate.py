@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import special
 
 from tetractl.core.poses import Floats
 
@@ -24,6 +24,8 @@ ENOUGH = 8
 _BATCH_ELEMENTS = 4_000_000  # resampled values held in memory at once
 _GRID = 2.0**40
 _NAN = math.nan
+_Z = float(special.ndtri((1 + CONFIDENCE) / 2))
+"""Of the normal distribution: |z| lies below it with the confidence of the intervals."""
 
 
 def finite(value: float) -> float | None:
@@ -110,9 +112,14 @@ def describe(rows: Floats) -> list[Distribution]:
 def describe_published(n: int, mean: float, std: float) -> Distribution:
     """Describe a published result of which only n, mean and deviation are known; the interval is
     Student's t."""
-    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1)) * std / math.sqrt(n)
+    half = _t_quantile(n - 1) * std / math.sqrt(n)
     interval = Interval(mean - half, mean + half, "t")
     return Distribution(n, mean, std, _NAN, _NAN, _NAN, interval)
+
+
+def _t_quantile(degrees: float) -> float:
+    """The bound below which |t| lies with the confidence of the intervals, t being Student's."""
+    return float(special.stdtrit(degrees, (1 + CONFIDENCE) / 2))
 
 
 def _mean_intervals(rows: Floats, mean: Floats, std: Floats) -> list[Interval]:
@@ -124,7 +131,7 @@ def _mean_intervals(rows: Floats, mean: Floats, std: Floats) -> list[Interval]:
     varied = np.flatnonzero(spread > 0)
     intervals = [Interval.none(f"all {n} values are equal")] * len(rows)
     if n < ENOUGH:
-        half = stats.t.ppf((1 + CONFIDENCE) / 2, n - 1) * std / math.sqrt(n)
+        half = _t_quantile(n - 1) * std / math.sqrt(n)
         for i in varied:
             low, high = float(mean[i] - half[i]), float(mean[i] + half[i])
             intervals[i] = Interval(low, high, "t")
@@ -156,6 +163,8 @@ def _difference(ours: Floats, theirs: Floats, axis: int = -1) -> Floats:
 
 def _bootstrap(samples: Sequence[Floats]) -> tuple[Floats, Floats]:
     """BCa interval of the mean of one sample, or of the difference of the means of two."""
+    from scipy import stats  # takes half a second, which a short run need not wait for
+
     with warnings.catch_warnings():  # a degenerate bootstrap is NaN, and `_bca` says so
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         result = stats.bootstrap(
@@ -204,10 +213,10 @@ def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float
         return MeanDifference(difference, Interval.none(why), _NAN, _NAN)
     share = v1 / (v1 + v2)
     degrees = 1 / (share**2 / (n1 - 1) + (1 - share) ** 2 / (n2 - 1))
-    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, degrees)) * math.sqrt(v1 + v2)
-    test = stats.ttest_ind_from_stats(mean1, std1, n1, mean2, std2, n2, equal_var=False)
+    half = _t_quantile(degrees) * math.sqrt(v1 + v2)
+    p_value = 2 * float(special.stdtr(degrees, -abs(difference) / math.sqrt(v1 + v2)))
     interval = Interval(difference - half, difference + half, "Welch")
-    return MeanDifference(difference, interval, float(test.pvalue), degrees)
+    return MeanDifference(difference, interval, p_value, degrees)
 
 
 def bootstrap_difference(ours: Floats, theirs: Floats) -> Interval:
@@ -241,11 +250,12 @@ def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
     m, n = len(ours), len(theirs)
     if min(m, n) == 0:
         return Effect(_NAN, Interval.none("no values"))
-    ranks = stats.rankdata(np.concatenate([ours, theirs]))
-    theta = float(ranks[:m].sum() - m * (m + 1) / 2) / (m * n)
+    ordered = np.sort(theirs)
+    below, up_to = (np.searchsorted(ordered, ours, side).sum() for side in ("left", "right"))
+    theta = float(below + up_to) / (2 * m * n)  # a tie counts half
     if min(m, n) < 2:
         return Effect(2 * theta - 1, Interval.none("one value has no spread"))
-    z2 = float(stats.norm.ppf((1 + CONFIDENCE) / 2)) ** 2
+    z2 = _Z**2
     extra = (m + n) / 2 - 1
 
     def excess(t: float) -> float:
@@ -259,12 +269,19 @@ def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    from scipy import optimize  # slow to import, and needed by comparisons alone
+
     return float(optimize.root_scalar(function, bracket=(low, high), method="brentq").root)
 
 
 def proportion_interval(successes: int, n: int) -> Interval:
-    """Wilson's interval of a proportion."""
+    """Wilson's interval of a proportion p: (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) /
+    (1 + z^2 / n)."""
     if n == 0:
         return Interval.none("no trials")
-    found = stats.binomtest(successes, n).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(float(found.low), float(found.high), "Wilson")
+    p, z2 = successes / n, _Z**2
+    middle, scale = p + z2 / (2 * n), 1 + z2 / n
+    half = _Z * math.sqrt(p * (1 - p) / n + z2 / (4 * n**2))
+    low = (middle - half) / scale if successes > 0 else 0.0
+    high = (middle + half) / scale if successes < n else 1.0
+    return Interval(low, high, "Wilson")

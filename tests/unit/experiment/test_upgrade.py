@@ -3,9 +3,9 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.yaml import upgrade as module
@@ -15,7 +15,6 @@ from tetractl.experiment.yaml.upgrade import Renamed, Revalued, upgrade
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.verify import verify
 
-ROOT = Path(__file__).parents[3]
 GOLDEN = ROOT / "tests" / "golden"
 HEAD = """name: s
 arena: {left: 0, bottom: 0, width: 9, height: 9}

@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
@@ -99,12 +99,19 @@ def test_the_arc_and_the_exact_step_solve_their_differential_equations(seed):
     )
 
 
-NEAR = (0.0, 1e-14, 1e-9, 1e-5, 0.02)
-PHIS = [s * p for s in (1, -1) for e in NEAR for p in (e, math.pi - e, math.pi / 2 - e)]
+GAPS = st.just(0.0) | st.floats(-14, -1).map(lambda power: 10**power)
+NEAR = st.builds(lambda gap, angle: angle - gap, GAPS, st.sampled_from((math.pi, math.pi / 2)))
+PHIS = st.builds(math.copysign, GAPS | NEAR | st.floats(0, math.pi), st.sampled_from((1, -1)))
 
 
-@pytest.mark.parametrize("turn", [1e-9, 1e-4, 0.3, 1.2, 5.0, 20.0, 40.0, 300.0])
-@pytest.mark.parametrize("phi", PHIS)
+@given(phi=PHIS, turn=st.floats(-9, 2.5).map(lambda power: 10**power))
+@example(phi=math.pi, turn=300.0)
+@example(phi=-math.pi, turn=300.0)
+@example(phi=math.pi - 1e-9, turn=20.0)
+@example(phi=1e-9 - math.pi, turn=40.0)
+@example(phi=math.pi - 1e-14, turn=40.0)
+@example(phi=math.pi / 2, turn=20.0)
+@example(phi=-0.0, turn=300.0)
 def test_the_exact_step_holds_at_every_angle_and_time(phi, turn):
     """Regression: within 1e-8 of phi = pi and with a t > 18 the robot was sent to infinity."""
     a, v = 4.0, 200.0

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support.geometry import gap, meets
 
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import PathCheck
+from tetractl.model.path_check import PathCheck, check_path
 from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.rectangle import Rectangle
 
@@ -125,7 +125,7 @@ def test_obstacles_broadcast():
     assert world.distance(x, y)[3, 2] == world.distance(x[3], y[2:3])[0]
 
 
-def test_the_path_check_sees_what_happens_between_samples_and_between_calls():
+def test_a_path_check_sees_what_happens_between_samples_and_between_calls():
     check = PathCheck(Obstacles.of([BOX]), 3)
     # robot 0 stays clear, 1 jumps over the box between two calls, 2 between two samples of a call
     check.add(np.array([[0.0, 1300.0, 1100.0]]), np.array([[0.0, 1000.0, 1200.0]]))
@@ -138,7 +138,7 @@ def test_the_path_check_sees_what_happens_between_samples_and_between_calls():
     assert check.clearance.tolist() == [100, 100, 100]  # at the samples
 
 
-def test_the_path_check_remembers_the_deepest_visit():
+def test_a_path_check_keeps_the_deepest_visit():
     check = PathCheck(Obstacles.of([BOX]), 1)
     for x in (1300.0, 1900.0):
         check.add(np.array([[x]]), np.array([[1150.0]]))
@@ -146,8 +146,19 @@ def test_the_path_check_remembers_the_deepest_visit():
     assert check.clearance.tolist() == [-50]
 
 
-def test_the_path_check_has_nothing_to_say_without_obstacles():
+def test_without_obstacles_nothing_is_entered():
     check = PathCheck(Obstacles.of([]), 2)
     check.add(np.zeros((4, 2)), np.zeros((4, 2)))
     assert check.entered.tolist() == [False, False]
     assert check.clearance.tolist() == [math.inf, math.inf]
+
+
+def test_a_recorded_path_is_checked_between_the_samples_that_are_known():
+    path = np.full((4, 2, 3), np.nan)
+    path[[0, 3], 0, :2] = [[1100, 1200], [1500, 1200]]  # through the box; two samples are lost
+    path[:, 1, :2] = [[0, 0], [1300, 1200], [0, 0], [0, 0]]
+    known = np.isfinite(path[..., 0])
+    known[1, 1] = False  # a reflection in the box, not believed
+    entered, clearance = check_path(Obstacles.of([BOX]), path, known)
+    assert entered.tolist() == [True, False]
+    assert clearance.tolist() == [100, pytest.approx(math.hypot(1200, 1100))]

@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.trials import PERIOD_NS, cut_short, three_robots
+from support.trials import cut_short, three_robots
 
 from tetractl.core.errors import UsageError
 from tetractl.replay.clock import PlayerClock
@@ -10,6 +12,7 @@ from tetractl.replay.player import Playback, Player, span
 from tetractl.replay.recording import Recording
 
 SECOND = 1_000_000_000
+PERIOD = SECOND // 5
 KEYS = ["space", "left", "right", ".", "+", "-", "x"]
 
 
@@ -187,7 +190,7 @@ def test_no_keys_ever_leave_the_span(presses, loop):
         (-1, None, "--start must not be negative"),
         (float("nan"), None, "--start must not be negative"),
         (0, -1, "--until must not be negative"),
-        (99, None, "the trial lasts 8.4 s"),
+        (99, None, "the trial lasts 8.21667 s"),
         (3, 2, "--start 3 must lie before --until 2"),
         (3, 3, "--start 3 must lie before --until 3"),
     ],
@@ -204,21 +207,23 @@ def test_until_behind_the_end_means_the_end(recording, until):
 
 def test_a_frame_shows_what_was_in_force_and_seen(recording):
     log = recording.log
-    frame = recording.at(5 * PERIOD_NS - 1)
+    frame = recording.at(5 * PERIOD - 1)
     assert frame.step is log.steps[4]
     assert len(frame.totals) == 5
-    assert len(frame.trail) == np.searchsorted(log.mocap_ns, 5 * PERIOD_NS - 1, side="right")
-    assert recording.at(5 * PERIOD_NS).step is log.steps[5]
+    assert len(frame.trail) == np.searchsorted(log.mocap_ns, 5 * PERIOD - 1, side="right")
+    assert recording.at(5 * PERIOD).step is log.steps[5]
     assert frame.result is None
     assert recording.at(recording.end_ns).result is log.result
 
 
-def test_an_untracked_robot_keeps_its_last_pose(recording):
-    log = recording.log
-    m, robot = next((m, n) for m, n in np.argwhere(~log.valid) if m and log.valid[m - 1, n])
-    frame = recording.at(int(log.mocap_ns[m]))
-    assert np.isnan(frame.trail[-1, robot]).all()
-    assert (frame.poses[robot] == log.mocap[m - 1, robot]).all()
+def test_an_untracked_robot_keeps_its_last_pose():
+    log = three_robots()
+    valid = log.valid.copy()
+    valid[50:55, 1] = False
+    frame = Recording(replace(log, valid=valid)).at(int(log.mocap_ns[52]))
+    assert np.isnan(frame.trail[-1, 1]).all()
+    assert (frame.poses[1] == log.mocap[49, 1]).all()
+    assert (frame.poses[0] == log.mocap[52, 0]).all()
 
 
 def test_a_log_without_anything_still_shows_the_start():

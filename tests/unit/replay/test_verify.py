@@ -1,10 +1,11 @@
 """`verify`: every kind of run comes out with the same bits, and no change goes unnoticed."""
 
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support import mutate
+from support import mutate, random_trials
 from support.mutate import places, rewrite, with_entry
 
 from tetractl.core.errors import LogError
@@ -16,6 +17,7 @@ from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.replay import verify as module
+from tetractl.replay.audit import audit
 from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import Method, verify
 from tetractl.run.batch import log_path, run_trial
@@ -238,3 +240,17 @@ def test_a_log_without_an_end_is_no_failed_decision(tmp_path: Path, log: Path) -
     result = read_trial(log).result
     assert result is not None
     assert result.outcome is not Outcome.ABORTED
+
+
+@pytest.mark.parametrize(("simulated", "noticed"), [(False, True), (True, False)])
+def test_a_wall_that_a_logged_path_crosses_was_entered(
+    tmp_path: Path, simulated: bool, noticed: bool
+) -> None:
+    """Only the lab judges the logged frames; a simulation's truth may go round a corner."""
+    made = random_trials.trial(simulated=simulated)
+    clear = replace(made.result.verdict, entered=(False,) * 3, clearance=(0.0,) * 3)
+    log = read_trial(random_trials.write(made, tmp_path / "trial.mcap"))
+    assert log.result
+    log = replace(log, result=replace(log.result, verdict=clear))
+    fields = {problem.field for problem in audit(log).problems}
+    assert any(field.startswith("result.entered") for field in fields) == noticed

@@ -19,6 +19,7 @@ SHORT = ["controller.steps_max=5", "plant.camera_rate=30"]
 LONG = ["controller.steps_max=600", "plant.camera_rate=60", "controller.horizon_max=2"]
 
 
+@pytest.mark.slow
 def test_no_trial_leaves_a_thread_or_a_handle_behind(tmp_path: Path) -> None:
     if not HANDLES.exists():
         pytest.skip("no /proc here")
@@ -33,6 +34,7 @@ def test_no_trial_leaves_a_thread_or_a_handle_behind(tmp_path: Path) -> None:
     assert (len(list(HANDLES.iterdir())), threading.active_count()) == before
 
 
+@pytest.mark.slow
 def test_two_minutes_of_camera_samples_are_all_in_the_log(tmp_path: Path) -> None:
     run_trial(parse_spec(ENDLESS, "long.yaml", LONG), tmp_path, 0, (), Interrupt())
     log = read_trial(log_path(tmp_path, 0))

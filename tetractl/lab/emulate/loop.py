@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from itertools import count
 
+from tetractl.core.clock import SECOND
+
 Act = Callable[[], None]
 LAG_NS = 5_000_000
 IDLE_S = 0.05  # wakes this often with nothing to do, so that a request to end is seen
@@ -91,7 +93,7 @@ class Loop:
                 self._on_lag(now - due)
         self.timeline.run_to(now)
         due = self.timeline.next_ns
-        wait = IDLE_S if due is None else (due - time.monotonic_ns()) / 1e9
+        wait = IDLE_S if due is None else (due - time.monotonic_ns()) / SECOND
         ready, _, _ = select.select(list(self._readers), [], [], min(max(wait, 0.0), IDLE_S))
         if ready:
             self.timeline.run_to(time.monotonic_ns())

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 
+import pytest
 from support.paths import ROOT
 
 SEARCH = """
@@ -26,6 +27,7 @@ print(sum(polish.stats.cache_hits.values()), digest.hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_compiling_and_loading_give_the_same_bits(tmp_path):
     """Regression: a callee that was not inlined had two machine codes, one for each."""
     experiments = ROOT / "experiments"

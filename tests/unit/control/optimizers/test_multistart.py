@@ -25,6 +25,7 @@ def reference_problem():
     return experiment.controller.problem(experiment.setup)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32),

@@ -180,7 +180,7 @@ def driven(faulty):
 
     def start(fault):
         lab, _ = faulty(fault)
-        port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.02)
+        port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.3)
         ports.append(port)
         turn_until(lab, lambda: ("fault", fault.split()[1].strip(","), "start") in lab.told)
 
@@ -250,7 +250,7 @@ def test_loss_of_everything(driven):
 
 def test_unplug(faulty):
     lab, _ = faulty("fault: unplug, at: 0.05")
-    port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.02)
+    port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.3)
     try:
         fault_seen(lab, "unplug")
         assert not lab.actuator.port.link.exists()
@@ -279,6 +279,7 @@ def test_faults_since_run_wait_for_the_first_wheel_command(driven):
     turn_until(lab, lambda: ("run", None, None) in lab.told)
 
 
+@pytest.mark.slow
 def test_robots_are_put_back_and_restarted(tmp_path):
     told = []
     lab = emulated(tmp_path, replace_after=0.1, tell=lambda event, facts: told.append(event))

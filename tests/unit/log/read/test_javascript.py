@@ -13,6 +13,7 @@ from support.random_trials import Made, trial, write
 
 from tetractl.log.read.reader import content_digest
 
+pytestmark = pytest.mark.slow  # installs packages
 SOURCE = ROOT / "tests" / "js"
 INSTALL = (
     *("npm", "install", "--ignore-scripts", "--no-package-lock", "--no-audit", "--no-fund"),

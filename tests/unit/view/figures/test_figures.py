@@ -18,7 +18,10 @@ from tetractl.view.figures.trajectory import trajectory_figure
 
 @pytest.fixture
 def log() -> TrialLog:
-    return three_robots()
+    log = three_robots()
+    valid = log.valid.copy()
+    valid[100:110, 1] = False  # the cameras lose a robot
+    return replace(log, valid=valid)
 
 
 def words(figure: Figure) -> str:
@@ -145,11 +148,11 @@ def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
     assert total[seen] == pytest.approx(gap.sum(axis=1)[seen])
 
 
-def test_the_timing_figure_counts_misses_against_the_period():
-    log = three_robots(2)
-    missed = sum(step.deadline_missed for step in log.steps)
-    assert missed
-    figure = draw("timing", [log])
+def test_the_timing_figure_counts_misses_against_the_period(log):
+    missed = 3
+    first = replace(log.steps[0], solve_ns=900_000_000)  # it may take longer than a period
+    late = [replace(step, deadline_missed=True) for step in log.steps[1 : 1 + missed]]
+    figure = draw("timing", [replace(log, steps=(first, *late, *log.steps[1 + missed :]))])
     text = words(figure)
     assert f"{missed} of {len(log.steps)} deadlines missed" in text
     assert "control period 200 ms" in text
@@ -158,6 +161,7 @@ def test_the_timing_figure_counts_misses_against_the_period():
     assert len(late.get_xdata()) == missed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FIGURES.names())
 @pytest.mark.parametrize("ending", style.FORMATS)
 def test_the_same_log_gives_the_same_bytes(tmp_path, log, kind, ending):
@@ -219,3 +223,15 @@ def test_drawing_leaves_matplotlib_as_it_was_and_opens_no_window(log):
     figure = draw("timing", [log])
     assert dict(matplotlib.rcParams) == before
     assert figure.canvas.manager is None
+
+
+def robots_figure(logs):
+    return Figure(label=f"{len(logs[0].start.setup.names)} robots")
+
+
+def test_a_figure_of_another_name_is_one_function_and_one_line(log, monkeypatch):
+    monkeypatch.setitem(FIGURES.builtin, "robots", f"{__name__}:robots_figure")
+    assert draw("robots", [log]).get_label() == "3 robots"
+    with pytest.raises(UsageError, match="no figure is called 'pie'") as refused:
+        draw("pie", [log])
+    assert "robots" in str(refused.value.hint)

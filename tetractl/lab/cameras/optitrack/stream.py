@@ -6,6 +6,7 @@ The same code reads a live server and a recorded wire.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
 from tetractl.lab.cameras.optitrack.messages import (
@@ -170,7 +171,7 @@ class Stream:
             return received_ns
         sampled_ns = min(received_ns, self.sync.to_host(frame.ticks.exposure))
         if received_ns - sampled_ns > AGE_MAX_NS:
-            raise WireError(f"a frame exposed {(received_ns - sampled_ns) / 1e9:.0f} s ago")
+            raise WireError(f"a frame exposed {(received_ns - sampled_ns) / SECOND:.0f} s ago")
         return sampled_ns
 
     def _camera_frame(self, frame: NatNetFrame, sampled_ns: int, received_ns: int) -> CameraFrame:

@@ -8,7 +8,8 @@ round trip decide, and the drift is fitted to those.
 from collections import deque
 from dataclasses import dataclass
 
-SECOND = 1_000_000_000  # ns
+from tetractl.core.clock import SECOND
+
 KEPT = 120
 BEST = 0.25  # share of the echoes that decide
 DRIFT_SPAN = 5 * SECOND  # echoes must span this for a drift to be told from noise

@@ -7,6 +7,7 @@ its bytes on the robot's UART. Broadcasts are not acknowledged; a unicast is tri
 import random
 from collections.abc import Callable, Sequence
 
+from tetractl.core.clock import SECOND
 from tetractl.lab.actuators.xbee.frames import BROADCAST_16
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.m3pi.module import Delivery, Done, EmulatedModule, ModuleSettings
@@ -122,4 +123,4 @@ class EmulatedRadio:
 
 
 def _uart_ns(size: int, baud: int) -> int:
-    return size * 10 * 1_000_000_000 // baud
+    return size * 10 * SECOND // baud

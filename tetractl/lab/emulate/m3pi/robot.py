@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from tetractl.core.clock import SECOND
 from tetractl.lab.actuators.m3pi.broadcast import Counts
 from tetractl.lab.actuators.m3pi.command import Drivetrain, speeds_of_counts
 from tetractl.lab.actuators.m3pi.core import Core
@@ -166,7 +167,7 @@ class EmulatedRobot:
         """Move on to `until_ns`, in steps of at most a millisecond."""
         while self.now_ns < until_ns:
             step_ns = min(STEP_NS, until_ns - self.now_ns)
-            self._step(step_ns / 1e9)
+            self._step(step_ns / SECOND)
             self.now_ns += step_ns
 
     def switch(self, on: bool) -> None:

@@ -249,6 +249,7 @@ def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
     assert list((tmp_path / "tetractl").iterdir()) == [built]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     shutil.which("make") is None or shutil.which("gcc") is None, reason="no make or gcc found"
 )

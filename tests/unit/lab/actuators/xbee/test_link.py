@@ -138,6 +138,7 @@ def test_a_module_that_would_not_do_is_refused(module, answers, radio, says):
     assert caught.value.hint
 
 
+@pytest.mark.slow
 def test_a_port_without_a_module_is_told(module):
     with pytest.raises(AbortError, match="no XBee module answers at 57600 baud or another"):
         opened(module({}))
@@ -233,6 +234,7 @@ def robot(index, battery_mv=4900):
     return respond
 
 
+@pytest.mark.slow
 def test_robots_that_answer_a_poll_are_told_from_those_that_do_not(module):
     link = opened(module(respond=robot(2)))
     try:
@@ -256,6 +258,7 @@ def test_a_broadcast_puts_every_robot_at_its_number(module):
         link.close()
 
 
+@pytest.mark.slow
 def test_slaves_are_spoken_to_one_by_one(module):
     def battery(frame):
         known = frame.destination == 5 and frame.data == b"\xb1"

@@ -6,7 +6,7 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.natnet_samples import every_version, full_frame, full_modeldef
+from support.natnet_samples import VERSIONS, every_version, full_frame, full_modeldef
 
 from tetractl.lab.cameras.optitrack import handshake
 from tetractl.lab.cameras.optitrack.messages import (
@@ -82,18 +82,20 @@ def clutters(version):
     )
 
 
-@every_version
-@settings(max_examples=40)
-@given(data=st.data())
+@settings(max_examples=120)
+@given(version=st.sampled_from(VERSIONS), data=st.data())
 def test_frames_round_trip(version, data):
     frame = data.draw(frames(version))
     assert parse(pack(frame, version), version) == frame
     assert parse(pack_full_frame(frame, version, data.draw(clutters(version))), version) == frame
 
 
-@every_version
-@settings(max_examples=20)
-@given(found=tuples(st.builds(BodyName, names, i32, i32)), markers=st.integers(0, 3))
+@settings(max_examples=60)
+@given(
+    version=st.sampled_from(VERSIONS),
+    found=tuples(st.builds(BodyName, names, i32, i32)),
+    markers=st.integers(0, 3),
+)
 def test_models_round_trip(version, found, markers):
     model = ModelDef(found)
     payload = pack_modeldef(model, version, markers=markers)

@@ -1,13 +1,13 @@
 """The optimisers that learn from samples, cross-entropy and MPPI, and what they are built from."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import problems
+from support.paths import ROOT
 
 from tetractl.control.cost import evaluate
 from tetractl.control.curves import bearing, interpolate
@@ -19,7 +19,7 @@ from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits, StopReason
 from tetractl.experiment.load import load_spec
 
-EXPERIMENT = Path(__file__).parents[3] / "experiments" / "three_m3pi_paper.yaml"
+EXPERIMENT = ROOT / "experiments" / "three_m3pi_paper.yaml"
 SMALL = [CrossEntropy(particles=12, elite=3, iterations=8), Mppi(particles=12, iterations=8)]
 OPTIMIZERS = pytest.mark.parametrize("optimizer", SMALL, ids=["cem", "mppi"])
 SOLVED = {"cem": (CrossEntropy(), 150.0), "mppi": (Mppi(), 100.0)}

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.needs_opencv import cv2
-from support.tagscene import film, jpeg
+from support.tag_scene import film, jpeg
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from support.needs_opencv import cv2
-from support.tagscene import LARGE, ROBOTS, SMALL, STANDING, rendered
+from support.tag_scene import LARGE, ROBOTS, SMALL, STANDING, rendered
 
 from tetractl.lab.cameras.apriltag.detect import MODULES, Detector, tag_picture
 from tetractl.lab.emulate.apriltag.renderer import CARD

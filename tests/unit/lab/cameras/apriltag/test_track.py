@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.tagscene import (
+from support.tag_scene import (
     FLOOR,
     LARGE,
     NAMES,

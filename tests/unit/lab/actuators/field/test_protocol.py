@@ -1,8 +1,7 @@
-from pathlib import Path
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.paths import ROOT
 
 from tetractl.lab.actuators.field.protocol import (
     DriverStatus,
@@ -17,7 +16,7 @@ from tetractl.lab.actuators.field.protocol import (
 from tetractl.lab.actuators.m3pi import cobs
 from tetractl.lab.errors import WireError
 
-WIRES = Path(__file__).parents[5] / "docs" / "reference" / "wires.md"
+WIRES = ROOT / "docs" / "reference" / "wires.md"
 COMMAND = FieldCommand(7, FieldFlag.RUN | FieldFlag.POLL, 300, -250)
 REPLY = FieldReply(7, DriverStatus.RUNNING, 1, 299, -250, 12_040, 253, 412, 0, 2000, 20_000, 250)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.tagscene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
+from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
 
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError

@@ -1,16 +1,16 @@
 """The examples of docs/reference/apriltag.md work, and its table names every setting."""
 
 import re
-from pathlib import Path
 
 import pytest
 import yaml
 from support.needs_opencv import cv2
+from support.paths import ROOT
 
 from tetractl.lab.cameras.apriltag.detect import Detector
 from tetractl.lab.cameras.apriltag.section import AprilTagSection
 
-PAGE = (Path(__file__).parents[4] / "docs/reference/apriltag.md").read_text()
+PAGE = (ROOT / "docs/reference/apriltag.md").read_text()
 
 
 def block(language):

@@ -1,0 +1,160 @@
+"""A motion and a shape that tetractl has never heard of, from docs/how-to/extend.md: both are
+honoured by planner, compiled kernels, polish, plant, checks, log and pictures."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from support.packages import install
+from support.paths import ROOT
+
+POINTS = """[tetractl.motions]
+pivot = pivot:PIVOT
+[tetractl.shapes]
+diamond = diamond:Diamond
+"""
+PLAN = """
+import json, sys
+from pathlib import Path
+import numpy as np
+from numba import config
+from tetractl.control import levenberg
+from tetractl.control.cost import evaluate, predict
+from tetractl.control.evaluate import compiled_costs
+from tetractl.control.kernels.levenberg import lay_out_polish, polish
+from tetractl.core.plan import Limits
+from tetractl.experiment.load import load_spec
+
+spec = load_spec(Path("s.yaml")).experiment
+problem = spec.controller.problem(spec.setup)
+signals = np.random.default_rng(1).uniform(-0.4, 0.4, (200, 24))
+reference = evaluate(problem, signals)
+compiled = compiled_costs(problem, 200)(np.ascontiguousarray(signals.T))
+start = np.zeros(24)
+slow = levenberg.polish(problem, start, 1e-3, 0.5, 5)
+work, found = lay_out_polish(problem, 24), start.copy()
+rows, history = len(work.residual), np.empty(6)
+_, z, _ = polish(work, found, 1e-3, 0.5, 5, 2**62, np.empty((rows, rows)), history)
+search = spec.controller.optimizer.search(problem, 24, None, 1, Limits())
+x, y = predict(problem, search.signals)[..., :2].T
+print(json.dumps({
+    "cache": str(config.CACHE_DIR),
+    "hits": int((reference.obstacle > 0).sum()),
+    "worst": float(np.abs(compiled / reference.total - 1).max()),
+    "polish": float(np.abs(history[: z + 1] - slow.history).max()),
+    "straight": float(evaluate(problem, start[None]).obstacle[0]),
+    "found": float(evaluate(problem, search.signals[None]).obstacle[0]),
+    "clear": float(spec.obstacles[0].distance(x, y).min()),
+    "cost": search.cost,
+}))
+"""
+SPEC = """
+name: beyond
+arena: {left: 0, bottom: 0, width: 1000, height: 1000}
+robots: [{name: a, start: [150, 500], target: [850, 500], a: 6, speed: 180}]
+obstacles: [{type: diamond, center: [500, 510], radius: 120}]
+controller:
+  motion: pivot
+  horizon_max: 30
+  collision: {check: swept, margin: 10}
+  optimizer: {type: multistart, tolerance: 0.1}
+plant: {type: sim, motion: pivot}
+trials: {count: 1}
+"""
+
+
+def code(name):
+    page = (ROOT / "docs" / "how-to" / "extend.md").read_text(encoding="utf-8")
+    found = re.search(rf"```python title={name}\.py\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    assert found is not None
+    return found[1]
+
+
+@pytest.fixture
+def installed(tmp_path):
+    """A folder with the spec, and how to run something there with the package installed."""
+    site = install(
+        tmp_path / "site", "mine", "1.0", POINTS, pivot=code("pivot"), diamond=code("diamond")
+    )
+    (tmp_path / "s.yaml").write_text(SPEC, encoding="utf-8")
+    paths = [str(site), str(ROOT), os.environ.get("PYTHONPATH", "")]
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | {
+        "PYTHONPATH": os.pathsep.join(filter(None, paths)),
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+        "COLUMNS": "80",
+    }
+
+    def run(*arguments):
+        return subprocess.run(
+            [sys.executable, *arguments], cwd=tmp_path, env=environment, capture_output=True,
+            text=True, check=False,
+        )  # fmt: skip
+
+    return tmp_path, run
+
+
+def test_planner_kernels_and_polish_honour_them(installed):
+    folder, run = installed
+    done = run("-c", PLAN)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["hits"] > 20
+    assert found["worst"] < 1e-9
+    assert found["polish"] < 1e-6
+    assert found["straight"] > 0  # straight on is through the diamond ...
+    assert found["found"] == 0  # ... and the polish leads out of it
+    assert found["clear"] > 9.9
+    assert found["cost"] <= 0.1
+    again = json.loads(run("-c", PLAN).stdout)
+    assert again == found
+    module = folder / "site" / "diamond.py"
+    module.write_text(module.read_text(encoding="utf-8") + "\n# edited\n", encoding="utf-8")
+    assert json.loads(run("-c", PLAN).stdout)["cache"] != found["cache"]
+
+
+def test_checks_plant_log_and_pictures_honour_them(installed):
+    folder, run = installed
+    blocked = SPEC.replace("target: [850, 500]", "target: [520, 500]")
+    (folder / "blocked.yaml").write_text(blocked, encoding="utf-8")
+    done = run("-m", "tetractl", "validate", "blocked.yaml")
+    assert "is inside obstacles.0, a diamond" in done.stderr + done.stdout
+    outside = SPEC.replace("center: [500, 510]", "center: [5000, 510]")
+    (folder / "outside.yaml").write_text(outside, encoding="utf-8")
+    done = run("-m", "tetractl", "validate", "outside.yaml")
+    assert "is entirely outside the arena" in done.stderr + done.stdout
+    # through the obstacle, since the weight of the potential is 0: the plant's verdict tells
+    swarm = "controller.optimizer={type: pso, particles: 60, iterations: 60}"
+    through = ("--out", "through", "--set", "controller.obstacle_weight=0", "--set", swarm)
+    done = run("-m", "tetractl", "run", "s.yaml", "--quiet", *through)
+    assert done.returncode == 0, done.stderr
+    assert "1 of 1" in next(line for line in done.stdout.splitlines() if "entered" in line)
+    done = run("-m", "tetractl", "run", "s.yaml", "--out", "past", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert "0 of 1" in next(line for line in done.stdout.splitlines() if "entered" in line)
+    done = run("-m", "tetractl", "verify", "past")
+    assert "bit-identical" in done.stdout, done.stdout + done.stderr
+    done = run("-m", "tetractl", "plot", "past/trial-000.mcap", "-o", "path.svg")
+    assert done.returncode == 0, done.stderr
+    done = run("-c", DRAWN)
+    assert done.returncode == 0, done.stderr
+    drawn = json.loads(done.stdout)
+    assert drawn["corners"] == 8  # of the block: four below and four above
+    assert drawn["filled"] > 20
+
+
+DRAWN = """
+import json
+from pathlib import Path
+import numpy as np
+from tetractl.experiment.load import load_spec
+from tetractl.log.format.scene import Scene
+from tetractl.view.terminal.arena import Projection, _filling
+
+setup = load_spec(Path("s.yaml")).experiment.setup
+block = next(e for e in Scene(setup).static(0).entities if e.id == "obstacle/0").triangles[0]
+filled = _filling(setup.obstacles[0], Projection.fit(setup.arena, 60, 30))
+print(json.dumps({"corners": len(block.points), "filled": len(filled)}))
+"""

@@ -4,14 +4,14 @@ import threading
 import time
 from collections import deque
 
-from tetractl.lab.actuators.field.core import Limits
-from tetractl.lab.actuators.field.protocol import Command, encode_command
+from tetractl.lab.actuators.field.core import DriverLimits
+from tetractl.lab.actuators.field.protocol import FieldCommand, encode_command
 from tetractl.lab.actuators.field.section import FieldSection
 from tetractl.lab.emulate.field import CurrentDriver
 from tetractl.lab.emulate.loop import Loop, Timeline
 from tetractl.lab.emulate.port import PseudoPort
 
-LIMITS = Limits(current_max_ma=2000, slew_ma_s=100_000)
+LIMITS = DriverLimits(current_max_ma=2000, slew_ma_s=100_000)
 PATIENCE_S = 10.0
 
 
@@ -96,7 +96,7 @@ class Wire:
         self._clock, self._driver = clock, driver
 
     def send(self, flags, x_ma=0, y_ma=0):
-        self.sent.append(Command((len(self.sent) + 1) % 256, flags, x_ma, y_ma))
+        self.sent.append(FieldCommand((len(self.sent) + 1) % 256, flags, x_ma, y_ma))
         if self._driver is not None:
             self._driver.hear(encode_command(self.sent[-1]))
         return self._clock.now()

@@ -1,11 +1,11 @@
 """The current driver's firmware core once more, in Python, from docs/reference/wires.md."""
 
-from tetractl.lab.actuators.field.core import Event
+from tetractl.lab.actuators.field.core import DriverEvent
 from tetractl.lab.actuators.field.protocol import (
     VERSION,
-    Flag,
-    Reply,
-    Status,
+    DriverStatus,
+    FieldFlag,
+    FieldReply,
     decode_command,
     encode_reply,
 )
@@ -45,15 +45,15 @@ class Twin:
     def judge(self, frame, now_ms):
         try:
             if cobs.unseal(frame)[0] != 0x53:
-                return Event.FOREIGN
+                return DriverEvent.FOREIGN
             command = decode_command(frame)
         except WireError:
             self.rejected = (self.rejected + 1) % 65_536
-            return Event.REJECTED
+            return DriverEvent.REJECTED
         self.received = (self.received + 1) % 65_536
         is_new = self.silent or 1 <= (command.sequence - self.sequence) % 256 <= 127
-        runs = Flag.RUN in command.flags
-        self.latched |= Flag.EMERGENCY_STOP in command.flags
+        runs = FieldFlag.RUN in command.flags
+        self.latched |= FieldFlag.EMERGENCY_STOP in command.flags
         if not runs or self.latched:
             self.stop()
         elif is_new:
@@ -67,9 +67,9 @@ class Twin:
             self.running = True
         if is_new:
             self.sequence, self.heard, self.silent = command.sequence, now_ms, False
-        if Flag.POLL in command.flags and (is_new or not runs):
+        if FieldFlag.POLL in command.flags and (is_new or not runs):
             self.reply = command.sequence
-        return Event.ACCEPTED if is_new else Event.STALE
+        return DriverEvent.ACCEPTED if is_new else DriverEvent.STALE
 
     def stop(self):
         self.wished = (0, 0)
@@ -99,7 +99,7 @@ class Twin:
     def status(self, now_ms):
         self.watch(now_ms)
         bits = self.running, self.latched, self.silent, self.limited, self.hot
-        return Status(sum(bit << place for place, bit in enumerate(bits)))
+        return DriverStatus(sum(bit << place for place, bit in enumerate(bits)))
 
     def take_reply(self, now_ms):
         if self.reply is None:
@@ -108,4 +108,4 @@ class Twin:
         limits = self.limits.current_max_ma, self.limits.slew_ma_s, self.limits.watchdog_ms
         counts = self.received, self.rejected
         status = self.status(now_ms)
-        return encode_reply(Reply(sequence, status, VERSION, *self.readings, *counts, *limits))
+        return encode_reply(FieldReply(sequence, status, VERSION, *self.readings, *counts, *limits))

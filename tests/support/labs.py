@@ -11,7 +11,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.operators import Operators
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab import Limits
+from tetractl.experiment.lab import LabLimits
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import wheel_speeds
@@ -185,14 +185,14 @@ class FakeLab:
     operators: Operators
 
 
-def fake_lab(setup: Setup, limits: Limits | None = None, **actuator: object) -> FakeLab:
+def fake_lab(setup: Setup, limits: LabLimits | None = None, **actuator: object) -> FakeLab:
     clock = SteppedClock()
     world = World(setup, clock)
     camera, moved, operators = FakeCamera(world), FakeActuator(world, **actuator), Operators()
     rig = Rig(
         camera,
         moved,
-        limits or Limits(),
+        limits or LabLimits(),
         setup,
         clock,
         operators.emergency,

@@ -8,7 +8,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
     Channels,
     Clutter,
-    Kind,
+    MessageKind,
     ModelDef,
     NatNetFrame,
     RigidBody,
@@ -55,4 +55,4 @@ def full_modeldef(version, awkward=True):
     if version >= (4, 1) and awkward:
         others.append((6, b"an asset that is stepped over"))
     model = ModelDef((BodyName("green", 1), BodyName("blü", 2, 1)))
-    return model, datagram(Kind.MODELDEF, pack_modeldef(model, version, others, markers=3))
+    return model, datagram(MessageKind.MODELDEF, pack_modeldef(model, version, others, markers=3))

@@ -116,7 +116,7 @@ class ActuatorSection(DeviceSection):
         raise UsageError(f"an actuator of type {self.type} is not calibrated by moving robots")
 
 
-class Limits(Model):
+class LabLimits(Model):
     """What ends a run, and what it waits for. The defaults are those of the fault table."""
 
     stale: Positive = 0.1
@@ -166,7 +166,7 @@ class LabSection(PlantSection):
     """What tracks the robots."""
     actuator: Annotated[ActuatorSection, Choice(ACTUATORS)]
     """What moves the robots."""
-    limits: Limits = Limits()
+    limits: LabLimits = LabLimits()
     """What ends a run, and what it waits for."""
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
     """A file written by `tetractl lab calibrate`, relative to the spec; its values take the places

@@ -11,7 +11,7 @@ from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
 from tetractl.core.wire_tap import NO_TAP, Tap
-from tetractl.experiment.lab import LabSection, Limits
+from tetractl.experiment.lab import LabLimits, LabSection
 from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop, OnFrame
 
@@ -31,7 +31,7 @@ class Rig:
         self,
         camera: Camera,
         actuator: Actuator,
-        limits: Limits,
+        limits: LabLimits,
         setup: Setup,
         clock: Clock,
         emergency: threading.Event | None = None,
@@ -100,7 +100,7 @@ def build_rig(
     return Rig(camera, actuator, lab.limits, setup, clock, emergency, wake)
 
 
-def guard_rules(setup: Setup, limits: Limits, individual: bool = True) -> GuardRules:
+def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> GuardRules:
     """Return the guard's limits in the spec's length unit."""
     arena, per_mm = setup.arena, MM / setup.metres
     edge = limits.edge_mm * per_mm

@@ -8,7 +8,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Note
 from tetractl.core.errors import AbortError
-from tetractl.experiment.lab import Limits
+from tetractl.experiment.lab import LabLimits
 
 PERIOD = SECOND // 5
 SETUP = experiment().setup
@@ -195,7 +195,7 @@ def test_robots_off_their_starts_end_the_run_by_name():
 
 
 def test_robots_are_waited_for_while_somebody_places_them():
-    lab = fake_lab(SETUP, Limits(placing=10.0))
+    lab = fake_lab(SETUP, LabLimits(placing=10.0))
     lab.world.poses[1, 0] += 120
     shown = []
 
@@ -217,7 +217,7 @@ def test_robots_are_waited_for_while_somebody_places_them():
 
 
 def test_a_person_may_give_up_waiting():
-    lab = fake_lab(SETUP, Limits(placing=10.0))
+    lab = fake_lab(SETUP, LabLimits(placing=10.0))
     lab.world.poses[1, 0] += 120
     lab.operators.cancelled = lambda: True
     with pytest.raises(KeyboardInterrupt):

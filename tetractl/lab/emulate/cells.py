@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.actuators.field.coils import Coils, Pair
-from tetractl.lab.actuators.field.protocol import Status
+from tetractl.lab.actuators.field.protocol import DriverStatus
 from tetractl.lab.emulate.field import STEP_NS, CurrentDriver
 
 
@@ -87,7 +87,7 @@ class Dish:
         while self._now_ns + STEP_NS <= until_ns:
             self._now_ns += STEP_NS
             self.driver.advance(self._now_ns)
-            if Status.RUNNING in self.driver.status:
+            if DriverStatus.RUNNING in self.driver.status:
                 for cell in self.cells:
                     cell.waiting = False
             x, y = self.field_mt

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.actuators.field.coils import Pair
-from tetractl.lab.actuators.field.core import Core, Limits
-from tetractl.lab.actuators.field.protocol import Status, decode_command
+from tetractl.lab.actuators.field.core import DriverCore, DriverLimits
+from tetractl.lab.actuators.field.protocol import DriverStatus, decode_command
 from tetractl.lab.actuators.m3pi.cobs import Splitter
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.port import PseudoPort
@@ -31,7 +31,7 @@ class CurrentDriver:
         self,
         timeline: Timeline,
         port: PseudoPort,
-        limits: Limits,
+        limits: DriverLimits,
         baud: int = 115_200,
         lag_s: float = LAG_S,
         tell: Callable[..., None] = lambda event, **facts: None,
@@ -46,12 +46,12 @@ class CurrentDriver:
         self._keep = math.exp(-STEP_NS / SECOND / lag_s)
         self._now_ns = timeline.now_ns
         self._in_ns = self._out_ns = 0  # when the line is free again, either way
-        self._core = Core(limits, self._now_ms)
+        self._core = DriverCore(limits, self._now_ms)
 
     @property
-    def status(self) -> Status:
+    def status(self) -> DriverStatus:
         """What the driver says of itself now."""
-        return self._core.status(self._now_ms) if self.powered else Status.SILENT
+        return self._core.status(self._now_ms) if self.powered else DriverStatus.SILENT
 
     def readable(self) -> None:
         """Read what was written to the port; the driver has it after its time on the line."""
@@ -86,7 +86,7 @@ class CurrentDriver:
         """Switch the driver on, which clears its latches, or off."""
         self.powered = on
         if on:
-            self._core = Core(self._limits, self._now_ms)
+            self._core = DriverCore(self._limits, self._now_ms)
 
     def _witness(self, data: bytes) -> None:
         for sealed in self._splitter.feed(data):

@@ -8,8 +8,8 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from tetractl.experiment.base import Model, NonNegative
-from tetractl.lab.actuators.field.core import Limits
-from tetractl.lab.actuators.field.protocol import Status
+from tetractl.lab.actuators.field.core import DriverLimits
+from tetractl.lab.actuators.field.protocol import DriverStatus
 from tetractl.lab.actuators.field.section import FieldSection
 from tetractl.lab.emulate.cells import Cell, Dish
 from tetractl.lab.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
@@ -138,7 +138,7 @@ class EmulatedField:
     @property
     def driven(self) -> bool:
         """Whether the driver makes a field."""
-        return Status.RUNNING in self.driver.status
+        return DriverStatus.RUNNING in self.driver.status
 
     @property
     def truth(self) -> dict[str, Any]:
@@ -181,7 +181,7 @@ class EmulatedField:
         self.port.unplug()
 
 
-def _limits(section: FieldSection) -> Limits:
+def _limits(section: FieldSection) -> DriverLimits:
     """Return limits that are built into a driver which suits the spec."""
     milliamperes, slew = round(1000 * section.current_max_a), round(1000 * section.slew_max_a_s)
-    return Limits(milliamperes, slew, round(1000 * section.watchdog))
+    return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

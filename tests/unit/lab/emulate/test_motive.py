@@ -17,7 +17,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     Connect,
     EchoRequest,
     EchoResponse,
-    Kind,
+    MessageKind,
     ModelDef,
     NatNetFrame,
     Request,
@@ -60,7 +60,7 @@ def test_handshake_models_and_frames(opened, version):
     if info.version >= (3, 0):
         assert info.data_port == lab.camera.motive.data_port
         assert info.multicast is False
-    models = client.ask(Bare(Kind.REQUEST_MODELDEF), ModelDef)
+    models = client.ask(Bare(MessageKind.REQUEST_MODELDEF), ModelDef)
     assert models.ids() == {"Green": 1, "blue": 7}
     first, second = client.next(NatNetFrame, 2)
     assert second.number == first.number + 1
@@ -94,12 +94,12 @@ def test_requests(opened):
     assert response_float(client.ask(Request("FrameRate"), Response)) == 120.0
     assert response_float(client.ask(Request("UnitsToMillimeters"), Response)) == 1000.0
     assert response_int(client.ask(Request("UpAxis"), Response)) == UpAxis.Y
-    assert client.ask(Request("MakeTea"), Bare).kind is Kind.UNRECOGNIZED
+    assert client.ask(Request("MakeTea"), Bare).kind is MessageKind.UNRECOGNIZED
 
 
 def test_up_axis_may_be_unknown(opened):
     _, client = opened(script="emulation: {camera: {knows_up_axis: false}}")
-    assert client.ask(Request("UpAxis"), Bare).kind is Kind.UNRECOGNIZED
+    assert client.ask(Request("UpAxis"), Bare).kind is MessageKind.UNRECOGNIZED
 
 
 def test_echo_tells_a_clock_of_its_own(opened):
@@ -138,13 +138,13 @@ def test_unicast_clients_time_out_and_are_kept_alive(opened):
     (known,) = lab.camera.motive.server.clients.values()
     known.heard_ns -= 4_000_000_000
     before = known.heard_ns
-    client.send(Bare(Kind.KEEPALIVE))
+    client.send(Bare(MessageKind.KEEPALIVE))
     turn_until(lab, lambda: known.heard_ns != before)
     client.next(NatNetFrame)
     known.heard_ns -= 6_000_000_000
     turn_until(lab, lambda: not lab.camera.motive.server.clients)
     assert lab.camera.motive.counts.timed_out == 1
-    client.send(Bare(Kind.KEEPALIVE))  # too late: it has to connect again
+    client.send(Bare(MessageKind.KEEPALIVE))  # too late: it has to connect again
     client.ask(Request("FrameRate"), Response)
     assert not lab.camera.motive.server.clients
     client.ask(Connect(), ServerInfo)

@@ -20,7 +20,7 @@ from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.field.check import inspect
 from tetractl.lab.actuators.field.coils import Pair, approach
 from tetractl.lab.actuators.field.driver import HINT, Driver
-from tetractl.lab.actuators.field.protocol import Flag
+from tetractl.lab.actuators.field.protocol import FieldFlag
 from tetractl.lab.actuators.field.section import FieldSection
 
 STOPS = 3  # frames of one stop, so that a damaged byte does not cost it
@@ -98,7 +98,7 @@ class FieldActuator:
             passed_ns = min(now_ns - self._sent_ns, self.period_ns)
             self._currents = approach(self._now(now_ns), wished, self._room(passed_ns))
             x_ma, y_ma = (round(1000 * current) for current in self._currents)
-            self._sent_ns = self.driver.send(Flag.RUN, x_ma, y_ma)
+            self._sent_ns = self.driver.send(FieldFlag.RUN, x_ma, y_ma)
             self._held_until_ns = self._sent_ns + round(self.section.watchdog * SECOND)
         headings = np.array([np.nan if pose is None else pose.heading for pose in poses])
         return self._transmission(direction, (x_ma / 1000, y_ma / 1000), headings)
@@ -111,7 +111,7 @@ class FieldActuator:
         """
         with self._lock:
             self._currents = self._now(self._clock.now())
-            flag = Flag.EMERGENCY_STOP if emergency else Flag(0)
+            flag = FieldFlag.EMERGENCY_STOP if emergency else FieldFlag(0)
             self._sent_ns = [self.driver.send(flag) for _ in range(STOPS)][-1]
             self._held_until_ns = self._sent_ns
         return self._transmission(None, OFF, np.full(len(self._a), np.nan))

@@ -1,11 +1,16 @@
 """What a current driver's reply says before a run, against the section of the spec."""
 
 from tetractl.core.commands import Health
-from tetractl.lab.actuators.field.protocol import UNKNOWN_TEMPERATURE, VERSION, Reply, Status
+from tetractl.lab.actuators.field.protocol import (
+    UNKNOWN_TEMPERATURE,
+    VERSION,
+    DriverStatus,
+    FieldReply,
+)
 from tetractl.lab.actuators.field.section import FieldSection
 
 
-def inspect(reply: Reply | None, section: FieldSection) -> Health:
+def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
     """Return what keeps a run from starting, what to warn of, and facts; None is no reply."""
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
@@ -28,7 +33,7 @@ def inspect(reply: Reply | None, section: FieldSection) -> Health:
     return Health(tuple(problems), tuple(_warnings(reply, section)), facts)
 
 
-def _limits(reply: Reply, section: FieldSection) -> list[str]:
+def _limits(reply: FieldReply, section: FieldSection) -> list[str]:
     found: list[str] = []
     if reply.current_max_ma < round(1000 * section.current_max_a):
         allowed = f"{reply.current_max_ma / 1000:g} A, the spec {section.current_max_a:g} A"
@@ -42,11 +47,11 @@ def _limits(reply: Reply, section: FieldSection) -> list[str]:
     return found
 
 
-def _state(reply: Reply, section: FieldSection) -> list[str]:
+def _state(reply: FieldReply, section: FieldSection) -> list[str]:
     found: list[str] = []
-    if Status.HOT in reply.status:
+    if DriverStatus.HOT in reply.status:
         found.append("the current driver was stopped by its temperature: let the coils cool down")
-    if Status.EMERGENCY_STOPPED in reply.status:
+    if DriverStatus.EMERGENCY_STOPPED in reply.status:
         found.append("the current driver is emergency-stopped: switch it off and on again")
     if reply.supply_mv and reply.supply_mv < 1000 * section.supply_min_v:
         found.append(f"the current driver's supply is at {reply.supply_mv / 1000:.2f} V")
@@ -55,7 +60,7 @@ def _state(reply: Reply, section: FieldSection) -> list[str]:
     return found
 
 
-def _warnings(reply: Reply, section: FieldSection) -> list[str]:
+def _warnings(reply: FieldReply, section: FieldSection) -> list[str]:
     found: list[str] = []
     reach = section.calibrated_coils().least_reach()
     if reach < section.strength_mt:

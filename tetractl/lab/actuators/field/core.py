@@ -7,12 +7,12 @@ from functools import cache
 from pathlib import Path
 
 from tetractl.lab import firmware
-from tetractl.lab.actuators.field.protocol import UNKNOWN_TEMPERATURE, Status
+from tetractl.lab.actuators.field.protocol import UNKNOWN_TEMPERATURE, DriverStatus
 
 _REPLY_SIZE = 28
 
 
-class Event(IntEnum):
+class DriverEvent(IntEnum):
     """What a byte completed."""
 
     NOTHING = 0
@@ -23,7 +23,7 @@ class Event(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class DriverLimits:
     """What is built into a driver: greatest current [mA] of each coil pair and its slew [mA/s],
     watchdog [ms], and the temperature that stops it [0.1 degrees Celsius]."""
 
@@ -33,7 +33,7 @@ class Limits:
     temperature_max_dc: int = 800
 
 
-class _Limits(ctypes.Structure):
+class _DriverLimits(ctypes.Structure):
     _fields_ = (
         ("current_max_ma", ctypes.c_uint16),
         ("slew_ma_s", ctypes.c_uint32),
@@ -42,25 +42,27 @@ class _Limits(ctypes.Structure):
     )
 
 
-class Core:
+class DriverCore:
     """One driver's firmware core, switched on at `now_ms`.
 
     Times are milliseconds on any clock, taken modulo 2^32.
     """
 
-    def __init__(self, limits: Limits, now_ms: int = 0, library: ctypes.CDLL | None = None) -> None:
+    def __init__(
+        self, limits: DriverLimits, now_ms: int = 0, library: ctypes.CDLL | None = None
+    ) -> None:
         self._library = library or load()
         self._core = ctypes.create_string_buffer(self._library.field_size())
-        built_in = _Limits(
+        built_in = _DriverLimits(
             limits.current_max_ma, limits.slew_ma_s, limits.watchdog_ms, limits.temperature_max_dc
         )
         self._library.field_init(self._core, ctypes.byref(built_in), now_ms)
 
-    def push(self, data: bytes, now_ms: int) -> list[Event]:
+    def push(self, data: bytes, now_ms: int) -> list[DriverEvent]:
         """Read bytes from the serial line; return what they completed."""
         push = self._library.field_push
-        events = [Event(push(self._core, byte, now_ms)) for byte in data]
-        return [event for event in events if event is not Event.NOTHING]
+        events = [DriverEvent(push(self._core, byte, now_ms)) for byte in data]
+        return [event for event in events if event is not DriverEvent.NOTHING]
 
     def currents_ua(self, now_ms: int) -> tuple[int, int]:
         """Return the set points of both currents now [uA]; watchdog and slew are done here."""
@@ -78,9 +80,9 @@ class Core:
         """Set what the driver has measured; a temperature at its limit stops it for good."""
         self._library.field_measured(self._core, x_ma, y_ma, supply_mv, temperature_dc)
 
-    def status(self, now_ms: int) -> Status:
+    def status(self, now_ms: int) -> DriverStatus:
         """Return what a reply would say."""
-        return Status(self._library.field_status(self._core, now_ms))
+        return DriverStatus(self._library.field_status(self._core, now_ms))
 
     def take_reply(self, now_ms: int) -> bytes:
         """Return the pending reply, once, or nothing."""

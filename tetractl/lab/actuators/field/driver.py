@@ -6,10 +6,10 @@ from contextlib import suppress
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.field.protocol import (
-    Command,
-    Flag,
-    Reply,
-    Status,
+    DriverStatus,
+    FieldCommand,
+    FieldFlag,
+    FieldReply,
     decode_reply,
     encode_command,
 )
@@ -33,7 +33,7 @@ class Driver:
 
     def __init__(self, port: str, baud: int, clock: Clock, tap: Tap = NO_TAP) -> None:
         self.sent = self.replies = 0
-        self.newest: Reply | None = None
+        self.newest: FieldReply | None = None
         self._clock = clock
         self._port = SerialPort(
             port, baud, "the current driver", clock, self._hear, HINT, tap, "field"
@@ -52,9 +52,9 @@ class Driver:
             return self._port.failure
         if self._unanswered > UNANSWERED_MAX and now_ns - self._unanswered_ns > SILENCE_NS:
             return "the current driver does not answer any more"
-        if newest is not None and Status.HOT in newest.status:
+        if newest is not None and DriverStatus.HOT in newest.status:
             return f"the current driver stopped: it is {newest.temperature_dc / 10:.0f} °C hot"
-        if newest is not None and Status.EMERGENCY_STOPPED in newest.status:
+        if newest is not None and DriverStatus.EMERGENCY_STOPPED in newest.status:
             return "the current driver is emergency-stopped"
         return None
 
@@ -62,11 +62,11 @@ class Driver:
         """Open the port; AbortError where that cannot be."""
         self._port.open()
 
-    def send(self, flags: Flag, x_ma: int = 0, y_ma: int = 0) -> int:
+    def send(self, flags: FieldFlag, x_ma: int = 0, y_ma: int = 0) -> int:
         """Send a command that polls; return when it left. AbortError where the port has failed."""
         with self._changed:
             self._sequence = (self._sequence + 1) % 256
-            command = Command(self._sequence, flags | Flag.POLL, x_ma, y_ma)
+            command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)
             sent_ns = self._port.write(encode_command(command))
             self.sent += 1
             if self._unanswered == 0:
@@ -74,14 +74,14 @@ class Driver:
             self._unanswered += 1
         return sent_ns
 
-    def ask(self) -> Reply | None:
+    def ask(self) -> FieldReply | None:
         """Poll without running, up to five times 0.1 s; return the reply, None where none came.
 
         This switches a field off. AbortError where the port has failed.
         """
         self.newest = None
         for _ in range(TRIES):
-            self.send(Flag(0))
+            self.send(FieldFlag(0))
             wanted = self._sequence
             with self._changed:
                 self._changed.wait_for(

@@ -20,7 +20,7 @@ _COMMAND = struct.Struct("<BBBhh")
 _REPLY = struct.Struct("<BBBBhhHhHHHIH")
 
 
-class Flag(IntFlag):
+class FieldFlag(IntFlag):
     """What a command asks for."""
 
     RUN = 1  # without it both currents go to 0
@@ -28,7 +28,7 @@ class Flag(IntFlag):
     POLL = 4  # the driver answers
 
 
-class Status(IntFlag):
+class DriverStatus(IntFlag):
     """What the driver says of itself."""
 
     RUNNING = 1  # the last frame let it run
@@ -39,17 +39,17 @@ class Status(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
-    """The currents of both coil pairs [mA]; ignored without `Flag.RUN`."""
+class FieldCommand:
+    """The currents of both coil pairs [mA]; ignored without `FieldFlag.RUN`."""
 
     sequence: int
-    flags: Flag
+    flags: FieldFlag
     x_ma: int = 0
     y_ma: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class FieldReply:
     """What a polled driver answers; `sequence` is that of the poll.
 
     The currents [mA] are measured. `supply_mv` 0 and `temperature_dc` `UNKNOWN_TEMPERATURE` (in
@@ -59,7 +59,7 @@ class Reply:
     """
 
     sequence: int
-    status: Status
+    status: DriverStatus
     version: int
     x_ma: int
     y_ma: int
@@ -72,7 +72,7 @@ class Reply:
     watchdog_ms: int
 
 
-def encode_command(command: Command) -> bytes:
+def encode_command(command: FieldCommand) -> bytes:
     """Pack a command, with its closing 00."""
     if command.flags & ~7:
         raise WireError(f"unknown flags 0x{int(command.flags):02X}")
@@ -80,15 +80,15 @@ def encode_command(command: Command) -> bytes:
     return seal(_pack(_COMMAND, COMMAND, *fields))
 
 
-def decode_command(frame: bytes) -> Command:
+def decode_command(frame: bytes) -> FieldCommand:
     """Read a command, given without its closing 00."""
     sequence, flags, x_ma, y_ma = _unpack(_COMMAND, COMMAND, frame)
     if flags & ~7:
         raise WireError(f"unknown flags 0x{flags:02X}")
-    return Command(sequence, Flag(flags), x_ma, y_ma)
+    return FieldCommand(sequence, FieldFlag(flags), x_ma, y_ma)
 
 
-def encode_reply(reply: Reply) -> bytes:
+def encode_reply(reply: FieldReply) -> bytes:
     """Pack a reply, with its closing 00."""
     r = reply
     measured = r.x_ma, r.y_ma, r.supply_mv, r.temperature_dc, r.received, r.rejected
@@ -96,10 +96,10 @@ def encode_reply(reply: Reply) -> bytes:
     return seal(_pack(_REPLY, REPLY, r.sequence, r.status, r.version, *measured, *limits))
 
 
-def decode_reply(frame: bytes) -> Reply:
+def decode_reply(frame: bytes) -> FieldReply:
     """Read a reply, given without its closing 00; unknown status bits are dropped."""
     sequence, status, *rest = _unpack(_REPLY, REPLY, frame)
-    return Reply(sequence, Status(status & 31), *rest)
+    return FieldReply(sequence, DriverStatus(status & 31), *rest)
 
 
 def _pack(layout: struct.Struct, *fields: int) -> bytes:

@@ -21,7 +21,7 @@ from tetractl.lab.actuators.m3pi.command import (
     speeds_of_counts,
     wheel_counts,
 )
-from tetractl.lab.actuators.m3pi.protocols import Answer, build_protocol
+from tetractl.lab.actuators.m3pi.protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.motion.exact import step as exact
@@ -142,7 +142,7 @@ class M3piActuator:
         mm = self._mm
         return Transmission(sent_ns, direction, moving, speed / mm, turning, left / mm, right / mm)
 
-    def _status(self, name: str, answer: Answer | None) -> RobotStatus:
+    def _status(self, name: str, answer: RobotAnswer | None) -> RobotStatus:
         if answer is None:
             line = f"{name} does not answer: is it on, and is its index or address right?"
             return RobotStatus(False, problems=(line,))

@@ -25,7 +25,7 @@ TRIES = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class RobotAnswer:
     """What a polled robot answered; `battery_mv` 0 where it does not know."""
 
     battery_mv: int
@@ -49,7 +49,7 @@ class RobotProtocol(Protocol):
         """Stop every robot for good: until it is switched off, where its firmware can."""
         ...
 
-    def poll(self, timeout_s: float) -> list[Answer | None]:
+    def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
         """Ask every robot for an answer, None where none came."""
         ...
 
@@ -87,9 +87,9 @@ class BroadcastProtocol:
         """Send a frame that latches every robot's emergency stop."""
         return self._send(Flag.EMERGENCY_STOP)
 
-    def poll(self, timeout_s: float) -> list[Answer | None]:
+    def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
         """Poll, several times where somebody does not answer: broadcasts may be lost."""
-        found: dict[int, Answer] = {}
+        found: dict[int, RobotAnswer] = {}
         wanted = set(self._indices)
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000
         deadline = self._clock.now() + round(timeout_s * SECOND)
@@ -132,11 +132,11 @@ class SlaveProtocol:
         message = slave.SIGNATURE_REQUEST + slave.STOP
         return self._each([message] * len(self._addresses))
 
-    def poll(self, timeout_s: float) -> list[Answer | None]:
+    def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
         """Ask each robot for its battery."""
         return [self._battery(address, timeout_s) for address in self._addresses]
 
-    def _battery(self, address: int, timeout_s: float) -> Answer | None:
+    def _battery(self, address: int, timeout_s: float) -> RobotAnswer | None:
         share = round(timeout_s * SECOND / TRIES)
         for _ in range(TRIES):
             self._link.fetch()
@@ -146,7 +146,7 @@ class SlaveProtocol:
                 self._link.wait(left / SECOND)
                 answer += b"".join(r.data for r in self._link.fetch() if r.source == address)
                 if len(answer) == 2:
-                    return Answer(slave.decode_battery(answer))
+                    return RobotAnswer(slave.decode_battery(answer))
         return None
 
     def _each(self, messages: Sequence[bytes]) -> int:
@@ -163,10 +163,10 @@ class SlaveProtocol:
         return sent
 
 
-def _keep_reply(frame: bytes, found: dict[int, Answer]) -> None:
+def _keep_reply(frame: bytes, found: dict[int, RobotAnswer]) -> None:
     try:
         reply = decode_reply(frame)
     except WireError:
         return
     latched = bool(reply.status & Status.EMERGENCY_STOPPED)
-    found[reply.id] = Answer(reply.battery_mv, latched, reply.received, reply.rejected)
+    found[reply.id] = RobotAnswer(reply.battery_mv, latched, reply.received, reply.rejected)

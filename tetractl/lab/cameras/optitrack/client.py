@@ -21,8 +21,8 @@ from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     Connect,
     EchoRequest,
-    Kind,
     Message,
+    MessageKind,
     Request,
     Version,
 )
@@ -133,7 +133,7 @@ class NatNetClient:
     def close(self) -> None:
         """Disconnect and end the thread; idempotent, never raises."""
         if self._sockets and not self._closing.is_set():
-            self._send(Bare(Kind.DISCONNECT))
+            self._send(Bare(MessageKind.DISCONNECT))
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
@@ -207,9 +207,9 @@ class NatNetClient:
         elif stream.camera_rate_hz is None and self._due.get("rates", 0) < 4:
             self._every("ask", ASK_NS, lambda: Request(FRAME_RATE))
         if stream.model is None or stream.models_changed:
-            self._every("models", ASK_NS, lambda: Bare(Kind.REQUEST_MODELDEF))
+            self._every("models", ASK_NS, lambda: Bare(MessageKind.REQUEST_MODELDEF))
         if self._unicast:
-            self._every("alive", KEEPALIVE_NS, lambda: Bare(Kind.KEEPALIVE))
+            self._every("alive", KEEPALIVE_NS, lambda: Bare(MessageKind.KEEPALIVE))
         if stream.sync is not None:
             burst = self._echoes < FIRST_ECHOES
             every = FIRST_ECHO_NS if burst else ECHO_NS

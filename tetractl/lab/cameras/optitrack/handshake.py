@@ -8,8 +8,8 @@ from tetractl.lab.cameras.optitrack.messages import (
     Connect,
     EchoRequest,
     EchoResponse,
-    Kind,
     Message,
+    MessageKind,
     Quad,
     Request,
     Response,
@@ -23,53 +23,55 @@ SERVER_INFO = SENDER + 15  # from 3.0: u64 clock, u16 data port, u8 multicast, g
 CONNECT_4 = SENDER + 5  # from 4.x clients: u8 subscribed only, bitstream version[4]
 
 
-def parse_handshake(kind: Kind, payload: bytes) -> Message:
+def parse_handshake(kind: MessageKind, payload: bytes) -> Message:
     """Read any message that needs no protocol version."""
     match kind:
-        case Kind.CONNECT:
+        case MessageKind.CONNECT:
             return _connect(payload)
-        case Kind.SERVER_INFO:
+        case MessageKind.SERVER_INFO:
             return _server_info(payload)
-        case Kind.REQUEST:
+        case MessageKind.REQUEST:
             return Request(_text(payload))
-        case Kind.TEXT:
+        case MessageKind.TEXT:
             return Text(_text(payload, len(payload)))
-        case Kind.RESPONSE:
+        case MessageKind.RESPONSE:
             return Response(payload)
-        case Kind.ECHO_REQUEST:
+        case MessageKind.ECHO_REQUEST:
             return EchoRequest(_u64(payload, 0, 8))
-        case Kind.ECHO_RESPONSE:
+        case MessageKind.ECHO_RESPONSE:
             return EchoResponse(_u64(payload, 0, 16), _u64(payload, 8, 16))
         case _:
             return Bare(kind)
 
 
-def pack_handshake(message: Message) -> tuple[Kind, bytes]:
+def pack_handshake(message: Message) -> tuple[MessageKind, bytes]:
     """Pack any message that needs no protocol version."""
     match message:
         case Connect():
             payload = _sender(message.name, message.app_version, message.natnet_version)
             if message.bitstream is not None:
                 payload += packed("?4B", message.subscribed_only, *message.bitstream)
-            return Kind.CONNECT, payload
+            return MessageKind.CONNECT, payload
         case ServerInfo():
-            return Kind.SERVER_INFO, _packed_server_info(message)
+            return MessageKind.SERVER_INFO, _packed_server_info(message)
         case Request(text):
-            return Kind.REQUEST, _packed_text(text, NAME_MAX)
+            return MessageKind.REQUEST, _packed_text(text, NAME_MAX)
         case Text(text):
-            return Kind.TEXT, _packed_text(text, 65_000)
+            return MessageKind.TEXT, _packed_text(text, 65_000)
         case Response(payload):
-            return Kind.RESPONSE, payload
+            return MessageKind.RESPONSE, payload
         case EchoRequest(client):
-            return Kind.ECHO_REQUEST, packed("Q", client)
+            return MessageKind.ECHO_REQUEST, packed("Q", client)
         case EchoResponse(client, server):
-            return Kind.ECHO_RESPONSE, packed("QQ", client, server)
-        case Bare(Kind.KEEPALIVE):
-            return Kind.KEEPALIVE, bytes(SENDER)
-        case Bare(Kind.REQUEST_MODELDEF | Kind.REQUEST_FRAME | Kind.DISCONNECT) as bare:
+            return MessageKind.ECHO_RESPONSE, packed("QQ", client, server)
+        case Bare(MessageKind.KEEPALIVE):
+            return MessageKind.KEEPALIVE, bytes(SENDER)
+        case Bare(
+            MessageKind.REQUEST_MODELDEF | MessageKind.REQUEST_FRAME | MessageKind.DISCONNECT
+        ) as bare:
             return bare.kind, b"\0"
-        case Bare(Kind.UNRECOGNIZED):
-            return Kind.UNRECOGNIZED, b""
+        case Bare(MessageKind.UNRECOGNIZED):
+            return MessageKind.UNRECOGNIZED, b""
         case _:
             raise WireError(f"not a handshake message: {type(message).__name__}")
 

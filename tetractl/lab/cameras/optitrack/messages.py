@@ -29,7 +29,7 @@ OLDEST = Version(2, 5)
 NEWEST = Version(4, 3)
 
 
-class Kind(IntEnum):
+class MessageKind(IntEnum):
     """Message ids."""
 
     CONNECT = 0
@@ -224,7 +224,7 @@ class Text:
 class Bare:
     """A message whose id says all: KEEPALIVE, REQUEST_MODELDEF, UNRECOGNIZED and the like."""
 
-    kind: Kind
+    kind: MessageKind
 
 
 Message = (

@@ -11,8 +11,8 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
 from tetractl.lab.cameras.optitrack.messages import (
     EchoResponse,
-    Kind,
     Message,
+    MessageKind,
     ModelDef,
     NatNetFrame,
     Request,
@@ -114,7 +114,7 @@ class Stream:
             self._take(message, received_ns)
         except WireError:
             kind = int.from_bytes(datagram[:2], "little")
-            if self.info is None and kind in (Kind.FRAME, Kind.MODELDEF):
+            if self.info is None and kind in (MessageKind.FRAME, MessageKind.MODELDEF):
                 self.counts.early += 1
             else:
                 self.counts.bad += 1

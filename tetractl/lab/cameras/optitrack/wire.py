@@ -5,8 +5,8 @@ from tetractl.lab.cameras.optitrack.frame import parse_frame
 from tetractl.lab.cameras.optitrack.handshake import pack_handshake, parse_handshake
 from tetractl.lab.cameras.optitrack.messages import (
     Clutter,
-    Kind,
     Message,
+    MessageKind,
     ModelDef,
     NatNetFrame,
     Version,
@@ -33,14 +33,14 @@ def parse(datagram: bytes, version: Version | None = None) -> Message:
     if size != len(payload):
         raise WireError(f"the header tells {size} bytes, {len(payload)} came")
     try:
-        kind = Kind(code)
+        kind = MessageKind(code)
     except ValueError:
         raise WireError(f"unknown message id {code}") from None
-    if kind not in (Kind.FRAME, Kind.MODELDEF):
+    if kind not in (MessageKind.FRAME, MessageKind.MODELDEF):
         return parse_handshake(kind, payload)
     if version is None:
         raise WireError(f"{kind.name} before the protocol version is known")
-    return (parse_frame if kind is Kind.FRAME else parse_modeldef)(payload, version)
+    return (parse_frame if kind is MessageKind.FRAME else parse_modeldef)(payload, version)
 
 
 def pack(message: Message, version: Version | None = None) -> bytes:
@@ -49,17 +49,17 @@ def pack(message: Message, version: Version | None = None) -> bytes:
         if version is None:
             raise WireError("frames and models need a protocol version")
         if isinstance(message, NatNetFrame):
-            return datagram(Kind.FRAME, pack_frame(message, version))
-        return datagram(Kind.MODELDEF, pack_modeldef(message, version))
+            return datagram(MessageKind.FRAME, pack_frame(message, version))
+        return datagram(MessageKind.MODELDEF, pack_modeldef(message, version))
     return datagram(*pack_handshake(message))
 
 
 def pack_full_frame(frame: NatNetFrame, version: Version, clutter: Clutter) -> bytes:
     """Pack a frame together with all that our parser skips."""
-    return datagram(Kind.FRAME, pack_frame(frame, version, clutter))
+    return datagram(MessageKind.FRAME, pack_frame(frame, version, clutter))
 
 
-def datagram(kind: Kind, payload: bytes) -> bytes:
+def datagram(kind: MessageKind, payload: bytes) -> bytes:
     """Put the header before a payload."""
     if len(payload) + HEADER > DATAGRAM_MAX:
         raise WireError(f"{len(payload)} bytes do not fit in a datagram")

@@ -10,8 +10,8 @@ from tetractl.lab.cameras.optitrack.messages import (
     Connect,
     EchoRequest,
     EchoResponse,
-    Kind,
     Message,
+    MessageKind,
     ModelDef,
     Request,
     Response,
@@ -70,9 +70,9 @@ class MotiveServer:
                 return self._change_version(text.removeprefix("Bitstream,"), sender)
             case Request(text):
                 return self._reply(text)
-            case Bare(Kind.REQUEST_MODELDEF):
+            case Bare(MessageKind.REQUEST_MODELDEF):
                 return ModelDef(self._names)
-            case Bare(Kind.DISCONNECT):
+            case Bare(MessageKind.DISCONNECT):
                 self.clients.pop(sender, None)
         return None
 
@@ -135,4 +135,4 @@ class MotiveServer:
             case "UpAxis" if self.streaming.knows_up_axis:
                 return Response(struct.pack("<i", self.streaming.up))
             case _:
-                return Bare(Kind.UNRECOGNIZED)
+                return Bare(MessageKind.UNRECOGNIZED)

@@ -18,8 +18,8 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.lab import firmware
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.core import Limits
-from tetractl.lab.actuators.field.protocol import Flag
+from tetractl.lab.actuators.field.core import DriverLimits
+from tetractl.lab.actuators.field.protocol import FieldFlag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A, SPEED = np.array([5.0, 3.5]), np.array([300.0, 330.0])
@@ -130,7 +130,7 @@ def test_a_stop_is_sent_three_times_and_says_that_cells_swim_on(emergency):
     actuator, _ = virtual()
     actuator.steer(1.0, POSES, BOTH, 0)
     stop = actuator.stop(emergency)
-    flag = Flag.EMERGENCY_STOP if emergency else Flag(0)
+    flag = FieldFlag.EMERGENCY_STOP if emergency else FieldFlag(0)
     assert [(c.flags, c.x_ma, c.y_ma) for c in actuator.driver.sent[1:]] == [(flag, 0, 0)] * 3
     assert stop.direction is None
     assert (stop.speed == SPEED).all()
@@ -173,7 +173,9 @@ def fails(actuator):
 
 def stops(stage):
     """Return how many frames came without the run flag."""
-    return sum(event == "command" and facts["flags"] == Flag.POLL for event, facts in stage.told)
+    return sum(
+        event == "command" and facts["flags"] == FieldFlag.POLL for event, facts in stage.told
+    )
 
 
 @needs_compiler
@@ -200,7 +202,7 @@ def test_a_driver_is_checked_steered_and_stopped(bench):
 
 @needs_compiler
 def test_leaving_switches_the_field_off_before_the_watchdog_would(bench):
-    stage = bench(Limits(2000, 100_000, watchdog_ms=5000))
+    stage = bench(DriverLimits(2000, 100_000, watchdog_ms=5000))
     with opened(stage, watchdog=5.0) as actuator:
         actuator.steer(1.0, POSES, BOTH, 0)
         assert eventually(lambda: max(map(abs, stage.driver.currents)) > 0.5)
@@ -212,9 +214,9 @@ def test_leaving_switches_the_field_off_before_the_watchdog_would(bench):
 @pytest.mark.parametrize(
     ("limits", "changes", "says"),
     [
-        (Limits(1500, 100_000), {}, "allows 1.5 A, the spec 2 A: lower current_max_a"),
-        (Limits(2000, 50_000), {}, "allows 50 A/s, the spec 100 A/s: lower slew_max_a_s"),
-        (Limits(2000, 100_000, 500), {}, "watchdog is 0.5 s, the spec's 0.25 s"),
+        (DriverLimits(1500, 100_000), {}, "allows 1.5 A, the spec 2 A: lower current_max_a"),
+        (DriverLimits(2000, 50_000), {}, "allows 50 A/s, the spec 100 A/s: lower slew_max_a_s"),
+        (DriverLimits(2000, 100_000, 500), {}, "watchdog is 0.5 s, the spec's 0.25 s"),
         (LIMITS, {"supply_min_v": 20.0}, "supply is at 12.00 V"),
         (LIMITS, {"temperature_max_c": 20.0}, "the coils are at 25 °C"),
     ],
@@ -227,7 +229,7 @@ def test_a_driver_that_would_not_do_is_a_problem(bench, limits, changes, says):
 
 @needs_compiler
 def test_weak_coils_and_a_strong_driver_are_warned_of(bench):
-    with opened(bench(Limits(3000, 100_000)), strength_mt=5.0) as actuator:
+    with opened(bench(DriverLimits(3000, 100_000)), strength_mt=5.0) as actuator:
         health = actuator.check()
     assert health.problems == ()
     weak, strong = health.warnings

@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.poses import Pose
 from tetractl.lab import firmware
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.protocol import Status
+from tetractl.lab.actuators.field.protocol import DriverStatus
 from tetractl.lab.emulate.cells import Cell, Dish
 from tetractl.lab.emulate.field import CurrentDriver
 from tetractl.lab.emulate.loop import Timeline
@@ -98,9 +98,9 @@ def test_the_watchdog_switches_the_field_off(tmp_path):
     stage = Stage(tmp_path)
     stage.run(0.5, direction=1.0)
     stage.run(0.22)  # the last command came 0.025 s before
-    assert stage.driver.status == Status.RUNNING
+    assert stage.driver.status == DriverStatus.RUNNING
     stage.run(0.08)
-    assert stage.driver.status == Status.SILENT
+    assert stage.driver.status == DriverStatus.SILENT
     assert max(map(abs, stage.driver.currents)) < 1e-3
 
 

@@ -4,10 +4,10 @@ from hypothesis import strategies as st
 from support.paths import ROOT
 
 from tetractl.lab.actuators.field.protocol import (
-    Command,
-    Flag,
-    Reply,
-    Status,
+    DriverStatus,
+    FieldCommand,
+    FieldFlag,
+    FieldReply,
     decode_command,
     decode_reply,
     encode_command,
@@ -17,15 +17,15 @@ from tetractl.lab.actuators.m3pi import cobs
 from tetractl.lab.errors import WireError
 
 WIRES = ROOT / "docs" / "reference" / "wires.md"
-COMMAND = Command(7, Flag.RUN | Flag.POLL, 300, -250)
-REPLY = Reply(7, Status.RUNNING, 1, 299, -250, 12_040, 253, 412, 0, 2000, 20_000, 250)
+COMMAND = FieldCommand(7, FieldFlag.RUN | FieldFlag.POLL, 300, -250)
+REPLY = FieldReply(7, DriverStatus.RUNNING, 1, 299, -250, 12_040, 253, 412, 0, 2000, 20_000, 250)
 
 i16, u8, u16 = st.integers(-32_768, 32_767), st.integers(0, 255), st.integers(0, 65_535)
-commands = st.builds(Command, u8, st.integers(0, 7).map(Flag), i16, i16)
+commands = st.builds(FieldCommand, u8, st.integers(0, 7).map(FieldFlag), i16, i16)
 replies = st.builds(
-    Reply,
+    FieldReply,
     u8,
-    st.integers(0, 31).map(Status),
+    st.integers(0, 31).map(DriverStatus),
     u8,
     *(i16, i16, u16, i16),
     *(u16, u16),
@@ -81,11 +81,11 @@ def test_one_flipped_bit_is_refused(command, bit):
 @pytest.mark.parametrize(
     "command",
     [
-        Command(256, Flag.RUN),
-        Command(-1, Flag.RUN),
-        Command(0, Flag.RUN, 32_768, 0),
-        Command(0, Flag.RUN, 0, -32_769),
-        Command(0, Flag(8)),
+        FieldCommand(256, FieldFlag.RUN),
+        FieldCommand(-1, FieldFlag.RUN),
+        FieldCommand(0, FieldFlag.RUN, 32_768, 0),
+        FieldCommand(0, FieldFlag.RUN, 0, -32_769),
+        FieldCommand(0, FieldFlag(8)),
     ],
 )
 def test_what_does_not_fit_is_refused(command):

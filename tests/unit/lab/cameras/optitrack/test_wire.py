@@ -17,7 +17,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     Connect,
     EchoRequest,
     EchoResponse,
-    Kind,
+    MessageKind,
     ModelDef,
     NatNetFrame,
     Request,
@@ -99,7 +99,7 @@ def test_frames_round_trip(version, data):
 def test_models_round_trip(version, found, markers):
     model = ModelDef(found)
     payload = pack_modeldef(model, version, markers=markers)
-    assert parse(datagram(Kind.MODELDEF, payload), version) == model
+    assert parse(datagram(MessageKind.MODELDEF, payload), version) == model
 
 
 @every_version
@@ -112,14 +112,14 @@ def test_models_are_found_behind_other_data_sets(version):
 @pytest.mark.parametrize("version", [Version(2, 9), Version(4, 0)], ids=str)
 def test_an_unknown_data_set_ends_the_reading_and_says_so(version):
     packed = pack_modeldef(ModelDef((BodyName("green", 1),)), version, [(9, b"?")])
-    assert parse(datagram(Kind.MODELDEF, packed), version) == ModelDef((), complete=False)
+    assert parse(datagram(MessageKind.MODELDEF, packed), version) == ModelDef((), complete=False)
 
 
 def test_a_skeletons_bones_are_not_robots():
     bone = b"hip\0" + struct.pack("<ii3fi", 1, 0, 0, 0, 0, 0)
     other = (2, b"actor\0" + struct.pack("<ii", 5, 1) + bone)
     payload = pack_modeldef(ModelDef((BodyName("green", 4),)), Version(3, 1), [other])
-    assert parse(datagram(Kind.MODELDEF, payload), Version(3, 1)).ids() == {"green": 4}
+    assert parse(datagram(MessageKind.MODELDEF, payload), Version(3, 1)).ids() == {"green": 4}
 
 
 def test_frame_2_9_as_written_by_hand():
@@ -158,10 +158,10 @@ def test_frame_4_2_as_written_by_hand():
             ServerInfo("Motive", (3, 1, 0, 0), (4, 1, 0, 0), 10**7, 1511, True, (239, 255, 42, 99)),
             283,
         ),
-        (Bare(Kind.KEEPALIVE), 268),
-        (Bare(Kind.REQUEST_MODELDEF), 5),
-        (Bare(Kind.DISCONNECT), 5),
-        (Bare(Kind.UNRECOGNIZED), 4),
+        (Bare(MessageKind.KEEPALIVE), 268),
+        (Bare(MessageKind.REQUEST_MODELDEF), 5),
+        (Bare(MessageKind.DISCONNECT), 5),
+        (Bare(MessageKind.UNRECOGNIZED), 4),
         (EchoRequest(2**64 - 1), 12),
         (EchoResponse(1, 2**64 - 1), 20),
         (Request("FrameRate"), 14),
@@ -182,7 +182,7 @@ def test_details_of_the_handshake():
     packed[4 + 7 : 4 + 256] = b"\xff" * 249  # garbage after the name's NUL
     assert parse(bytes(packed)) == info
     assert Version(2, 9) < info.version == (2, 10)
-    assert parse(datagram(Kind.CONNECT, b"Ping\0")) == Connect("Ping")
+    assert parse(datagram(MessageKind.CONNECT, b"Ping\0")) == Connect("Ping")
     assert handshake.response_float(Response(struct.pack("<f", 120.0))) == 120.0
     assert handshake.response_int(Response(struct.pack("<i", 1))) == 1
     for read in (handshake.response_float, handshake.response_int):
@@ -201,11 +201,11 @@ def test_details_of_the_handshake():
         (pack(NatNetFrame(1, ()), Version(2, 5)), Version(2, 4)),
         (pack(NatNetFrame(1, ()), Version(3, 0)), Version(4, 1)),  # another version's layout
         (pack(NatNetFrame(1, ()), Version(4, 1)), Version(3, 0)),
-        (datagram(Kind.SERVER_INFO, bytes(263)), None),
-        (datagram(Kind.SERVER_INFO, bytes(260) + b"\4\1\0\0"), None),  # 4.1 is longer
-        (datagram(Kind.ECHO_RESPONSE, bytes(15)), None),
-        (datagram(Kind.REQUEST, b"x" * 300), None),
-        (datagram(Kind.MODELDEF, struct.pack("<ii", 1, 1) + b"x" * 300), Version(3, 0)),
+        (datagram(MessageKind.SERVER_INFO, bytes(263)), None),
+        (datagram(MessageKind.SERVER_INFO, bytes(260) + b"\4\1\0\0"), None),  # 4.1 is longer
+        (datagram(MessageKind.ECHO_RESPONSE, bytes(15)), None),
+        (datagram(MessageKind.REQUEST, b"x" * 300), None),
+        (datagram(MessageKind.MODELDEF, struct.pack("<ii", 1, 1) + b"x" * 300), Version(3, 0)),
     ],
 )
 def test_bad_datagrams_raise_the_one_exception(packed, version):

@@ -1,0 +1,45 @@
+"""The inner loop where its other thread hangs; all else is tested through the plant."""
+
+import pytest
+from support.labs import fake_lab
+from support.trials import experiment
+
+from tetractl.core.errors import AbortError
+from tetractl.lab import inner_loop
+from tetractl.lab.guard import GuardState
+
+
+@pytest.fixture
+def hung(monkeypatch):
+    """A running lab whose loop's lock is held by somebody who never gives it back."""
+    monkeypatch.setattr(inner_loop, "STEER_S", 0.01)
+    monkeypatch.setattr(inner_loop, "STOP_S", 0.01)
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.steer(0.5)
+    lab.clock.steps.remove(lab.plant.rig.loop.step)
+    assert lab.plant.rig.loop._lock.acquire()
+    return lab
+
+
+def test_steering_past_a_loop_that_hangs_aborts(hung):
+    with pytest.raises(AbortError, match="the inner loop did not answer"):
+        hung.plant.steer(0.1)
+    assert hung.plant.rig.guard.state is GuardState.ABORT
+
+
+def test_a_stop_is_sent_past_a_loop_that_hangs(hung):
+    before = len(hung.actuator.sent)
+    hung.plant.stop()
+    stops = hung.actuator.sent[before:]
+    assert [sent.direction for sent in stops] == [None] * 10
+    assert stops[-1].sent_ns - stops[0].sent_ns == pytest.approx(180_000_000, abs=20_000_000)
+    assert hung.world.moving == (False,) * 3
+
+
+def test_a_loop_that_is_not_ready_steers_nothing():
+    lab = fake_lab(experiment().setup)
+    refused = pytest.raises(AbortError, match="the guard lets no robot be steered")
+    with lab.plant.rig as rig, refused:
+        rig.loop.steer(0.1)
+    assert lab.actuator.sent == []

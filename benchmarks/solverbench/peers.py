@@ -52,7 +52,7 @@ class Meter:
     def of_columns(self, signals: Floats) -> Floats:
         """J of signals (L, P)."""
         count = signals.shape[1]
-        if count != self.course.room.shape[1]:
+        if count != self.course.scratch.shape[1]:
             self.course = lay_out(self.problem, count)
         total = np.empty(count)
         costs(self.course, np.ascontiguousarray(signals), total)

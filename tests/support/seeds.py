@@ -73,7 +73,7 @@ def datagrams() -> list[bytes]:
 
 def serial_bytes() -> list[bytes]:
     command = broadcast.encode_command(
-        broadcast.Command(7, broadcast.Flag.RUN, ((64, -64), (1, 0)))
+        broadcast.BroadcastCommand(7, broadcast.Flag.RUN, ((64, -64), (1, 0)))
     )
     reply = broadcast.encode_reply(broadcast.Reply(1, 7, broadcast.Status(0), 5100, 20, 3))
     received = [

@@ -26,7 +26,7 @@ test: $(STAMP)
 
 # What needs neither other processes nor much time: for work on the code.
 test-fast: $(STAMP)
-	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist loadgroup -m "not slow"
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

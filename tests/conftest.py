@@ -1,6 +1,5 @@
 """Settings of all tests: which are slow, in what order they run, and in which process."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -32,10 +31,3 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if folder == "emulated":
             group = f"lane {number % LANES}"
         item.add_marker(pytest.mark.xdist_group(group))
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Return a process a core for `-n logical`, and two for `-n auto`: many tests wait."""
-    cores = os.cpu_count() or 1
-    return cores if config.option.numprocesses == "logical" else 2 * cores

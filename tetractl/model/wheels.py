@@ -18,5 +18,10 @@ def wheel_speeds(
 
 
 def body_velocity(left: Floats, right: Floats, r: Floats | float) -> tuple[Floats, Floats]:
-    """Return (speed [length unit/s], turning rate [rad/s]) of given wheel speeds, (21)-(23)."""
+    """Return (speed v [length unit/s], turning rate [rad/s]) of given wheel speeds.
+
+    dx/dt = (right + left) cos(heading) / 2                                             (21)
+    dy/dt = (right + left) sin(heading) / 2                                             (22)
+    dheading/dt = (right - left) / (2 r)                                                (23)
+    """
     return (right + left) / 2, (right - left) / (2 * r)

@@ -20,7 +20,7 @@ from tetractl.experiment.yaml.problems import (
     SHOWN_LENGTH,
     InvalidSpecError,
     Loc,
-    Problem,
+    SpecProblem,
     dotted,
     printable,
 )
@@ -37,9 +37,9 @@ class Place:
     column: int | None = None
     text: str | None = None
 
-    def problem(self, loc: Loc, message: str, value: str | None = None) -> Problem:
+    def problem(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
         """Return a problem at this place."""
-        return Problem(self.origin, message, self.line, self.column, dotted(loc), value)
+        return SpecProblem(self.origin, message, self.line, self.column, dotted(loc), value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +54,12 @@ class Document:
     data: dict[str, Any] = field(default_factory=dict)
     values: dict[Loc, Place] = field(default_factory=dict)
     keys: dict[Loc, Place] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
-    refused: dict[Loc, Problem] = field(default_factory=dict)
+    problems: list[SpecProblem] = field(default_factory=list)
+    refused: dict[Loc, SpecProblem] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
 
     @property
-    def found(self) -> list[Problem]:
+    def found(self) -> list[SpecProblem]:
         """All problems so far."""
         return [*self.problems, *self.refused.values()]
 
@@ -77,24 +77,26 @@ def read_text(path: Path) -> str:
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise InvalidSpecError([Problem(origin, "there is no such file")]) from None
+        raise InvalidSpecError([SpecProblem(origin, "there is no such file")]) from None
     except IsADirectoryError:
-        raise InvalidSpecError([Problem(origin, "is a folder; name a YAML file in it")]) from None
+        raise InvalidSpecError(
+            [SpecProblem(origin, "is a folder; name a YAML file in it")]
+        ) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise InvalidSpecError([Problem(origin, f"cannot be read: {reason}")]) from None
+        raise InvalidSpecError([SpecProblem(origin, f"cannot be read: {reason}")]) from None
     if len(raw) > MAX_BYTES:
         message = f"is larger than {MAX_BYTES >> 20} MiB; a spec is a few kilobytes of YAML"
-        raise InvalidSpecError([Problem(origin, message)])
+        raise InvalidSpecError([SpecProblem(origin, message)])
     if b"\0" in raw:
-        raise InvalidSpecError([Problem(origin, "is a binary file; a spec is YAML text")])
+        raise InvalidSpecError([SpecProblem(origin, "is a binary file; a spec is YAML text")])
     try:
         return raw.decode("utf-8")
     except UnicodeDecodeError as error:
         before = raw[: error.start]
         line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
         message = "is not UTF-8 text; save the file as UTF-8"
-        raise InvalidSpecError([Problem(origin, message, line, column)]) from None
+        raise InvalidSpecError([SpecProblem(origin, message, line, column)]) from None
 
 
 def parse_document(text: str, origin: str) -> Document:
@@ -107,7 +109,7 @@ def parse_document(text: str, origin: str) -> Document:
     root = _compose(text, document.origin)
     if root is None:
         message = "is empty; a spec starts with 'name:'"
-        raise InvalidSpecError([Problem(document.origin, message)])
+        raise InvalidSpecError([SpecProblem(document.origin, message)])
     builder = _Builder(text, document)
     if not isinstance(root, MappingNode):
         message = "the top level must be a mapping of keys such as 'name:' and 'robots:'"
@@ -130,7 +132,7 @@ def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
     except InvalidSpecError as error:
         found = error.problems
     if found := [*found, *document.found]:
-        raise InvalidSpecError(Problem(p.origin, p.message, field=p.field) for p in found)
+        raise InvalidSpecError(SpecProblem(p.origin, p.message, field=p.field) for p in found)
     return value
 
 
@@ -141,8 +143,8 @@ def _compose(text: str, origin: str) -> Node | None:
         raise InvalidSpecError([_syntax_problem(error, origin)]) from None
 
 
-def _syntax_problem(error: NotYamlError, origin: str) -> Problem:
-    return Problem(origin, printable(str(error), 300), error.line, error.column)
+def _syntax_problem(error: NotYamlError, origin: str) -> SpecProblem:
+    return SpecProblem(origin, printable(str(error), 300), error.line, error.column)
 
 
 class _Builder:

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from tetractl.experiment.yaml.document import Document
-from tetractl.experiment.yaml.problems import Loc, Problem, did_you_mean
+from tetractl.experiment.yaml.problems import Loc, SpecProblem, did_you_mean
 from tetractl.experiment.yaml.schema import alternatives, child, describe, homes, tag
 
 MAX_EXPLAINED = 1000
@@ -36,7 +36,7 @@ LIMITS = {
 }
 
 
-def explain(error: ValidationError, document: Document) -> Iterator[Problem]:
+def explain(error: ValidationError, document: Document) -> Iterator[SpecProblem]:
     """Yield the errors as problems, without those the document speaks of already."""
     every = error.errors(include_url=False, include_input=False)
     for details in every[:MAX_EXPLAINED]:
@@ -70,7 +70,7 @@ def data_loc(details: ErrorDetails, data: Any) -> Loc:
     return (*steps, field) if isinstance(field, str) else tuple(steps)
 
 
-def _problem(details: ErrorDetails, loc: Loc, value: Any, document: Document) -> Problem:
+def _problem(details: ErrorDetails, loc: Loc, value: Any, document: Document) -> SpecProblem:
     kind, context = details["type"], details.get("ctx", {})
     if kind == "extra_forbidden":
         place = document.keys.get(loc) or document.place(loc)

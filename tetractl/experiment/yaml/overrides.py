@@ -3,7 +3,7 @@
 from typing import Any
 
 from tetractl.experiment.yaml.document import Document, Place, parse_value
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, Problem, dotted, printable
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, printable
 from tetractl.experiment.yaml.upgrade import upgrade, upgraded_path
 
 
@@ -69,4 +69,4 @@ def _step(data: Any, loc: Loc, step: str, origin: str) -> str | int:
 
 
 def _wrong(origin: str, message: str, loc: Loc = ()) -> InvalidSpecError:
-    return InvalidSpecError([Problem(origin, message, field=dotted(loc))])
+    return InvalidSpecError([SpecProblem(origin, message, field=dotted(loc))])

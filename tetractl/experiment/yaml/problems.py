@@ -14,7 +14,7 @@ SHOWN_LENGTH = 60
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class SpecProblem:
     """One thing to mend.
 
     `origin` is the spec's file name, or `--set PATH=VALUE` for a value given there; `line` and
@@ -40,7 +40,7 @@ class Problem:
 class InvalidSpecError(SpecError):
     """A spec with problems; the message lists them one a line, and `problems` holds them."""
 
-    def __init__(self, problems: Iterable[Problem], hint: str | None = None) -> None:
+    def __init__(self, problems: Iterable[SpecProblem], hint: str | None = None) -> None:
         self.problems = tuple(sorted(problems, key=lambda p: (p.line is None, p.line, p.column)))
         super().__init__("\n".join(self.lines()), hint)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 from tetractl.experiment.yaml.document import Document
-from tetractl.experiment.yaml.problems import Loc, Problem, dotted
+from tetractl.experiment.yaml.problems import Loc, SpecProblem, dotted
 from tetractl.experiment.yaml.upgrade_lab import upgrade_labs
 
 Note = TypeVar("Note")
@@ -148,6 +148,6 @@ def _exists(data: Any, loc: Loc) -> bool:
 
 def _notice(document: Document, loc: Loc, text: str) -> None:
     place = document.keys.get(loc) or document.place(loc)
-    notice = str(Problem(place.origin, text, place.line, place.column))
+    notice = str(SpecProblem(place.origin, text, place.line, place.column))
     if notice not in document.notices:
         document.notices.append(notice)

@@ -12,7 +12,7 @@ from tetractl.core.errors import SpecError
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.load import frozen
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
-from tetractl.experiment.yaml.problems import InvalidSpecError, Problem
+from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 from tetractl.lab.emulate.faults import Fault, Mark
 from tetractl.lab.emulate.kinds import ACTUATORS, CAMERAS
 
@@ -166,7 +166,7 @@ def _sides(info: ValidationInfo) -> Sides:
     return info.context["sides"]
 
 
-def _problem(details: ErrorDetails, document: Document) -> Problem:
+def _problem(details: ErrorDetails, document: Document) -> SpecProblem:
     loc = tuple(details["loc"])
     message = details["msg"].removeprefix("Value error, ").replace("Input should", "should")
     if details["type"] == "extra_forbidden":

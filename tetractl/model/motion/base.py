@@ -27,7 +27,7 @@ class Held:
     moving: Floats  # 1 where the robot moves, else 0
 
 
-class Step(Protocol):
+class StepFunction(Protocol):
     """Poses after a time t [s] under a held direction u [rad].
 
     Arguments broadcast against each other: typically x, y [length unit] and heading [rad] of shape
@@ -45,7 +45,7 @@ class Step(Protocol):
 class Hold(Protocol):
     """Poses of simulated robots a time t [s] later, in closed form, while nothing new arrives.
 
-    As `Step`, with what the robots hold in place of u; t (M, N) gives poses (M, N).
+    As `StepFunction`, with what the robots hold in place of u; t (M, N) gives poses (M, N).
     """
 
     def __call__(
@@ -105,6 +105,6 @@ class Motion:
     """
 
     name: str
-    step: Step
+    step: StepFunction
     hold: Hold
     lanes: Callable[[Floats, float], type[Lanes]]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.experiment.load import LoadedSpec, document_of
-from tetractl.experiment.yaml.problems import Problem
+from tetractl.experiment.yaml.problems import SpecProblem
 from tetractl.run.plausibility import places, robots, settings
 from tetractl.run.plausibility.case import Case, Doubt
 
@@ -30,13 +30,13 @@ CHECKS: tuple[Callable[[Case], Iterator[Doubt]], ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class SpecWarning(Problem):
+class SpecWarning(SpecProblem):
     """A doubt at its place in the spec's file."""
 
     hint: str = ""
 
     def __str__(self) -> str:
-        return f"{Problem.__str__(self)}; {self.hint}"
+        return f"{SpecProblem.__str__(self)}; {self.hint}"
 
 
 @np.errstate(all="ignore")  # absurd numbers are a spec's own affair

@@ -41,7 +41,7 @@ FASTEST_MM_S, FASTEST_RAD_S = 500.0, 12.0  # faster than any robot moves under m
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class DrivenPath:
     """Steady motion: turning rate [rad/s], and speed along and left of the heading [mm/s]."""
 
     turning: float
@@ -236,7 +236,7 @@ class _Bench:
         steps = counts - dead
         return Channel(1 if signs[0] > 0 else -1, float(steps @ rates / (steps @ steps)), dead)
 
-    def _run(self, counts: Counts, seconds: float) -> Motion:
+    def _run(self, counts: Counts, seconds: float) -> DrivenPath:
         """Hold counts for a while; return the motion once it is steady.
 
         Again, where frames were missing: the guard may have stopped the robot meanwhile.
@@ -277,7 +277,7 @@ class _Bench:
         self._trace.poses.append((frame.sampled_ns, pose))
 
 
-def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> Motion:
+def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> DrivenPath:
     """Fit a turning rate and a velocity in the robot's own frame to poses."""
     seen = [(t, pose) for t, pose in poses if t >= since_ns]
     t = np.array([t for t, _ in seen]) / SECOND
@@ -289,7 +289,7 @@ def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> Motion:
     span = t[-1] - t[0]
     along = float(np.sum(dx * np.cos(middle) + dy * np.sin(middle)) / span)
     across = float(np.sum(dy * np.cos(middle) - dx * np.sin(middle)) / span)
-    return Motion(turning, along, across)
+    return DrivenPath(turning, along, across)
 
 
 def _pair(signs: Sequence[int], sizes: Sequence[int]) -> Counts:

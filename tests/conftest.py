@@ -9,7 +9,16 @@ settings.register_profile("tetractl", deadline=None)  # a slow machine is no fai
 settings.load_profile("tetractl")
 
 FOLDER = Path(__file__).parent
-PROCESSES = ("cli", "emulated")  # folders of tests that start processes and wait for them
+SLOW = (  # tests that start processes, compile, draw pictures or try very many cases
+    "cli",
+    "contract",
+    "emulated",
+    "unit/control/kernels",
+    "unit/experiment/test_fuzz",
+    "unit/lab/cameras/apriltag",
+    "unit/log/read/test_salvage",
+    "unit/test_hostile",
+)
 LANES = 2  # plays of an emulated lab at a time: each has deadlines to keep
 TURNS = ("emulated", "cli/test_docs", "cli", "")  # what takes longest is started first
 
@@ -26,7 +35,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         folder = places[item].partition("/")[0]
         alone = any(mark.name == "slow" for mark in item.own_markers)
         group = item.name if alone else places[item]
-        if folder in PROCESSES:
+        if places[item].startswith(SLOW):
             item.add_marker(pytest.mark.slow)
         if folder == "emulated":
             group = f"lane {number % LANES}"

@@ -335,7 +335,7 @@ def latency(scale: float) -> None:
             process.start()
             watch = Watch(round(rate_hz * 20 * scale))
             source = {"type": "mjpeg", "url": ours.recv()}
-            camera = section(source).build(NAMES, MM, watch.clock, watch)
+            camera = AprilTagCamera(section(source), NAMES, MM, watch.clock, watch)
             watch.camera = camera
             with camera:
                 watch.enough.wait(120)

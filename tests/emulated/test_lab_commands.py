@@ -13,10 +13,10 @@ from tetractl.core.clock import MonotonicClock
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab.actuators.m3pi.broadcast import Flag, decode_command
-from tetractl.lab.actuators.m3pi.cobs import Splitter
 from tetractl.lab.actuators.xbee.framing import Decoder
 from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
 from tetractl.lab.cameras.optitrack.replay import replay_cameras
+from tetractl.lab.cobs import Splitter
 from tetractl.log.format.wire import read_wire
 from tetractl.log.read.reader import read_trial
 

@@ -1,5 +1,6 @@
 """The current driver's firmware core once more, in Python, from docs/reference/wires.md."""
 
+from tetractl.lab import cobs
 from tetractl.lab.actuators.field.core import DriverEvent
 from tetractl.lab.actuators.field.protocol import (
     VERSION,
@@ -9,7 +10,6 @@ from tetractl.lab.actuators.field.protocol import (
     decode_command,
     encode_reply,
 )
-from tetractl.lab.actuators.m3pi import cobs
 from tetractl.lab.errors import WireError
 
 

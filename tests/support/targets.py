@@ -22,7 +22,8 @@ from tetractl.core.poses import CameraFrame
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import calibrated, on_plant
-from tetractl.lab.actuators.m3pi import broadcast, cobs, slave
+from tetractl.lab import cobs
+from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import framing
 from tetractl.lab.cameras.optitrack.messages import (
     Request,

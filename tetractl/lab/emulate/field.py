@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND
 from tetractl.lab.actuators.field.coils import Pair
 from tetractl.lab.actuators.field.core import DriverCore, DriverLimits
 from tetractl.lab.actuators.field.protocol import DriverStatus, decode_command
-from tetractl.lab.actuators.m3pi.cobs import Splitter
+from tetractl.lab.cobs import Splitter
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.port import PseudoPort
 from tetractl.lab.errors import WireError

@@ -13,7 +13,7 @@ from tetractl.lab.actuators.field.protocol import (
     decode_reply,
     encode_command,
 )
-from tetractl.lab.actuators.m3pi.cobs import Splitter
+from tetractl.lab.cobs import Splitter
 from tetractl.lab.errors import WireError
 from tetractl.lab.serial_port import SerialPort
 

@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntFlag
 
-from tetractl.lab.actuators.m3pi.cobs import seal, unseal
+from tetractl.lab.cobs import seal, unseal
 from tetractl.lab.errors import WireError
 
 COMMAND, REPLY = 0x51, 0x52

@@ -15,10 +15,10 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     decode_reply,
     encode_command,
 )
-from tetractl.lab.actuators.m3pi.cobs import Splitter
 from tetractl.lab.actuators.m3pi.command import STOP
 from tetractl.lab.actuators.m3pi.section import M3piSection, SlaveSection
 from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.cobs import Splitter
 from tetractl.lab.errors import WireError
 
 TRIES = 5

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 
 from tetractl.lab.actuators.m3pi.broadcast import decode_command
-from tetractl.lab.actuators.m3pi.cobs import Splitter
 from tetractl.lab.actuators.m3pi.slave import Motor, MotorCount, SlaveDecoder
 from tetractl.lab.actuators.xbee.frames import Transmit, Transmit16, Transmit64
 from tetractl.lab.actuators.xbee.framing import Decoder
+from tetractl.lab.cobs import Splitter
 from tetractl.lab.errors import WireError
 
 Note = Callable[..., None]

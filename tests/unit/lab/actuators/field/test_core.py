@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.field_twin import Twin
 
-from tetractl.lab import firmware
+from tetractl.lab import cobs, firmware
 from tetractl.lab.actuators.field.core import DriverCore, DriverEvent, DriverLimits
 from tetractl.lab.actuators.field.protocol import (
     DriverStatus,
@@ -16,7 +16,6 @@ from tetractl.lab.actuators.field.protocol import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.actuators.m3pi import cobs
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 

@@ -3,6 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.paths import ROOT
 
+from tetractl.lab import cobs
 from tetractl.lab.actuators.field.protocol import (
     DriverStatus,
     FieldCommand,
@@ -13,7 +14,6 @@ from tetractl.lab.actuators.field.protocol import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.actuators.m3pi import cobs
 from tetractl.lab.errors import WireError
 
 WIRES = ROOT / "docs" / "reference" / "wires.md"

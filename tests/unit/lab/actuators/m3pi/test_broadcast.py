@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.actuators.m3pi import cobs
+from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi.broadcast import (
     ROBOTS_MAX,
     BroadcastCommand,

@@ -24,8 +24,8 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.actuators.m3pi.cobs import decode, encode, seal
 from tetractl.lab.actuators.m3pi.core import Core, Event
+from tetractl.lab.cobs import decode, encode, seal
 from tetractl.lab.errors import WireError
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")

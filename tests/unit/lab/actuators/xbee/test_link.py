@@ -10,7 +10,6 @@ import pytest
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.m3pi.broadcast import Reply, Status, decode_command, encode_reply
-from tetractl.lab.actuators.m3pi.cobs import Splitter
 from tetractl.lab.actuators.m3pi.protocols import BroadcastProtocol, SlaveProtocol
 from tetractl.lab.actuators.xbee.check import BAUDS, firmware
 from tetractl.lab.actuators.xbee.frames import (
@@ -23,6 +22,7 @@ from tetractl.lab.actuators.xbee.frames import (
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.actuators.xbee.section import XbeeSection
+from tetractl.lab.cobs import Splitter
 
 SERIES_1 = {b"HV": b"\x17\x44", b"VR": b"\x10\xed", b"BD": b"\x00\x00\x00\x06", b"AP": b"\x02"}
 

@@ -100,14 +100,10 @@ def run_batch(
     and result. An aborted trial ends the batch. Errors are those of `run_trial`.
     """
     from tetractl.run import batch
-    from tetractl.run.folder import make_folder, set_aside, trials_to_run
+    from tetractl.run.folder import batch_folder
 
     place = Path(folder)
-    with _running(spec) as interrupt:
-        todo = trials_to_run(spec.experiment, place, resume)
-        make_folder(place)
-        for trial in todo:
-            set_aside(place, trial)
+    with _running(spec) as interrupt, batch_folder(spec.experiment, place, resume) as todo:
         report = batch.run_batch(spec, place, todo, jobs, interrupt, _Watcher(on_result))
     if report.refused:
         raise report.refused

@@ -12,10 +12,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.durable import RealTime, random_kill, small_disk
+from support.durable import ENDLESS, RealTime, random_kill, small_disk
 
 from tetractl.core.errors import LogError
 from tetractl.log.read.reader import content_digest, read_trial
+from tetractl.run.folder_lock import locked
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 SPEC = """
@@ -55,6 +56,33 @@ def tetractl(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
     )
     assert "Traceback" not in done.stderr
     return done
+
+
+def test_a_run_in_progress_keeps_its_folder_to_itself(tmp_path: Path) -> None:
+    (tmp_path / "long.yaml").write_text(ENDLESS)
+    command = "run long.yaml --out logs --quiet"
+    first = subprocess.Popen(
+        [TETRACTL, *shlex.split(command)],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    part = tmp_path / "logs" / "trial-000.mcap.part"
+    try:
+        while not part.exists():
+            assert first.poll() is None
+        for extra in ("", "--resume"):
+            again = tetractl(tmp_path, f"{command} {extra}")
+            assert again.returncode == 2
+        assert f"logs: in use by process {first.pid} of " in again.stderr
+        assert first.poll() is None
+        assert part.exists()
+        assert not list(part.parent.glob("*unfinished*"))
+    finally:
+        first.kill()
+        first.communicate()
+    with locked(part.parent):
+        pass
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -92,7 +92,7 @@ def run(
     from tetractl.experiment.plants import on_plant
     from tetractl.replay.rerun import compare, recorded
     from tetractl.run.batch import log_path
-    from tetractl.run.folder import default_folder, trials_to_run
+    from tetractl.run.folder import batch_folder, default_folder, trials_to_run
     from tetractl.run.limits import check
 
     if resume and out is None:
@@ -117,12 +117,13 @@ def run(
     _check_lab_options(loaded, jobs, record_wire)
     check(loaded.experiment)
     folder = out or default_folder(loaded.experiment.name, datetime.now(UTC))
-    todo = trials_to_run(loaded.experiment, folder, resume)
-    todo = todo if number is None else [number]
     if dry_run:
-        _describe(loaded, folder, todo)
+        todo = trials_to_run(loaded.experiment, folder, resume)
+        _describe(loaded, folder, todo if number is None else [number])
         return Exit.DONE
-    report = _run(loaded, folder, todo, jobs, quiet, record_wire)
+    with batch_folder(loaded.experiment, folder, resume) as todo:
+        todo = todo if number is None else [number]
+        report = _run(loaded, folder, todo, jobs, quiet, record_wire)
     code = _conclude(report, folder, json)
     if log is not None and number in report.results and code == Exit.DONE:
         return compare(log, log_path(folder, number))
@@ -166,12 +167,8 @@ def _run(
 
     from tetractl.control.build import warm_up
     from tetractl.run.batch import run_batch
-    from tetractl.run.folder import make_folder, set_aside
     from tetractl.run.interrupt import Interrupt
 
-    make_folder(folder)
-    for trial in todo:
-        set_aside(folder, trial)
     console = Console(stderr=True, quiet=quiet)
     warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
     # a handler may only write: the console's lock may be taken

@@ -1,6 +1,8 @@
 """The folder of a batch: its logs, and the trials that an interrupted batch lacks."""
 
 import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from tetractl.experiment.load import spec_hash
 from tetractl.log.read.find import PART, SUFFIX
 from tetractl.log.read.reader import read_result
 from tetractl.run.batch import log_path
+from tetractl.run.folder_lock import locked
 
 
 def default_folder(name: str, now: datetime) -> Path:
@@ -31,6 +34,21 @@ def trials_to_run(experiment: Experiment, folder: Path, resume: bool) -> list[in
             f"{folder}: holds logs already", "name another folder with --out, or add --resume"
         )
     return [trial for trial in range(count) if not _is_complete(experiment, folder, trial)]
+
+
+@contextmanager
+def batch_folder(experiment: Experiment, folder: Path, resume: bool) -> Iterator[list[int]]:
+    """Create and lock the folder of a batch, set unfinished logs aside, yield the trials to run.
+
+    Raises the errors of `trials_to_run`, `make_folder` and `locked`.
+    """
+    trials_to_run(experiment, folder, resume)  # nothing is made for a batch that is refused
+    make_folder(folder)
+    with locked(folder):
+        todo = trials_to_run(experiment, folder, resume)
+        for trial in todo:
+            set_aside(folder, trial)
+        yield todo
 
 
 def make_folder(folder: Path) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from tetractl.core.poses import Bools, Floats
 from tetractl.experiment.experiment import Arena, Experiment, Robot
 from tetractl.experiment.shape import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
@@ -16,17 +17,19 @@ def contradictions(
 
     The parts are those that are valid by themselves, by their index in the spec.
     """
+    points = np.array([(r.start, r.target) for r in robots.values()], dtype=float).reshape(-1, 2)
+    inside = {j: _inside(obstacle, points).reshape(-1, 2) for j, obstacle in obstacles.items()}
     first: dict[str, int] = {}
-    for i, robot in robots.items():
+    for row, (i, robot) in enumerate(robots.items()):
         if first.setdefault(robot.name, i) != i:
             message = f"robots.{first[robot.name]} has this name already; names must differ"
             yield ("robots", i, "name"), message
-        for field, point in (("start", robot.start), ("target", robot.target)):
+        for column, (field, point) in enumerate((("start", robot.start), ("target", robot.target))):
             loc: Loc = ("robots", i, field)
             if arena is not None and not arena.contains(*point):
                 yield loc, f"is outside the arena; must be within {_extent(arena)}"
             for j, obstacle in obstacles.items():
-                if _depth(obstacle, point) >= 0:
+                if inside[j][row, column]:
                     yield loc, f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
     for j, obstacle in obstacles.items():
         if arena is not None and not _touches(arena, obstacle):
@@ -47,10 +50,10 @@ def _extent(arena: Arena) -> str:
     return f"x {arena.left:g} to {right:g}, y {arena.bottom:g} to {top:g}"
 
 
-def _depth(obstacle: ShapeSection, point: tuple[float, float]) -> float:
-    """Return how deep a point lies inside an obstacle, negative outside [length unit]."""
+def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
+    """Return which of the points (n, 2) lie in an obstacle or on its edge, shape (n,)."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return -float(obstacle.distance(*np.array(point)))
+        return obstacle.distance(points[:, 0], points[:, 1]) <= 0
 
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:

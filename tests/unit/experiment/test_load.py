@@ -234,6 +234,7 @@ def test_control_characters_are_not_printed():
         ("name.x=5", "name: has no 'x'; it is a single value"),
         ("robots", "must be PATH=VALUE"),
         ("=5", "must be PATH=VALUE"),
+        (".".join("a" * 40) + "=1", "the path has more than 32 steps"),
         ("controller..period=5", "controller: a step of the path is empty"),
         ("trials={count: 1", "not valid YAML"),
         ("trials.count=", "trials.count: has no value; must be a whole number"),

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from tetractl.experiment.yaml.core_yaml import MAX_DEPTH
 from tetractl.experiment.yaml.document import Document, Place, parse_value
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, printable
 from tetractl.experiment.yaml.upgrade import upgrade, upgraded_path
@@ -21,6 +22,8 @@ def override(document: Document, setting: str) -> None:
                 origin, "must be PATH=VALUE, for instance controller.optimizer.particles=200"
             )
         written = path.strip().split(".")
+        if len(written) > MAX_DEPTH:
+            raise _wrong(origin, f"the path has more than {MAX_DEPTH} steps")
         steps = upgraded_path(written)
         loc, holder = _descend(document, steps, origin)
         value = parse_value(text, origin, loc)

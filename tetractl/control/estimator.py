@@ -15,6 +15,7 @@ import numpy as np
 
 from tetractl.control.delay import Held, advance
 from tetractl.core.clock import SECOND
+from tetractl.core.plan import Estimate
 from tetractl.core.poses import Bools, Floats, Observation, wrap
 from tetractl.core.problem import Problem
 
@@ -34,6 +35,16 @@ class Estimator:
         self._var_a = (PRIOR * problem.a) ** 2
         self._var_v = (PRIOR * problem.speed) ** 2
         self._last: Observation | None = None
+
+    @property
+    def estimate(self) -> Estimate:
+        """The a and speed as known, with the standard deviations of their filters."""
+        return Estimate(
+            a=self.problem.a,
+            a_std=np.sqrt(self._var_a),
+            speed=self.problem.speed,
+            speed_std=np.sqrt(self._var_v),
+        )
 
     def update(self, observation: Observation, held: list[Held]) -> Problem:
         """Return the problem with a and speed as known after an observation.

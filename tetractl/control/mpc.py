@@ -225,7 +225,8 @@ class Mpc:
             searches.append(found)
             if left is not None:
                 left -= found.evaluations
-        return make_plan(problem, searches, self._choose(searches), step_key)
+        plan = make_plan(problem, searches, self._choose(searches), step_key)
+        return replace(plan, estimate=self.estimator.estimate) if self.estimator else plan
 
     def _affordable(self, candidates: list[Candidate], searches: int) -> list[Candidate]:
         """Thin the candidates out: evenly at step 0, and to the plan as it is (H) after it."""

@@ -81,12 +81,33 @@ class Search:
 
 
 @dataclass(frozen=True, slots=True)
+class Estimate:
+    """What a controller estimates of N robots while they move, with standard deviations `_std`.
+
+    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values that the plan is made with.
+    `heading_bias` (N,) [rad] is the heading of motion minus the measured one, and `dead_time` [s]
+    the time from a frame's exposure to the moment when a direction decided on it acts, shared by
+    all robots; both are None where they are not estimated.
+    """
+
+    a: Floats
+    a_std: Floats
+    speed: Floats
+    speed_std: Floats
+    heading_bias: Floats | None = None
+    heading_bias_std: Floats | None = None
+    dead_time: float | None = None
+    dead_time_std: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
     """The decision of one control step: the sequence chosen and how it was found.
 
     cost = target_cost + obstacle_weight * obstacle_cost, (7). `path` holds the predicted poses
     (length + 1, N, 3), the observed ones first. `searches` are all horizons tried, in order;
     `chosen` indexes the best. `generator` is the key all random draws of this step came from.
+    `estimate` is what the plan was made with, None where the controller estimates nothing.
     """
 
     signals: Floats
@@ -97,6 +118,7 @@ class Plan:
     searches: tuple[Search, ...]
     chosen: int
     generator: int
+    estimate: Estimate | None = None
 
     @property
     def search(self) -> Search:

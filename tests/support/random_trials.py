@@ -8,7 +8,7 @@ from unittest import mock
 import numpy as np
 
 from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
-from tetractl.core.plan import Outcome, Plan, Search, StopReason
+from tetractl.core.plan import Estimate, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
@@ -167,6 +167,7 @@ def _step(
         searches=searches,
         chosen=chosen,
         generator=int(rng.integers(2**63, 2**64, dtype=np.uint64)),
+        estimate=_estimate(rng, k, robots),
     )
     command = Command(
         direction=float(plan.signals[0]),
@@ -176,3 +177,14 @@ def _step(
         right=rng.normal(0, 200, robots) if k % 2 else None,
     )
     return Step(k, seen, plan, command, int(rng.integers(10**9)), bool(rng.random() < 0.1))
+
+
+def _estimate(rng: np.random.Generator, k: int, robots: int) -> Estimate | None:
+    """No estimate, one of a and speed, and a whole one, in turn."""
+    if k % 3 == 0:
+        return None
+    sure = [rng.uniform(0.1, 200, robots) for _ in range(4)]
+    if k % 3 == 1:
+        return Estimate(*sure)
+    bias, bias_std = rng.normal(0, 0.1, robots), rng.uniform(0, 0.1, robots)
+    return Estimate(*sure, bias, bias_std, dead_time=0.0, dead_time_std=float(rng.random()))

@@ -165,8 +165,20 @@ def _stamps(log: TrialLog) -> Iterator[Difference]:
         (channels.MOCAP, list(zip(log.received_ns, log.mocap_ns, strict=True))),
         (channels.STEP, [(s.command.sent_ns, s.observation.sampled_ns) for s in log.steps]),
         (channels.COMMANDS, [(c.sent_ns, c.sent_ns) for c in log.commands]),
+        (
+            channels.ESTIMATE,
+            [
+                (s.command.sent_ns, s.observation.sampled_ns)
+                for s in log.steps
+                if s.plan.estimate is not None
+            ],
+        ),
     ):
         stamps = log.stamps.get(topic, [])
+        if len(stamps) != len(held):
+            if log.damage is None:
+                yield Difference(None, topic, f"{len(stamps)} messages for {len(held)} steps")
+            continue
         for i, (stamp, times) in enumerate(zip(stamps, held, strict=True)):
             if stamp != times:
                 yield Difference(None, f"{topic}[{i}]", f"stamped {stamp}, holds {times}")

@@ -9,7 +9,7 @@ last bit that differs in one cost changes which particle leads, and soon everyth
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -164,6 +164,7 @@ def recompute(log: TrialLog, again: bool) -> Difference | None:
     rerun, setup = Rerun(again), log.start.setup
     controller = log.experiment.controller.build(setup, key, rerun.wrap, rerun.timer)
     room = 0.0 if again else ROUNDING * _extent(setup.starts.xy, setup.targets)
+    estimated = any(step.plan.estimate is not None for step in log.steps)
     for step in first_steps(log):
         rerun.begin(step.plan.searches)
         try:
@@ -178,6 +179,8 @@ def recompute(log: TrialLog, again: bool) -> Difference | None:
         if decision.generator != step.plan.generator:
             text = f"logged {step.plan.generator}, seed and trial make it {decision.generator}"
             return Difference(step.k, "generator", text)
+        if step.plan.estimate is None and (log.damage or not estimated):
+            decision = replace(decision, estimate=None)  # lost, or written before there were any
         found = [*rerun.wrong, *_differences(decision, step.plan, "", room)]
         if found:
             return Difference(step.k, *found[0])
@@ -231,11 +234,17 @@ def _extent(xy: Floats, targets: Floats) -> float:
 
 
 def _differences(ours: Any, logged: Any, name: str, room: float) -> Iterator[tuple[str, str]]:
-    """Yield (field, what differs) of two plans or searches; a `room` of 0 compares bits."""
+    """Yield (field, what differs) of two plans or their parts; a `room` of 0 compares bits."""
     for field in fields(ours):
         path = f"{name}{field.name}"
         one, two = getattr(ours, field.name), getattr(logged, field.name)
-        if isinstance(one, tuple):
+        if one is None or two is None:
+            if one is not two:
+                known = "nothing" if two is None else "a value"
+                yield path, f"logged {known}, computed {'nothing' if one is None else 'a value'}"
+        elif is_dataclass(one):
+            yield from _differences(one, two, f"{path}.", room)
+        elif isinstance(one, tuple):
             if len(one) != len(two):
                 yield path, f"logged {len(two)}, computed {len(one)}"
             for i, (a, b) in enumerate(zip(one, two, strict=False)):

@@ -12,7 +12,7 @@ from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import parse_spec
 from tetractl.log import provenance
-from tetractl.log.format.channels import CHANNELS, HOST, RESULT, RUN, STEP
+from tetractl.log.format.channels import CHANNELS, ESTIMATE, HOST, RESULT, RUN, STEP
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
@@ -163,6 +163,31 @@ def test_the_first_step_and_field_that_differ_are_named(tmp_path: Path, contents
     found = verify(with_entry(contents, tmp_path / "changed.mcap", steps[2], place))
     assert found.checked == 2
     assert (found.problems[0].step, found.problems[0].field) == (2, "searches.1.history.3")
+
+
+ESTIMATED = ["controller.estimate=true", "controller.motion=exact"]
+
+
+def test_an_estimate_is_computed_again_too(tmp_path: Path) -> None:
+    contents = scan(run(tmp_path, ESTIMATED))
+    told = [i for i, entry in enumerate(contents.entries) if entry.topic == ESTIMATE]
+    assert len(told) == len(read_trial(contents.path).steps)
+    for number, place in enumerate([("a", 1), ("speed_std", 0), ("k",)]):
+        path = with_entry(contents, tmp_path / f"{number}.mcap", told[2], place)
+        field = f"estimate.{place[0]}.{place[-1]}" if len(place) > 1 else "estimate"
+        first = verify(path).problems[0]
+        assert (first.step, first.field) == (2, field)
+
+
+def test_a_log_without_estimates_is_of_an_earlier_tetractl(tmp_path: Path) -> None:
+    contents = scan(run(tmp_path, ESTIMATED))
+    left = [record for record in contents.records if getattr(record, "topic", "") != ESTIMATE]
+    old = Contents(contents.path, records=left, channels=contents.channels)
+    assert verify(rewrite(old, tmp_path / "old.mcap", {})).problems == ()
+    only = next(record for record in contents.records if getattr(record, "topic", "") == ESTIMATE)
+    torn = Contents(contents.path, records=[r for r in contents.records if r is not only])
+    found = verify(rewrite(torn, tmp_path / "torn.mcap", {}))
+    assert (found.problems[0].step, found.problems[0].field) == (0, "estimate")
 
 
 def elsewhere(name: str, facts: dict[str, str]) -> dict[str, str]:

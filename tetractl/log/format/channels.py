@@ -14,6 +14,7 @@ from google.protobuf.message import Message
 
 from tetractl.log.format.tetractl_pb2 import (
     ControllerStep,
+    Estimate,
     MocapSample,
     StepTiming,
     Truth,
@@ -32,6 +33,7 @@ SCENE = "/scene/static"
 SCENE_PLAN = "/scene/plan"
 LOG = "/log"
 HOST_TIMING = "/host/timing"
+ESTIMATE = "/controller/estimate"
 
 CHANNELS: dict[str, type[Message]] = {
     MOCAP: MocapSample,
@@ -44,6 +46,7 @@ CHANNELS: dict[str, type[Message]] = {
     SCENE_PLAN: SceneUpdate,
     LOG: Log,
     HOST_TIMING: StepTiming,
+    ESTIMATE: Estimate,
 }
 """Topic and message of each channel. The order is part of format version 1: it makes the channel
 ids 1, 2, ..., which identify the messages of a log that has lost its channel records."""

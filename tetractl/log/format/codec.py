@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from tetractl.core.commands import Command
-from tetractl.core.plan import Plan, Search, StopReason
+from tetractl.core.plan import Estimate, Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
@@ -101,7 +101,10 @@ def encode_step(step: Step) -> pb.ControllerStep:
 
 
 def decode_step(
-    message: pb.ControllerStep, timing: pb.StepTiming | None, robots: int | None = None
+    message: pb.ControllerStep,
+    timing: pb.StepTiming | None,
+    estimate: pb.Estimate | None = None,
+    robots: int | None = None,
 ) -> Step:
     """Decode one control step; without its timing, solve_ns is 0.
 
@@ -121,6 +124,7 @@ def decode_step(
         searches=tuple(_decode_search(search) for search in message.searches),
         chosen=message.chosen,
         generator=message.generator,
+        estimate=_decode_estimate(estimate, robots) if estimate else None,
     )
     return Step(
         k=message.k,
@@ -135,6 +139,38 @@ def decode_step(
 def encode_timing(step: Step) -> pb.StepTiming:
     """Encode the time of solving of a control step."""
     return pb.StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
+
+
+def encode_estimate(k: int, estimate: Estimate) -> pb.Estimate:
+    """Encode the estimate of control step `k`."""
+    bias, bias_std = estimate.heading_bias, estimate.heading_bias_std
+    return pb.Estimate(
+        k=k,
+        a=estimate.a.tolist(),
+        a_std=estimate.a_std.tolist(),
+        speed=estimate.speed.tolist(),
+        speed_std=estimate.speed_std.tolist(),
+        heading_bias=None if bias is None else bias.tolist(),
+        heading_bias_std=None if bias_std is None else bias_std.tolist(),
+        dead_time=estimate.dead_time,
+        dead_time_std=estimate.dead_time_std,
+    )
+
+
+def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
+    sure = (message.a, message.a_std, message.speed, message.speed_std)
+    perhaps = (message.heading_bias, message.heading_bias_std)
+    counts = {len(values) for values in (*sure, *filter(None, perhaps))}
+    if counts != {robots}:
+        raise ValueError(f"an estimate of {sorted(counts)} robots, not {robots}")
+    bias, bias_std = (_floats(values) if values else None for values in perhaps)
+    return Estimate(
+        *map(_floats, sure),
+        heading_bias=bias,
+        heading_bias_std=bias_std,
+        dead_time=message.dead_time if message.HasField("dead_time") else None,
+        dead_time_std=message.dead_time_std if message.HasField("dead_time_std") else None,
+    )
 
 
 def _encode_search(search: Search) -> pb.Search:

@@ -109,3 +109,25 @@ class StepTiming(_message.Message):
     solve_ns: int
     deadline_missed: bool
     def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: _Optional[bool] = ...) -> None: ...
+
+class Estimate(_message.Message):
+    __slots__ = ("k", "a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std")
+    K_FIELD_NUMBER: _ClassVar[int]
+    A_FIELD_NUMBER: _ClassVar[int]
+    A_STD_FIELD_NUMBER: _ClassVar[int]
+    SPEED_FIELD_NUMBER: _ClassVar[int]
+    SPEED_STD_FIELD_NUMBER: _ClassVar[int]
+    HEADING_BIAS_FIELD_NUMBER: _ClassVar[int]
+    HEADING_BIAS_STD_FIELD_NUMBER: _ClassVar[int]
+    DEAD_TIME_FIELD_NUMBER: _ClassVar[int]
+    DEAD_TIME_STD_FIELD_NUMBER: _ClassVar[int]
+    k: int
+    a: _containers.RepeatedScalarFieldContainer[float]
+    a_std: _containers.RepeatedScalarFieldContainer[float]
+    speed: _containers.RepeatedScalarFieldContainer[float]
+    speed_std: _containers.RepeatedScalarFieldContainer[float]
+    heading_bias: _containers.RepeatedScalarFieldContainer[float]
+    heading_bias_std: _containers.RepeatedScalarFieldContainer[float]
+    dead_time: float
+    dead_time_std: float
+    def __init__(self, k: _Optional[int] = ..., a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ...) -> None: ...

@@ -59,6 +59,7 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
     true = {truth.frame: codec.decode_poses(truth, robots) for truth in truths}
     missing = Poses.of(np.full((robots, 3), np.nan))
     timings = {m.k: m for m in map(pb.StepTiming.FromString, data[channels.HOST_TIMING])}
+    estimates = {m.k: m for m in map(pb.Estimate.FromString, data[channels.ESTIMATE])}
     steps = map(pb.ControllerStep.FromString, data[channels.STEP])
     received_ns = _integers(seen.received_ns for seen in samples)
     begin = start.start_unix_ns
@@ -72,7 +73,10 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
         truth=_stack([true.get(seen.frame, missing) for seen in samples], robots)
         if start.plant.simulated
         else None,
-        steps=tuple(codec.decode_step(step, timings.get(step.k), robots) for step in steps),
+        steps=tuple(
+            codec.decode_step(step, timings.get(step.k), estimates.get(step.k), robots)
+            for step in steps
+        ),
         stop=stops[-1] if stops else None,
         result=contents.result,
         damage=_damage(contents, int(received_ns.max(initial=0))),

@@ -79,7 +79,7 @@ class Encoder:
         self._write()
 
     def step(self, step: Step) -> None:
-        """Add a control step: decision, command, planned path and time of solving."""
+        """Add a control step: decision, command, planned path, time of solving and estimate."""
         path, sent_ns = step.plan.path, step.command.sent_ns
         sampled_ns, unix_ns = step.observation.sampled_ns, self._start_ns + sent_ns
         self._add(channels.STEP, codec.encode_step(step), sent_ns, sampled_ns)
@@ -87,6 +87,9 @@ class Encoder:
         self._add(channels.PLAN, self._scene.plan_poses(path, unix_ns), sent_ns, sampled_ns)
         self._add(channels.SCENE_PLAN, self._scene.plan_lines(path, unix_ns), sent_ns, sampled_ns)
         self._add(channels.HOST_TIMING, codec.encode_timing(step), sent_ns)
+        if step.plan.estimate is not None:
+            estimate = codec.encode_estimate(step.k, step.plan.estimate)
+            self._add(channels.ESTIMATE, estimate, sent_ns, sampled_ns)
         for name, delivered in zip(self._names, step.command.delivered, strict=True):
             if not delivered:
                 text = f"{name} did not get the command of step {step.k}"

@@ -99,6 +99,7 @@ def test_every_channel_metadata_and_attachment_is_there(
         "/scene/static": 1,
         "/scene/plan": steps,
         "/host/timing": steps,
+        "/controller/estimate": sum(step.plan.estimate is not None for step in made.steps),
     }
     assert found["attachments"]["spec.yaml"] == made.start.spec_text
     assert found["metadata"].keys() == {

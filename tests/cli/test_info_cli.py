@@ -4,9 +4,12 @@ import json
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from support import random_trials
 from support.trials import SEED, three_robots, write_torn, write_trial
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
@@ -45,11 +48,14 @@ def test_it_says_what_is_in_a_log(folder: Path) -> None:
         f"steps             {trial.result.steps}",
         f"total error       {trial.result.total_error:.1f} mm",
         f"/mocap            tetractl.MocapSample      {len(trial.mocap):>6} messages  120.0 Hz",
+        "  0.00 s  info     trial 0 of three-m3pi starts\n",
+        f"  8.20 s  info     sequence used up after {trial.result.steps} control steps\n",
         "spec.resolved.yaml",
         "stated and computed  ",
     ):
         assert text in done.stdout
     assert "damage" not in done.stdout
+    assert "estimate" not in done.stdout
     assert "\x1b" not in done.stdout
 
 
@@ -62,6 +68,9 @@ def test_json_holds_the_same(folder: Path) -> None:
     assert found["run"]["seed"] == str(SEED)
     assert found["result"]["robot_errors"] == list(trial.result.robot_errors)
     assert found["result"]["outcome"] == "sequence used up"
+    assert [event["level"] for event in found["events"]] == ["info", "info"]
+    assert found["events"][1]["time_s"] == pytest.approx(trial.result.duration_s)
+    assert found["estimate"] is None
     channels = {item["topic"]: item for item in found["channels"]}
     assert channels["/truth"]["messages"] == len(trial.mocap)
     assert channels["/controller/step"]["hz"] == pytest.approx(5, rel=0.01)
@@ -69,6 +78,33 @@ def test_json_holds_the_same(folder: Path) -> None:
     assert found["attachments"].keys() == {"spec.yaml", "spec.resolved.yaml", "environment.json"}
     assert found["damage"] is None
     assert found["size"] == (folder / "whole.mcap").stat().st_size
+
+
+def test_the_last_estimate_is_told_with_its_deviations(tmp_path: Path) -> None:
+    made = random_trials.trial(robots=2, steps=6)
+    estimate = made.steps[-1].plan.estimate
+    assert estimate is not None
+    sure = replace(
+        estimate,
+        a=np.array([5.4926, 3.0]),
+        a_std=np.array([0.0521, 0.0]),
+        speed=np.array([201.25, 150.0]),
+        speed_std=np.array([12.3, 1.0]),
+        heading_bias=np.array([0.0123, 0.0]),
+        heading_bias_std=np.array([0.0031, 1.0]),
+        dead_time=0.1503,
+        dead_time_std=0.0042,
+    )
+    last = replace(made.steps[-1], plan=replace(made.steps[-1].plan, estimate=sure))
+    made.rounds[-1] = (made.rounds[-1][0], last)
+    path = random_trials.write(made, tmp_path / "known.mcap")
+    text = tetractl(tmp_path, f"info {path}").stdout
+    assert "estimate at step 5\n" in text
+    assert "a 5.493 +- 0.052 rad/s, speed 201 +- 12 mm/s, heading bias 0.0123 +- 0.0031" in text
+    assert "dead time  0.1503 +- 0.0042 s\n" in text
+    found = json.loads(tetractl(tmp_path, f"info {path} --json").stdout)
+    assert found["estimate"]["a"] == [5.4926, 3.0]
+    assert found["estimate_step"] == 5
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """`tetractl info`: the contents of a log."""
 
+import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +19,9 @@ def info(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, finished or not.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
 ) -> int:
-    """Print the contents of a log: run, result, channels, provenance, and any damage.
+    """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
+
+    Times count from the first direction sent.
 
     Everything is read and checked. Exits with 1 where the log is damaged or has no result.
 
@@ -41,11 +45,14 @@ def _lines(found: "Overview") -> "Iterator[str]":
     yield f"{found.path}: {found.size} bytes, {found.chunks} chunks"
     yield from _section("run", found.run)
     yield from _section("result", _result(found))
+    yield from _events(found)
+    yield from _section(f"estimate at step {found.estimate_step}", _estimate(found))
     yield ""
     yield "channels"
+    wide = max((len(item.topic) for item in found.channels), default=0)
     for item in found.channels:
         rate = "" if item.hz is None else f"{item.hz:.1f} Hz"
-        yield f"  {item.topic:<17} {item.schema:<25} {item.messages:>6} messages {rate:>9}"
+        yield f"  {item.topic:<{wide}}  {item.schema:<25} {item.messages:>6} messages {rate:>9}"
     yield from _section("attachments", {k: f"{v} bytes" for k, v in found.attachments.items()})
     yield from _section("host", found.host)
     yield from _section("provenance", found.provenance)
@@ -84,6 +91,42 @@ def _result(found: "Overview") -> dict[str, str]:
         "longest solve": f"{milliseconds(solve[-1]):.1f} ms" if solve else "-",
         "deadline misses": str(result.deadline_misses),
     }
+
+
+def _events(found: "Overview") -> "Iterator[str]":
+    if found.events:
+        yield ""
+        yield "events"
+        for event in found.events:
+            yield f"  {event.time_s:8.2f} s  {event.level:<7}  {event.text}"
+
+
+def _estimate(found: "Overview") -> dict[str, str]:
+    """Return the last estimate, a line a robot; each value with its standard deviation."""
+    estimate, unit = found.estimate, found.run.get("unit", "")
+    if estimate is None:
+        return {}
+    names = json.loads(found.run["robots"])
+    bias, bias_std = estimate.heading_bias, estimate.heading_bias_std
+    lines: dict[str, str] = {}
+    for i, name in enumerate(names):
+        parts = [
+            f"a {_deviating(estimate.a[i], estimate.a_std[i])} rad/s",
+            f"speed {_deviating(estimate.speed[i], estimate.speed_std[i])} {unit}/s",
+        ]
+        if bias is not None and bias_std is not None:
+            parts.append(f"heading bias {_deviating(bias[i], bias_std[i])} rad")
+        lines[name] = ", ".join(parts)
+    if estimate.dead_time is not None and estimate.dead_time_std is not None:
+        lines["dead time"] = f"{_deviating(estimate.dead_time, estimate.dead_time_std)} s"
+    return lines
+
+
+def _deviating(value: float, std: float) -> str:
+    """Write a value with its standard deviation, to two digits of that."""
+    digits = 1 - math.floor(math.log10(std)) if 0 < std < math.inf else 3
+    digits = min(max(digits, 0), 9)
+    return f"{value:.{digits}f} +- {std:.{digits}f}"
 
 
 def _digest(found: "Overview") -> dict[str, str]:

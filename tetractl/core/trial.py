@@ -55,9 +55,10 @@ class Result:
     """How a trial of N robots ended.
 
     `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
-    their sum [length unit]. `duration_s` is the time from the trial's start to the stop. `solve_ns`
-    is the wall time the controller spent on each control step; it and `deadline_misses`, the steps
-    that took longer than the control period, differ from run to run on the same seed.
+    their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
+    from the opening of the plant where none was sent. `solve_ns` is the wall time the controller
+    spent on each control step; it and `deadline_misses`, the steps that took longer than the
+    control period, differ from run to run on the same seed.
     """
 
     outcome: Outcome

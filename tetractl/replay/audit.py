@@ -241,8 +241,8 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
         return
     if log.steps and stop.sent_ns < log.steps[-1].command.sent_ns:
         yield Difference(None, "stop.sent_ns", "the stop comes before the last step")
-    if log.start.plant.simulated and result.duration_s != seconds(stop.sent_ns):
-        text = f"states {result.duration_s}, the stop was at {seconds(stop.sent_ns)}"
+    if log.start.plant.simulated and result.duration_s != (took_s := log.elapsed_s(stop.sent_ns)):
+        text = f"states {result.duration_s}, the stop was after {took_s}"
         yield Difference(None, "result.duration_s", text)
     if result.outcome is Outcome.ABORTED and not result.reason:
         yield Difference(None, "result.reason", "aborted without a reason")

@@ -37,7 +37,7 @@ class Trial:
     _solve_ns: list[int] = field(default_factory=list)
     _solving_ns: int = 0
     _misses: int = 0
-    _opened_ns: int = 0
+    _began_ns: int | None = None  # when the first direction was sent
 
     def run(self) -> Result:
         """Run the trial and return its result.
@@ -53,7 +53,7 @@ class Trial:
             self.plant.stop()
             self.plant.close()
             raise
-        self._opened_ns = self.clock.now()
+        opened_ns = self.clock.now()
         try:
             start = replace(self.start, plant=info)
             for observer in self.observers:
@@ -67,7 +67,7 @@ class Trial:
             outcome, reason = Outcome.ABORTED, str(error)
         except Exception as error:
             outcome, reason, bug = Outcome.ABORTED, f"{type(error).__name__}: {error}", error
-        return self._end(outcome, reason, bug)
+        return self._end(outcome, reason, bug, opened_ns)
 
     def _steps(self, info: PlantInfo) -> tuple[Outcome, str]:
         """Run the control loop of Algorithm 2 until something ends it."""
@@ -82,7 +82,7 @@ class Trial:
         for k in itertools.count():
             if isinstance(decision, Outcome):
                 return decision, ""
-            command = self.plant.steer(float(decision.signals[0]))
+            command = self._steer(float(decision.signals[0]))
             self._solve_ns.append(self._solving_ns)
             missed = k > 0 and self._solving_ns > period
             self._misses += missed
@@ -147,13 +147,19 @@ class Trial:
         """Hold a direction until `end`, sent once a control period as in the control loop."""
         period = round(self.start.setup.period_s * SECOND)
         while (now := self.clock.now()) < end:
-            command = self.plant.steer(direction)
+            command = self._steer(direction)
             for observer in self.observers:
                 observer.on_command(command)
             self._sleep_until(min(now + period, end))
             self._pass_samples()
             if self.interrupt.requested:
                 raise KeyboardInterrupt
+
+    def _steer(self, direction: float) -> Command:
+        command = self.plant.steer(direction)
+        if self._began_ns is None:
+            self._began_ns = command.sent_ns
+        return command
 
     def _sleep_until(self, when: int) -> None:
         with self.interrupt.breakable():
@@ -165,7 +171,7 @@ class Trial:
             observer.on_samples(samples)
             _pass_news(observer, news)
 
-    def _end(self, outcome: Outcome, reason: str, bug: Exception | None) -> Result:
+    def _end(self, outcome: Outcome, reason: str, bug: Exception | None, opened_ns: int) -> Result:
         """Stop the robots, wait for rest, and call every observer, one that failed before too.
 
         An exception of one observer does not keep the others from being called; a bug is raised
@@ -185,7 +191,7 @@ class Trial:
             verdict,
             outcome=outcome,
             reason=reason,
-            duration_s=seconds(stopped - self._opened_ns),
+            duration_s=seconds(stopped - (opened_ns if self._began_ns is None else self._began_ns)),
             solve_ns=tuple(self._solve_ns),
             deadline_misses=self._misses,
         )

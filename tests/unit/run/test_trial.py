@@ -45,6 +45,14 @@ def test_the_controller_decides_when_a_trial_is_over(outcome, steps):
     assert not result.entered_obstacle
 
 
+def test_a_trial_lasts_from_its_first_direction():
+    """Not from the moment the lab was opened: the first plan may take a while."""
+    made = bench(2)
+    made.happenings.actions["plan", 1] = lambda: made.trial.clock.sleep_until(20 * SECOND)
+    assert made.run().duration_s == pytest.approx(0.4)
+    assert made.plant.steered[0][0] == 20 * SECOND
+
+
 def test_the_loop_observes_plans_steers_and_records_at_the_control_period():
     made = bench(2)
     made.run()

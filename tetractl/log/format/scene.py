@@ -25,6 +25,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
+from tetractl.core.commands import Note
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup, Shape
 from tetractl.log.format.prism import prism
@@ -32,6 +33,7 @@ from tetractl.log.format.prism import prism
 WORLD = "world"
 GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
 
+_LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 _UPRIGHT = Quaternion(w=1.0)  # must be given: without it viewers see a zero quaternion
 
 
@@ -45,9 +47,17 @@ def stamp(unix_ns: int) -> Timestamp:
     return Timestamp(seconds=unix_ns // SECOND, nanos=unix_ns % SECOND)
 
 
-def note(unix_ns: int, level: Log.Level.ValueType, text: str) -> Log:
-    """Return one line of the /log channel."""
-    return Log(timestamp=stamp(unix_ns), level=level, message=text, name="tetractl")
+def encode_note(note: Note, start_ns: int) -> Log:
+    """Encode one line of the /log channel, of a trial that starts at `start_ns` [Unix ns]."""
+    unix = stamp(start_ns + note.t_ns)
+    return Log(timestamp=unix, level=_LEVELS[note.level], message=note.text, name="tetractl")
+
+
+def decode_note(message: Log, start_ns: int) -> Note:
+    """Decode what `encode_note` encodes; a level that tetractl does not write becomes "info"."""
+    unix_ns = message.timestamp.seconds * SECOND + message.timestamp.nanos
+    level = next((name for name, value in _LEVELS.items() if value == message.level), "info")
+    return Note(unix_ns - start_ns, level, message.message)
 
 
 class Scene:

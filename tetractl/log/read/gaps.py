@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.clock import SECOND, seconds
+from tetractl.core.clock import SECOND
 from tetractl.log.read.trial_log import TrialLog
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Numbers `first` to `last` are missing, between two times of the trial [s]."""
+    """Numbers `first` to `last` are missing, between two times since the first direction [s]."""
 
     what: str
     first: int
@@ -27,7 +27,7 @@ class Gap:
 
 def frame_gaps(log: TrialLog) -> list[Gap]:
     """Return the camera frames missing between those of a log, by their numbers."""
-    numbers, times = log.frames, log.mocap_ns / SECOND
+    numbers, times = log.frames, (log.mocap_ns - log.began_ns) / SECOND
     return [
         Gap(
             "camera frame",
@@ -43,7 +43,7 @@ def frame_gaps(log: TrialLog) -> list[Gap]:
 def step_gaps(log: TrialLog) -> list[Gap]:
     """Return the control steps missing before, between and after those of a log."""
     ks = [step.k for step in log.steps]
-    sent = [seconds(step.command.sent_ns) for step in log.steps]
+    sent = [log.elapsed_s(step.command.sent_ns) for step in log.steps]
     if log.result and log.result.steps > (ks[-1] + 1 if ks else 0):
         ks.append(log.result.steps)
         sent.append(log.result.duration_s)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tetractl.core.clock import SECOND
+from tetractl.core.plan import Estimate
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.read.contents import Contents
@@ -27,12 +28,22 @@ class ChannelCount:
 
 
 @dataclass(frozen=True, slots=True)
+class Event:
+    """A message for people, `time_s` after the first direction was sent; before it, negative."""
+
+    time_s: float
+    level: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Overview:
     """What is in a log.
 
     `digest` is the content digest computed from the file, `stated_digest` the one that the result
     record states. `run`, `host` and `provenance` are the metadata of the run, `attachments` their
-    sizes [byte].
+    sizes [byte]. `estimate` is the controller's last estimate of the robots, at control step
+    `estimate_step`; None where it estimated nothing.
     """
 
     path: str
@@ -40,6 +51,9 @@ class Overview:
     chunks: int
     run: dict[str, str]
     result: Result | None
+    events: tuple[Event, ...]
+    estimate: Estimate | None
+    estimate_step: int | None
     channels: tuple[ChannelCount, ...]
     attachments: dict[str, int]
     host: dict[str, str]
@@ -60,12 +74,18 @@ def overview(path: Path) -> Overview:
     problems, lost = (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
     if trial.altered:
         problems = (*problems, ALTERED)
+    last = next((step for step in reversed(trial.steps) if step.plan.estimate is not None), None)
     return Overview(
         path=str(path),
         size=contents.size,
         chunks=contents.chunks,
         run=trial.run,
         result=trial.result,
+        events=tuple(
+            Event(trial.elapsed_s(note.t_ns), note.level, note.text) for note in trial.notes
+        ),
+        estimate=last.plan.estimate if last else None,
+        estimate_step=last.k if last else None,
         channels=_channels(contents),
         attachments={name: len(item.data) for name, item in contents.attachments.items()},
         host=trial.host,

@@ -1,13 +1,14 @@
 """Trials read from their logs: whole, or as much as a damaged file still holds."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
-from tetractl.core.clock import seconds
 from tetractl.core.commands import Verdict
 from tetractl.core.errors import LogError, SpecError
 from tetractl.core.plan import Outcome
@@ -18,6 +19,7 @@ from tetractl.experiment.load import parse_spec, spec_hash
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
 from tetractl.log.format import tetractl_pb2 as pb
+from tetractl.log.format.scene import decode_note
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, Integers, ResultSummary, TrialLog
@@ -63,7 +65,7 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
     steps = map(pb.ControllerStep.FromString, data[channels.STEP])
     received_ns = _integers(seen.received_ns for seen in samples)
     begin = start.start_unix_ns
-    return TrialLog(
+    log = TrialLog(
         path=str(contents.path),
         experiment=experiment,
         start=start,
@@ -79,12 +81,13 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
         ),
         stop=stops[-1] if stops else None,
         result=contents.result,
-        damage=_damage(contents, int(received_ns.max(initial=0))),
+        damage=None,
         host=contents.host,
         provenance=contents.versions,
         frames=_integers(seen.frame for seen in samples),
         received_ns=received_ns,
         commands=commands,
+        notes=tuple(decode_note(Log.FromString(note), begin) for note in data[channels.LOG]),
         digest=contents.stated_digest,
         content_digest=contents.digest,
         run=contents.run.items,
@@ -93,16 +96,18 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
             for topic, entries in contents.by_topic.items()
         },
     )
+    until_s = log.elapsed_s(int(received_ns.max(initial=0)))
+    return replace(log, damage=_damage(contents, until_s))
 
 
-def _damage(contents: Contents, until_ns: int) -> Damage | None:
-    """Return the damage of a log whose last frame was received at `until_ns`, None for none."""
+def _damage(contents: Contents, until_s: float) -> Damage | None:
+    """Return the damage of a log whose last frame was received `until_s` into it, or None."""
     before = contents.recovered
     problems = [*(before.problems if before else ()), *contents.problems]
     lost = [*(before.lost if before else ()), *contents.lost]
     if contents.result is None:
         problems.append("the log has no result: the run was cut short or the log's end is lost")
-        lost.append(f"the result and everything after {seconds(until_ns):.3f} s")
+        lost.append(f"the result and everything after {until_s:.3f} s")
     return Damage(tuple(problems), tuple(lost)) if problems else None
 
 
@@ -149,7 +154,7 @@ def recompute(trial: TrialLog) -> Result:
         Verdict(final, tuple(entered.tolist()), tuple(clearance.tolist())),
         outcome=Outcome.ABORTED,
         reason="the log ends before its result",
-        duration_s=seconds(int(trial.mocap_ns[-1])),
+        duration_s=trial.elapsed_s(int(trial.mocap_ns[-1])),
         solve_ns=tuple(step.solve_ns for step in trial.steps),
         deadline_misses=sum(step.deadline_missed for step in trial.steps),
     )

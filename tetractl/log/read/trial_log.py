@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.commands import Command
+from tetractl.core.clock import SECOND, seconds
+from tetractl.core.commands import Command, Note
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.trial import Result, Start, Step
@@ -36,7 +37,8 @@ class TrialLog:
     numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
     where a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN where a
     damaged log lost them, and None for a trial in the lab. `commands` are all commands: of the
-    control steps, between them, and the stop. `result` is None where the run crashed or the end of
+    control steps, between them, and the stop; `notes` are the messages for people, such as a
+    command that did not arrive. `result` is None where the run crashed or the end of
     the log is lost.
 
     `run` are the items of the run record as written and `digest` is the content digest that the
@@ -60,10 +62,29 @@ class TrialLog:
     frames: Integers = field(default_factory=_none)
     received_ns: Integers = field(default_factory=_none)
     commands: tuple[Command, ...] = ()
+    notes: tuple[Note, ...] = ()
     digest: str | None = None
     content_digest: str = ""
     run: dict[str, str] = field(default_factory=dict)
     stamps: dict[str, list[tuple[int, int]]] = field(default_factory=dict, repr=False)
+
+    @property
+    def began_ns(self) -> int:
+        """When the first direction was sent: 0 on every time axis that people read.
+
+        In the lab the trial's clock starts earlier, while the robots are placed. A log that lost
+        its first steps gives the time by the control period; one without any direction, 0.
+        """
+        sent = [command.sent_ns for command in self.commands if command.direction is not None]
+        if self.steps:
+            first = self.steps[0]
+            before = round(first.k * self.start.setup.period_s * SECOND)
+            sent.append(first.command.sent_ns - before)
+        return max(min(sent, default=0), 0)
+
+    def elapsed_s(self, time_ns: int) -> float:
+        """Return the time from the first direction to a time of the trial's clock [s]."""
+        return seconds(time_ns - self.began_ns)
 
     @property
     def altered(self) -> bool:

@@ -1,6 +1,5 @@
 """The messages of a trial: encodes its records and adds them to an MCAP file."""
 
-from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import Message
 
 from tetractl.core.clock import SECOND
@@ -11,14 +10,12 @@ from tetractl.log import provenance
 from tetractl.log.format import channels, codec
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.metadata import result_metadata, run_metadata, timing_metadata
-from tetractl.log.format.scene import Scene, note
+from tetractl.log.format.scene import Scene, encode_note
 from tetractl.log.write.sink import Sink
 
 FLUSH_NS = SECOND
 """A chunk ends after this much trial time, so that a simulation that runs faster than the wall
 clock gives the same chunks again. A slower trial is flushed by the wall clock, `sink.CHUNK_S`."""
-
-_LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 
 
 class Encoder:
@@ -49,7 +46,7 @@ class Encoder:
         ):
             self._sink.attachment(name, media_type, self._start_ns, text.encode())
         self._add(channels.SCENE, self._scene.static(self._start_ns), 0)
-        self._note(0, Log.INFO, f"trial {start.trial} of {start.setup.name} starts")
+        self._note(Note(0, "info", f"trial {start.trial} of {start.setup.name} starts"))
         self._write()
         self._sink.sync()
 
@@ -75,7 +72,7 @@ class Encoder:
 
     def note(self, note: Note) -> None:
         """Add a message for people."""
-        self._note(note.t_ns, _LEVELS[note.level], note.text)
+        self._note(note)
         self._write()
 
     def step(self, step: Step) -> None:
@@ -93,16 +90,16 @@ class Encoder:
         for name, delivered in zip(self._names, step.command.delivered, strict=True):
             if not delivered:
                 text = f"{name} did not get the command of step {step.k}"
-                self._note(sent_ns, Log.WARNING, text)
+                self._note(Note(sent_ns, "warning", text))
         self._write(sent_ns)
 
     def stop(self, stop: Command, result: Result) -> None:
         """Add the stop and the result."""
         self._add(channels.COMMANDS, codec.encode_command(stop), stop.sent_ns)
-        level = Log.ERROR if result.outcome is Outcome.ABORTED else Log.INFO
+        level = "error" if result.outcome is Outcome.ABORTED else "info"
         reason = f" ({result.reason})" if result.reason else ""
         text = f"{result.outcome.value}{reason} after {result.steps} control steps"
-        self._note(stop.sent_ns, level, text)
+        self._note(Note(stop.sent_ns, level, text))
         self._write()
         timing = timing_metadata(result) | {"ended": provenance.now()}
         self._sink.metadata(channels.TIMING, timing)
@@ -115,16 +112,16 @@ class Encoder:
         publish_unix = log_unix if publish_ns is None else self._start_ns + publish_ns
         self._batch.append(Entry(topic, log_unix, publish_unix, message.SerializeToString()))
 
-    def _note(self, log_ns: int, level: Log.Level.ValueType, text: str) -> None:
-        self._add(channels.LOG, note(self._start_ns + log_ns, level, text), log_ns)
+    def _note(self, note: Note) -> None:
+        self._add(channels.LOG, encode_note(note, self._start_ns), note.t_ns)
 
     def _note_tracking(self, valid: list[bool], log_ns: int) -> None:
         if valid == self._tracked:
             return
         for name, was, now in zip(self._names, self._tracked, valid, strict=True):
             if was != now:
-                level, word = (Log.INFO, "tracked again") if now else (Log.WARNING, "lost")
-                self._note(log_ns, level, f"{name} is {word}")
+                level, word = ("info", "tracked again") if now else ("warning", "lost")
+                self._note(Note(log_ns, level, f"{name} is {word}"))
         self._tracked = valid
 
     def _write(self, trial_ns: int | None = None) -> None:

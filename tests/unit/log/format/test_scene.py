@@ -60,6 +60,7 @@ def test_every_channel_has_its_schema(messages: dict[str, list[Any]]) -> None:
         "/scene/plan": "foxglove.SceneUpdate",
         "/log": "foxglove.Log",
         "/host/timing": "tetractl.StepTiming",
+        "/controller/estimate": "tetractl.Estimate",
     }
 
 

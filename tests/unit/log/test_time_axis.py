@@ -1,0 +1,88 @@
+"""Times that people read count from the first direction sent; the stamps stay as they are."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.random_trials import Made, trial, write
+from support.trials import three_robots
+
+from tetractl.core.commands import Note
+from tetractl.log.read.gaps import step_gaps
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.write.writer import LogWriter
+
+PLACING_NS = 20_000_000_000
+
+
+def later(log: TrialLog, by_ns: int = PLACING_NS) -> TrialLog:
+    """The same trial, with a clock that started while the robots were still being placed."""
+    commands = tuple(replace(one, sent_ns=one.sent_ns + by_ns) for one in log.commands)
+    steps = tuple(
+        replace(one, command=replace(one.command, sent_ns=one.command.sent_ns + by_ns))
+        for one in log.steps
+    )
+    return replace(log, commands=commands, steps=steps, mocap_ns=log.mocap_ns + by_ns)
+
+
+def test_the_axis_starts_with_the_first_direction() -> None:
+    log = three_robots()
+    assert log.began_ns == 0
+    placed = later(log)
+    assert placed.began_ns == PLACING_NS
+    assert placed.elapsed_s(0) == -20
+    assert placed.steps[0].command.sent_ns == PLACING_NS  # the raw stamp
+    assert [gap.since_s for gap in step_gaps(replace(placed, steps=placed.steps[::2]))][:2] == [
+        pytest.approx(0.0),
+        pytest.approx(0.4),
+    ]
+
+
+def test_a_stop_is_no_direction_and_no_direction_leaves_the_clock_as_it_is() -> None:
+    log = later(three_robots())
+    stops = tuple(one for one in log.commands if one.direction is None)
+    assert stops
+    assert replace(log, commands=stops, steps=()).began_ns == 0
+    stopped_first = replace(stops[0], sent_ns=5)
+    assert replace(log, commands=(stopped_first, *log.commands)).began_ns == PLACING_NS
+
+
+def test_a_log_that_lost_its_first_steps_still_knows_when_it_began() -> None:
+    log = later(three_robots())
+    rest = replace(log, steps=log.steps[7:], commands=log.commands[7:])
+    assert rest.began_ns == PLACING_NS
+
+
+def test_a_square_before_the_first_step_counts() -> None:
+    log = later(three_robots())
+    square = replace(log.commands[0], sent_ns=PLACING_NS - 3_000_000_000)
+    assert replace(log, commands=(square, *log.commands)).elapsed_s(PLACING_NS) == 3
+
+
+def test_notes_come_back_as_they_were(tmp_path: Path) -> None:
+    made: Made = trial(steps=3, simulated=False)
+    notes = (Note(100_000_001, "warning", "robot 1 turns the wrong way"), Note(7, "error", "ü"))
+    path = tmp_path / "trial.mcap"
+    with LogWriter(path) as writer:
+        writer.on_start(made.start)
+        for samples, step in made.rounds:
+            writer.on_samples(samples)
+            writer.on_step(step)
+        for note in notes:
+            writer.on_note(note)
+        writer.on_stop(made.stop, made.result)
+    log = read_trial(path)
+    assert [note for note in log.notes if note in notes] == list(notes)
+    assert log.notes[0] == Note(0, "info", "trial 0 of made-up starts")
+    ended = "sequence used up (no signal left) after 3 control steps"
+    assert log.notes[-1] == Note(made.stop.sent_ns, "info", ended)
+
+
+def test_undelivered_commands_and_lost_robots_are_notes(tmp_path: Path) -> None:
+    made = trial(steps=4, simulated=False)
+    texts = [note.text for note in read_trial(write(made, tmp_path / "trial.mcap")).notes]
+    lost = sum(np.count_nonzero(~np.array(step.command.delivered)) for step in made.steps)
+    assert sum("did not get the command" in text for text in texts) == lost > 0
+    assert any(text.endswith("is lost") for text in texts)

@@ -2,15 +2,20 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tetractl.core.errors import Exit, UsageError
 
+if TYPE_CHECKING:
+    from tetractl.core.clock import Clock
+
 
 def replay(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial.")],
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG...", help="Logs of trials, folders or globs.")
+    ],
     rate: Annotated[
         float | None,
         typer.Option(
@@ -28,42 +33,101 @@ def replay(
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     paused: Annotated[bool, typer.Option("--paused", help="Wait for a key at first.")] = False,
 ) -> int:
-    """Play a trial back: arena, trails, plan, error, convergence.
+    """Play trials back: arena, trails, plan, error, convergence, events.
 
-    Keys: space pause or go on; arrows 1 s back or on; . next control step;
-    + twice the rate; - half of it; q quit.
+    Times count from the first direction sent; --start -5 shows what came before it in the lab.
 
-    Without a terminal it prints one line a control step.
+    Keys: space pause or go on; arrows 1 s back or on; , . previous and next control step;
+    E e previous and next event; Home End; + - twice and half the rate;
+    p n previous and next trial; ? all keys; q quit.
+
+    Without a terminal it prints one line a control step and event.
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
     from tetractl.core.clock import MonotonicClock
-    from tetractl.log.read.reader import read_trial
-    from tetractl.replay.player import Player, span
-    from tetractl.replay.recording import Recording
-    from tetractl.view.terminal.damage import warn_of_damage
+    from tetractl.log.read.find import find_logs
 
     if rate is not None and not 0 < rate < float("inf"):
         raise UsageError(f"--rate must be above 0, and is {rate:g}")
-    trial = read_trial(log)
-    recording = Recording(trial)
-    played = span(recording, start, until)
-    wall = MonotonicClock()
-    warn_of_damage(trial)
-    if _is_terminal():
-        from rich.console import Console
+    paths, wall = find_logs(logs), MonotonicClock()
+    screen = _is_terminal()
+    if paused and not screen:
+        raise UsageError("--paused needs a terminal: there are no keys to go on with")
+    if loop and not screen and len(paths) > 1:
+        raise UsageError("--loop without a terminal needs one log: the others would never come")
+    try:
+        if screen:
+            return _on_screen(paths, wall, (start, until), rate or 1.0, loop, paused)
+        return _as_text(paths, wall, (start, until), rate, loop)
+    except KeyboardInterrupt:
+        return Exit.INTERRUPTED
 
-        from tetractl.view.terminal.replay_screen import play
 
-        player = Player(recording, wall, played, rate=rate or 1.0, loop=loop, paused=paused)
-        play(Console(), recording, player)
-    else:
-        from tetractl.view.terminal.replay_text import print_steps
+def _on_screen(
+    paths: list[Path],
+    wall: "Clock",
+    seconds: tuple[float, float | None],
+    rate: float,
+    loop: bool,
+    paused: bool,
+) -> int:
+    from rich.console import Console
 
-        if paused:
-            raise UsageError("--paused needs a terminal: there are no keys to go on with")
-        print_steps(recording, wall, played, rate=rate, loop=loop)
-    return Exit.FAILED if trial.damage else Exit.DONE
+    from tetractl.log.read.reader import read_trial
+    from tetractl.replay.player import Playback, Player, span
+    from tetractl.replay.recording import Recording
+    from tetractl.view.terminal.damage import warn_of_damage
+    from tetractl.view.terminal.replay_screen import play
+
+    def opened(index: int) -> Player:
+        """Return a player of another trial, which goes on at the rate of the one before."""
+        nonlocal player, damaged
+        recording = Recording(read_trial(paths[index]))
+        damaged |= recording.log.damage is not None
+        played = (recording.began_ns, recording.end_ns)
+        player = Player(
+            recording,
+            wall,
+            played,
+            rate=player.rate,
+            loop=loop,
+            paused=player.state is Playback.PAUSED,
+        )
+        return player
+
+    first = Recording(read_trial(paths[0]))
+    played = span(first, *seconds)
+    warn_of_damage(first.log)
+    damaged = first.log.damage is not None
+    player = Player(first, wall, played, rate=rate, loop=loop, paused=paused)
+    if play(Console(), player, len(paths), opened):
+        return Exit.INTERRUPTED
+    return Exit.FAILED if damaged else Exit.DONE
+
+
+def _as_text(
+    paths: list[Path],
+    wall: "Clock",
+    seconds: tuple[float, float | None],
+    rate: float | None,
+    loop: bool,
+) -> int:
+    from tetractl.log.read.reader import read_trial
+    from tetractl.replay.player import span
+    from tetractl.replay.recording import Recording
+    from tetractl.view.terminal.damage import warn_of_damage
+    from tetractl.view.terminal.replay_text import print_lines
+
+    damaged = False
+    for path in paths:
+        recording = Recording(read_trial(path))
+        warn_of_damage(recording.log)
+        damaged |= recording.log.damage is not None
+        if len(paths) > 1:
+            print(f"{path}:")
+        print_lines(recording, wall, span(recording, *seconds), rate=rate, loop=loop)
+    return Exit.FAILED if damaged else Exit.DONE
 
 
 def _is_terminal() -> bool:

@@ -4,8 +4,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from tetractl.core.clock import SECOND, Clock, seconds
+from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import UsageError
+from tetractl.log.read.trial_log import Integers
 from tetractl.replay.clock import PlayerClock
 from tetractl.replay.recording import Recording
 
@@ -26,8 +27,9 @@ class Player:
     """Plays a span [ns] of a recording: a state machine over a `PlayerClock`.
 
     Call `update` before reading `now`, and `press` with the name of each key: "space" pauses and
-    resumes, and at the end plays again from the start; "left" and "right" seek 1 s; "." seeks the
-    next control step and pauses; "+" and "-" double and halve the rate, "q" quits.
+    resumes, and at the end plays again from the start; "left" and "right" seek 1 s, "home" and
+    "end" the ends of the span; "." and "," seek the next and the previous control step, "e" and "E"
+    the next and the previous event, and pause; "+" and "-" double and halve the rate, "q" quits.
     """
 
     def __init__(
@@ -41,7 +43,8 @@ class Player:
         paused: bool = False,
     ) -> None:
         self.start_ns, self.until_ns = span_ns
-        self._steps = recording.step_ns
+        self.recording = recording
+        self._steps, self._events = recording.step_ns, recording.event_ns
         self._loop = loop
         self._quit = False
         self._clock = PlayerClock(wall, at_ns=self.start_ns, rate=rate, paused=paused)
@@ -83,9 +86,18 @@ class Player:
                 self._seek(self.now - SEEK_NS)
             case "right":
                 self._seek(self.now + SEEK_NS)
+            case "home":
+                self._seek(self.start_ns)
+            case "end":
+                self._pause_at(self.until_ns)
             case ".":
-                self._clock.pause()
-                self._seek(self._next_step())
+                self._pause_at(self._after(self._steps, self.until_ns))
+            case ",":
+                self._pause_at(self._before(self._steps, self.start_ns))
+            case "e":
+                self._pause_at(self._after(self._events, self.now))
+            case "E":
+                self._pause_at(self._before(self._events, self.now))
             case "+":
                 self._clock.set_rate(min(2 * self.rate, max(RATE_MAX, self.rate)))
             case "-":
@@ -104,20 +116,35 @@ class Player:
     def _seek(self, time_ns: int) -> None:
         self._clock.jump(min(max(time_ns, self.start_ns), self.until_ns))
 
-    def _next_step(self) -> int:
-        index = int(np.searchsorted(self._steps, self.now, side="right"))
-        return int(self._steps[index]) if index < len(self._steps) else self.until_ns
+    def _pause_at(self, time_ns: int) -> None:
+        self._clock.pause()
+        self._seek(time_ns)
+
+    def _after(self, times: Integers, otherwise: int) -> int:
+        """Return the first of some times [ns] after now."""
+        index = int(np.searchsorted(times, self.now, side="right"))
+        return int(times[index]) if index < len(times) else otherwise
+
+    def _before(self, times: Integers, otherwise: int) -> int:
+        """Return the last of some times [ns] before now."""
+        index = int(np.searchsorted(times, self.now, side="left"))
+        return int(times[index - 1]) if index else otherwise
 
 
 def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[int, int]:
-    """Return the times [ns] of the first and last instant to play; UsageError for an empty span."""
-    for option, value in (("--start", start_s), ("--until", until_s)):
-        if value is not None and not value >= 0:
-            raise UsageError(f"{option} must not be negative, and is {value:g}")
-    end_s = seconds(recording.end_ns)
+    """Return the times [ns] of the first and last instant to play; UsageError for an empty span.
+
+    `start_s` and `until_s` count from the first direction; the log may begin before it.
+    """
+    first_s, end_s = recording.elapsed_s(0), recording.elapsed_s(recording.end_ns)
+    if not start_s >= first_s:
+        begins = f"at {first_s:.4g}" if first_s else "with the first command, at 0"
+        raise UsageError(f"--start {start_s:g} lies before the log, which begins {begins}")
     if start_s > end_s:
         raise UsageError(f"--start {start_s:g} lies behind the end: the trial lasts {end_s:g} s")
-    if until_s is not None and start_s >= until_s:
+    if until_s is not None and not start_s < until_s:
         raise UsageError(f"--start {start_s:g} must lie before --until {until_s:g}")
-    until_ns = recording.end_ns if until_s is None or until_s > end_s else round(SECOND * until_s)
-    return round(SECOND * start_s), until_ns
+    began_ns = recording.began_ns
+    if until_s is None or until_s > end_s:
+        return began_ns + round(SECOND * start_s), recording.end_ns
+    return began_ns + round(SECOND * start_s), began_ns + round(SECOND * until_s)

@@ -1,5 +1,6 @@
 """The state of a trial at one instant, and a recorded trial as a sequence of such instants."""
 
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,17 +10,18 @@ from tetractl.core.clock import SECOND, seconds
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Result, Step
-from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.read.trial_log import Event, TrialLog
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
     """One instant of a trial of N robots after M frames and K control steps; lengths in its unit.
 
-    `poses` (N, 3) are the newest measured poses and `trail` (M, N, 2) the measured positions, NaN
-    where a robot was not tracked. `step` is the newest control step and `totals` (K,) the total
-    error at each. `end_s` is the duration of the trial and `steps_end` the number of its control
-    steps; None and 0 where the trial is not over.
+    `time_s` counts from the first direction sent. `poses` (N, 3) are the newest measured poses and
+    `trail` (M, N, 2) the measured positions, NaN where a robot was not tracked. `step` is the
+    newest control step and `totals` (K,) the total error at each. `end_s` is the duration of the
+    trial and `steps_end` the number of its control steps; None and 0 where the trial is not over.
+    `events` are the messages so far, oldest first.
     """
 
     setup: Setup
@@ -31,6 +33,7 @@ class Moment:
     totals: Floats
     steps_end: int
     result: Result | None
+    events: tuple[Event, ...] = ()
 
     @property
     def distances(self) -> Floats:
@@ -46,7 +49,9 @@ def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
 class Recording:
     """A recorded trial, of which `at` returns any instant.
 
-    A control step begins when its command is sent.
+    Times [ns] are on the trial's clock. A control step begins when its command is sent; `began_ns`
+    is the time of the first direction, from which people count, and `event_ns` are the times of the
+    events.
     """
 
     def __init__(self, log: TrialLog) -> None:
@@ -55,9 +60,12 @@ class Recording:
         ends = [*log.mocap_ns[-1:], *self.step_ns[-1:]]
         if log.stop:
             ends.append(log.stop.sent_ns)
-        if log.result:
-            ends.append(log.result.duration_s * SECOND)
+        elif log.result:
+            ends.append(log.began_ns + round(log.result.duration_s * SECOND))
         self.end_ns = int(max(ends, default=0))
+        self.began_ns, self.events = log.began_ns, log.events
+        self._event_s = [event.time_s for event in self.events]
+        self.event_ns = np.array(sorted(note.t_ns for note in log.notes), dtype=np.int64)
         self.totals = np.array(
             [log.start.setup.distances(step.observation.poses.xy).sum() for step in log.steps]
         )
@@ -71,15 +79,20 @@ class Recording:
         done = int(np.searchsorted(self.step_ns, time_ns, side="right"))
         return Moment(
             setup=log.start.setup,
-            time_s=seconds(time_ns),
-            end_s=seconds(self.end_ns),
+            time_s=self.elapsed_s(time_ns),
+            end_s=self.elapsed_s(self.end_ns),
             poses=self._poses[seen],
             trail=self._trail[:seen],
             step=log.steps[done - 1] if done else None,
             totals=self.totals[:done],
             steps_end=len(log.steps),
             result=log.result if time_ns >= self.end_ns else None,
+            events=self.events[: bisect_right(self._event_s, self.elapsed_s(time_ns))],
         )
+
+    def elapsed_s(self, time_ns: int) -> float:
+        """Return the time from the first direction to a time of the trial's clock [s]."""
+        return seconds(time_ns - self.began_ns)
 
 
 def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:

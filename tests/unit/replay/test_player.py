@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.trials import cut_short, three_robots
 
+from tetractl.core.commands import Note
 from tetractl.core.errors import UsageError
 from tetractl.replay.clock import PlayerClock
 from tetractl.replay.player import Playback, Player, span
@@ -13,7 +14,7 @@ from tetractl.replay.recording import Recording
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 5
-KEYS = ["space", "left", "right", ".", "+", "-", "x"]
+KEYS = ["space", "left", "right", ",", ".", "e", "E", "home", "end", "+", "-", "x"]
 
 
 class FakeWall:
@@ -128,6 +129,61 @@ def test_dot_goes_through_the_control_steps_one_by_one_and_pauses(recording, wal
     assert p.now == recording.end_ns
 
 
+def test_a_comma_goes_back_through_the_control_steps(recording, wall):
+    p = player(recording, wall)
+    p.press("end")
+    assert (p.now, p.state) == (recording.end_ns, Playback.ENDED)
+    for ns in recording.step_ns[::-1]:
+        p.press(",")
+        assert (p.now, p.state) == (ns, Playback.PAUSED)
+    p.press(",")
+    assert p.now == 0
+
+
+def test_home_and_end_stay_within_the_span(recording, wall):
+    p = player(recording, wall, start=2, until=5)
+    after(p, wall, 1)
+    p.press("home")
+    assert (p.now, p.state) == (2 * SECOND, Playback.PLAYING)
+    p.press("end")
+    assert (p.now, p.state) == (5 * SECOND, Playback.ENDED)
+
+
+def test_e_goes_to_the_next_event_and_capital_e_to_the_one_before(recording, wall):
+    notes = (
+        *recording.log.notes[:1],
+        Note(3 * SECOND, "warning", "red is lost"),
+        Note(3 * SECOND, "warning", "blue is lost"),
+        Note(5 * SECOND, "info", "red is tracked again"),
+    )
+    recording = Recording(replace(recording.log, notes=notes))
+    p = player(recording, wall)
+    for seconds, newest in ((3, "blue is lost"), (5, "red is tracked again"), (5, "red is")):
+        p.press("e")
+        assert (p.now, p.state) == (seconds * SECOND, Playback.PAUSED)
+        assert recording.at(p.now).events[-1].text.startswith(newest)
+    for seconds in (3, 0, 0):
+        p.press("E")
+        assert p.now == seconds * SECOND
+    assert [event.text for event in recording.at(3 * SECOND - 1).events] == [notes[0].text]
+
+
+def test_what_came_before_the_first_direction_has_negative_times(recording, wall):
+    log = recording.log
+    steps = tuple(
+        replace(one, command=replace(one.command, sent_ns=one.command.sent_ns + SECOND))
+        for one in log.steps
+    )
+    recording = Recording(replace(log, commands=(), steps=steps))
+    p = player(recording, wall, until=3)
+    assert (p.now, p.until_ns) == (SECOND, 4 * SECOND)
+    assert recording.at(p.now).time_s == 0
+    early = player(recording, wall, start=-1)
+    assert (early.now, recording.at(early.now).time_s) == (0, -1)
+    with pytest.raises(UsageError, match="--start -2 lies before the log, which begins at -1"):
+        span(recording, -2, None)
+
+
 def test_plus_and_minus_double_and_halve_the_rate(recording, wall):
     p = player(recording, wall)
     p.press("+")
@@ -187,9 +243,10 @@ def test_no_keys_ever_leave_the_span(presses, loop):
 @pytest.mark.parametrize(
     ("start", "until", "words"),
     [
-        (-1, None, "--start must not be negative"),
-        (float("nan"), None, "--start must not be negative"),
-        (0, -1, "--until must not be negative"),
+        (-1, None, "--start -1 lies before the log, which begins with the first command, at 0"),
+        (float("nan"), None, "--start nan lies before the log"),
+        (0, -1, "--start 0 must lie before --until -1"),
+        (0, float("nan"), "--start 0 must lie before --until nan"),
         (99, None, "the trial lasts 8.21667 s"),
         (3, 2, "--start 3 must lie before --until 2"),
         (3, 3, "--start 3 must lie before --until 3"),

@@ -13,7 +13,7 @@ from tetractl.log.format.channels import CHANNELS
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.log.read.trial_log import ALTERED, Damage
+from tetractl.log.read.trial_log import ALTERED, Damage, Event
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,15 +25,6 @@ class ChannelCount:
     messages: int
     hz: float | None  # None for messages of one time only
     bytes: int  # before compression
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """A message for people, `time_s` after the first direction was sent; before it, negative."""
-
-    time_s: float
-    level: str
-    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +72,7 @@ def overview(path: Path) -> Overview:
         chunks=contents.chunks,
         run=trial.run,
         result=trial.result,
-        events=tuple(
-            Event(trial.elapsed_s(note.t_ns), note.level, note.text) for note in trial.notes
-        ),
+        events=trial.events,
         estimate=last.plan.estimate if last else None,
         estimate_step=last.k if last else None,
         channels=_channels(contents),

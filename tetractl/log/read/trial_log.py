@@ -24,6 +24,18 @@ class Damage:
     lost: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A message for people, `time_s` after the first direction was sent; before it, negative.
+
+    `level` is "info", "warning" or "error".
+    """
+
+    time_s: float
+    level: str
+    text: str
+
+
 def _none() -> Integers:
     return np.empty(0, dtype=np.int64)
 
@@ -85,6 +97,12 @@ class TrialLog:
     def elapsed_s(self, time_ns: int) -> float:
         """Return the time from the first direction to a time of the trial's clock [s]."""
         return seconds(time_ns - self.began_ns)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """The notes at the times that people read, in the order of their times."""
+        found = [Event(self.elapsed_s(one.t_ns), one.level, one.text) for one in self.notes]
+        return tuple(sorted(found, key=lambda event: event.time_s))
 
     @property
     def altered(self) -> bool:

@@ -1,6 +1,7 @@
 """The dashboard: the arena at the left, the numbers at the right, one line of controls below."""
 
 import math
+import textwrap
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,13 +10,14 @@ from rich.segment import Segment
 from rich.text import Text
 
 from tetractl.core.clock import milliseconds
-from tetractl.core.plan import Plan
+from tetractl.core.plan import Outcome, Plan
 from tetractl.replay.recording import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
 SIDE_MIN, SIDE_MAX = 20, 58  # columns of the numbers
 ARENA_SHARE = 0.58  # largest share of the width, where the numbers need the rest
+LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
 COMPACT = 30  # columns of the numbers below which labels are short
 
 
@@ -71,7 +73,8 @@ class Dashboard:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         glyphs = glyphs_for(console)
         width, height = options.max_width, (options.height or console.height)
-        body = max(height - 1, 1)
+        events = self._events(height)
+        body = max(height - 1 - len(events), 1)
         arena = self._frame.setup.arena
         most = max(min(width - SIDE_MIN - 1, max(round(ARENA_SHARE * width), width - 38)), 3)
         view = Projection.fit(arena, most - 2, body - 2)
@@ -90,6 +93,10 @@ class Dashboard:
                 line += [Segment("  "), *text.render(console)]
             yield from Segment.adjust_line_length(line, width)
             yield Segment.line()
+        for event in events:
+            event.truncate(width, overflow="ellipsis" if not glyphs.ascii else "crop")
+            yield from Segment.adjust_line_length(list(event.render(console)), width)
+            yield Segment.line()
         footer = self._footer.text(glyphs, width)
         footer.truncate(width)
         yield from Segment.adjust_line_length(list(footer.render(console)), width)
@@ -102,7 +109,7 @@ class Dashboard:
             (2, self._total(glyphs, width)),
             (4, self._plan(glyphs, width)),
             (5, self._effort(width)),
-            (1, self._last()),
+            (1, self._last(width)),
         ]
         blocks = [(rank, lines) for rank, lines in blocks if lines]
         while sum(len(lines) for _, lines in blocks) > height and len(blocks) > 1:
@@ -202,13 +209,34 @@ class Dashboard:
             solve.append("  late" if width < COMPACT else "  deadline missed", "bold red")
         return [solve, row("evaluations", "evals", f"{step.plan.evaluations:,}".replace(",", " "))]
 
-    def _last(self) -> list[Text]:
+    def _events(self, height: int) -> list[Text]:
+        """Return the newest events, the last one at the bottom; more where there are more lines."""
+        most = 0 if height < 16 else 1 if height < 24 else 2 if height < 36 else 6
+        if not self._frame.events:
+            return []
+        shown = self._frame.events[-most:] if most else ()
+        lines = [
+            Text.assemble(
+                (f"{event.time_s:7.1f} s  ", "dim"),
+                (event.text if event.level == "info" else f"{event.level}: {event.text}"),
+                style=LEVEL_STYLES.get(event.level, ""),
+                no_wrap=True,
+            )
+            for event in shown
+        ]
+        return [Text() for _ in range(most - len(lines))] + lines
+
+    def _last(self, width: int) -> list[Text]:
         lines = [Text(note, "bold red", no_wrap=True) for note in self._notes]
         if self._aside:
             lines.append(Text(self._aside, "dim", no_wrap=True))
         if result := self._frame.result:
             ended = f"ended: {result.outcome}"
             lines.append(Text(ended, "bold", no_wrap=True))
+            alarm = "bold red" if result.outcome is Outcome.ABORTED else ""
+            lines += [
+                Text(line, alarm, no_wrap=True) for line in textwrap.wrap(result.reason, width)
+            ]
             if result.entered_obstacle:
                 lines.append(Text("a robot entered an obstacle", "bold red"))
         return lines

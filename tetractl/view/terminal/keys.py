@@ -15,6 +15,14 @@ _SEQUENCES = {
     b"\x1b[D": "left",
     b"\x1bOC": "right",
     b"\x1bOD": "left",
+    b"\x1b[H": "home",
+    b"\x1bOH": "home",
+    b"\x1b[1~": "home",
+    b"\x1b[7~": "home",
+    b"\x1b[F": "end",
+    b"\x1bOF": "end",
+    b"\x1b[4~": "end",
+    b"\x1b[8~": "end",
 }
 _NAMES = {" ": "space", "=": "+", "_": "-", "Q": "q"}
 
@@ -60,9 +68,9 @@ def _sequence_length(data: bytes) -> int | None:
 class Keyboard:
     """Reads each key when it is pressed, without echo; a context manager.
 
-    Ctrl-C still interrupts. On Ctrl-Z `leave` is called and the terminal restored before the
-    process stops; in the foreground again, `back` is called. SIGTERM and SIGHUP end the block as
-    Ctrl-C does.
+    Ctrl-C, SIGTERM and SIGHUP raise nothing, so that nothing is left half done: `interrupted` is
+    True from then on, and `read` returns ["q"]. On Ctrl-Z `leave` is called and the terminal
+    restored before the process stops; in the foreground again, `back` is called.
     """
 
     def __init__(self, leave: Callable[[], None], back: Callable[[], None]) -> None:
@@ -70,6 +78,7 @@ class Keyboard:
         self._leave, self._back = leave, back
         self._rest = b""
         self._stop_wanted = False
+        self.interrupted = False
 
     def __enter__(self) -> Self:
         self._before = termios.tcgetattr(self._fd)
@@ -77,8 +86,9 @@ class Keyboard:
             number: signal.signal(number, handler)
             for number, handler in (
                 (signal.SIGTSTP, self._note_stop),
-                (signal.SIGTERM, _interrupt),
-                (signal.SIGHUP, _interrupt),
+                (signal.SIGINT, self._interrupt),
+                (signal.SIGTERM, self._interrupt),
+                (signal.SIGHUP, self._interrupt),
             )
         }
         tty.setcbreak(self._fd, termios.TCSADRAIN)
@@ -95,11 +105,14 @@ class Keyboard:
             signal.signal(number, handler)
 
     def read(self, timeout_s: float) -> list[str]:
-        """Wait for keys, at most `timeout_s`; return ["q"] where the terminal was closed."""
+        """Wait for keys, at most `timeout_s`; return ["q"] where the terminal was closed, and once
+        interrupted."""
         if self._stop_wanted:
             self._suspend()
         try:
             ready, _, _ = select.select([self._fd], [], [], timeout_s)
+            if self.interrupted:
+                return ["q"]
             if not ready:
                 self._rest = b""  # a lone Escape
                 return []
@@ -124,6 +137,5 @@ class Keyboard:
         tty.setcbreak(self._fd, termios.TCSADRAIN)
         self._back()
 
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        self.interrupted = True

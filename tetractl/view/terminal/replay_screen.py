@@ -1,57 +1,74 @@
-"""Plays a recorded trial on the terminal's alternate screen, controlled by keys."""
+"""Plays recorded trials on the terminal's alternate screen, controlled by keys."""
+
+from collections.abc import Callable
 
 from rich.console import Console
 from rich.live import Live
 
-from tetractl.core.clock import seconds
 from tetractl.core.colors import robot_colors
 from tetractl.replay.player import Playback, Player
-from tetractl.replay.recording import Recording
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.glyphs import Glyphs, glyphs_for
+from tetractl.view.terminal.help import Help
 from tetractl.view.terminal.keys import Keyboard
 
 FRAME_S = 1 / 15
 SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "again"}
+TURNS = {"n": 1, "p": -1}
 
 
-def play(console: Console, recording: Recording, player: Player) -> None:
-    """Play until the key q is pressed."""
-    setup = recording.log.start.setup
-    colors = robot_colors(setup.names, setup.colors)
-    drawn: object = None
-    with (
-        Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False) as live,
-        Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard,
-    ):
+def play(console: Console, player: Player, count: int, turn_to: Callable[[int], Player]) -> bool:
+    """Play the first of `count` trials, and others at the keys n and p, until q is pressed.
+
+    `turn_to(i)` returns the player of trial i. Returns whether an interrupt ended the play.
+    """
+    index, drawn, helping = 0, None, False
+    live = Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False)
+    # the keyboard is the outer one: until the screen is given back, no signal breaks off anything
+    with Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard, live:
         while player.state is not Playback.QUIT:
             player.update()
-            scene = (player.now, player.rate, player.state, console.size)
+            scene = (index, player.now, player.rate, player.state, console.size, helping)
             if scene != drawn:
-                drawn = scene
-                live.update(dashboard(recording, player, colors, glyphs_for(console)), refresh=True)
+                drawn, glyphs = scene, glyphs_for(console)
+                place = (index + 1, count)
+                live.update(
+                    Help(glyphs) if helping else dashboard(player, glyphs, place), refresh=True
+                )
             for key in keyboard.read(FRAME_S):
+                if key in TURNS and 0 <= index + TURNS[key] < count:
+                    index += TURNS[key]
+                    player = turn_to(index)
+                helping = key == "?" and not helping
                 player.press(key)
+    return keyboard.interrupted
 
 
-def dashboard(recording: Recording, player: Player, colors: list[str], glyphs: Glyphs) -> Dashboard:
-    """Return the view at the player's time."""
-    log = recording.log
+def dashboard(player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1)) -> Dashboard:
+    """Return the view at the player's time; `place` is the log's number and that of all logs."""
+    recording, now_ns = player.recording, player.now
+    setup, log = recording.log.start.setup, recording.log
     sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
-    end_s = seconds(recording.end_ns)
+    now_s, end_s = recording.elapsed_s(now_ns), recording.elapsed_s(recording.end_ns)
     wide = len(f"{end_s:.1f}")
     footer = Footer(
         left=f"{sign} {player.rate:g}{glyphs.times}",
-        fraction=player.now / recording.end_ns if recording.end_ns else 1.0,
-        right=f"{seconds(player.now):{wide}.1f} / {end_s:.1f} s",
+        fraction=now_s / end_s if end_s > 0 else 1.0,
+        right=f"{now_s:{wide}.1f} / {end_s:.1f} s",
         hints=(
             f"space {SPACE.get(player.state, '')}",
+            "? keys",
+            "q quit",
+            *(["n next trial"] if place[0] < place[1] else []),
             f"{glyphs.left_right} {glyphs.plus_minus}1 s",
             ". step",
-            "q quit",
+            "e event",
             "+/- rate",
         ),
     )
-    heading = f"{log.start.setup.name}, trial {log.start.trial}"
+    number, count = place
+    which = f" ({number} of {count})" if count > 1 else ""
+    heading = f"{setup.name}, trial {log.start.trial}{which}"
     notes = ("damaged log", *log.damage.lost) if log.damage else ()
-    return Dashboard(recording.at(player.now), colors, heading, footer, notes)
+    colors = robot_colors(setup.names, setup.colors)
+    return Dashboard(recording.at(now_ns), colors, heading, footer, notes)

@@ -7,7 +7,6 @@ import pytest
 from rich.console import Console
 from support.trials import cut_short, experiment, three_robots
 
-from tetractl.core.colors import robot_colors
 from tetractl.replay.player import Player, span
 from tetractl.replay.recording import Recording
 from tetractl.view.terminal.dashboard import Footer
@@ -36,8 +35,7 @@ def screen(recording: Recording, width: int, height: int, seconds: float, **opti
         **options,
     )
     player = Player(recording, StillWall(), span(recording, seconds, None), paused=True)
-    colors = robot_colors(recording.log.start.setup.names, recording.log.start.setup.colors)
-    shown = dashboard(recording, player, colors, glyphs_for(console))
+    shown = dashboard(player, glyphs_for(console))
     with console.capture() as captured:
         console.print(shown, height=height, end="")
     return re.sub(r"\x1b\[[0-9;]*m", "", captured.get()).split("\n")

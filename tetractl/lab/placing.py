@@ -25,6 +25,8 @@ def wait_until_ready(rig: Rig, operators: Operators) -> Preflight:
     while True:
         findings: Preflight | None = None
         lines = unplaced(rig) or (moving(rig) if rig.actuator.halts else [])
+        if lines:  # why a robot is not tracked comes before that it is not
+            lines = [*rig.camera.check().problems, *lines]
         if not lines:
             findings = inspect(rig)
             lines = list(dict.fromkeys((*findings.all_problems, *unplaced(rig))))

@@ -161,8 +161,13 @@ def test_an_old_lab_that_is_none_is_refused(lab):
         (["lab.actuator.robots.red.name=rod"], "lab.actuator.robots: has no red"),
         (["lab.camera.robots.2.body=green"], "robots.2.body: green: is that of green; must differ"),
         (["lab.actuator.robots.2.index=0"], "robots.2.index: 0: is that of green; must differ"),
-        (["lab.camera.version=4.1"], "lab.camera.version: must be text; put it in quotes"),
+        (["lab.camera.version=4"], "lab.camera.version: 4: must be major.minor, such as 4.1"),
+        (
+            ["lab.camera.version=2.10"],
+            "camera.version: 2.10: must be at least 2.5; if 2.10 is",
+        ),
         (["lab.camera.version='4.1'"], "camera.version: '4.1': can only be asked for in unicast"),
+        (["lab.camera.version=4.1"], "camera.version: 4.1: can only be asked for in unicast"),
         (["lab.camera.server=256.1.1.1"], "lab.camera.server: must be IPv4, such as"),
         (["lab.camera.type=kinect"], "lab.camera.type: must be one of optitrack"),
         (["lab.actuator.type=m3pi"], "did you mean 'm3pi-xbee'?"),
@@ -189,3 +194,12 @@ def test_labs_that_cannot_be_are_refused(settings, line):
     text = str(caught.value)
     for part in line.split(": "):
         assert part in text
+
+
+@pytest.mark.parametrize(
+    ("written", "read"), [("4.1", "4.1"), ("'4.1'", "4.1"), ("2.11", "2.11"), ("'2.10'", "2.10")]
+)
+def test_a_protocol_version_needs_no_quotes_where_it_is_a_number(written, read):
+    settings = ["lab.camera.transport=unicast", f"lab.camera.version={written}"]
+    camera = lab_of(load_spec(SPEC, settings).experiment, "spec").camera
+    assert camera.version == read

@@ -6,7 +6,7 @@ from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command, Note
+from tetractl.core.commands import Command, Health, Note
 from tetractl.core.errors import AbortError
 from tetractl.experiment.lab import LabLimits
 
@@ -184,6 +184,27 @@ def test_a_robot_that_does_not_move_as_told_is_warned_of():
     drive(lab, 2.4)
     notes = [item.text for item in lab.plant.news() if isinstance(item, Note)]
     assert notes == ["blue does not move as told: power, drive or link?"]
+
+
+def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
+    lab = fake_lab(SETUP)
+    lab.camera.hidden = {"blue"}
+    lab.camera.check = lambda: Health(("the cameras know no rigid body 'blu'",))
+    shown = []
+
+    class Person:
+        def place(self, lines):
+            shown.append(tuple(lines))
+            lab.camera.hidden = set()
+            lab.camera.check = Health
+
+        def go(self):
+            return True
+
+    lab.operators.attendant = Person()
+    lab.plant.open()
+    assert shown[0] == ("the cameras know no rigid body 'blu'", "blue is not tracked")
+    assert shown[-1] == ()
 
 
 def test_robots_off_their_starts_end_the_run_by_name():

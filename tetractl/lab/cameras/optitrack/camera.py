@@ -9,6 +9,7 @@ from tetractl.core.commands import Health
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
 from tetractl.core.wire_tap import NO_TAP, Tap
+from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.client import NatNetClient
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
@@ -26,6 +27,7 @@ class OptitrackCamera:
         wake: Callable[[], None] = lambda: None,
     ) -> None:
         robots = [section.robot(name) for name in setup.names]
+        self.names = setup.names
         tracked = [Tracked(robot.body, robot.heading_offset) for robot in robots]
         self.section = section
         self.client = NatNetClient(section, tracked, setup.metres, clock, tap, wake)
@@ -33,7 +35,7 @@ class OptitrackCamera:
     def __enter__(self) -> Self:
         """Connect: return once frames stream and the clocks, axes and names are known.
 
-        AbortError tells a server that does not answer from one that answers but does not stream.
+        AbortError says which of these did not come, what came in its place, and what to set.
         """
         try:
             self.client.open()
@@ -73,10 +75,8 @@ class OptitrackCamera:
     def check(self) -> Health:
         """Return which rigid bodies are not streamed, and what is known of server and clock."""
         stream, sync = self.stream, self.stream.sync
-        problems: list[str] = []
-        warnings: list[str] = []
-        if stream.model is not None and (names := stream.missing()):
-            problems.append(f"the cameras know no rigid body {', '.join(map(str, names))}")
+        problems = diagnosis.not_streamed(stream, self.names)
+        warnings = diagnosis.not_taken(self.client.senders, stream)
         round_trip = "unknown"
         if sync is not None and sync.synced:
             round_trip = f"{sync.round_trip_ns / 1e6:.3f}"
@@ -88,6 +88,7 @@ class OptitrackCamera:
         facts = {
             "natnet": str(version),
             "server": stream.info.name if stream.info else "",
+            "rigid_bodies": diagnosis.bodies(stream),
             "clock_round_trip_ms": round_trip,
         }
         return Health(tuple(problems), tuple(warnings), facts)

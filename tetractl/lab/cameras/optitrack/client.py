@@ -16,23 +16,29 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.wire_tap import NO_TAP, Tap
+from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.messages import (
     NEWEST,
+    TELLS_TRACKING,
     Bare,
     Connect,
     EchoRequest,
     Message,
     MessageKind,
+    NatNetFrame,
     Request,
+    ServerInfo,
     Version,
 )
 from tetractl.lab.cameras.optitrack.placement import Placement
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
 ASK_NS = SECOND // 4  # an unanswered question is asked again after this long
+MODELS_MAX_NS = 8 * SECOND  # at most this long between asking for models that keep changing
 KEEPALIVE_NS = SECOND
 ECHO_NS = SECOND // 2
 FIRST_ECHOES = 20  # these follow each other at once, so that the clock is known early
@@ -59,7 +65,7 @@ class NatNetClient:
     ) -> None:
         self.section = section
         self.error: OSError | None = None
-        self.foreign = 0  # datagrams from other hosts
+        self.senders = Senders(section.server, section.command_port)
         self._clock, self._tap, self._wake = clock, tap, wake
         self._unicast = section.transport == "unicast"
         self._pinned = _version(section.version) if section.version and self._unicast else None
@@ -72,6 +78,8 @@ class NatNetClient:
         self._sockets: list[socket.socket] = []
         self._due: dict[str, int] = {}
         self._echoes = 0
+        self._models_asked_ns = -MODELS_MAX_NS
+        self._models_wait_ns = ASK_NS
         self._thread = threading.Thread(target=self._receive, name="natnet", daemon=True)
 
     @property
@@ -93,31 +101,22 @@ class NatNetClient:
     def wait_connected(self, timeout_s: float) -> None:
         """Wait until frames stream and clock, axes and names are known, each at most `timeout_s`.
 
-        AbortError tells a server that does not answer from one that answers but does not stream.
+        AbortError says which of these did not come, and what came in its place.
         """
-        at, port = self.section.server, self.section.command_port
-        if not self._wait(lambda: self.stream.info is not None, timeout_s):
-            raise AbortError(
-                f"no camera server answers at {at}:{port} ({timeout_s:g} s)",
-                "is Motive running and streaming, is lab.camera.server its address, "
-                "does a firewall block UDP?",
-            )
+        stream = self.stream
+        if not self._wait(lambda: stream.info is not None, timeout_s):
+            raise diagnosis.no_server(self.section, self.senders, timeout_s)
+        if stream.version is not None and stream.version < TELLS_TRACKING:
+            raise diagnosis.no_tracking_flag(stream.version)
         if not self._wait(lambda: self.newest is not None, timeout_s):
-            hint = (
-                f"does Motive stream in {self.section.transport}? multicast frames come from "
-                f"{self.section.group}:{self.section.data_port} by the card of lab.camera.interface"
-            )
-            raise AbortError(
-                f"the camera server at {at}:{port} answers, but no frames come ({timeout_s:g} s)",
-                hint,
-            )
-        wanted = self._wait(
-            lambda: self.stream.model is not None and self.stream.up is not None, timeout_s
-        )
-        if not wanted and self.stream.up is None:
+            raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
+        self._wait(lambda: stream.model is not None and stream.up is not None, timeout_s)
+        if stream.up is None:
             raise AbortError(
                 "the camera server does not tell its up axis", "set lab.camera.up_axis to y or z"
             )
+        if stream.model is None and any(isinstance(robot.body, str) for robot in stream.robots):
+            raise diagnosis.no_names(stream, timeout_s)
         if self.stream.sync is not None:
             self._wait(lambda: self._echoes >= FIRST_ECHOES, timeout_s)
         first = self.stream.counts.frames
@@ -176,17 +175,20 @@ class NatNetClient:
     def _read(self, ready: socket.socket) -> None:
         while True:
             try:
-                datagram, (host, _) = ready.recvfrom(DATAGRAM_MAX)
+                datagram, (host, port) = ready.recvfrom(DATAGRAM_MAX)
             except BlockingIOError:
                 return
             except ConnectionError:  # an ICMP "port unreachable" of an earlier send
                 continue
-            if host != self.section.server:
-                self.foreign += 1
+            if not self.senders.admit(datagram, host, port):
                 continue
             now = self._clock.now()
             self._tap.received("natnet", now, datagram)
             message = self.stream.feed(datagram, now)
+            if isinstance(message, NatNetFrame):
+                self.senders.pin(port)
+            elif isinstance(message, ServerInfo) and self._unicast:
+                self.senders.pin(message.data_port)
             if message is not None:
                 with self._changed:
                     self._changed.notify_all()
@@ -206,8 +208,7 @@ class NatNetClient:
             self._every("ask", ASK_NS, lambda: Request(UP_AXIS))
         elif stream.camera_rate_hz is None and self._due.get("rates", 0) < 4:
             self._every("ask", ASK_NS, lambda: Request(FRAME_RATE))
-        if stream.model is None or stream.models_changed:
-            self._every("models", ASK_NS, lambda: Bare(MessageKind.REQUEST_MODELDEF))
+        self._ask_models()
         if self._unicast:
             self._every("alive", KEEPALIVE_NS, lambda: Bare(MessageKind.KEEPALIVE))
         if stream.sync is not None:
@@ -215,6 +216,22 @@ class NatNetClient:
             every = FIRST_ECHO_NS if burst else ECHO_NS
             if self._every("echo", every, lambda: EchoRequest(self._clock.now())):
                 self._echoes += 1
+
+    def _ask_models(self) -> None:
+        """Ask for names that are not known, have changed, or are wanted and not streamed.
+
+        Once they were told, the time between questions doubles: a server may tell of a change in
+        every frame, for good.
+        """
+        stream, now = self.stream, self._clock.now()
+        told = stream.model is not None
+        if told and not (stream.models_changed or stream.changing or stream.missing()):
+            self._models_wait_ns = ASK_NS
+            return
+        if now - self._models_asked_ns >= self._models_wait_ns:
+            self._models_asked_ns = now
+            self._models_wait_ns = min(2 * self._models_wait_ns, MODELS_MAX_NS) if told else ASK_NS
+            self._ask(Bare(MessageKind.REQUEST_MODELDEF))
 
     def _connect(self) -> Connect:
         pinned = (self._pinned.major, self._pinned.minor, 0, 0) if self._pinned else None
@@ -227,12 +244,14 @@ class NatNetClient:
             return False
         self._due[what] = now + period_ns
         made = message()
-        if isinstance(made, Request):
-            self.stream.asked(made)
-            if made.text == FRAME_RATE:
-                self._due["rates"] = self._due.get("rates", 0) + 1
-        self._send(made)
+        if isinstance(made, Request) and made.text == FRAME_RATE:
+            self._due["rates"] = self._due.get("rates", 0) + 1
+        self._ask(made)
         return True
+
+    def _ask(self, message: Message) -> None:
+        self.stream.asked(message)
+        self._send(message)
 
     def _send(self, message: Message) -> None:
         data = pack(message)

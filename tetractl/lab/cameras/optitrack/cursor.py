@@ -15,9 +15,9 @@ class Cursor:
 
     __slots__ = ("at", "data", "end")
 
-    def __init__(self, data: bytes, end: int | None = None) -> None:
+    def __init__(self, data: bytes, end: int | None = None, at: int = 0) -> None:
         self.data = data
-        self.at = 0
+        self.at = at
         self.end = len(data) if end is None else end
 
     @property

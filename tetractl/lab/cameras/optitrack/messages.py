@@ -27,6 +27,7 @@ class Version(NamedTuple):
 
 OLDEST = Version(2, 5)
 NEWEST = Version(4, 3)
+TELLS_TRACKING = Version(2, 6)  # before, a frame does not say which bodies are tracked
 
 
 class MessageKind(IntEnum):

@@ -1,7 +1,9 @@
 """MODELDEF: which rigid body has which id; other data sets are stepped over.
 
-Before 4.1 a data set does not tell its size and has to be measured; one of a type whose layout is
-not known ends the reading, and `ModelDef.complete` says so.
+From 4.1 on a data set tells its size. Of a rigid body only name and id are read, and the rest is
+skipped by that size: Motive 3.4 has descriptions longer than those of 4.3. Before 4.1 a data set
+has to be measured; one of a type whose layout is not known ends the reading, and
+`ModelDef.complete` says so.
 """
 
 from collections.abc import Sequence
@@ -26,11 +28,8 @@ def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
         if version >= SIZED:
             stop = cursor.at + cursor.size(0, 0) + 4
             if kind == RIGID_BODY:
-                bodies.append(_body(cursor, version))
-                if cursor.at != stop:
-                    raise WireError("a rigid body's description is not of the size it tells")
-            else:
-                cursor.skip(stop - cursor.at)
+                bodies.append(_named(Cursor(payload, stop, cursor.at)))
+            cursor.skip(stop - cursor.at)
         elif kind == RIGID_BODY:
             bodies.append(_body(cursor, version))
         elif not _step_over(cursor, kind, version):
@@ -38,9 +37,14 @@ def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
     return ModelDef(tuple(bodies))
 
 
+def _named(cursor: Cursor) -> BodyName:
+    return BodyName(cursor.name(), cursor.i32(), cursor.i32())
+
+
 def _body(cursor: Cursor, version: Version) -> BodyName:
-    body = BodyName(cursor.name(), cursor.i32(), cursor.i32())
-    cursor.skip(12 if version < (4, 2) else 28)
+    """Read a body's whole description, of a version that does not tell its size."""
+    body = _named(cursor)
+    cursor.skip(12)
     if version >= (3, 0):
         count = cursor.count(16)
         cursor.skip(count * 16)
@@ -84,11 +88,16 @@ def pack_modeldef(
     version: Version,
     others: Sequence[tuple[int, bytes]] = (),
     markers: int = 0,
+    grown: bytes = b"",
 ) -> bytes:
-    """Pack the payload: `others` (type, bytes) first, then every body with `markers` markers."""
+    """Pack the payload: `others` (type, bytes) first, then every body with `markers` markers.
+
+    `grown` closes each body's description: what a newer protocol has added to it.
+    """
     if not version.known:
         raise WireError(f"protocol {version} cannot be packed")
-    sets = [*others, *((RIGID_BODY, _packed_body(body, version, markers)) for body in model.bodies)]
+    described = (_packed_body(body, version, markers) + grown for body in model.bodies)
+    sets = [*others, *((RIGID_BODY, data) for data in described)]
     parts = [packed("i", len(sets))]
     for kind, data in sets:
         parts.append(packed("ii", kind, len(data)) if version >= SIZED else packed("i", kind))

@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from contextlib import suppress
 
-from tetractl.lab.cameras.optitrack.messages import Request
 from tetractl.lab.cameras.optitrack.stream import Stream
 from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.errors import WireError
@@ -19,5 +18,4 @@ def replay_cameras(passages: Iterable[Passage], stream: Stream) -> None:
             stream.feed(passage.data, passage.t_ns)
             continue
         with suppress(WireError):  # a file may claim that we sent anything
-            if isinstance(message := parse(passage.data), Request):
-                stream.asked(message)
+            stream.asked(parse(passage.data))

@@ -1,9 +1,10 @@
 """The section of the spec for OptiTrack cameras: `camera: {type: optitrack, ...}`."""
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
 from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
@@ -19,6 +20,27 @@ Ipv4 = Annotated[
     str, Field(pattern=r"^(25[0-5]|2[0-4]\d|1?\d?\d)(\.(25[0-5]|2[0-4]\d|1?\d?\d)){3}$")
 ]
 Port = Annotated[int, Field(ge=1, le=65_535)]
+
+
+def _version_as_text(value: Any) -> Any:
+    """Return a version that YAML reads as a number, such as 4.1, as the text that it stands for.
+
+    YAML reads 2.10 as 2.1, which is no version of frames that can be read: it needs quotes.
+    """
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return value
+    if value in (2.1, 2.2):
+        text = f"must be at least 2.5; if {value}0 is meant, put it in quotes: YAML reads {value}"
+        raise PydanticCustomError("version", "{text}", {"text": text})
+    return str(value)
+
+
+VersionText = Annotated[
+    str,
+    BeforeValidator(_version_as_text, json_schema_input_type=str | float),
+    Field(pattern=r"^[2-4]\.\d{1,2}$"),
+]
+"""A protocol version as text; where its minor number has one digit, a number will do."""
 
 
 class TrackedRobot(RobotPart):
@@ -47,9 +69,9 @@ class OptitrackSection(CameraSection):
     """Port of the multicast stream; unused in unicast."""
     group: Ipv4 = "239.255.42.99"
     """Address of the multicast stream: IPv4."""
-    version: str | None = Field(default=None, pattern=r"^[2-4]\.\d{1,2}$")
-    """Protocol version to ask for: major.minor, such as 4.1; the server's own by default, and
-    always so in multicast."""
+    version: VersionText | None = None
+    """Protocol version to ask for: major.minor, such as 4.1, or in quotes where it ends in 0, as
+    '2.10'; the server's own by default, and always so in multicast."""
     up_axis: Literal["auto", "y", "z"] = "auto"
     """The axis that points up; `auto` asks the server."""
     origin: Point = (0.0, 0.0)

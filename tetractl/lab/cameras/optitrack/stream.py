@@ -3,6 +3,7 @@
 The same code reads a live server and a recorded wire.
 """
 
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
 from tetractl.lab.cameras.optitrack.messages import (
+    Bare,
+    Connect,
+    EchoRequest,
     EchoResponse,
     Message,
     MessageKind,
@@ -29,6 +33,7 @@ from tetractl.lab.errors import WireError
 AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
 REORDERED = 10  # a frame this little behind the newest was overtaken on its way
 UP_AXIS, FRAME_RATE = "UpAxis", "FrameRate"
+ECHOES = 64  # unanswered questions for the time that an answer is matched to
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +53,9 @@ class StreamCounts:
     overtaken: int = 0  # frames behind a newer one, or twice the same
     bad: int = 0  # datagrams that are no NatNet message
     early: int = 0  # frames and models before the version was known
+    unasked: int = 0  # answers to no question of ours
+    unread_frames: int = 0  # of the bad ones
+    unread_models: int = 0  # of the bad ones
 
 
 class Stream:
@@ -55,6 +63,10 @@ class Stream:
 
     `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis where the spec
     tells it. `feed` never raises on data. Times are ns on the host's clock.
+
+    `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame tells
+    of a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` the newest
+    frame that could not be read.
     """
 
     def __init__(
@@ -72,12 +84,17 @@ class Stream:
         self.camera_rate_hz: float | None = None
         self.model: ModelDef | None = None
         self.models_changed = False
+        self.changing = False
+        self.seen: tuple[int, ...] = ()
+        self.unread_frame = b""
         self.sync: ClockSync | None = None
         self.newest: CameraFrame | None = None
         self._placement = placement
         self._pinned = pinned
         self._on_frame = on_frame
         self._asked: str | None = None
+        self._awaited: Counter[type[Message]] = Counter()
+        self._echoes: deque[int] = deque(maxlen=ECHOES)
         self._fault = ""
 
     @property
@@ -92,42 +109,76 @@ class Stream:
             return None
         return self.newest.received_ns - self.newest.sampled_ns
 
-    def missing(self) -> list[str | int]:
-        """Return the bodies that the server does not stream by that name or id."""
-        if self.model is None:
-            return [robot.body for robot in self.robots]
-        ids = self.model.ids()
-        known = set(ids.values())
-        wanted = (
-            (r.body, ids.get(r.body) if isinstance(r.body, str) else r.body) for r in self.robots
-        )
-        return [body for body, number in wanted if number not in known]
+    def number(self, body: str | int) -> int | None:
+        """Return the id that a body has in frames, None where its name is not known."""
+        if isinstance(body, int):
+            return body
+        return self.model.ids().get(body) if self.model else None
 
-    def asked(self, request: Request) -> None:
-        """Note the request that the next RESPONSE answers."""
-        self._asked = request.text
+    def missing(self) -> list[str | int]:
+        """Return the robots' bodies that are not in the newest frame, in the robots' order."""
+        return [robot.body for robot in self.robots if self.number(robot.body) not in self.seen]
+
+    def asked(self, message: Message) -> None:
+        """Note a message of ours: its answer will be taken, any other is counted and dropped."""
+        match message:
+            case Request(text):
+                self._asked = text
+            case Connect():
+                self._awaited[ServerInfo] += 1
+            case Bare(MessageKind.REQUEST_MODELDEF):
+                self._awaited[ModelDef] += 1
+            case EchoRequest(client):
+                self._echoes.append(client)
+            case _:
+                pass
 
     def feed(self, datagram: bytes, received_ns: int) -> Message | None:
         """Take one datagram; return what it says, None for one that is dropped and counted."""
         try:
             message = parse(datagram, self.version)
+            if not self._expected(message):
+                self.counts.unasked += 1
+                return None
             self._take(message, received_ns)
         except WireError:
-            kind = int.from_bytes(datagram[:2], "little")
-            if self.info is None and kind in (MessageKind.FRAME, MessageKind.MODELDEF):
-                self.counts.early += 1
-            else:
-                self.counts.bad += 1
+            self._unread(datagram)
             return None
         return message
+
+    def _unread(self, datagram: bytes) -> None:
+        kind = int.from_bytes(datagram[:2], "little")
+        if self.info is None and kind in (MessageKind.FRAME, MessageKind.MODELDEF):
+            self.counts.early += 1
+            return
+        self.counts.bad += 1
+        if kind == MessageKind.FRAME:
+            self.counts.unread_frames += 1
+            self.unread_frame = datagram
+        elif kind == MessageKind.MODELDEF:
+            self.counts.unread_models += 1
+
+    def _expected(self, message: Message) -> bool:
+        """Return whether an answer is to a question of ours, which it then closes."""
+        match message:
+            case ServerInfo() | ModelDef():
+                awaited = self._awaited[type(message)] > 0
+                self._awaited[type(message)] -= awaited
+                return awaited
+            case EchoResponse(client):
+                if client not in self._echoes:
+                    return False
+                self._echoes.remove(client)
+                return True
+            case _:
+                return True
 
     def _take(self, message: Message, received_ns: int) -> None:
         match message:
             case NatNetFrame():
                 self._frame(message, received_ns)
-            case ServerInfo():
-                if self.info is None and message.clock_hz:
-                    self.sync = ClockSync(message.clock_hz)
+            case ServerInfo() if self.info is None:
+                self.sync = ClockSync(message.clock_hz) if message.clock_hz else None
                 self.info = message
             case ModelDef():
                 self.model, self.models_changed = message, False
@@ -163,6 +214,8 @@ class Stream:
         if before is not None and not self._fault:
             self.counts.missed += frame.number - before.number - 1
         self.models_changed |= frame.models_changed
+        self.changing = frame.models_changed
+        self.seen = tuple(body.id for body in frame.bodies)
         self.newest = self._camera_frame(frame, sampled_ns, received_ns)
         self._on_frame(self.newest)
 
@@ -175,11 +228,10 @@ class Stream:
         return sampled_ns
 
     def _camera_frame(self, frame: NatNetFrame, sampled_ns: int, received_ns: int) -> CameraFrame:
-        ids = self.model.ids() if self.model else {}
         by_id = {body.id: body for body in frame.bodies}
         poses: list[Pose | None] = []
         for robot in self.robots:
-            number = ids.get(robot.body) if isinstance(robot.body, str) else robot.body
+            number = self.number(robot.body)
             body = None if number is None else by_id.pop(number, None)
             if body is None or self.up is None:
                 poses.append(None)

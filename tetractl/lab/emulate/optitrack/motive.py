@@ -9,15 +9,27 @@ from functools import partial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.lab.cameras.optitrack.messages import BodyName, NatNetFrame, RigidBody, Ticks, Version
-from tetractl.lab.cameras.optitrack.wire import pack, parse
+from tetractl.lab.cameras.optitrack.messages import (
+    NEWEST,
+    BodyName,
+    Message,
+    MessageKind,
+    ModelDef,
+    NatNetFrame,
+    RigidBody,
+    Ticks,
+    Version,
+)
+from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
+from tetractl.lab.cameras.optitrack.wire import datagram, pack, parse
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.optitrack.mangle import mangle
 from tetractl.lab.emulate.optitrack.server import Address, MotiveServer, ticks
 from tetractl.lab.emulate.optitrack.streaming import ServerCounts, Streaming, Trouble
 from tetractl.lab.errors import WireError
 
-EDIT_MODE = 4
+MODELS_CHANGED, EDIT_MODE = 2, 4
+GROWN = bytes(24)  # what descriptions of bodies are longer by, above 4.3
 DATAGRAMS_A_TURN = 100
 
 
@@ -69,7 +81,7 @@ class Motive:
         s = self.streaming
         multicast = s.transport == "multicast"
         self.command = _bound(s.address, s.command_port)
-        self.data = _bound(s.address, 0 if multicast else s.data_port)
+        self.data = _bound(s.frames_from or s.address, 0 if multicast else s.data_port)
         if multicast:
             interface = socket.inet_aton(s.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
@@ -90,7 +102,7 @@ class Motive:
         assert self.command is not None, "it is open"
         for _ in range(DATAGRAMS_A_TURN):
             try:
-                datagram, sender = self.command.recvfrom(65_535)
+                asked, sender = self.command.recvfrom(65_535)
             except BlockingIOError:
                 return
             except OSError:  # a client that has gone answers ours by a port-unreachable
@@ -98,13 +110,13 @@ class Motive:
             if self.trouble.silent:
                 continue
             try:
-                message = parse(datagram, self.streaming.version)
+                message = parse(asked, self.streaming.version)
             except WireError:
                 self.counts.refused += 1
                 continue
             answer = self.server.answer(message, sender, self._timeline.now_ns)
             if answer is not None:
-                self._send(self.command, pack(answer, self.server.version(sender)), sender)
+                self._send(self.command, _packed(answer, self.server.version(sender)), sender)
 
     def _plan(self) -> None:
         due = self._start_ns + round(self._exposures * SECOND / self.streaming.rate_hz)
@@ -125,7 +137,7 @@ class Motive:
         frame = NatNetFrame(
             number,
             self._expose(),
-            params=EDIT_MODE if self.trouble.edit_mode else 0,
+            params=MODELS_CHANGED * s.models_changed | EDIT_MODE * self.trouble.edit_mode,
             latency=delay,
             timestamp_s=seconds,
             ticks=Ticks(ticks(now), ticks(now + round(0.6 * delay * SECOND)), 0),
@@ -149,18 +161,25 @@ class Motive:
         packed: dict[Version, bytes] = {}
         for address, version in self.server.receivers(now):
             if version not in packed:
-                packed[version] = pack(frame, self.trouble.version or version)
-            datagram = packed[version]
+                packed[version] = _packed(frame, self.trouble.version or version)
+            message = packed[version]
             if self.trouble.damaged and self._random.random() < self.trouble.damaged:
-                datagram = mangle(datagram, self._random)
-            self._send(self.data, datagram, address)
+                message = mangle(message, self._random)
+            self._send(self.data, message, address)
         self.counts.frames += 1
 
-    def _send(self, sender: socket.socket | None, datagram: bytes, to: Address) -> None:
+    def _send(self, sender: socket.socket | None, data: bytes, to: Address) -> None:
         assert sender is not None, "it is open"
         with suppress(OSError):  # a full buffer or a client that has gone loses a datagram
-            sender.sendto(datagram, to)
+            sender.sendto(data, to)
             self.counts.datagrams += 1
+
+
+def _packed(message: Message, version: Version) -> bytes:
+    """Pack as a server of this version does; of versions above 4.3 only this much is known."""
+    if version > NEWEST and isinstance(message, ModelDef):
+        return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
+    return pack(message, min(version, NEWEST))
 
 
 def _port(of: socket.socket) -> int:

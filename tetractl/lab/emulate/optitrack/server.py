@@ -71,7 +71,8 @@ class MotiveServer:
             case Request(text):
                 return self._reply(text)
             case Bare(MessageKind.REQUEST_MODELDEF):
-                return ModelDef(self._names)
+                self._counts.models_asked += 1
+                return ModelDef(self._names) if self.streaming.answers_models else None
             case Bare(MessageKind.DISCONNECT):
                 self.clients.pop(sender, None)
         return None
@@ -102,6 +103,8 @@ class MotiveServer:
     def _can_change(self, asked: tuple[int, int]) -> bool:
         """Whether a unicast client can have this version: servers from 4.0 on can be asked."""
         version = Version(*asked)
+        if self.streaming.keeps_version:
+            return False
         return (4, 0) <= self.streaming.version >= version and version.known
 
     def _change_version(self, text: str, sender: Address) -> Message:

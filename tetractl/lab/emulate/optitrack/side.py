@@ -7,9 +7,9 @@ from pydantic import Field
 
 from tetractl.core.errors import SpecError
 from tetractl.experiment.base import Finite, Model, Name, Point
-from tetractl.lab.cameras.optitrack.messages import BodyName, Version
+from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
-from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
 from tetractl.lab.emulate.faults import Fault, Undo, Visible, setting
 from tetractl.lab.emulate.loop import Loop
 from tetractl.lab.emulate.optitrack.motive import Motive
@@ -18,23 +18,35 @@ from tetractl.lab.emulate.optitrack.tracked_body import TrackedBody, View, expos
 from tetractl.lab.emulate.sides import Body, Facts, Stage
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
-VersionText = Annotated[str, Field(pattern=r"^[2-4]\.\d{1,2}$")]
 
 
-class TrueOffset(Model):
-    """How a robot's rigid body truly lies."""
+class TrueBody(Model):
+    """How a robot's rigid body truly is, where that differs from the spec."""
 
     name: Name
     """Name of a robot of the spec."""
-    heading_offset: Finite
+    heading_offset: Finite | None = None
     """Heading of the robot less that of its rigid body [rad]."""
+    body: str | None = Field(default=None, min_length=1, max_length=64)
+    """What the body is called in Motive."""
+    streamed: bool = True
+    """Whether the body is in the frames; it is in the list of names in any case."""
 
 
 class OptitrackSettings(Model):
     """How the cameras differ from what the spec says."""
 
     version: VersionText = "4.1"
-    """The camera server's protocol version, 2.6 to 4.3."""
+    """The camera server's protocol version, 2.5 or later. Above 4.3 frames are laid out as in 4.3,
+    and descriptions of rigid bodies are longer."""
+    keeps_version: bool = False
+    """Whether it streams in its own version to clients that ask for another."""
+    frames_from: Ipv4 | None = None
+    """Address that frames come from, as of a second network card; the server's by default."""
+    answers_models: bool = True
+    """Whether it tells the names of its rigid bodies."""
+    models_changed: bool = False
+    """Whether every frame tells that the rigid bodies have changed."""
     rate: float = Field(default=120.0, ge=1, le=500)
     """Camera frames a second [Hz]."""
     latency: float = Field(default=0.0054, ge=0, le=1)
@@ -43,7 +55,7 @@ class OptitrackSettings(Model):
     """The cameras' vertical axis; the spec's, or y."""
     knows_up_axis: bool = True
     """Whether the server answers `UpAxis`."""
-    robots: tuple[TrueOffset, ...] = ()
+    robots: tuple[TrueBody, ...] = ()
     """The robots whose bodies lie otherwise than the spec says."""
 
 
@@ -216,13 +228,15 @@ class EmulatedOptitrack:
         section = stage.lab.camera
         assert isinstance(section, OptitrackSection), "the table of kinds goes by the type"
         self.swapped: set[int] = set()
+        hidden = {robot.name for robot in settings.robots if not robot.streamed}
         self.tracked = _tracked(section, settings, bodies)
+        self.hidden = {body.id for body in self.tracked if body.robot.name in hidden}
         self.view = _view(stage, section, settings)
         self.motive = Motive(
             stage.timeline,
             _streaming(stage, section, settings, self.view.up),
             [BodyName(body.body_name, body.id) for body in self.tracked],
-            lambda: expose(self.tracked, self.view, self.swapped),
+            lambda: expose(self.tracked, self.view, self.swapped, self.hidden),
             stage.exposed,
             stage.sent,
             stage.client,
@@ -264,15 +278,17 @@ class EmulatedOptitrack:
 def _tracked(
     section: OptitrackSection, settings: OptitrackSettings, bodies: Sequence[Body]
 ) -> list[TrackedBody]:
-    offsets = {robot.name: robot.heading_offset for robot in settings.robots}
+    truths = {robot.name: robot for robot in settings.robots}
     taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
     free = iter(sorted(set(range(1, 1000)) - taken))
     found: list[TrackedBody] = []
     for body in bodies:
         robot = section.robot(body.name)
         number = robot.body if isinstance(robot.body, int) else next(free)
-        named = robot.body if isinstance(robot.body, str) else robot.name
-        offset = offsets.get(body.name, robot.heading_offset)
+        truth = truths.get(body.name, TrueBody(name=body.name))
+        named = truth.body or (robot.body if isinstance(robot.body, str) else robot.name)
+        offset = truth.heading_offset
+        offset = robot.heading_offset if offset is None else offset
         found.append(TrackedBody(body, number, named, offset))
     return found
 
@@ -299,12 +315,16 @@ def _streaming(
         settings.latency,
         up=up,
         knows_up_axis=settings.knows_up_axis,
+        frames_from=settings.frames_from,
+        keeps_version=settings.keeps_version,
+        answers_models=settings.answers_models,
+        models_changed=settings.models_changed,
     )
 
 
 def _version(text: str) -> Version:
     major, minor = text.split(".")
     version = Version(int(major), int(minor))
-    if not version >= (2, 6) or not version.known:
-        raise SpecError(f"cannot emulate NatNet {version}", hint="take one from 2.6 to 4.3")
+    if version < OLDEST:
+        raise SpecError(f"cannot emulate NatNet {version}", hint=f"take {OLDEST} or a later one")
     return version

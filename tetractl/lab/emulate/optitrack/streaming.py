@@ -14,7 +14,9 @@ class Streaming:
     """Motive's streaming settings. Port 0 takes any that is free; times in seconds.
 
     Exposure to transmit is `latency` on the mean with a deviation of `jitter`; one frame in 250
-    is late by up to nearly half a frame.
+    is late by up to nearly half a frame. A version above 4.3 is packed as 4.3, with longer
+    descriptions of rigid bodies. `keeps_version`: clients cannot have another; `answers_models`:
+    MODELDEF is answered; `models_changed`: every frame tells of changed models.
     """
 
     address: str = "127.0.0.1"
@@ -27,6 +29,10 @@ class Streaming:
     latency: float = 0.0054
     jitter: float = 0.00025
     client_timeout: float = 5.0
+    frames_from: str | None = None  # an address of its own, as of a second network card
+    keeps_version: bool = False
+    answers_models: bool = True
+    models_changed: bool = False
     up: UpAxis = UpAxis.Y
     knows_up_axis: bool = True
 
@@ -60,4 +66,5 @@ class ServerCounts:
     frames: int = 0
     datagrams: int = 0
     refused: int = 0
+    models_asked: int = 0
     timed_out: int = 0

@@ -68,8 +68,14 @@ class TrackedBody:
         return body
 
 
-def expose(tracked: Sequence[TrackedBody], view: View, swapped: set[int]) -> tuple[RigidBody, ...]:
-    """Return all bodies; the two whose places are in `swapped` have each other's id."""
+def expose(
+    tracked: Sequence[TrackedBody], view: View, swapped: set[int], hidden: set[int]
+) -> tuple[RigidBody, ...]:
+    """Return the bodies as a frame has them.
+
+    The two whose places are in `swapped` have each other's id; those whose ids are in `hidden`
+    are left out.
+    """
     bodies = [each.expose(view) for each in tracked]
     if len(swapped) == 2:
         i, j = swapped
@@ -77,4 +83,4 @@ def expose(tracked: Sequence[TrackedBody], view: View, swapped: set[int]) -> tup
             replace(bodies[j], id=bodies[i].id),
             replace(bodies[i], id=bodies[j].id),
         )
-    return tuple(bodies)
+    return tuple(body for body in bodies if body.id not in hidden)

@@ -1,11 +1,16 @@
 import random
 import struct
+from dataclasses import replace
 
 import pytest
 
 from tetractl.lab.cameras.optitrack.messages import (
+    Bare,
     BodyName,
+    Connect,
+    EchoRequest,
     EchoResponse,
+    MessageKind,
     ModelDef,
     NatNetFrame,
     Request,
@@ -36,11 +41,20 @@ def frame(number, *bodies, exposure=0, params=0):
     return pack(NatNetFrame(number, tuple(bodies), params=params, ticks=Ticks(exposure, 0, 0)), V41)
 
 
-def connected(up=UpAxis.Z, placement=MILLIMETRES):
-    stream = Stream(ROBOTS, placement, up=up)
+def connect(stream):
+    stream.asked(Connect())
     stream.feed(pack(INFO), 0)
-    stream.feed(pack(MODEL, V41), 0)
+    tell(stream, MODEL)
     return stream
+
+
+def tell(stream, model):
+    stream.asked(Bare(MessageKind.REQUEST_MODELDEF))
+    stream.feed(pack(model, V41), 0)
+
+
+def connected(up=UpAxis.Z, placement=MILLIMETRES):
+    return connect(Stream(ROBOTS, placement, up=up))
 
 
 def test_robots_are_found_by_name_and_by_id_others_are_strangers():
@@ -67,12 +81,46 @@ def test_a_body_that_is_missing_or_not_tracked_has_no_pose():
     assert stream.newest.poses == (None, None)
 
 
-def test_names_that_the_server_does_not_know_are_told():
+def test_bodies_that_are_not_in_the_frames_are_told():
     stream = Stream((Tracked("green"), Tracked("red"), Tracked(99)), MILLIMETRES, up=UpAxis.Z)
     assert stream.missing() == ["green", "red", 99]
-    stream.feed(pack(INFO), 0)
-    stream.feed(pack(MODEL, V41), 0)
+    connect(stream)
+    assert stream.missing() == ["green", "red", 99]
+    stream.feed(frame(1, body(11, 1.0, 1.0, valid=False), body(12, 1.0, 1.0)), 0)
     assert stream.missing() == ["red", 99]
+    assert stream.seen == (11, 12)
+
+
+def test_answers_that_nobody_asked_for_are_dropped_and_counted():
+    stream = connected()
+    before = (stream.info, stream.model)
+    forged = ModelDef((BodyName("green", 12), BodyName("blue", 11)))
+    forged_info = replace(INFO, natnet_version=(3, 0, 0, 0))
+    for message in (forged, forged_info, EchoResponse(17, 5 * HZ)):
+        assert stream.feed(pack(message, V41), 0) is None
+    assert (stream.info, stream.model) == before
+    assert not stream.sync.synced
+    assert (stream.counts.unasked, stream.counts.bad) == (3, 0)
+
+
+def test_an_echo_is_taken_once_and_only_with_the_time_that_was_sent():
+    stream = connected()
+    stream.asked(EchoRequest(1_000))
+    assert stream.feed(pack(EchoResponse(1_001, 9 * HZ)), 2_000) is None
+    assert stream.feed(pack(EchoResponse(1_000, 5 * HZ)), 2_000) is not None
+    assert stream.feed(pack(EchoResponse(1_000, 9 * HZ)), 2_000) is None
+    assert stream.sync.offset_ns == 5_000_000_000 - 1_500
+    assert stream.counts.unasked == 2
+
+
+def test_a_second_answer_to_connect_changes_nothing():
+    stream = Stream(ROBOTS, MILLIMETRES)
+    for hz in (HZ, 2 * HZ):
+        stream.asked(Connect())
+        stream.asked(Connect())
+        stream.feed(pack(replace(INFO, clock_hz=hz)), 0)
+    assert stream.info.clock_hz == stream.sync.clock_hz == HZ
+    assert stream.counts.unasked == 0
 
 
 def test_the_newest_frame_wins_and_what_was_overtaken_is_counted():
@@ -103,8 +151,11 @@ def test_models_that_change_are_asked_for_again():
     stream = connected()
     stream.feed(frame(1, params=2), 0)
     assert stream.models_changed
-    stream.feed(pack(MODEL, V41), 0)
+    tell(stream, MODEL)
     assert not stream.models_changed
+    assert stream.changing  # the newest frame is still the one that told of it
+    stream.feed(frame(2), 0)
+    assert not (stream.models_changed or stream.changing)
 
 
 def test_frames_before_the_server_is_known_are_no_bad_datagrams():
@@ -115,6 +166,7 @@ def test_frames_before_the_server_is_known_are_no_bad_datagrams():
 
 def test_exposure_is_told_in_host_time():
     stream = connected()
+    stream.asked(EchoRequest(1_000_000_000))
     stream.feed(pack(EchoResponse(1_000_000_000, 5 * HZ)), 1_000_200_000)
     stream.feed(frame(1, exposure=6 * HZ), 2_006_000_000)
     assert stream.newest.sampled_ns == 2_000_100_000
@@ -124,6 +176,7 @@ def test_exposure_is_told_in_host_time():
 def test_an_exposure_that_cannot_be_is_a_bad_datagram():
     """Regression: such an age did not fit into a log."""
     stream = connected()
+    stream.asked(EchoRequest(0))
     stream.feed(pack(EchoResponse(0, 2**64 - 1)), 10)
     stream.feed(frame(1, exposure=0), 20)
     assert (stream.counts.bad, stream.counts.frames, stream.newest) == (1, 0, None)

@@ -1,0 +1,174 @@
+"""Why robots are not seen: what came from the camera server, and the setting that mends it."""
+
+from tetractl.core.errors import AbortError
+from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean, printable
+from tetractl.lab.cameras.optitrack.messages import NEWEST, TELLS_TRACKING, ModelDef, Version
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.lab.cameras.optitrack.senders import Senders
+from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
+from tetractl.lab.cameras.optitrack.wire import parse
+from tetractl.lab.errors import WireError
+
+LAYOUTS = tuple(Version(*v) for v in ((2, 5), (2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
+"""The first version of each layout that frames have."""
+SHOWN = 12  # bodies
+
+
+def no_server(section: OptitrackSection, senders: Senders, timeout_s: float) -> AbortError:
+    """Return the error for a server that did not answer CONNECT within `timeout_s`."""
+    at = f"{section.server}:{section.command_port}"
+    if (other := senders.most(frames=False)) is not None:
+        sender, _ = other
+        return AbortError(
+            f"no camera server answers at {at}, but one does from {sender} ({timeout_s:g} s)",
+            f"set lab.camera.server to {sender.host} and lab.camera.command_port to {sender.port}",
+        )
+    return AbortError(
+        f"no camera server answers at {at} ({timeout_s:g} s)",
+        "is Motive running and streaming, is lab.camera.server its address, "
+        "does a firewall block UDP?",
+    )
+
+
+def no_frames(
+    section: OptitrackSection, senders: Senders, stream: Stream, timeout_s: float
+) -> AbortError:
+    """Return the error for a server that answers, while no frame of it could be taken."""
+    server = f"the camera server at {section.server}:{section.command_port} answers"
+    if (other := senders.most(frames=True)) is not None and not stream.counts.unread_frames:
+        sender, count = other
+        fits = _reads_as(senders.refused_frame, stream)
+        came = f"{count} frames came from {sender} in {timeout_s:g} s, which read as {fits}"
+        if sender.host != section.server:
+            return AbortError(
+                f"{server}, but its frames come from another address: {came}",
+                f"set lab.camera.server to {sender.host}, or in Motive the local interface to "
+                f"{section.server}",
+            )
+        return AbortError(
+            f"{server}, but frames come from another port than the one it tells, "
+            f"{senders.frames_port}: {came}",
+            f"set Motive's data port to {sender.port}; does a second program stream there?",
+        )
+    if stream.counts.unread_frames:
+        return _unread(section, server, stream, timeout_s)
+    return AbortError(
+        f"{server}, but no frames come ({timeout_s:g} s)",
+        f"does Motive stream in {section.transport}? multicast frames come from "
+        f"{section.group}:{section.data_port} by the card of lab.camera.interface",
+    )
+
+
+def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: float) -> AbortError:
+    assert stream.info is not None and stream.version is not None, "it answers"
+    told, fits = stream.info.version, _reads_as(stream.unread_frame, stream)
+    came = f"{stream.counts.unread_frames} frames came in {timeout_s:g} s, which read as {fits}"
+    if stream.version != told:
+        return AbortError(
+            f"{server}, but not in protocol {stream.version}, which lab.camera.version asks for: "
+            f"{came}",
+            f"leave lab.camera.version out: the server keeps to its own, {told}",
+        )
+    if told > NEWEST:
+        hint = f"set lab.camera.transport to unicast and lab.camera.version to {NEWEST}"
+    else:
+        hint = "in unicast, set lab.camera.version to the one they read as; else restart Motive"
+    return AbortError(f"{server} and tells protocol {told}, but is not understood: {came}", hint)
+
+
+def _reads_as(frame: bytes, stream: Stream) -> str:
+    """Return the protocol versions that a frame's layout fits, the server's own before others."""
+    told = [] if stream.info is None else [stream.info.version]
+    for version in (*told, *reversed(LAYOUTS)):
+        try:
+            parse(frame, version)
+        except WireError:
+            continue
+        return f"protocol {version}"
+    return "no protocol known here"
+
+
+def no_tracking_flag(version: Version) -> AbortError:
+    """Return the error for a protocol whose frames do not tell which bodies are tracked."""
+    return AbortError(
+        f"the camera server speaks protocol {version}, whose frames do not tell which bodies are "
+        "tracked: a lost robot would look like one that stands",
+        f"update Motive to one that speaks NatNet {TELLS_TRACKING} or later (Motive 1.7)",
+    )
+
+
+def no_names(stream: Stream, timeout_s: float) -> AbortError:
+    """Return the error for a server that does not tell names, where bodies are wanted by name."""
+    if stream.counts.unread_models:
+        said = f"its list of rigid bodies cannot be read as protocol {stream.version}"
+    else:
+        said = f"it does not answer when asked for its rigid bodies ({timeout_s:g} s)"
+    wanted = ", ".join(f"'{r.body}'" for r in stream.robots if isinstance(r.body, str))
+    seen = ", ".join(map(str, stream.seen[:SHOWN])) or "none"
+    return AbortError(
+        f"the names {wanted} are not known: the camera server streams, but {said}",
+        f"give ids in place of names, as lab.camera.robots.0.body; frames hold the ids {seen}",
+    )
+
+
+def bodies(stream: Stream) -> str:
+    """Return the rigid bodies that the server tells or streams, as a list for people."""
+    told = {} if stream.model is None else {body.id: body.name for body in stream.model.bodies}
+    every = tuple(dict.fromkeys((*told, *stream.seen)))
+    shown = [_body(number, told.get(number), number in stream.seen) for number in every[:SHOWN]]
+    more = [f"{len(every) - SHOWN} more"] if len(every) > SHOWN else []
+    return "; ".join((*shown, *more)) or "none"
+
+
+def _body(number: int, name: str | None, streamed: bool) -> str:
+    known = f"id {number}" if name is None else f"'{printable(name, SHOWN_LENGTH)}' (id {number})"
+    return known if streamed else f"{known}, not streamed"
+
+
+def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
+    """Return a line for each robot whose rigid body is not in the frames, [] before MODELDEF.
+
+    `names` are those of the stream's robots. A line tells whether the body is known at all, the
+    name or id nearest to one that is not, and which bodies there are.
+    """
+    if stream.model is None or not (missing := stream.missing()):
+        return []
+    pairs = zip(names, stream.robots, strict=True)
+    lines = [_lacking(stream, stream.model, *pair) for pair in pairs if pair[1].body in missing]
+    if not stream.model.complete:
+        lines.append("their list of rigid bodies could not be read to its end: give ids")
+    return lines
+
+
+def _lacking(stream: Stream, model: ModelDef, name: str, robot: Tracked) -> str:
+    body, known = robot.body, model.ids()
+    if isinstance(body, str):
+        wanted = f"rigid body '{body}', wanted for {name}"
+        taken = {robot.body for robot in stream.robots}
+        free = [printable(each, SHOWN_LENGTH) for each in known if each not in taken]
+        near = did_you_mean(body, free)
+    else:
+        wanted = f"rigid body of id {body}, wanted for {name}"
+        closest = min(stream.seen, key=lambda number: abs(number - body), default=None)
+        near = "" if closest is None else f"; the nearest id is {closest}"
+    if body in known or body in known.values():
+        why = f"do not stream the {wanted}: switch it on in Motive"
+    else:
+        why = f"know no {wanted}{near}"
+    return f"the cameras {why}; they have {bodies(stream)}"
+
+
+def not_taken(senders: Senders, stream: Stream) -> list[str]:
+    """Return a line for datagrams of other senders, and one for answers that nobody asked for."""
+    lines: list[str] = []
+    if senders.refused:
+        sender, _ = senders.refused.most_common(1)[0]
+        lines.append(
+            f"{senders.refused.total()} datagrams came from elsewhere than the camera server and "
+            f"were dropped, most of them from {sender}"
+        )
+    if stream.counts.unasked:
+        lines.append(
+            f"{stream.counts.unasked} answers came that nobody had asked for and were dropped"
+        )
+    return lines

@@ -1,0 +1,62 @@
+"""Which datagrams come from the camera server: its address, and one port for each kind.
+
+Answers come from the port that commands are sent to. Frames come from one other port: in unicast
+the one that SERVERINFO tells (from 3.0 on), else the one of the first frame that could be read.
+NatNet signs nothing, so whoever can send from the server's own address and port is believed.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+from tetractl.lab.cameras.optitrack.messages import MessageKind
+
+KINDS_KEPT = 64  # senders that refused datagrams are told apart by, at most
+
+
+@dataclass(frozen=True, slots=True)
+class Sender:
+    """Where datagrams came from, and whether they were frames or answers."""
+
+    host: str
+    port: int
+    frames: bool
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+
+class Senders:
+    """Admits the datagrams of one server and counts all others by their sender."""
+
+    def __init__(self, server: str, command_port: int) -> None:
+        self.server, self.command_port = server, command_port
+        self.frames_port: int | None = None
+        self.refused: Counter[Sender] = Counter()
+        self.refused_frame = b""  # the newest one
+
+    def admit(self, datagram: bytes, host: str, port: int) -> bool:
+        """Return whether a datagram comes from where its kind has to come from.
+
+        Until the frames' port is known, frames are admitted from every port of the server. What
+        is of no known kind counts as a frame: it may be a damaged one.
+        """
+        kind = int.from_bytes(datagram[:2], "little")
+        frame = kind == MessageKind.FRAME or kind not in set(MessageKind)
+        expected = (self.frames_port or port) if frame else self.command_port
+        if host == self.server and port == expected:
+            return True
+        sender = Sender(host, port, frame)
+        if sender in self.refused or len(self.refused) < KINDS_KEPT:
+            self.refused[sender] += 1
+        if frame:
+            self.refused_frame = datagram
+        return False
+
+    def pin(self, port: int | None) -> None:
+        """Admit frames from this port alone from now on; the first port stays."""
+        self.frames_port = self.frames_port or port
+
+    def most(self, frames: bool) -> tuple[Sender, int] | None:
+        """Return who sent most of the refused frames, or answers, and how many; None for none."""
+        found = [item for item in self.refused.most_common() if item[0].frames is frames]
+        return found[0] if found else None

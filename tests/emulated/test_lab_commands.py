@@ -96,6 +96,42 @@ def test_check_says_who_is_off_and_how_far(lab, tmp_path):
     assert done.stdout.rstrip().endswith("not ready")
 
 
+def test_check_prints_the_names_that_the_cameras_have_beside_the_one_wanted(lab, tmp_path):
+    _, settings = lab()
+    sets = flags((*settings, "lab.camera.robots.green.body=Gren"))
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), *sets)
+    assert done.returncode == 1
+    assert (
+        "problem: the cameras know no rigid body 'Gren', wanted for green; did you mean 'green'?; "
+        "they have 'green' (id 1); 'blue' (id 2); 'red' (id 3)"
+    ) in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("actuator", "says"),
+    [
+        ("hardware: 0x7F44", "the module (HV 7F44, VR 10EC) is not known here: does it run 802"),
+        ("explicit: true", "frames of type 0x91, which are not read: set AO in it to 0 or 2"),
+    ],
+)
+def test_check_says_what_is_odd_of_the_radio(lab, tmp_path, actuator, says):
+    script = f"about: an odd radio\nemulation: {{actuator: {{{actuator}}}}}"
+    _, settings = lab(script)
+    command = ("lab", "check", str(SPEC), *flags(settings))
+    done = tetractl(tmp_path, *command)
+    assert done.returncode == 1
+    assert says in done.stdout
+    if "hardware" in actuator:
+        assert "not answered: add --yes where nobody can be asked" in done.stderr
+        done = tetractl(tmp_path, *command, "--yes")
+        assert done.returncode == 0, done.stdout
+        assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
+        with Terminal([TETRACTL, *command], tmp_path, columns=200) as terminal:
+            terminal.expect("802.15.4 firmware? [y/N]")
+            terminal.press("n\n")
+            assert terminal.finish() == 1
+
+
 def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
     emulator, settings = lab()
     sets = flags((*settings, "robots.1.start=[900, 1300]"))

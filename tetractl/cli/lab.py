@@ -9,6 +9,8 @@ from tetractl.cli import lab_emulate
 from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tetractl.core.setup import Setup
     from tetractl.experiment.lab import LabSection
     from tetractl.lab.actuators.xbee.section import XbeeSection
@@ -34,10 +36,14 @@ def check(
     spec: Spec,
     sets: Sets = None,
     json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Answer yes to what only a person knows, unasked.")
+    ] = False,
 ) -> int:
     """Look the lab over without moving a robot: camera, actuator, robots, batteries, starts.
 
-    Exit code 0 means that a run could start now.
+    Exit code 0 means that a run could start now. What only a person knows, such as what a radio of
+    unknown make runs, is asked at a terminal; elsewhere it takes --yes.
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
@@ -55,7 +61,17 @@ def check(
         print(dumps(findings.as_json(found), indent=2, allow_nan=False))
     else:
         findings.print_findings(found)
-    return Exit.DONE if found.ready else Exit.FAILED
+    return Exit.DONE if found.ready and (yes or _agreed(found.questions)) else Exit.FAILED
+
+
+def _agreed(questions: "Sequence[str]") -> bool:
+    """Return whether a person at the terminal answers yes to every question."""
+    import sys
+
+    if questions and not sys.stdin.isatty():
+        typer.echo("not answered: add --yes where nobody can be asked", err=True)
+        return False
+    return all(typer.confirm(question, err=True) for question in questions)
 
 
 @app.command()

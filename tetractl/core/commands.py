@@ -101,10 +101,11 @@ class RobotStatus:
 class Health:
     """The state of a device of the lab before a run.
 
-    `problems` keep a run from starting, `warnings` do not; both are lines for people. `facts` go
-    into the log's metadata.
+    `problems` keep a run from starting, `warnings` do not, and `questions` are for a person, where
+    there is one, to agree to; all are lines for people. `facts` go into the log's metadata.
     """
 
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
+    questions: tuple[str, ...] = ()

@@ -11,10 +11,11 @@ from tetractl.core.wire_tap import NO_TAP, Tap
 class Attendant(Protocol):
     """A person who puts robots on their starts."""
 
-    def place(self, lines: Sequence[str]) -> None:
+    def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
         """Show what keeps the robots from starting, one line each; none: all is ready.
 
-        Called again and again while robots are placed.
+        Who lets the robots start answers yes to the `questions`, a line each. Called again and
+        again while robots are placed.
         """
         ...
 

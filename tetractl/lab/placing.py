@@ -31,7 +31,7 @@ def wait_until_ready(rig: Rig, operators: Operators) -> Preflight:
             findings = inspect(rig)
             lines = list(dict.fromkeys((*findings.all_problems, *unplaced(rig))))
         if attendant is not None:
-            attendant.place(lines)
+            attendant.place(lines, findings.questions if findings else ())
         if findings is not None and not lines and (attendant is None or attendant.go()):
             return findings
         if operators.emergency.is_set():

@@ -44,7 +44,8 @@ class Preflight:
     """What a preflight found.
 
     `latency_ms` (median, greatest) is the age of frames on arrival, None where the camera cannot
-    tell it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own.
+    tell it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own,
+    `questions` what a person, where there is one, has to agree to.
     """
 
     robots: tuple[RobotFinding, ...]
@@ -53,6 +54,7 @@ class Preflight:
     problems: tuple[str, ...]
     warnings: tuple[str, ...]
     facts: Mapping[str, str]
+    questions: tuple[str, ...] = ()
 
     @property
     def all_problems(self) -> tuple[str, ...]:
@@ -72,7 +74,8 @@ class Preflight:
     @property
     def all_warnings(self) -> tuple[str, ...]:
         """Everything that is wrong but does not keep a run from starting."""
-        return (*self.warnings, *(w for robot in self.robots for w in robot.status.warnings))
+        robots = (w for robot in self.robots for w in robot.status.warnings)
+        return (*self.warnings, *self.questions, *robots)
 
 
 def inspect(rig: Rig) -> Preflight:
@@ -97,6 +100,7 @@ def inspect(rig: Rig) -> Preflight:
         tuple(problems),
         (*camera.warnings, *actuator.warnings),
         {**camera.facts, **actuator.facts},
+        (*camera.questions, *actuator.questions),
     )
 
 

@@ -186,6 +186,25 @@ def test_a_robot_that_does_not_move_as_told_is_warned_of():
     assert notes == ["blue does not move as told: power, drive or link?"]
 
 
+def test_who_lets_robots_start_is_asked_what_only_a_person_knows():
+    lab = fake_lab(SETUP)
+    lab.actuator.check = lambda: Health(questions=("does it run 802.15.4 firmware?",))
+    shown = []
+
+    class Person:
+        def place(self, lines, questions):
+            shown.append((tuple(lines), questions))
+
+        def go(self):
+            return True
+
+    lab.operators.attendant = Person()
+    lab.plant.open()
+    assert shown[-1] == ((), ("does it run 802.15.4 firmware?",))
+    notes = [item.text for item in lab.plant.news() if isinstance(item, Note)]
+    assert "does it run 802.15.4 firmware?" in notes
+
+
 def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
     lab = fake_lab(SETUP)
     lab.camera.hidden = {"blue"}
@@ -193,7 +212,7 @@ def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
     shown = []
 
     class Person:
-        def place(self, lines):
+        def place(self, lines, questions):
             shown.append(tuple(lines))
             lab.camera.hidden = set()
             lab.camera.check = Health
@@ -221,7 +240,7 @@ def test_robots_are_waited_for_while_somebody_places_them():
     shown = []
 
     class Helper:
-        def place(self, lines):
+        def place(self, lines, questions):
             shown.append(list(lines))
             if len(shown) == 3:
                 lab.world.poses[1, 0] -= 120

@@ -58,6 +58,7 @@ def as_json(found: Preflight) -> dict[str, Any]:
         "ready": found.ready,
         "problems": [*found.all_problems, *found.misplaced],
         "warnings": list(found.all_warnings),
+        "questions": list(found.questions),
         "camera_rate_hz": found.camera_rate_hz,
         "latency_ms": None if latency is None else {"p50": latency[0], "max": latency[1]},
         "robots": robots,

@@ -16,15 +16,17 @@ class TerminalAttendant:
 
     def __init__(self, console: Console, entered: threading.Event) -> None:
         self._console, self._entered = console, entered
-        self._shown: Sequence[str] | None = None
+        self._shown: tuple[Sequence[str], Sequence[str]] | None = None
 
-    def place(self, lines: Sequence[str]) -> None:
-        """Print the lines if they have changed."""
-        if lines != self._shown:
-            self._shown = lines
+    def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
+        """Print the lines and questions if they have changed."""
+        if (lines, questions) != self._shown:
+            self._shown = lines, questions
             self._entered.clear()
-            text = "; ".join(lines) or "all robots stand on their starts: press Enter to go"
-            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+            ready = "all robots stand on their starts: press Enter to go"
+            ready += ", if the answer is yes" if questions else ""
+            for text in (*questions, "; ".join(lines) or ready):
+                self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def go(self) -> bool:
         """Return whether Enter was pressed since all robots stood."""

@@ -78,11 +78,11 @@ class M3piActuator:
         return self.link.failure
 
     def check(self) -> Health:
-        """Warn of robots without a watchdog; opening the port has checked the radio."""
-        if not isinstance(self.section.protocol, SlaveSection):
-            return Health()
-        warning = "the robots have no watchdog: one that loses the radio drives on"
-        return Health(warnings=(warning,))
+        """Warn of robots without a watchdog; tell what is wrong and not known of the radio."""
+        warnings: tuple[str, ...] = ()
+        if isinstance(self.section.protocol, SlaveSection):
+            warnings = ("the robots have no watchdog: one that loses the radio drives on",)
+        return Health(self.link.problems(), warnings, questions=self.link.questions)
 
     def steer(
         self,

@@ -102,6 +102,8 @@ def calibrate_robots(
         bench = _Bench(section, lab, setup.only(name), limit, emergency)
         try:
             bench.open()
+            for question in bench.actuator.check().questions:
+                report(f"warning: {question}")
             found = bench.measure()
         finally:
             bench.close()
@@ -164,6 +166,8 @@ class _Bench:
         if problems := rig.camera.check().problems:
             raise AbortError("; ".join(problems))
         (status,) = rig.actuator.poll(POLL_S)
+        if problems := rig.actuator.check().problems:
+            raise AbortError("; ".join(problems))
         if not status.answers:
             raise AbortError(f"{self.name} does not answer", "see `tetractl lab check`")
         rig.guard.ready()

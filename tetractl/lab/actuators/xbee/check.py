@@ -1,26 +1,18 @@
 """What the PC's module must be before robots are driven through it.
 
-Firmware by HV (hardware version) and VR (firmware version): only 802.15.4 firmware broadcasts at
-the rate of wheel commands; Zigbee allows about one broadcast a second and DigiMesh repeats each.
+Only 802.15.4 firmware broadcasts at the rate of wheel commands; Zigbee allows about one broadcast a
+second and DigiMesh repeats each.
 """
 
 from typing import Protocol
 
 from tetractl.core.errors import AbortError
+from tetractl.lab.actuators.xbee.hardware import RIGHT, SERIES_1, capable, family, protocol
 from tetractl.lab.actuators.xbee.section import XbeeSection
 
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # by the value of BD
 MODES = {0: "transparent", 1: "api1", 2: "api2"}  # by the value of AP
-SERIES_1 = (0x17, 0x18)
 OTHER_BAUDS = (9600, 57600, 115200, 38400, 19200)
-
-# family by the first byte of HV, then protocol by the first byte of VR
-FAMILIES: dict[tuple[int, ...], tuple[str, dict[int, str]]] = {
-    SERIES_1: ("Series 1", {0x10: "802.15.4", 0x80: "DigiMesh", 0x81: "DigiMesh"}),
-    (0x19, 0x1A, 0x1E): ("Series 2", {}),
-    (0x21, 0x22, 0x23, 0x2D, 0x2E): ("S2C", {0x20: "802.15.4", 0x40: "Zigbee", 0x90: "DigiMesh"}),
-    (0x41, 0x42, 0x43): ("XBee 3", {0x20: "802.15.4", 0x10: "Zigbee", 0x30: "DigiMesh"}),
-}
 
 
 class AskedModule(Protocol):
@@ -35,16 +27,26 @@ class AskedModule(Protocol):
         ...
 
 
-def module(link: AskedModule, radio: XbeeSection) -> None:
-    """Raise AbortError unless an 802.15.4 module in the spec's mode and rate answers."""
+def module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
+    """Raise AbortError unless an 802.15.4 module in the spec's mode and rate answers.
+
+    Return what a person has to say of it: of hardware that is not known here, whether its firmware
+    is the right one.
+    """
     hardware = link.ask(b"HV") or link.ask(b"HV")  # the first may meet the end of a broken frame
     if hardware is None:
         raise _silent(link, radio)
-    protocol = firmware(hardware, link.ask(b"VR") or b"")
-    if protocol != "802.15.4":
+    version = link.ask(b"VR") or b""
+    runs = protocol(hardware, version)
+    if runs not in (RIGHT, None):
         raise AbortError(
-            f"{radio.port}: the module runs {protocol} firmware, not 802.15.4",
-            "it could not broadcast wheel commands fast enough; load 802.15.4 firmware with XCTU",
+            f"{radio.port}: the module runs {runs} firmware, not {RIGHT}",
+            "it could not broadcast wheel commands fast enough; "
+            + (
+                f"load {RIGHT} firmware with XCTU"
+                if capable(family(hardware))
+                else f"take a module that has {RIGHT} firmware: Series 1, S2C, XBee 3 or RR"
+            ),
         )
     rate = _number(link.ask(b"BD"))
     if rate is not None and rate < len(BAUDS) and BAUDS[rate] != radio.baud:
@@ -58,22 +60,16 @@ def module(link: AskedModule, radio: XbeeSection) -> None:
             f"{radio.port}: the module is in {mode}, the spec says {radio.mode}",
             f"set lab.actuator.mode to {mode}, or AP in the module",
         )
-    if radio.baud == 115_200 and hardware[0] in SERIES_1:
+    if radio.baud == 115_200 and family(hardware) is SERIES_1:
         raise AbortError(
             f"{radio.port}: a Series 1 module loses API frames at 115200 baud",
             "use 57600 (BD=6) and set lab.actuator.baud to it",
         )
-
-
-def firmware(hardware: bytes, version: bytes) -> str:
-    """Return the protocol that HV and VR tell, in words for people."""
-    for codes, (family, protocols) in FAMILIES.items():
-        if hardware and hardware[0] in codes:
-            if family == "Series 2":
-                return "Zigbee"
-            known = protocols.get(version[0] if version else -1)
-            return known or f"unknown {family} (VR {version.hex().upper() or 'not told'})"
-    return f"unknown (HV {hardware.hex().upper()}, VR {version.hex().upper()})"
+    if runs is None:
+        told = version.hex().upper() or "not told"
+        question = f"the module (HV {hardware.hex().upper()}, VR {told}) is not known here"
+        return (f"{radio.port}: {question}: does it run {RIGHT} firmware?",)
+    return ()
 
 
 def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 from tetractl.lab.errors import WireError
 
+EXPLICIT_RECEIVE = 0x91  # type of the frames that come in place of others with AO=1
 BROADCAST_16 = 0xFFFF
 BROADCAST_64 = 0x000000000000FFFF
 

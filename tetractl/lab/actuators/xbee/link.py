@@ -12,6 +12,7 @@ from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.xbee import check
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
+    EXPLICIT_RECEIVE,
     AtCommand,
     AtResponse,
     Other,
@@ -48,14 +49,19 @@ class LinkCounts:
     frames_sent: int = 0
     received: int = 0
     undelivered: int = 0  # unicasts that no module acknowledged
+    explicit: int = 0  # frames of type 0x91, which are not read
 
 
 class Link:
-    """An open port. Times are ns on `clock`; every failure is an AbortError and final."""
+    """An open port. Times are ns on `clock`; every failure is an AbortError and final.
+
+    `questions` are what only a person knows of the module on it.
+    """
 
     def __init__(self, radio: XbeeSection, clock: Clock, tap: Tap = NO_TAP) -> None:
         self.radio = radio
         self.counts = LinkCounts()
+        self.questions: tuple[str, ...] = ()
         self.decoder = Decoder(escaped=radio.mode == "api2")
         self._api = radio.mode != "transparent"
         self._fresh: deque[Received] = deque(maxlen=KEPT)
@@ -75,7 +81,7 @@ class Link:
         """Open the port for this process alone and, `checked` in an API mode, check the module."""
         self._port.open()
         if checked and self._api:
-            check.module(self, self.radio)
+            self.questions = check.module(self, self.radio)
 
     def send(self, data: bytes, address: int = BROADCAST_16) -> int:
         """Send to one module or to all; return when the bytes were handed over [ns]."""
@@ -106,6 +112,15 @@ class Link:
     def set_baud(self, baud: int) -> None:
         """Speak at another rate."""
         self._port.set_baud(baud)
+
+    def problems(self) -> tuple[str, ...]:
+        """Return why what other modules sent could not be read, a line for people."""
+        if not self.counts.explicit:
+            return ()
+        return (
+            f"{self.radio.port}: the module reports what it hears in frames of type 0x91, which "
+            "are not read: set AO in it to 0 or 2",
+        )
 
     def fetch(self) -> list[Received]:
         """Return, once, what other modules sent since the last call."""
@@ -152,6 +167,8 @@ class Link:
             case Receive(_, short, _, data):
                 self._fresh.append(Received(short, now, data))
                 self.counts.received += 1
+            case Other(api) if api == EXPLICIT_RECEIVE:
+                self.counts.explicit += 1
             case TransmitStatus(_, status) if status:
                 self.counts.undelivered += 1
             case _:

@@ -12,6 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
     BROADCAST_64,
+    EXPLICIT_RECEIVE,
     AtCommand,
     AtResponse,
     Other,
@@ -48,13 +49,14 @@ Write = Callable[[bytes], None]
 
 @dataclass(slots=True)
 class ModuleSettings:
-    """What the module was set to; `mode` is AP."""
+    """What the module was set to; `mode` is AP, `explicit` whether AO is 1."""
 
     baud: int = 57600
     mode: int = 2
     hardware: int = 0x1744  # HV: Series 1
     firmware: int = 0x10EC  # VR: 802.15.4
     address: int = 0
+    explicit: bool = False
     other: dict[bytes, int] = field(
         default_factory=lambda: {b"CH": 0x0C, b"ID": 0x3332, b"DH": 0, b"DL": BROADCAST_16}
     )
@@ -92,6 +94,10 @@ class EmulatedModule:
         """Take a payload from the air."""
         if not self.settings.mode:
             self._write(payload)
+        elif self.settings.explicit:  # both addresses, endpoints, cluster, profile, options
+            sender = (SERIAL_HIGH << 32 | SERIAL_LOW + source).to_bytes(8, "big")
+            head = sender + source.to_bytes(2, "big") + bytes.fromhex("E8E80011C10501")
+            self._tell(Other(EXPLICIT_RECEIVE, head + payload))
         else:
             self._tell(Receive16(source, RSSI, 0, payload))
 

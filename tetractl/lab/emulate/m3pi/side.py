@@ -55,6 +55,10 @@ class M3piSettings(Model):
 
     firmware: Literal["802.15.4", "zigbee"] = "802.15.4"
     """What the radio's module runs."""
+    hardware: int | None = Field(default=None, ge=0, le=0xFFFF)
+    """The module's hardware version (HV); that of a Series 1 or 2 by default."""
+    explicit: bool = False
+    """Whether the module reports what it hears in frames of type 0x91 (AO=1)."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] | None = None
     """The module's speed; the spec's by default."""
     mode: Literal["api2", "api1", "transparent"] | None = None
@@ -265,7 +269,10 @@ def _robot(stage: Stage, section: M3piSection, robot: M3piRobot, truth: TrueRobo
 def _module(section: M3piSection, settings: M3piSettings) -> ModuleSettings:
     hardware, firmware = SERIES_2 if settings.firmware == "zigbee" else SERIES_1
     mode = MODES[settings.mode or section.mode]
-    return ModuleSettings(settings.baud or section.baud, mode, hardware, firmware)
+    hardware = hardware if settings.hardware is None else settings.hardware
+    return ModuleSettings(
+        settings.baud or section.baud, mode, hardware, firmware, explicit=settings.explicit
+    )
 
 
 def _address(section: M3piSection, name: str) -> int:

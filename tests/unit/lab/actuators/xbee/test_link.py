@@ -11,15 +11,17 @@ from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.m3pi.broadcast import Reply, Status, decode_command, encode_reply
 from tetractl.lab.actuators.m3pi.protocols import BroadcastProtocol, SlaveProtocol
-from tetractl.lab.actuators.xbee.check import BAUDS, firmware
+from tetractl.lab.actuators.xbee.check import BAUDS
 from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
     AtResponse,
+    Other,
     Receive16,
     Transmit16,
     TransmitStatus,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
+from tetractl.lab.actuators.xbee.hardware import FAMILIES, protocol
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.actuators.xbee.section import XbeeSection
 from tetractl.lab.cobs import Splitter
@@ -127,6 +129,7 @@ def test_a_unicast_that_nobody_acknowledged_is_counted(module):
         ({b"VR": b"\x80\x6b"}, {}, "the module runs DigiMesh firmware"),
         ({b"HV": b"\x19\x44", b"VR": b"\x21\xa7"}, {}, "the module runs Zigbee firmware"),
         ({b"HV": b"\x22\x44", b"VR": b"\x40\x60"}, {}, "the module runs Zigbee firmware"),
+        ({b"HV": b"\x23\x44", b"VR": b"\x20\x03"}, {}, "the module runs 900 MHz firmware"),
         ({b"BD": b"\x03"}, {}, "the module says 9600 baud, the spec 57600"),
         ({b"AP": b"\x01"}, {}, "the module is in api1, the spec says api2"),
         ({b"BD": b"\x07"}, {"baud": 115200}, "loses API frames at 115200"),
@@ -145,7 +148,7 @@ def test_a_port_without_a_module_is_told(module):
 
 
 @pytest.mark.parametrize(
-    ("hardware", "version", "protocol"),
+    ("hardware", "version", "runs"),
     [
         (b"\x17\x44", b"\x10\xed", "802.15.4"),
         (b"\x18\x44", b"\x10\xec", "802.15.4"),
@@ -154,12 +157,61 @@ def test_a_port_without_a_module_is_told(module):
         (b"\x41\x45", b"\x10\x12", "Zigbee"),
         (b"\x1a\x44", b"\x20\xa7", "Zigbee"),
         (b"\x22\x44", b"\x90\x00", "DigiMesh"),
-        (b"\x22\x44", b"", "unknown S2C (VR not told)"),
-        (b"\xff\x00", b"\x10\x00", "unknown (HV FF00, VR 1000)"),
+        (b"\x30\x44", b"\x20\x03", "802.15.4"),  # S2C PRO SMT
+        (b"\x52\x44", b"\x20\x14", "802.15.4"),  # XBee RR
+        (b"\x57\x44", b"\x20\x14", "802.15.4"),  # XBee RR TH
+        (b"\x57\x44", b"\x30\x14", "DigiMesh"),
+        (b"\x53\x44", b"\xc0\x01", "802.15.4"),  # S2C P5
+        (b"\x53\x44", b"\xb0\x01", "DigiMesh"),
+        (b"\x53\x44", b"\x20\x01", "Zigbee"),
+        (b"\x23\x44", b"\x20\x03", "900 MHz"),
+        (b"\x32\x44", b"\x20\x03", "Zigbee"),  # S2D
+        (b"\x19\x44", b"", "Zigbee"),
+        (b"\x22\x44", b"", None),
+        (b"\xff\x00", b"\x10\x00", None),
+        (b"", b"", None),
     ],
 )
-def test_firmware_is_told_by_hardware_and_version(hardware, version, protocol):
-    assert firmware(hardware, version) == protocol
+def test_a_protocol_is_told_by_hardware_and_version(hardware, version, runs):
+    assert protocol(hardware, version) == runs
+
+
+def test_no_hardware_is_of_two_families():
+    codes = [code for family in FAMILIES for code in family.codes]
+    assert len(codes) == len(set(codes))
+
+
+@pytest.mark.parametrize(("hardware", "version"), [(b"\x7f\x44", b"\x20\x03"), (b"\x22\x44", b"")])
+def test_a_module_that_is_not_known_is_asked_about_and_used(module, hardware, version):
+    """Regression: it was refused."""
+    radio = module(SERIES_1 | {b"HV": hardware, b"VR": version})
+    link = opened(radio)
+    try:
+        told = version.hex() or "not told"
+        assert link.questions == (
+            f"{radio.name}: the module (HV {hardware.hex().upper()}, VR {told}) is not known here: "
+            "does it run 802.15.4 firmware?",
+        )
+    finally:
+        link.close()
+
+
+def test_frames_of_type_0x91_are_reported(module):
+    """Regression: they were passed over, and every robot was said not to answer."""
+    said = bytes(10) + bytes.fromhex("E8E80011C10501") + b"hello"
+    radio = module(respond=lambda frame: [Other(0x91, said), Receive16(1, 40, 0, b"x")])
+    link = opened(radio)
+    try:
+        assert link.problems() == ()
+        link.send(b"data")
+        link.wait(10)
+        (problem,) = link.problems()
+        assert problem == (
+            f"{radio.name}: the module reports what it hears in frames of type 0x91, which are "
+            "not read: set AO in it to 0 or 2"
+        )
+    finally:
+        link.close()
 
 
 def test_the_rates_are_the_modules_own():

@@ -127,7 +127,7 @@ def test_check_says_what_is_odd_of_the_radio(lab, tmp_path, actuator, says):
         assert done.returncode == 0, done.stdout
         assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
         with Terminal([TETRACTL, *command], tmp_path, columns=200) as terminal:
-            terminal.expect("802.15.4 firmware? [y/N]")
+            terminal.expect(r"802\.15\.4 firmware\? \[y/N\]")
             terminal.press("n\n")
             assert terminal.finish() == 1
 

@@ -42,8 +42,8 @@ def check(
 ) -> int:
     """Look the lab over without moving a robot: camera, actuator, robots, batteries, starts.
 
-    Exit code 0 means that a run could start now. What only a person knows, such as what a radio of
-    unknown make runs, is asked at a terminal; elsewhere it takes --yes.
+    Exit code 0 means that a run could start now. What only a person knows, such as
+    the firmware of an unknown radio, is asked; without a terminal it takes --yes.
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """

@@ -35,10 +35,9 @@ def _version_as_text(value: Any) -> Any:
     return str(value)
 
 
+_Version = Annotated[str, Field(pattern=r"^[2-4]\.\d{1,2}$")]
 VersionText = Annotated[
-    str,
-    BeforeValidator(_version_as_text, json_schema_input_type=str | float),
-    Field(pattern=r"^[2-4]\.\d{1,2}$"),
+    _Version, BeforeValidator(_version_as_text, json_schema_input_type=_Version | float)
 ]
 """A protocol version as text; where its minor number has one digit, a number will do."""
 

@@ -19,6 +19,7 @@ from tetractl.cli import (
     plot,
     recover,
     replay,
+    report,
     run,
     schema,
     stats,
@@ -63,6 +64,7 @@ app.command("info")(info.info)
 app.command("recover")(recover.recover)
 app.command("replay")(replay.replay)
 app.command("plot")(plot.plot)
+app.command("report")(report.report)
 app.command("verify")(verify.verify)
 app.command("stats")(stats.stats)
 app.add_typer(lab.app, name="lab")

@@ -1,5 +1,6 @@
 """The style of every figure: colours, type sizes, sizes on paper; and saving a figure."""
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,7 +46,7 @@ RC: dict[str, Any] = {
     "lines.solid_capstyle": "round",
     "savefig.dpi": 300,
     "pdf.fonttype": 42,  # text stays text
-    "svg.fonttype": "path",
+    "svg.fonttype": "none",
     "svg.hashsalt": "tetractl",  # the same file from the same log
 }
 _METADATA: dict[str, dict[str, Any]] = {
@@ -100,3 +101,11 @@ def save(drawing: Figure, path: Path) -> None:
     wanted = file_format(path)
     with styled():
         drawing.savefig(path, format=wanted, metadata=_METADATA[wanted])
+
+
+def svg(drawing: Figure) -> bytes:
+    """Return a figure as SVG; the same figure gives the same bytes."""
+    picture = io.BytesIO()
+    with styled():
+        drawing.savefig(picture, format="svg", metadata=_METADATA["svg"])
+    return picture.getvalue()

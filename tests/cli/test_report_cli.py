@@ -1,0 +1,168 @@
+"""`tetractl report`: the page is opened offline in a headless Chromium, and used."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.chromium import Page, chromium, needs_chromium
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+
+
+def tetractl(folder: Path, *args: object) -> subprocess.CompletedProcess[str]:
+    command = [TETRACTL, *map(str, args)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+SPEC = """
+name: quick
+description: "<b>bold</b> & <script>alert(1)</script>"
+arena: {left: 0, bottom: 0, width: 1000, height: 800}
+robots:
+  - {name: one, start: [100, 500], target: [300, 500], a: 6, speed: 200}
+  - {name: two, start: [100, 200], target: [300, 250], a: 3, speed: 200}
+obstacles: [{type: circle, center: [600, 600], radius: 50}]
+controller: {horizon_max: 8, steps_max: 30, optimizer: {particles: 20, iterations: 20}}
+plant: {type: sim, dead_time: 0.1, heading_noise: 0.1}
+trials: {count: 3, seed: 7}
+reference: {source: somewhere, n: 20, mean: 300, std: 100}
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `logs` of three trials and their `report.html`."""
+    place = tmp_path_factory.mktemp("report")
+    (place / "quick.yaml").write_text(SPEC)
+    assert tetractl(place, "run", "quick.yaml", "--out", "logs", "--quiet").returncode == 0
+    done = tetractl(place, "report", "logs")
+    assert (done.returncode, done.stdout) == (0, "report.html\n"), done.stderr
+    return place
+
+
+@pytest.fixture(scope="module")
+def statistics(folder: Path) -> dict:
+    return json.loads(tetractl(folder, "stats", "logs", "--format", "json").stdout)
+
+
+@pytest.fixture
+def page(folder: Path, tmp_path: Path):
+    with chromium(tmp_path / "profile") as browser:
+        browser.open(folder / "report.html")
+        yield browser
+        assert browser.errors == []
+
+
+def text(page: Page, name: str) -> str:
+    return page.run(f"document.getElementById('{name}').textContent")
+
+
+def test_the_page_needs_nothing_beside_it(folder: Path):
+    html = (folder / "report.html").read_text()
+    assert not re.search(r"(src|href)=\"(?!data:|#)", html)
+    assert "https://" not in re.sub(r"<pre>.*?</pre>", "", html, flags=re.DOTALL)
+    assert "alert(1)</script>" not in html
+    assert len(html) < 1_500_000
+
+
+def test_the_same_logs_give_the_same_page(folder: Path):
+    assert tetractl(folder, "report", "logs", "-o", "again.html").returncode == 0
+    assert (folder / "again.html").read_text() == (folder / "report.html").read_text()
+
+
+@needs_chromium
+def test_the_page_shows_the_numbers_of_stats(page: Page, statistics: dict):
+    inside = json.loads(page.run("document.querySelector('script.statistics').textContent"))
+    assert inside == statistics
+    rows = page.run(
+        "[...document.querySelectorAll('tr[data-total-error]')]"
+        ".map((row) => Number(row.dataset.totalError))"
+    )
+    assert rows == [trial["total_error"] for trial in statistics["trials"]]
+    mean = page.run("document.querySelector('.figures b').textContent")
+    assert float(mean.split()[0]) == pytest.approx(statistics["total_error"]["mean"], abs=0.06)
+    for trial in range(3):
+        page.key("End")
+        shown = float(text(page, "total"))
+        assert shown == pytest.approx(statistics["trials"][trial]["total_error"], rel=0.1, abs=1)
+        page.key("]")
+
+
+@needs_chromium
+def test_it_plays_and_scrubs_and_steps(page: Page):
+    assert text(page, "step") in ("–", "0")
+    page.run(
+        "document.getElementById('rate').value = '10';"
+        "document.getElementById('rate').dispatchEvent(new Event('change'))"
+    )
+    page.key(" ")
+    page.run(
+        "new Promise((done) => { const wait = () => player.playing"
+        " ? requestAnimationFrame(wait) : done(); wait(); })"
+    )
+    assert page.run("player.time === player.trial.end")
+    assert page.run("player.frames") > 1
+    page.run(
+        "{ const s = document.getElementById('scrub'); s.value = 0.45;"
+        " s.dispatchEvent(new Event('input')); }"
+    )
+    assert text(page, "step") == "2"
+    page.key(".")
+    assert text(page, "step") == "3"
+    page.key(",")
+    assert text(page, "step") == "2"
+    said = page.run("document.getElementById('scrub').getAttribute('aria-valuetext')")
+    assert said.startswith("0.40 s, step 2, total error ")
+    page.key("Home")
+    assert page.run("player.time === player.trial.start")
+    page.run("location.hash = '#trial-3'")
+    page.run("new Promise((done) => setTimeout(done))")
+    assert page.run("player.index") == 2
+    assert text(page, "file") == "trial-002.mcap"
+
+
+@needs_chromium
+def test_what_is_drawn_moves_with_the_time(page: Page):
+    shot = "document.getElementById('scene').toDataURL()"
+    start = page.run(shot)
+    page.key("End")
+    assert page.run(shot) != start
+    page.key("Home")
+    assert page.run(shot) == start
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [390, 1280])
+def test_nothing_is_wider_than_the_screen(folder: Path, page: Page, width: int):
+    page.open(folder / "report.html", width, 844)
+    assert page.run("document.documentElement.scrollWidth") <= width
+
+
+def test_a_log_that_cannot_be_read_is_named_and_the_rest_shown(folder: Path, tmp_path: Path):
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for log in (folder / "logs").glob("*.mcap"):
+        (logs / log.name).write_bytes(log.read_bytes())
+    (logs / "trial-001.mcap").write_bytes(b"nothing")
+    done = tetractl(tmp_path, "report", "logs")
+    assert done.returncode == 1
+    assert "trial-001.mcap" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert 'id="trial-data-1"' in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "message"),
+    [
+        (["missing"], 2, "missing: no such file or folder"),
+        (["logs", "-o", "no/where.html"], 1, "no/where.html: cannot write the page"),
+    ],
+)
+def test_what_goes_wrong_is_one_clear_line(folder: Path, args: list[str], code: int, message: str):
+    done = tetractl(folder, "report", *args)
+    assert done.returncode == code
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,135 @@
+"""A headless Chromium that a test drives over pipes, by the DevTools protocol."""
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+needs_chromium = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium on this machine")
+
+
+class Page:
+    """One page; messages are JSON with a NUL behind each."""
+
+    def __init__(self, to_browser: int, from_browser: int) -> None:
+        self._out, self._in = to_browser, os.fdopen(from_browser, "rb")
+        self._ids, self._session = count(1), None
+        self.errors: list[str] = []
+        self._waiting: list[dict[str, Any]] = []
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+        self.call("Page.enable")
+        self.call("Runtime.enable")
+        self.call("Network.enable")
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """Call a method and return its result."""
+        number = next(self._ids)
+        message = {"id": number, "method": method, "params": params}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._out, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self._read()
+            if answer.get("id") == number:
+                assert "error" not in answer, answer["error"]
+                return answer["result"]
+            self._waiting.append(answer)
+
+    def _read(self) -> dict[str, Any]:
+        text = bytearray()
+        while (byte := self._in.read(1)) != b"\0":
+            assert byte, "the browser ended"
+            text += byte
+        found = json.loads(text)
+        if found.get("method") == "Runtime.exceptionThrown":
+            self.errors.append(str(found["params"]["exceptionDetails"]))
+        return found
+
+    def open(self, path: Path, width: int = 1280, height: int = 800) -> None:
+        """Open a file, offline, and wait until it is loaded."""
+        offline = {"latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
+        self.call("Network.emulateNetworkConditions", offline=True, **offline)
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
+        self._waiting.clear()
+        self.call("Page.navigate", url=path.resolve().as_uri())
+        while not any(m.get("method") == "Page.loadEventFired" for m in self._waiting):
+            self._waiting.append(self._read())
+
+    def run(self, script: str) -> Any:
+        """Return the value of an expression, of a promise what it becomes."""
+        found = self.call(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
+        assert "exceptionDetails" not in found, found["exceptionDetails"]
+        return found["result"].get("value")
+
+    def key(self, key: str) -> None:
+        """Press and release a key."""
+        text = {"text": key} if len(key) == 1 else {}
+        self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
+
+    def close(self) -> None:
+        """Close the pipe from the browser."""
+        self._in.close()
+
+    def picture(self, file: Path) -> None:
+        """Write a PNG of what is in view."""
+        data = self.call("Page.captureScreenshot", format="png")["data"]
+        file.write_bytes(base64.b64decode(data))
+
+
+@contextmanager
+def chromium(profile: Path) -> Iterator[Page]:
+    """Start a browser with a profile of its own and return its page."""
+    assert BROWSER is not None
+    to_browser, from_browser = os.pipe(), os.pipe()
+
+    def pipes() -> None:  # Chromium reads from 3 and writes to 4
+        read, write = os.dup(to_browser[0]), os.dup(from_browser[1])
+        os.dup2(read, 3)
+        os.dup2(write, 4)
+
+    process = subprocess.Popen(
+        [
+            BROWSER,
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--remote-debugging-pipe",
+            f"--user-data-dir={profile}",
+        ],
+        preexec_fn=pipes,
+        close_fds=False,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(to_browser[0])
+    os.close(from_browser[1])
+    page = Page(to_browser[1], from_browser[0])
+    try:
+        yield page
+    finally:
+        process.kill()
+        process.wait()
+        os.close(to_browser[1])
+        page.close()

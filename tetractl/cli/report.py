@@ -1,0 +1,50 @@
+"""`tetractl report`: one HTML page of trials and their statistics."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tetractl.core.errors import Exit, LogError
+
+
+def report(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG|FOLDER...", help="Logs of trials, folders of them, patterns."),
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Page to write, overwritten.")
+    ] = Path("report.html"),
+    title: Annotated[
+        str | None, typer.Option(metavar="TEXT", help="Title of the page.  \\[experiment's name]")
+    ] = None,
+) -> int:
+    """Write one HTML page that shows trials and their statistics, and needs no network.
+
+    The page holds a player of every trial, the tables of `tetractl stats`, the distribution of the
+    errors, figures of the first trial and where the numbers come from. Each folder is a batch of
+    its own, side by side with the others.
+
+    Example: tetractl report logs/three-m3pi -o report.html
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from tetractl.report import page
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("reading logs", total=None)
+        html, unread = page.report(
+            logs, title, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    try:
+        output.write_text(html, encoding="utf-8")
+    except OSError as error:
+        raise LogError(f"{output}: cannot write the page: {error.strerror}") from error
+    for problem in unread:
+        print(f"warning: {problem}", file=sys.stderr)
+    print(output)
+    return Exit.FAILED if unread else Exit.DONE

@@ -1,0 +1,79 @@
+// Trials as they stand in the page: JSON whose arrays are packed as report/pack.py says.
+
+function unpack(packed) {
+  const raw = atob(packed.f4 ?? packed.i2);
+  const bytes = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
+  if (packed.f4 !== undefined) return new Float32Array(bytes.buffer);
+  return Float64Array.from(new Int16Array(bytes.buffer), (i) =>
+    i === -32768 ? NaN : packed.offset + packed.scale * i);
+}
+
+function unpackAll(group) {
+  const found = {};
+  for (const [name, value] of Object.entries(group))
+    found[name] = value && (value.f4 !== undefined || value.i2 !== undefined) ? unpack(value) : value;
+  return found;
+}
+
+function readTrial(index) {
+  const trial = JSON.parse(document.getElementById(`trial-data-${index}`).textContent);
+  for (const part of ["frames", "steps", "plan", "history"])
+    if (trial[part]) trial[part] = unpackAll(trial[part]);
+  const last = (times) => (times.length ? times[times.length - 1] : 0);
+  trial.end = Math.max(last(trial.frames.t), last(trial.steps.t), trial.duration_s ?? 0);
+  trial.start = Math.min(0, trial.frames.t.length ? trial.frames.t[0] : 0);
+  return trial;
+}
+
+// The index of the last of some rising times that is not after t, -1 if all are.
+function indexAt(times, t) {
+  let low = 0, high = times.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (times[middle] <= t) low = middle + 1; else high = middle;
+  }
+  return low - 1;
+}
+
+function angleBetween(one, other, share) {
+  const turn = Math.atan2(Math.sin(other - one), Math.cos(other - one));
+  return one + share * turn;
+}
+
+// Poses [x, y, heading] of all robots at a time, between two frames by interpolation.
+function posesAt(trial, t) {
+  const { t: times, xy, heading } = trial.frames, robots = trial.robots.length;
+  const i = Math.max(indexAt(times, t), 0), j = Math.min(i + 1, times.length - 1);
+  const gap = times[j] - times[i];
+  const share = gap > 0 ? Math.min(Math.max((t - times[i]) / gap, 0), 1) : 0;
+  return trial.robots.map((_, r) => {
+    const at = (frame, k) => xy[(frame * robots + r) * 2 + k];
+    const mix = (k) => at(i, k) + share * (at(j, k) - at(i, k));
+    return [mix(0), mix(1), angleBetween(heading[i * robots + r], heading[j * robots + r], share)];
+  });
+}
+
+function distancesAt(trial, t) {
+  return posesAt(trial, t).map(([x, y], r) => {
+    const [tx, ty] = trial.robots[r].target;
+    return Math.hypot(x - tx, y - ty);
+  });
+}
+
+function digits(value, count = 3) {
+  if (value === null || !Number.isFinite(value)) return "–";
+  const whole = Math.abs(value) >= 10 ** count;
+  return whole ? value.toFixed(0) : String(Number(value.toPrecision(count)));
+}
+
+// Ticks at 1, 2 or 5 times a power of ten, about `count` of them.
+function ticks(low, high, count) {
+  const rough = (high - low) / Math.max(count, 1);
+  if (!(rough > 0)) return [low];
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= rough);
+  const found = [];
+  for (let k = Math.ceil(low / step); k * step <= high + step * 1e-9; k++) found.push(k * step);
+  return found;
+}

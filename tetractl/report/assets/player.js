@@ -1,0 +1,260 @@
+// The player: time, keys, buttons; it tells the scene, the charts and the table what to show.
+
+const byId = (id) => document.getElementById(id);
+
+class Player {
+  constructor(count) {
+    this.count = count;
+    this.scene = new Scene(byId("scene"));
+    const seek = (t) => this.pauseAt(t);
+    this.charts = {
+      distance: new Chart(byId("chart-distance"), { xLabel: "time [s]", log: true, onSeek: seek }),
+      cost: new Chart(byId("chart-cost"), { xLabel: "time [s]", log: true, onSeek: seek }),
+      solve: new Chart(byId("chart-solve"), { xLabel: "time [s]", onSeek: seek }),
+      history: new Chart(byId("chart-history"), { xLabel: "share of the search [%]", log: true }),
+    };
+    this.rate = 1;
+    this.frames = 0;
+    this.bind();
+    this.open(0);
+  }
+
+  bind() {
+    const on = (id, event, action) => byId(id).addEventListener(event, action);
+    on("play", "click", () => this.toggle());
+    on("step-back", "click", () => this.step(-1));
+    on("step-on", "click", () => this.step(1));
+    on("to-start", "click", () => this.pauseAt(this.trial.start));
+    on("to-end", "click", () => this.pauseAt(this.trial.end));
+    on("scrub", "input", (event) => this.pauseAt(Number(event.target.value)));
+    on("rate", "change", (event) => { this.rate = Number(event.target.value); });
+    on("which", "change", (event) => this.open(Number(event.target.value)));
+    for (const name of ["plan", "trail", "follow"])
+      on(`show-${name}`, "change", (event) => {
+        this.scene.options[name] = event.target.checked;
+        this.draw();
+      });
+    on("theme", "click", () => {
+      const dark = getComputedStyle(document.documentElement).colorScheme === "dark";
+      document.documentElement.dataset.theme = dark ? "light" : "dark";
+      this.draw();
+    });
+    document.addEventListener("keydown", (event) => this.key(event));
+    window.addEventListener("resize", () => this.draw());
+    window.addEventListener("beforeprint", () => this.draw());
+    window.addEventListener("hashchange", () => this.follow());
+    window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    byId("scene").addEventListener("pointermove", (event) => this.point(event));
+    byId("scene").addEventListener("pointerleave", () => { byId("pointed").textContent = ""; });
+  }
+
+  // Open the trial that the address names, such as #trial-3.
+  follow() {
+    const found = /^#trial-(\d+)$/.exec(location.hash);
+    if (found && Number(found[1]) >= 1 && Number(found[1]) <= this.count) {
+      this.open(Number(found[1]) - 1);
+      byId("player").scrollIntoView();
+    }
+  }
+
+  key(event) {
+    const tag = event.target.tagName;
+    if (event.ctrlKey || event.metaKey || event.altKey || tag === "SELECT") return;
+    if (tag === "INPUT" && event.target.type === "range" && event.key.startsWith("Arrow")) return;
+    const actions = {
+      " ": () => this.toggle(),
+      ArrowLeft: () => this.pauseAt(this.time - 1),
+      ArrowRight: () => this.pauseAt(this.time + 1),
+      ",": () => this.step(-1),
+      ".": () => this.step(1),
+      Home: () => this.pauseAt(this.trial.start),
+      End: () => this.pauseAt(this.trial.end),
+      e: () => this.event(1),
+      E: () => this.event(-1),
+      "[": () => this.open(this.index - 1),
+      "]": () => this.open(this.index + 1),
+    };
+    const buttons = tag === "BUTTON" || tag === "SUMMARY" || tag === "A" || tag === "INPUT";
+    if (!(event.key in actions) || (event.key === " " && buttons)) return;
+    event.preventDefault();
+    actions[event.key]();
+  }
+
+  open(index) {
+    if (index < 0 || index >= this.count) return;
+    this.pause();
+    this.index = index;
+    this.trial = readTrial(index);
+    byId("which").value = String(index);
+    const scrub = byId("scrub");
+    scrub.min = this.trial.start;
+    scrub.max = this.trial.end;
+    scrub.step = Math.max(this.trial.end / 2000, 1e-3);
+    this.scene.show(this.trial);
+    this.tables();
+    this.lines();
+    this.time = this.trial.start;
+    this.draw();
+  }
+
+  lines() {
+    const { trial } = this, { steps } = trial, robots = trial.robots.length;
+    const each = trial.robots.map((robot, r) => ({
+      name: robot.name, color: robot.color, x: steps.t,
+      y: Array.from(steps.t, (_, k) => steps.distance[k * robots + r]),
+    }));
+    const total = {
+      name: "total", color: color("ink"), x: steps.t, dashed: true,
+      y: Array.from(steps.t, (_, k) => each.reduce((sum, one) => sum + one.y[k], 0)),
+    };
+    const { start, end } = trial;
+    this.charts.distance.show([...each, total], start, end);
+    this.charts.cost.show([{ name: "J", color: color("accent"), x: steps.t, y: steps.cost }], start, end);
+    const solve = [{ name: "solve", color: color("accent"), x: steps.t, y: steps.solve_ms }];
+    this.charts.solve.show(solve, start, end);
+  }
+
+  tables() {
+    const { trial } = this, head = byId("robots");
+    head.replaceChildren(...trial.robots.map((robot) => {
+      const row = document.createElement("tr");
+      const name = document.createElement("th");
+      name.scope = "row";
+      const dot = document.createElement("span");
+      dot.className = "dot";
+      dot.style.background = robot.color;
+      name.append(dot, robot.name);
+      row.append(name, document.createElement("td"), document.createElement("td"), document.createElement("td"));
+      return row;
+    }));
+    byId("distance-unit").textContent = `[${trial.unit}]`;
+    byId("outcome").textContent = trial.outcome + (trial.reason ? `: ${trial.reason}` : "");
+    byId("file").textContent = trial.file;
+    const marks = byId("marks"), list = byId("events");
+    const place = (t) => `${(100 * (t - trial.start)) / (trial.end - trial.start || 1)}%`;
+    marks.replaceChildren(...trial.events.map(({ t, level, text }) => {
+      const mark = document.createElement("i");
+      mark.className = level;
+      mark.style.left = place(t);
+      mark.title = `${digits(t, 4)} s: ${text}`;
+      return mark;
+    }));
+    list.replaceChildren(...trial.events.map(({ t, level, text }) => {
+      const item = document.createElement("li"), jump = document.createElement("button");
+      jump.textContent = `${t.toFixed(2)} s`;
+      jump.addEventListener("click", () => this.pauseAt(t));
+      item.className = level;
+      item.append(jump, ` ${text}`);
+      return item;
+    }));
+    byId("no-events").hidden = trial.events.length > 0;
+    byId("history-box").hidden = !trial.history;
+  }
+
+  toggle() {
+    if (this.playing) { this.pause(); return; }
+    if (this.time >= this.trial.end) this.time = this.trial.start;
+    this.playing = true;
+    byId("play").textContent = "Pause";
+    let before = performance.now();
+    const frame = (now) => {
+      if (!this.playing) return;
+      this.time = Math.min(this.time + (this.rate * (now - before)) / 1000, this.trial.end);
+      before = now;
+      this.draw();
+      this.frames++;
+      if (this.time >= this.trial.end) this.pause(); else requestAnimationFrame(frame);
+    };
+    requestAnimationFrame(frame);
+  }
+
+  pause() {
+    this.playing = false;
+    byId("play").textContent = "Play";
+    if (this.trial) byId("said").textContent = this.words();
+  }
+
+  pauseAt(t) {
+    this.time = Math.min(Math.max(t, this.trial.start), this.trial.end);
+    this.pause();
+    this.draw();
+  }
+
+  step(by) {
+    const times = this.trial.steps.t;
+    const k = by > 0 ? indexAt(times, this.time) + 1 : indexAt(times, this.time - 1e-6);
+    if (k >= 0 && k < times.length) this.pauseAt(times[k]);
+  }
+
+  event(by) {
+    const times = this.trial.events.map((event) => event.t);
+    const k = by > 0 ? indexAt(times, this.time) + 1 : indexAt(times, this.time - 1e-6);
+    if (k >= 0 && k < times.length) this.pauseAt(times[k]);
+  }
+
+  words() {
+    const { trial } = this, k = indexAt(trial.steps.t, this.time);
+    const total = distancesAt(trial, this.time).reduce((sum, one) => sum + one, 0);
+    const where = k < 0 ? "before the first step" : `step ${k}`;
+    return `${this.time.toFixed(2)} s, ${where}, total error ${digits(total)} ${trial.unit}`;
+  }
+
+  draw() {
+    const { trial, time } = this, k = indexAt(trial.steps.t, time);
+    this.scene.draw(time);
+    for (const name of ["distance", "cost", "solve"]) this.charts[name].mark(time);
+    this.search(k);
+    const scrub = byId("scrub");
+    scrub.value = time;
+    scrub.setAttribute("aria-valuetext", this.words());
+    const set = (id, text) => { byId(id).textContent = text; };
+    set("time", `${time.toFixed(2)} s of ${trial.end.toFixed(2)} s`);
+    set("step", k < 0 ? "–" : String(k));
+    set("cost", k < 0 ? "–" : digits(trial.steps.cost[k]));
+    set("signals", k < 0 ? "–" : String(trial.steps.signals[k]));
+    set("direction", k < 0 ? "–" : `${((trial.steps.u[k] * 180) / Math.PI).toFixed(0)}°`);
+    set("solve", k < 0 ? "–" : `${digits(trial.steps.solve_ms[k])} ms`);
+    set("stopped", k < 0 ? "–" : trial.steps.stopped[k]);
+    const poses = posesAt(trial, time), distances = distancesAt(trial, time);
+    [...byId("robots").children].forEach((row, r) => {
+      const [x, y] = poses[r];
+      row.children[1].textContent = digits(distances[r]);
+      row.children[2].textContent = digits(x, 4);
+      row.children[3].textContent = digits(y, 4);
+    });
+    set("total", digits(distances.reduce((sum, one) => sum + one, 0)));
+  }
+
+  search(k) {
+    if (!this.trial.history || k === this.searched) return;
+    this.searched = k;
+    const { at, values } = this.trial.history;
+    const y = k < 0 ? [] : Array.from(values.subarray(at[k], at[k + 1]));
+    const x = y.map((_, i) => (100 * i) / Math.max(y.length - 1, 1));
+    this.charts.history.show([{ name: "J", color: color("accent"), x, y }], 0, 100);
+    this.charts.history.draw();
+  }
+
+  point(event) {
+    const box = byId("scene").getBoundingClientRect();
+    let nearest = null, least = 18;
+    posesAt(this.trial, this.time).forEach(([x, y, heading], r) => {
+      if (!Number.isFinite(x + y)) return;
+      const [px, py] = this.scene.place(x, y);
+      const gap = Math.hypot(px - (event.clientX - box.left), py - (event.clientY - box.top));
+      if (gap < least) [nearest, least] = [[r, x, y, heading], gap];
+    });
+    const { unit, robots } = this.trial;
+    byId("pointed").textContent = nearest
+      ? `${robots[nearest[0]].name}: x ${digits(nearest[1], 4)} ${unit}, y ${digits(nearest[2], 4)} ${unit},`
+        + ` heading ${((nearest[3] * 180) / Math.PI).toFixed(0)}°`
+      : "";
+  }
+}
+
+document.addEventListener("DOMContentLoaded", () => {
+  const count = document.querySelectorAll('script[id^="trial-data-"]').length;
+  if (!count) return;
+  window.player = new Player(count);
+  window.player.follow();
+});

@@ -1,0 +1,213 @@
+// The top view of the arena on a canvas.
+
+function color(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+}
+
+// Size a canvas for the screen's pixels and return its context and its size in CSS pixels.
+function prepare(canvas) {
+  const ratio = window.devicePixelRatio || 1;
+  const width = canvas.clientWidth, height = canvas.clientHeight;
+  const wide = Math.round(width * ratio), high = Math.round(height * ratio);
+  if (canvas.width !== wide || canvas.height !== high) {
+    canvas.width = wide;
+    canvas.height = high;
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return { context, width, height };
+}
+
+const EDGE = { left: 46, right: 12, top: 12, bottom: 26 }; // around the arena, for its ticks
+
+class Scene {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.options = { plan: true, trail: true, follow: false };
+  }
+
+  show(trial) {
+    this.trial = trial;
+    const [left, bottom, right, top] = trial.arena;
+    this.canvas.style.aspectRatio = `${right - left} / ${top - bottom}`;
+  }
+
+  // The part of the plane in view: [left, bottom, right, top].
+  view(poses) {
+    const [left, bottom, right, top] = this.trial.arena;
+    if (!this.options.follow) return [left, bottom, right, top];
+    const seen = poses.filter(([x, y]) => Number.isFinite(x + y));
+    if (!seen.length) return [left, bottom, right, top];
+    const xs = seen.map((p) => p[0]), ys = seen.map((p) => p[1]);
+    const half = Math.max(
+      Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys), 0.2 * (right - left)) * 0.65;
+    const cx = (Math.max(...xs) + Math.min(...xs)) / 2, cy = (Math.max(...ys) + Math.min(...ys)) / 2;
+    return [cx - half, cy - half, cx + half, cy + half];
+  }
+
+  draw(t) {
+    const { context, width, height } = prepare(this.canvas);
+    const poses = posesAt(this.trial, t);
+    const [left, bottom, right, top] = this.view(poses);
+    const wide = width - EDGE.left - EDGE.right, high = height - EDGE.top - EDGE.bottom;
+    const scale = Math.min(wide / (right - left), high / (top - bottom));
+    const dx = EDGE.left + (wide - scale * (right - left)) / 2;
+    const dy = EDGE.bottom + (high - scale * (top - bottom)) / 2;
+    this.place = (x, y) => [dx + (x - left) * scale, height - dy - (y - bottom) * scale];
+    this.scale = scale;
+    this.ground(context);
+    if (this.options.trail) this.trails(context, t);
+    this.targets(context);
+    if (this.options.plan && this.trial.plan) this.plan(context, t);
+    this.robots(context, poses);
+    this.direction(context, t, width);
+  }
+
+  line(context, points, closed = false) {
+    context.beginPath();
+    let pen = false;
+    for (const [x, y] of points) {
+      if (!Number.isFinite(x + y)) { pen = false; continue; }
+      const [px, py] = this.place(x, y);
+      if (pen) context.lineTo(px, py); else context.moveTo(px, py);
+      pen = true;
+    }
+    if (closed) context.closePath();
+  }
+
+  ground(context) {
+    const [left, bottom, right, top] = this.trial.arena;
+    this.line(context, [[left, bottom], [right, bottom], [right, top], [left, top]], true);
+    context.fillStyle = color("arena");
+    context.fill();
+    context.strokeStyle = color("faint");
+    context.lineWidth = 1;
+    context.stroke();
+    context.fillStyle = color("quiet");
+    context.font = "11px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "top";
+    for (const x of ticks(left, right, 5)) {
+      const [px, py] = this.place(x, bottom);
+      context.fillRect(px, py, 1, 4);
+      context.fillText(digits(x, 6), px, py + 6);
+    }
+    context.textAlign = "right";
+    context.textBaseline = "middle";
+    for (const y of ticks(bottom, top, 5).slice(1)) {
+      const [px, py] = this.place(left, y);
+      context.fillRect(px - 4, py, 4, 1);
+      context.fillText(digits(y, 6), px - 6, py);
+    }
+    context.fillStyle = color("obstacle");
+    context.strokeStyle = color("obstacle-edge");
+    for (const outline of this.trial.obstacles) {
+      this.line(context, outline, true);
+      context.fill();
+      context.stroke();
+    }
+  }
+
+  targets(context) {
+    const arm = 7;
+    for (const robot of this.trial.robots) {
+      context.strokeStyle = robot.color;
+      context.lineWidth = 2;
+      const [x, y] = this.place(...robot.target);
+      context.beginPath();
+      context.moveTo(x - arm, y); context.lineTo(x + arm, y);
+      context.moveTo(x, y - arm); context.lineTo(x, y + arm);
+      context.stroke();
+      const [sx, sy] = this.place(...robot.start);
+      context.lineWidth = 1.2;
+      context.beginPath();
+      context.arc(sx, sy, 4, 0, 2 * Math.PI);
+      context.stroke();
+    }
+  }
+
+  trails(context, t) {
+    const { t: times, xy } = this.trial.frames, robots = this.trial.robots.length;
+    const last = indexAt(times, t);
+    context.lineWidth = 1.8;
+    context.globalAlpha = 0.6;
+    this.trial.robots.forEach((robot, r) => {
+      const points = [];
+      for (let i = 0; i <= last; i++) points.push([xy[(i * robots + r) * 2], xy[(i * robots + r) * 2 + 1]]);
+      this.line(context, points);
+      context.strokeStyle = robot.color;
+      context.stroke();
+    });
+    context.globalAlpha = 1;
+  }
+
+  plan(context, t) {
+    const k = indexAt(this.trial.steps.t, t);
+    if (k < 0) return;
+    const { at, values } = this.trial.plan, robots = this.trial.robots.length;
+    context.lineWidth = 1.4;
+    context.setLineDash([4, 4]);
+    this.trial.robots.forEach((robot, r) => {
+      const points = [];
+      for (let i = at[k]; i < at[k + 1]; i++)
+        points.push([values[(i * robots + r) * 2], values[(i * robots + r) * 2 + 1]]);
+      this.line(context, points);
+      context.strokeStyle = robot.color;
+      context.stroke();
+    });
+    context.setLineDash([]);
+  }
+
+  robots(context, poses) {
+    const size = 9;
+    context.font = "600 12px system-ui, sans-serif";
+    context.textAlign = "left";
+    context.textBaseline = "middle";
+    poses.forEach(([x, y, heading], r) => {
+      if (!Number.isFinite(x + y)) return;
+      const robot = this.trial.robots[r], [px, py] = this.place(x, y);
+      context.save();
+      context.translate(px, py);
+      context.rotate(-heading);
+      context.beginPath();
+      context.moveTo(size * 1.5, 0);
+      context.lineTo(-size, size * 0.85);
+      context.lineTo(-size * 0.5, 0);
+      context.lineTo(-size, -size * 0.85);
+      context.closePath();
+      context.fillStyle = robot.color;
+      context.strokeStyle = color("page");
+      context.lineWidth = 1.5;
+      context.stroke();
+      context.fill();
+      context.restore();
+      context.fillStyle = color("ink");
+      context.fillText(robot.name, px + size * 1.7, py - size * 1.3);
+    });
+  }
+
+  // The common direction u as an arrow in the corner.
+  direction(context, t, width) {
+    const k = indexAt(this.trial.steps.t, t);
+    if (k < 0) return;
+    const u = this.trial.steps.u[k], x = width - 34, y = 34, reach = 20;
+    context.strokeStyle = context.fillStyle = color("ink");
+    context.lineWidth = 2;
+    context.save();
+    context.translate(x, y);
+    context.rotate(-u);
+    context.beginPath();
+    context.moveTo(-reach, 0); context.lineTo(reach - 4, 0);
+    context.stroke();
+    context.beginPath();
+    context.moveTo(reach, 0); context.lineTo(reach - 9, 5); context.lineTo(reach - 9, -5);
+    context.closePath();
+    context.fill();
+    context.restore();
+    context.font = "italic 13px serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.fillText("u", x - 26, y - 18);
+  }
+}

@@ -12,6 +12,7 @@ from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.cli import (
+    export,
     info,
     init,
     kinds,
@@ -65,6 +66,7 @@ app.command("recover")(recover.recover)
 app.command("replay")(replay.replay)
 app.command("plot")(plot.plot)
 app.command("report")(report.report)
+app.command("export")(export.export)
 app.command("verify")(verify.verify)
 app.command("stats")(stats.stats)
 app.add_typer(lab.app, name="lab")

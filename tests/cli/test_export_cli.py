@@ -1,0 +1,129 @@
+"""`tetractl export`: tables of a batch, read back by the programs they are for."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas
+import pytest
+from pyarrow import parquet
+
+from tetractl.log.read.reader import read_trial
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+SPEC = """
+name: quick
+arena: {left: 0, bottom: 0, width: 1000, height: 800}
+robots:
+  - {name: one, start: [100, 500], target: [300, 500], a: 6, speed: 200}
+  - {name: two, start: [100, 200], target: [300, 250], a: 3, speed: 200}
+wheels: {radius: 45}
+controller: {horizon_max: 8, steps_max: 20, optimizer: {particles: 20, iterations: 20}}
+plant: {type: sim, dead_time: 0.1, heading_noise: 0.1, lost_commands: 0.2}
+trials: {count: 2, seed: 7}
+"""
+
+
+def tetractl(folder: Path, *args: object) -> subprocess.CompletedProcess[str]:
+    command = [TETRACTL, *map(str, args)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `logs` of two trials."""
+    place = tmp_path_factory.mktemp("export")
+    (place / "quick.yaml").write_text(SPEC)
+    assert tetractl(place, "run", "quick.yaml", "--out", "logs", "--quiet").returncode == 0
+    return place
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_tables_hold_what_the_logs_hold(folder: Path, kind: str):
+    done = tetractl(folder, "export", "logs", "-o", kind, "--format", kind)
+    names = ("trials", "steps", "poses", "estimates", "events")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [f"{kind}/{name}.{kind}" for name in names]
+    read = pandas.read_csv if kind == "csv" else pandas.read_parquet
+    tables = {name: read(folder / kind / f"{name}.{kind}") for name in names}
+    logs = [read_trial(path) for path in sorted((folder / "logs").glob("*.mcap"))]
+    assert len(tables["trials"]) == 2
+    assert len(tables["steps"]) == sum(len(log.steps) for log in logs)
+    assert len(tables["poses"]) == sum(2 * len(log.frames) for log in logs)
+    assert len(tables["events"]) == sum(len(log.events) for log in logs)
+    for log in logs:
+        assert log.result is not None
+        steps = tables["steps"].query(f"log == '{Path(log.path).relative_to(folder)}'")
+        assert steps["direction_rad"].tolist() == [s.command.direction for s in log.steps]
+        assert steps["delivered_two"].tolist() == [s.command.delivered[1] for s in log.steps]
+        poses = tables["poses"].query(f"trial == {log.start.trial} and robot == 'two'")
+        assert poses["x_mm"].tolist() == log.mocap[:, 1, 0].tolist()
+        row = tables["trials"].query(f"trial == {log.start.trial}").iloc[0]
+        assert row["total_error_mm"] == log.result.total_error
+
+
+def test_the_total_errors_are_those_of_stats(folder: Path):
+    done = tetractl(folder, "export", "logs", "-o", "one.csv", "--table", "trials")
+    assert done.stdout == "one.csv\n"
+    with (folder / "one.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    found = json.loads(tetractl(folder, "stats", "logs", "--format", "json").stdout)
+    assert [float(row["total_error_mm"]) for row in rows] == [
+        trial["total_error"] for trial in found["trials"]
+    ]
+
+
+def test_parquet_keeps_the_types(folder: Path):
+    tetractl(folder, "export", "logs", "-o", "poses.parquet", "--table", "poses")
+    schema = parquet.read_schema(folder / "poses.parquet")
+    types = {name: str(schema.field(name).type) for name in ("frame", "robot", "x_mm", "valid")}
+    assert types == {"frame": "int64", "robot": "string", "x_mm": "double", "valid": "bool"}
+
+
+def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder: Path, tmp_path: Path):
+    (tmp_path / "a.mcap").write_bytes((folder / "logs" / "trial-000.mcap").read_bytes())
+    (tmp_path / "b.mcap").write_bytes(b"nothing")
+    done = tetractl(tmp_path, "export", "a.mcap", "b.mcap", "-o", "out")
+    assert done.returncode == 1
+    assert done.stderr.startswith("warning: b.mcap: ")
+    assert len(done.stderr.splitlines()) == 1
+    assert len(pandas.read_csv(tmp_path / "out" / "trials.csv")) == 1
+
+
+def test_logs_of_different_experiments_are_exported_apart(folder: Path, tmp_path: Path):
+    (tmp_path / "other.yaml").write_text(SPEC.replace("name: two", "name: three"))
+    assert tetractl(tmp_path, "run", "other.yaml", "--out", "logs", "--quiet").returncode == 0
+    done = tetractl(tmp_path, "export", folder / "logs", "logs", "-o", "out")
+    assert done.returncode == 2
+    assert "have other columns" in done.stderr
+    assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["logs", "-o", "x.csv"], "one file holds one table"),
+        (["logs", "-o", "x", "--table", "no"], "there is no table 'no'"),
+        (["logs", "-o", "x", "--format", "xls"], "cannot write 'xls' tables"),
+        (["logs", "-o", "x.csv", "--table", "steps", "--format", "parquet"], "ends in .csv"),
+        (["missing", "-o", "x"], "missing: no such file or folder"),
+    ],
+)
+def test_bad_usage_is_one_clear_line(folder: Path, args: list[str], message: str):
+    done = tetractl(folder, "export", *args)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert not (folder / "x").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_a_full_disk_is_one_clear_line_and_leaves_no_table(folder: Path, tmp_path: Path):
+    (tmp_path / "steps.csv.part").symlink_to("/dev/full")
+    logs = folder / "logs"
+    done = tetractl(tmp_path, "export", logs, "-o", "steps.csv", "--table", "steps")
+    assert done.returncode == 1
+    assert "cannot write the table: No space left" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "steps.csv").exists()

@@ -1,0 +1,87 @@
+"""`tetractl export`: logs as tables that other programs read."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tetractl.core.errors import Exit, UsageError
+
+
+def export(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG|FOLDER...", help="Logs of trials, folders of them, patterns."),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR|FILE",
+            help="Folder for all tables, or one file, .csv or .parquet, for the --table named.",
+        ),
+    ],
+    table: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="trials, steps, poses, estimates or events.  \\[all]"),
+    ] = None,
+    format_name: Annotated[
+        str | None, typer.Option("--format", metavar="NAME", help="csv or parquet.  \\[csv]")
+    ] = None,
+) -> int:
+    """Write trials as tidy tables: one row a trial, a control step, a pose, an estimate, an event.
+
+    The names of columns end in their units. `log` and `trial` join the tables. Existing files of
+    these names are overwritten.
+
+    Example: tetractl export logs/three-m3pi -o tables --format parquet
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from tetractl.core.errors import LogError
+    from tetractl.export import tables
+    from tetractl.export.files import Tables
+    from tetractl.log.read.find import find_logs
+
+    paths, kind = _files(output, table, format_name)
+    found, console, unread = find_logs(logs), Console(stderr=True), 0
+    rows = track(found, "reading logs", console=console, disable=not console.is_terminal)
+    with Tables(paths, kind) as files:
+        for path in rows:
+            try:
+                added = tables.of_log(path, paths)
+            except LogError as error:
+                print(f"warning: {error}", file=sys.stderr)
+                unread += 1
+                continue
+            for name, (trial, columns) in added.items():
+                files.add(str(path), trial, name, columns)
+    if unread == len(found):
+        raise LogError("none of the logs can be read")
+    for path in paths.values():
+        print(path)
+    return Exit.FAILED if unread else Exit.DONE
+
+
+def _files(output: Path, table: str | None, kind: str | None) -> tuple[dict[str, Path], str]:
+    """Return the file of each table, and the format."""
+    from tetractl.export.files import FORMATS, check_format
+    from tetractl.export.tables import TABLES
+
+    if table is not None and table not in TABLES:
+        raise UsageError(f"there is no table {table!r}", f"there are {', '.join(TABLES)}")
+    ending = output.suffix.lower().removeprefix(".")
+    if ending not in FORMATS or output.is_dir():
+        kind = kind or "csv"
+        check_format(kind)
+        names = TABLES if table is None else (table,)
+        return {name: output / f"{name}.{kind}" for name in names}, kind
+    if table is None:
+        raise UsageError(f"{output}: one file holds one table", "name it with --table")
+    if kind not in (None, ending):
+        raise UsageError(f"{output}: ends in .{ending}, and --format is {kind}")
+    check_format(ending)
+    return {table: output}, ending

@@ -1,0 +1,1 @@
+"""Export: logs as tidy tables that other programs read, CSV and Parquet."""

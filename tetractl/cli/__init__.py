@@ -17,6 +17,7 @@ from tetractl.cli import (
     init,
     kinds,
     lab,
+    open_log,
     plot,
     recover,
     replay,
@@ -67,6 +68,7 @@ app.command("replay")(replay.replay)
 app.command("plot")(plot.plot)
 app.command("report")(report.report)
 app.command("export")(export.export)
+app.command("open")(open_log.open_logs)
 app.command("verify")(verify.verify)
 app.command("stats")(stats.stats)
 app.add_typer(lab.app, name="lab")

@@ -1,0 +1,56 @@
+"""`tetractl open`: a real server, asked as a browser would."""
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from urllib.request import Request, urlopen
+
+import pytest
+from support import random_trials as made
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return made.write(made.trial(1, steps=3, frames=20), tmp_path / "trial-000.mcap")
+
+
+def test_a_trial_is_served_until_ctrl_c(log: Path):
+    process = subprocess.Popen(
+        [TETRACTL, "open", log.name, "--no-browser", "--lichtblick", "http://127.0.0.1:1"],
+        cwd=log.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        url = process.stdout.readline().strip()
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", url)
+        with urlopen(url) as page:
+            assert b'id="trial-data-0"' in page.read()
+        asked = Request(f"{url}logs/0-trial-000.mcap", headers={"Range": "bytes=0-7"})
+        with urlopen(asked) as part:
+            assert (part.status, part.read()) == (206, log.read_bytes()[:8])
+        process.send_signal(signal.SIGINT)
+        rest, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert (process.returncode, rest) == (0, "")
+    assert "ssh -L" in errors
+    assert "Traceback" not in errors
+
+
+def test_a_missing_log_is_one_clear_line(tmp_path: Path):
+    done = subprocess.run(
+        [TETRACTL, "open", "missing.mcap"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == "error: missing.mcap: no such file or folder\n"

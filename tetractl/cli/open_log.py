@@ -1,0 +1,77 @@
+"""`tetractl open`: logs in the browser of this machine."""
+
+import sys
+import threading
+import webbrowser
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+from urllib.parse import urlencode
+
+import typer
+
+from tetractl.core.errors import Exit
+
+VIEWER = "http://localhost:8080"
+"""Where Lichtblick answers when it is started on this machine as its manual tells."""
+
+
+def open_logs(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG|FOLDER...", help="Logs of trials, folders of them, patterns."),
+    ],
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, metavar="N", help="TCP port; 0 is any that is free.")
+    ] = 0,
+    browser: Annotated[
+        bool, typer.Option(help="Open the browser; otherwise only print the address.")
+    ] = True,
+    viewer: Annotated[
+        str, typer.Option("--lichtblick", metavar="URL", help="Where Lichtblick is started.")
+    ] = VIEWER,
+) -> int:
+    """Show trials in the browser: the page of `tetractl report`, until Ctrl-C.
+
+    The page and the logs named, and nothing else, are served on this machine's loopback address
+    under a random path; nothing is uploaded. Where Lichtblick answers, the address that opens the
+    first log there is printed too.
+
+    Example: tetractl open trial-000.mcap
+    """
+    from tetractl.log.read.find import find_logs
+    from tetractl.report.page import report
+    from tetractl.report.server import FileServer
+
+    found = find_logs(logs)
+    html, unread = report(logs, None, lambda done, total: None)
+    for problem in unread:
+        print(f"warning: {problem}", file=sys.stderr)
+    server = FileServer(
+        html.encode(), {f"{i}-{path.name}": path for i, path in enumerate(found)}, port
+    )
+    with server.running():
+        print(server.page_url, flush=True)
+        if _answers(viewer):
+            log_url = server.log_url(f"0-{found[0].name}")
+            query = urlencode({"ds": "remote-file", "ds.url": log_url})
+            print(f"in Lichtblick: {viewer.rstrip('/')}/?{query}", flush=True)
+        print("Ctrl-C ends it; over ssh, forward the port:", file=sys.stderr)
+        print(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST", file=sys.stderr)
+        if browser:
+            webbrowser.open(server.page_url)
+        with suppress(KeyboardInterrupt):
+            threading.Event().wait()
+    return Exit.FAILED if unread else Exit.DONE
+
+
+def _answers(url: str) -> bool:
+    """Whether a web server answers at an address within a second."""
+    from http.client import HTTPException
+    from urllib.request import urlopen
+
+    try:
+        with urlopen(url, timeout=1):
+            return True
+    except (OSError, ValueError, HTTPException):
+        return False

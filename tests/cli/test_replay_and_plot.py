@@ -42,6 +42,11 @@ def play(folder: Path, *options: str, **env: str) -> Terminal:
     return Terminal([TETRACTL, "replay", "whole.mcap", *options], folder, **env)
 
 
+def step_lines(text: str) -> list[str]:
+    """The lines of control steps, without those of events."""
+    return [line for line in text.splitlines() if "  k " in line]
+
+
 def at(seconds: float) -> str:
     return re.escape(f"{seconds:.1f} / {three_robots().result.duration_s:.1f} s")
 
@@ -68,10 +73,50 @@ def test_every_key_does_what_it_says(folder):
         terminal.expect(at(1.5))
         terminal.press(" ")
         terminal.expect("‖ 0.5×")
+        terminal.press("+")
+        terminal.press("\x1b[F")
+        terminal.expect(r"ended: sequence used up")
+        terminal.expect("space again")
+        terminal.press(",")
+        terminal.expect(r"step k      40 ")
+        terminal.press("\x1b[H")
+        terminal.expect(at(0.0))
+        terminal.press("e")
+        terminal.expect("sequence used up after 41 control steps")
+        terminal.press("E")
+        terminal.expect("trial 0 of three-m3pi starts")
+        terminal.press("?")
+        terminal.expect("Home End +start or end")
+        terminal.press("?")
+        terminal.expect(at(0.0))
         terminal.press("q")
         assert terminal.finish() == 0
         assert terminal.settings() == terminal.before
         assert terminal.raw.rstrip().endswith(("\x1b[?25h", "\x1b[?1049l"))
+
+
+def test_n_and_p_go_through_the_trials_at_the_same_rate(folder):
+    with play(folder, "other.mcap", "--paused", "--rate", "2") as terminal:
+        terminal.expect(r"three-m3pi, trial 0 \(1 of 2\)")
+        terminal.expect("n next trial")
+        terminal.press("p")
+        terminal.press("n")
+        terminal.expect(r"three-m3pi, trial 0 \(2 of 2\)")
+        terminal.expect("‖ 2×")
+        terminal.press("n")
+        terminal.press("p")
+        terminal.expect(r"\(1 of 2\)")
+        terminal.press("q")
+        assert terminal.finish() == 0
+
+
+def test_a_damaged_trial_among_others_shows_in_the_exit_code(folder):
+    with play(folder, "cut.mcap.part", "--paused") as terminal:
+        terminal.expect(r"\(1 of 2\)")
+        terminal.press("n")
+        terminal.expect("damaged log")
+        terminal.press("q")
+        assert terminal.finish() == 1
 
 
 def test_it_plays_to_the_end_and_waits_there(folder):
@@ -116,6 +161,20 @@ def test_an_interrupt_gives_the_terminal_back(folder, how):
         terminal.finish()
         assert terminal.raw.rindex("\x1b[?1049l") > terminal.raw.rindex("\x1b[?1049h")
         assert terminal.raw.rindex("\x1b[?25h") > terminal.raw.rindex("\x1b[?25l")
+        assert "error: " not in terminal.raw
+        assert "Traceback" not in terminal.raw
+
+
+def test_ctrl_c_again_and_again_still_gives_the_terminal_back(folder):
+    with play(folder) as terminal:
+        terminal.expect("▶ 1×")
+        for _ in range(20):
+            os.kill(terminal.process.pid, signal.SIGINT)
+        assert terminal.process.wait(60) == 130
+        assert terminal.settings() == terminal.before
+        terminal.finish()
+        assert terminal.raw.rindex("\x1b[?1049l") > terminal.raw.rindex("\x1b[?1049h")
+        assert "Traceback" not in terminal.raw
 
 
 def test_ctrl_z_leaves_the_terminal_usable_and_fg_goes_on(folder):
@@ -149,20 +208,36 @@ def test_a_dumb_terminal_gets_plain_lines(folder):
     with play(folder, TERM="dumb") as terminal:
         assert terminal.finish() == 0
         assert "\x1b" not in terminal.raw
-        assert terminal.raw.count("total error") == len(three_robots().steps)
+        assert len(step_lines(terminal.raw)) == len(three_robots().steps)
 
 
 def test_without_a_terminal_one_line_a_step(folder):
     done = run("replay", "whole.mcap", cwd=folder)
     assert (done.returncode, done.stderr) == (0, "")
-    lines = done.stdout.splitlines()
-    steps = three_robots().steps
+    lines, steps = step_lines(done.stdout), three_robots().steps
     assert len(lines) == len(steps)
+    told = [line for line in done.stdout.splitlines() if line not in lines]
+    assert told == [
+        "  0.00 s  info: trial 0 of three-m3pi starts",
+        "  8.20 s  info: sequence used up after 41 control steps",
+    ]
     for line, step in zip(lines, steps, strict=True):
         assert f"k {step.k} " in line
         assert f"evaluations {step.plan.evaluations} " in line
         assert line.endswith(f"stopped {step.plan.search.stopped}")
     assert "\x1b" not in done.stdout
+
+
+def test_a_folder_without_a_terminal_is_one_trial_after_another(folder, tmp_path):
+    for name in ("a.mcap", "b.mcap"):
+        (tmp_path / name).write_bytes((folder / "whole.mcap").read_bytes())
+    done = run("replay", ".", "--until", "1", cwd=tmp_path)
+    assert done.returncode == 0
+    assert [line for line in done.stdout.splitlines() if line.endswith(":")] == [
+        "a.mcap:",
+        "b.mcap:",
+    ]
+    assert len(step_lines(done.stdout)) == 2 * 6
 
 
 def test_start_until_and_rate_without_a_terminal(folder):
@@ -175,7 +250,7 @@ def test_start_until_and_rate_without_a_terminal(folder):
 def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
     done = run("replay", "cut.mcap.part", cwd=folder)
     assert done.returncode == 1
-    assert len(done.stdout.splitlines()) == len(read_trial(folder / "cut.mcap.part").steps)
+    assert len(step_lines(done.stdout)) == len(read_trial(folder / "cut.mcap.part").steps)
     assert done.stderr.startswith("damaged: cut.mcap.part: ")
     assert "lost: cut.mcap.part: " in done.stderr
     done = run("plot", "cut.mcap.part", "--kind", "error", cwd=folder)
@@ -191,8 +266,8 @@ def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
         (["replay", "whole.mcap", "--rate", "fast"], 2, "'--rate'"),
         (["replay", "whole.mcap", "--start", "99"], 2, "the trial lasts"),
         (["replay", "whole.mcap", "--paused"], 2, "--paused needs a terminal"),
-        (["replay", "nothing.mcap"], 1, "nothing.mcap"),
-        (["replay", "."], 1, ""),
+        (["replay", "whole.mcap", "other.mcap", "--loop"], 2, "--loop without a terminal"),
+        (["replay", "nothing.mcap"], 2, "nothing.mcap"),
         (["replay"], 2, "LOG"),
         (["plot", "whole.mcap", "-o", "a.bmp"], 2, ".png, .svg, .pdf"),
         (["plot", "whole.mcap", "-o", "a"], 2, "needs an ending"),

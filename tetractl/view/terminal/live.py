@@ -14,6 +14,7 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Start, Step
+from tetractl.log.read.trial_log import Event
 from tetractl.replay.recording import Moment, tracked
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.progress import Tally, duration
@@ -73,6 +74,8 @@ class LiveView:
         self._step: Step | None = None
         self._result: Result | None = None
         self._time_ns = 0
+        self._first_ns: int | None = None  # when the first direction was sent
+        self._notes: list[Note] = []
         self._draw()
 
     def on_samples(self, samples: list[Sample]) -> None:
@@ -87,16 +90,21 @@ class LiveView:
 
     def on_step(self, step: Step) -> None:
         """Show the control step."""
+        self.on_command(step.command)
         self._step = step
         self._time_ns = max(self._time_ns, step.command.sent_ns)
         self._totals.append(float(self._setup.distances(step.observation.poses.xy).sum()))
         self._draw_in_time()
 
     def on_command(self, command: Command) -> None:
-        """Show nothing: a command outside the control steps is seen in the trails."""
+        """Count the time from the first direction; the rest of it is seen in the trails."""
+        if self._first_ns is None and command.direction is not None:
+            self._first_ns = command.sent_ns
 
     def on_note(self, note: Note) -> None:
-        """Show nothing: the view has no space for notes; the log holds them."""
+        """Show the note among the events."""
+        self._notes.append(note)
+        self._draw_in_time()
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Show the outcome."""
@@ -113,9 +121,10 @@ class LiveView:
 
     def _dashboard(self) -> Dashboard:
         setup = self._setup
+        first_ns = self._time_ns if self._first_ns is None else self._first_ns
         frame = Moment(
             setup=setup,
-            time_s=seconds(self._time_ns),
+            time_s=seconds(self._time_ns - first_ns),
             end_s=None,
             poses=self._poses,
             trail=np.array(self._trail).reshape(-1, len(setup.names), 2),
@@ -123,6 +132,9 @@ class LiveView:
             totals=np.array(self._totals),
             steps_end=0,
             result=self._result,
+            events=tuple(
+                Event(seconds(note.t_ns - first_ns), note.level, note.text) for note in self._notes
+            ),
         )
         done, n = len(self._tally.errors), max(self._tally.n, 1)
         footer = Footer(

@@ -7,10 +7,14 @@ import pytest
 from rich.console import Console
 from support.trials import cut_short, experiment, three_robots
 
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Note
+from tetractl.core.plan import Outcome
 from tetractl.replay.player import Player, span
 from tetractl.replay.recording import Recording
 from tetractl.view.terminal.dashboard import Footer
 from tetractl.view.terminal.glyphs import ASCII, UNICODE, glyphs_for
+from tetractl.view.terminal.help import Help
 from tetractl.view.terminal.replay_screen import dashboard
 from tetractl.view.terminal.replay_text import step_line
 
@@ -104,6 +108,55 @@ def test_the_end_says_how_it_ended_and_damage_is_told(recording):
     text = "\n".join(screen(cut, 80, 24, 1))
     assert "damaged log" in text
     assert "all after 4.0 s" in text
+
+
+def with_events(recording: Recording) -> Recording:
+    log = recording.log
+    assert log.result
+    aborted = replace(
+        log.result, outcome=Outcome.ABORTED, reason="red is not tracked (0.30 s) for too long now"
+    )
+    notes = tuple(
+        Note(round(t * SECOND), level, text)
+        for t, level, text in (
+            (1, "warning", "green did not get the command of step 5"),
+            (3, "info", "red is tracked again"),
+            (3.04, "error", "a cable came off, " + "and it is a very long one " * 5),
+        )
+    )
+    return Recording(replace(log, result=aborted, notes=notes))
+
+
+def test_events_show_as_they_pass(recording):
+    told = with_events(recording)
+    assert "did not get" not in "\n".join(screen(told, 80, 24, 0.9))
+    assert screen(told, 80, 24, 2)[-2].startswith(
+        "    1.0 s  warning: green did not get the command of step 5"
+    )
+    lines = screen(told, 80, 24, 3.05)
+    assert lines[-3].startswith("    3.0 s  red is tracked again")
+    assert lines[-2].startswith("    3.0 s  error: a cable came off")
+    assert lines[-2].endswith("…")
+    assert "did not get" in "\n".join(screen(told, 80, 40, 3.05))
+    assert "evaluations" in "\n".join(lines)  # and the numbers are all there still
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (60, 16), (200, 60)])
+def test_the_reason_of_an_abort_stands_at_the_end(recording, width, height):
+    told = with_events(recording)
+    lines = screen(told, width, height, recording.end_ns / SECOND)
+    beside = " ".join(re.split("[│┘]  ", line)[-1].strip() for line in lines)
+    assert "ended: aborted red is not tracked (0.30 s) for too long now" in beside
+
+
+def test_the_list_of_keys_fits_and_names_each_key():
+    console = Console(width=80, height=24, force_terminal=True, color_system=None, _environ={})
+    with console.capture() as captured:
+        console.print(Help(UNICODE), height=24, end="")
+    lines = captured.get().split("\n")
+    assert (len(lines), {len(line) for line in lines}) == (24, {80})
+    for key in ("space", "←→", ", .", "E e", "Home End", "+ -", "p n", "?", "q"):
+        assert any(line.startswith(f" {key} ") for line in lines)
 
 
 def test_hints_give_way_to_width():

@@ -7,6 +7,8 @@ import pytest
 from rich.console import Console
 from support.trials import run_three_robots, three_robots
 
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Note, Sample
 from tetractl.core.plan import Outcome
 from tetractl.run.batch import BatchObserver
 from tetractl.view.terminal.live import LiveView
@@ -69,6 +71,27 @@ def test_the_live_view_shows_trial_numbers_and_how_it_ended(tmp_path):
     assert "left" in shown[-1]
     assert f"mean total error {three_robots().result.total_error:.1f} mm" in shown[-1]
     assert "step k      none yet" in shown[-1]
+
+
+def test_the_live_view_counts_from_the_first_direction_and_shows_notes():
+    log, console = three_robots(), terminal()
+    placed = [
+        replace(log.steps[0], command=replace(log.steps[0].command, sent_ns=20 * SECOND)),
+        replace(log.steps[1], command=replace(log.steps[1].command, sent_ns=21 * SECOND)),
+    ]
+    seen = replace(log.steps[0].observation, sampled_ns=19 * SECOND)
+    with LiveView(console, wall=Wall(1.0)) as view:
+        view.on_start(log.start)
+        view.on_samples([Sample(seen, None)])
+        for step in placed:
+            view.on_step(step)
+        view.on_note(Note(20_500_000_000, "warning", "red turns the wrong way"))
+    shown = pictures(console)
+    times = [found[1] for text in shown if (found := re.search(r"time +([0-9.]+) s", text))]
+    assert times[0] == "0.0"
+    assert times[-1] == "1.0"
+    assert set(times) == {"0.0", "1.0"}
+    assert "    0.5 s  warning: red turns the wrong way" in shown[-1]
 
 
 def test_the_live_view_draws_at_most_12_pictures_a_second(tmp_path):

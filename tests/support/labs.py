@@ -38,12 +38,13 @@ class SteppedClock(VirtualClock):
 
 @dataclass
 class World:
-    """N robots under one held direction; those that are not `moving` stand."""
+    """N robots under one held direction; those that are not `moving` stand, `deaf` ones go on."""
 
     setup: Setup
     clock: SteppedClock
     direction: float = 0.0
     moving: tuple[bool, ...] = ()
+    deaf: set[int] = field(default_factory=set)
     then_ns: int = 0
 
     def __post_init__(self) -> None:
@@ -62,7 +63,8 @@ class World:
 class FakeCamera:
     """Frames at `CAMERA_HZ` that arrive 5 ms after their exposure, once entered.
 
-    `hidden` robots are not tracked; a `silent` camera exposes nothing.
+    `hidden` robots are not tracked; a `silent` camera exposes nothing. `standing` gives the height
+    and tilt that are seen of a robot's body.
     """
 
     def __init__(self, world: World) -> None:
@@ -70,6 +72,7 @@ class FakeCamera:
         self.newest: CameraFrame | None = None
         self.damaged = 0
         self.hidden: set[str] = set()
+        self.standing: dict[str, dict[str, float]] = {}
         self.silent = False
         self.entered = 0
         self._exposed: list[CameraFrame] = []
@@ -109,7 +112,10 @@ class FakeCamera:
 
     def _seen(self) -> tuple[Pose | None, ...]:
         names = self.world.setup.names
-        poses = [Pose(*map(float, row)) for row in self.world.poses]
+        poses = [
+            Pose(*map(float, row), **self.standing.get(name, {}))
+            for name, row in zip(names, self.world.poses, strict=True)
+        ]
         return tuple(
             None if name in self.hidden else pose for name, pose in zip(names, poses, strict=True)
         )
@@ -157,7 +163,10 @@ class FakeActuator:
             raise AbortError(self.failure)
         world, setup = self.world, self.world.setup
         world.advance()
-        world.moving = moving
+        world.moving = tuple(
+            was if i in world.deaf else now
+            for i, (was, now) in enumerate(zip(world.moving, moving, strict=True))
+        )
         world.direction = world.direction if direction is None else direction
         let = np.array(moving, dtype=float)
         heading = world.poses[:, 2]

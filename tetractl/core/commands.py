@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 from tetractl.core.poses import Floats, Observation, Poses
 
+HALTS = "halts"
+
 
 @dataclass(frozen=True, slots=True)
 class Sample:
@@ -47,7 +49,7 @@ class Verdict:
     `final` are the poses after the stop. `entered` (N,) is True for robots whose path touched an
     obstacle, by `model.path_check`; `clearance` (N,) is the least distance of each robot to an
     obstacle [length unit], negative inside, inf without obstacles. `unrest` names the robots that
-    still moved after the stop, "" for none.
+    were not seen to stand after the stop, and how, "" for none.
     """
 
     final: Poses
@@ -58,7 +60,10 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class PlantInfo:
-    """A description of an open plant; `facts` go into the log's metadata, `kind` is its type."""
+    """A description of an open plant; `facts` go into the log's metadata, `kind` is its type.
+
+    The fact `HALTS` of a lab tells whether its robots stand still once stopped: "yes" or "no".
+    """
 
     kind: str
     simulated: bool

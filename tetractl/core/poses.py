@@ -12,11 +12,18 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """One robot's planar pose: x, y in the spec's length unit, heading in rad from +x."""
+    """One robot's planar pose: x, y in the spec's length unit, heading in rad from +x.
+
+    `height` is that of the tracked body's origin above the floor [length unit], `tilt` the angle
+    between the body's own upward axis and the vertical [rad, 0 to pi]; each is None where the
+    camera cannot measure it.
+    """
 
     x: float
     y: float
     heading: float
+    height: float | None = None
+    tilt: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,16 +9,16 @@ import threading
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.errors import UsageError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
 from tetractl.core.wire_tap import NO_TAP, Tap
-from tetractl.experiment.base import Model, Name, NonNegative, Positive
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive, inconsistent
 from tetractl.experiment.choice import Choice
 from tetractl.experiment.kinds import ACTUATORS, CAMERAS
 from tetractl.experiment.plant import PlantSection
@@ -129,7 +129,13 @@ class LabLimits(Model):
     untracked_abort: Positive = 0.3
     """The run aborts when a robot was not tracked for this long [s]."""
     jump_mm: NonNegative = 30.0
-    """A pose further from the last than the robot can move plus this is not believed [mm]."""
+    """A pose is not believed that is further from any of the last second than twice the robot's
+    speed allows, plus this [mm]."""
+    height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
+    """A body whose height above the floor is not between these two is not believed to be on its
+    robot [mm]; the camera system's own zero is the floor. Only where the camera tells heights."""
+    tilt: Positive = 0.5
+    """Nor is a body whose upward axis is turned by more than this from the vertical [rad]."""
     damaged_frames: int = Field(default=20, ge=1, le=100_000)
     """The run aborts on more damaged camera frames than this within a second."""
     edge_mm: NonNegative = 0.0
@@ -153,9 +159,15 @@ class LabLimits(Model):
     """How long to wait for robots to be put on their starts [s]; with a terminal, as long as it
     takes."""
     standstill: Positive = 2.0
-    """How long robots may take to stand still after a stop [s]."""
+    """How long robots may take to be seen standing still after a stop [s]."""
     standstill_mm: Positive = 10.0
     """Slower than this is standing still [mm/s]."""
+
+    @model_validator(mode="after")
+    def _heights_in_order(self) -> Self:
+        if self.height_mm[0] >= self.height_mm[1]:
+            raise inconsistent("height_mm", "must be the lowest and the highest, in this order")
+        return self
 
 
 class LabSection(PlantSection):

@@ -12,14 +12,14 @@ Lengths are in the spec's length unit, times ns on the run's clock.
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.belief import Reach, Track
 from tetractl.lab.compliance import Compliance
-
-FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
+from tetractl.lab.identities import Identities
 
 
 class GuardState(StrEnum):
@@ -37,7 +37,8 @@ class GuardRules:
     """Limits of a run; see the fields of the same name in the spec's limits.
 
     `speeds` (N,) are v of each robot [length unit/s], `turning` (N,) the fastest it turns [rad/s].
-    Robots that are not `individual` can only be stopped together.
+    `lowest`, `highest` and `tilt` bound how a body stands; `mm` are the millimetres in a length
+    unit. Robots that are not `individual` can only be stopped together.
     """
 
     names: tuple[str, ...]
@@ -50,6 +51,10 @@ class GuardRules:
     separation: float
     jump: float
     jump_heading: float = 0.7  # rad beyond what the turning rate explains
+    lowest: float = -math.inf
+    highest: float = math.inf
+    tilt: float = math.pi
+    mm: float = 1.0
     stale_ns: int = SECOND // 10
     stream_lost_ns: int = SECOND // 2
     untracked_stop_ns: int = SECOND // 20
@@ -77,15 +82,6 @@ class Ruling:
 
 
 @dataclass(slots=True)
-class _Track:
-    """The last believed pose of one robot."""
-
-    pose: Pose | None = None
-    seen_ns: int = 0
-    jumped: bool = False
-
-
-@dataclass(slots=True)
 class Guard:
     """Decides by the rules for N robots, from every camera frame, in order, at frequent ticks."""
 
@@ -93,9 +89,14 @@ class Guard:
     state: GuardState = GuardState.PREFLIGHT
     reason: str = ""
     emergency: bool = False
-    _tracks: list[_Track] = field(default_factory=list)
-    _compliance: Compliance | None = None
+    _tracks: list[Track] = field(default_factory=list)
+    _compliance: Compliance = field(init=False)
+    _identities: Identities = field(init=False)
     _last_frame_ns: int | None = None
+    _outdated: int = 0
+    _outdated_in_a_row: int = 0
+    _behind_ns: int = 0  # by how much the last outdated frame was
+    _warned: bool = False  # of outdated frames
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
@@ -104,13 +105,38 @@ class Guard:
 
     def __post_init__(self) -> None:
         rules = self.rules
-        self._tracks = [_Track() for _ in rules.names]
+        self._tracks = [
+            Track(
+                Reach(
+                    speed,
+                    turning,
+                    rules.jump,
+                    rules.jump_heading,
+                    rules.lowest,
+                    rules.highest,
+                    rules.tilt,
+                    rules.mm,
+                )
+            )
+            for speed, turning in zip(rules.speeds, rules.turning, strict=True)
+        ]
         self._compliance = Compliance(rules.names, rules.disobedience_ns)
+        self._identities = Identities(rules.names)
 
     @property
     def jumps(self) -> int:
         """Poses that were not believed."""
         return self._jumps
+
+    @property
+    def outdated(self) -> int:
+        """Frames that were dropped because they were exposed no later than one before them."""
+        return self._outdated
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Why the newest pose of each robot (N,) is not believed, "" where it is or none came."""
+        return tuple(track.refused for track in self._tracks)
 
     def ready(self) -> None:
         """Note that the preflight is passed."""
@@ -122,8 +148,9 @@ class Guard:
         if self.state is GuardState.READY:
             self.state = GuardState.RUN
             self._last_tick_ns = self._steered_ns = now_ns
-            for track in self._tracks:  # jumps before the run do not count
-                track.jumped = False
+            self._identities.restart()
+            for track in self._tracks:  # where robots were before the run does not count
+                track.forget()
 
     def rest(self) -> None:
         """Note that the run has ended well and the robots are stopped."""
@@ -148,8 +175,8 @@ class Guard:
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Note the last transmission: speeds [length unit/s] and turning rates [rad/s]."""
-        assert self._compliance is not None
         self._compliance.sent(now_ns, speed, turning)
+        self._identities.sent(now_ns, turning)
 
     def believed(self, frame: CameraFrame) -> tuple[tuple[Pose | None, bool], ...]:
         """Return each robot's last believed pose and whether it is of this frame."""
@@ -158,22 +185,39 @@ class Guard:
             for track in self._tracks
         )
 
-    def see(self, frame: CameraFrame) -> None:
-        """Judge one camera frame."""
+    def see(self, frame: CameraFrame) -> CameraFrame | None:
+        """Judge one camera frame; return it with the believed poses alone.
+
+        None for a frame that was not exposed after those before it: it is dropped and counted.
+        """
         if frame.fault:
             self.abort(frame.fault)
-        self._last_frame_ns = max(self._last_frame_ns or 0, frame.sampled_ns)
+        now, newest = frame.sampled_ns, self._last_frame_ns
+        if newest is not None and now <= newest:
+            self._outdated += 1
+            self._outdated_in_a_row += 1
+            self._behind_ns = newest - now
+            return None
+        self._last_frame_ns, self._outdated_in_a_row = now, 0
+        believed: list[Pose | None] = []
         for i, (track, pose) in enumerate(zip(self._tracks, frame.poses, strict=True)):
+            before, seen_ns = track.pose, track.seen_ns
             if pose is None:
-                continue
-            if self._jumped(i, track, pose, frame.sampled_ns):
-                track.jumped = True
+                track.lost()
+            elif not track.add(pose, now, self._active):
                 self._jumps += 1
-                continue
-            if track.pose is not None and self._compliance is not None:
-                dt = frame.sampled_ns - track.seen_ns
-                self._compliance.moved(i, frame.sampled_ns, dt, track.pose, pose)
-            track.pose, track.seen_ns, track.jumped = pose, frame.sampled_ns, False
+                pose = None
+            elif before is not None:
+                self._moved(i, now, now - seen_ns, before, pose)
+            believed.append(pose)
+        return replace(frame, poses=tuple(believed))
+
+    def no_frame(self, silent_ns: int) -> str:
+        """Return what is wrong where no newer frame came for `silent_ns`."""
+        text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
+        if not self._outdated_in_a_row:
+            return text
+        return f"{text}: {self._outdated_in_a_row} outdated ones came, the last {self._behind()}"
 
     def tick(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move now.
@@ -203,8 +247,9 @@ class Guard:
             self._check_stream(now_ns)
             self._check_tracking(now_ns)
             self._check_places(believed)
-            if self._compliance is not None:
-                warnings = self._compliance.warnings(now_ns)
+            if mistaken := self._identities.fault():
+                self.abort(mistaken)
+            warnings = (*self._compliance.warnings(now_ns), *self._outdated_warning())
         still = (False,) * len(self._tracks)
         if not self._active:
             return Ruling(self.state, still, believed, self.reason, warnings)
@@ -214,19 +259,26 @@ class Guard:
         self.state = GuardState.RUN if all(moving) and all(tracked) else GuardState.HOLD
         return Ruling(self.state, moving, believed, "", warnings)
 
+    def _behind(self) -> str:
+        return f"exposed {self._behind_ns / SECOND:.2f} s before the newest"
+
+    def _outdated_warning(self) -> tuple[str, ...]:
+        """Return a warning of outdated frames, once."""
+        if self._warned or not self._outdated:
+            return ()
+        self._warned = True
+        return (f"a camera frame {self._behind()} came, and was dropped",)
+
     @property
     def _active(self) -> bool:
         return self.state in (GuardState.RUN, GuardState.HOLD)
 
-    def _jumped(self, i: int, track: _Track, pose: Pose, sampled_ns: int) -> bool:
-        """Whether a robot cannot have come here from where it was last seen."""
-        if track.pose is None or not self._active:
-            return False
-        rules, dt = self.rules, max(0, sampled_ns - track.seen_ns) / SECOND
-        gone = math.hypot(pose.x - track.pose.x, pose.y - track.pose.y)
-        turned = abs(math.remainder(pose.heading - track.pose.heading, math.tau))
-        too_far = gone > FASTER * rules.speeds[i] * dt + rules.jump
-        return too_far or turned > FASTER * rules.turning[i] * dt + rules.jump_heading
+    def _moved(self, i: int, now_ns: int, dt_ns: int, before: Pose, after: Pose) -> None:
+        """Account for how robot i was seen to move; only robots held one by one are told apart."""
+        self._compliance.moved(i, now_ns, dt_ns, before, after)
+        if self.rules.individual and self._active:
+            turned = math.remainder(after.heading - before.heading, math.tau)
+            self._identities.turned(i, now_ns, dt_ns, turned)
 
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
         limit = max(self.rules.untracked_stop_ns, 0)
@@ -239,14 +291,14 @@ class Guard:
     def _check_stream(self, now_ns: int) -> None:
         silent_ns = now_ns - (self._last_frame_ns or 0)
         if silent_ns >= self.rules.stream_lost_ns:
-            self.abort(f"no new camera frame for {silent_ns / SECOND:.2f} s")
+            self.abort(self.no_frame(silent_ns))
 
     def _check_tracking(self, now_ns: int) -> None:
         newest = self._last_frame_ns or 0
         for name, track in zip(self.rules.names, self._tracks, strict=True):
             lost_ns = newest - track.seen_ns
             if track.pose is None or lost_ns >= self.rules.untracked_abort_ns:
-                why = ": its pose jumped" if track.jumped else ""
+                why = f": {track.refused}" if track.refused else ""
                 self.abort(f"{name} is not tracked{why} ({lost_ns / SECOND:.2f} s)")
 
     def _check_places(self, poses: Sequence[Pose | None]) -> None:

@@ -31,7 +31,8 @@ class InnerLoop:
     """Steps a guard between a camera and an actuator. Times are ns on `clock`.
 
     `wake` is set by the camera after each frame, `emergency` by a person. `on_frame` is called with
-    each frame after the guard judged it. Without `start`, whoever turns the clock calls `step`.
+    each frame that the guard did not drop, of the poses that it believes. Without `start`, whoever
+    turns the clock calls `step`.
     """
 
     def __init__(
@@ -152,9 +153,10 @@ class InnerLoop:
     def _tick(self) -> None:
         guard, now = self.guard, self._clock.now()
         for frame in self._camera.frames():
-            guard.see(frame)
-            self._exposed_ns = frame.sampled_ns
-            self._on_frame(frame)
+            if (believed := guard.see(frame)) is None:
+                continue
+            self._exposed_ns = believed.sampled_ns
+            self._on_frame(believed)
         if self._emergency.is_set():
             guard.abort("emergency stop by the operator", emergency=True)
         ruling = guard.tick(now, self._camera.damaged, self._actuator.failure)

@@ -5,7 +5,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.operators import Operators
 from tetractl.lab.preflight import Preflight, inspect, unplaced
 from tetractl.lab.rig import Rig
-from tetractl.lab.standstill import moving
+from tetractl.lab.standstill import restless
 
 LOOK_NS = SECOND // 5  # how often placing is looked at
 GRACE_S = 1.0  # waited at least, for frames that are missing now and then
@@ -24,7 +24,7 @@ def wait_until_ready(rig: Rig, operators: Operators) -> Preflight:
     began = clock.now()
     while True:
         findings: Preflight | None = None
-        lines = unplaced(rig) or (moving(rig) if rig.actuator.halts else [])
+        lines = unplaced(rig) or (restless(rig) if rig.actuator.halts else [])
         if lines:  # why a robot is not tracked comes before that it is not
             lines = [*rig.camera.check().problems, *lines]
         if not lines:
@@ -49,7 +49,7 @@ def wait_until_ready(rig: Rig, operators: Operators) -> Preflight:
 
 
 def _check_stream(rig: Rig) -> None:
-    newest = rig.camera.newest
+    newest = rig.newest
     silent_ns = rig.clock.now() - (newest.received_ns if newest else 0)
     if silent_ns > max(rig.limits.stream_lost, SILENCE_S) * SECOND:
-        raise AbortError(f"no new camera frame for {silent_ns / SECOND:.2f} s")
+        raise AbortError(rig.guard.no_frame(silent_ns))

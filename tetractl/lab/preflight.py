@@ -19,13 +19,15 @@ LOOK_NS = SECOND // 100
 class RobotFinding:
     """How one robot stands: distance to its start [mm] and heading off [rad], None untracked.
 
-    `misplaced` says how it is off its start, "" where it is not or is not tracked.
+    `misplaced` says how it is off its start, "" where it is not or is not tracked, and `untracked`
+    that it is not tracked and why, "" where it is.
     """
 
     name: str
     off_mm: float | None
     off_heading: float | None
     misplaced: str
+    untracked: str
     status: RobotStatus
 
     @property
@@ -36,7 +38,7 @@ class RobotFinding:
     @property
     def problems(self) -> tuple[str, ...]:
         """What keeps the robot from starting, besides its place."""
-        return (*(() if self.tracked else (f"{self.name} is not tracked",)), *self.status.problems)
+        return (*((self.untracked,) if self.untracked else ()), *self.status.problems)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,7 @@ def inspect(rig: Rig) -> Preflight:
     statuses = rig.actuator.poll(POLL_S)
     seen = _watch(rig)
     camera, actuator = rig.camera.check(), rig.actuator.check()
-    newest = rig.camera.newest
+    newest = rig.newest
     problems = [*camera.problems, *actuator.problems]
     if newest is not None and newest.fault:
         problems.append(newest.fault)
@@ -98,7 +100,7 @@ def inspect(rig: Rig) -> Preflight:
         latency_ms,
         _rate_hz(seen),
         tuple(problems),
-        (*camera.warnings, *actuator.warnings),
+        (*camera.warnings, *actuator.warnings, *_outdated(rig)),
         {**camera.facts, **actuator.facts},
         (*camera.questions, *actuator.questions),
     )
@@ -106,14 +108,10 @@ def inspect(rig: Rig) -> Preflight:
 
 def unplaced(rig: Rig) -> list[str]:
     """Return, a line a robot, who is not seen on its start now."""
-    newest, found = rig.camera.newest, []
+    newest, found = rig.newest, []
     for i, name in enumerate(rig.setup.names):
         off_mm, off_heading = _off(rig, i, newest)
-        line = (
-            f"{name} is not tracked"
-            if off_mm is None
-            else _misplaced(rig, name, off_mm, off_heading)
-        )
+        line = rig.not_tracked(i) if off_mm is None else _misplaced(rig, name, off_mm, off_heading)
         if line:
             found.append(line)
     return found
@@ -123,7 +121,8 @@ def _robot(rig: Rig, i: int, frame: CameraFrame | None, status: RobotStatus) -> 
     name = rig.setup.names[i]
     off_mm, off_heading = _off(rig, i, frame)
     misplaced = "" if off_mm is None else _misplaced(rig, name, off_mm, off_heading)
-    return RobotFinding(name, off_mm, off_heading, misplaced, status)
+    untracked = rig.not_tracked(i) if off_mm is None else ""
+    return RobotFinding(name, off_mm, off_heading, misplaced, untracked, status)
 
 
 def _misplaced(rig: Rig, name: str, off_mm: float, off_heading: float | None) -> str:
@@ -149,9 +148,14 @@ def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
     return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f}" for p in inside]
 
 
+def _outdated(rig: Rig) -> list[str]:
+    count = rig.guard.outdated
+    return [f"{count} camera frames were dropped: exposed before others"] if count else []
+
+
 def _watch(rig: Rig) -> list[CameraFrame]:
     """Return the next frames: `WATCHED` of them, or as many as come before the camera is silent."""
-    clock, newest = rig.clock, rig.camera.newest
+    clock, newest = rig.clock, rig.newest
     first = 0 if newest is None else newest.number
     began = heard = clock.now()
     silence = round(rig.limits.stream_lost * SECOND)

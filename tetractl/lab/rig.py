@@ -24,7 +24,8 @@ class Rig:
 
     Entering opens the actuator and the camera and begins to watch: in a thread or, where
     `threaded` is False, at each call of `loop.step`. `wake` must be what the camera was made with.
-    `on_frame` is called, in that thread, with each frame after the guard judged it.
+    `on_frame` is called, in that thread, with each frame that the guard did not drop, of the poses
+    that it believes; `recent` are the last of them.
     """
 
     def __init__(
@@ -76,6 +77,16 @@ class Rig:
     ) -> None:
         self.close()
 
+    @property
+    def newest(self) -> CameraFrame | None:
+        """The newest frame that the guard did not drop, of the poses that it believes."""
+        return self.recent[-1] if self.recent else None
+
+    def not_tracked(self, i: int) -> str:
+        """Return a line that robot i is not tracked, and why where that is known."""
+        why = self.guard.refused[i]
+        return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
+
     def close(self) -> None:
         """End the watch and release the devices; idempotent, never raises."""
         self.loop.close()
@@ -115,6 +126,10 @@ def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> Gua
         top=arena.top - edge,
         separation=limits.separation_mm * per_mm,
         jump=limits.jump_mm * per_mm,
+        lowest=limits.height_mm[0] * per_mm,
+        highest=limits.height_mm[1] * per_mm,
+        tilt=limits.tilt,
+        mm=1 / per_mm,
         stale_ns=round(limits.stale * SECOND),
         stream_lost_ns=round(limits.stream_lost * SECOND),
         untracked_stop_ns=round(limits.untracked_stop * SECOND),

@@ -1,57 +1,92 @@
-"""Whether robots stand still, by the camera."""
+"""Whether robots stand still, by the camera: a robot that is not seen to stand does not."""
 
 import math
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import CameraFrame
+from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.rig import Rig
 
-REST_NS = SECOND // 4  # robots must stand still for this long
-WATCHED = 0.6  # share of it that the frames must span
+REST_NS = SECOND // 4  # robots must be seen to stand still for this long
+WATCHED = 0.6  # share of it that the frames of each robot must span
+TURNING = 0.3  # rad/s: turning slower than this is standing still
 LOOK_NS = SECOND // 20
+ROLLING_NS = SECOND // 2  # robots that have not come to rest by then are stopped again
 
 
-def moving(rig: Rig) -> list[str]:
-    """Return who moved within the last frames, or was not watched long enough, a line each."""
+def restless(rig: Rig) -> list[str]:
+    """Return who was not seen to stand still in the last frames, and how, a line each."""
     frames = tuple(rig.recent)
     if not frames:
-        return []
-    newest = frames[-1]
-    window = [f for f in frames if newest.sampled_ns - f.sampled_ns <= REST_NS]
-    span_ns = newest.sampled_ns - window[0].sampled_ns
-    if span_ns < WATCHED * REST_NS:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
-    speeds = [_speed_mm(rig, i, window) for i in range(len(rig.setup.names))]
-    limit = rig.limits.standstill_mm
-    named = zip(rig.setup.names, speeds, strict=True)
-    return [f"{name} still moves" for name, speed in named if speed > limit]
+    newest = frames[-1].sampled_ns
+    window = [frame for frame in frames if newest - frame.sampled_ns <= REST_NS]
+    lines = [_restless(rig, i, window) for i in range(len(rig.setup.names))]
+    return [line for line in lines if line]
 
 
 def unrest(rig: Rig) -> str:
-    """Wait until the robots stand still; return who does not in time, "" where all do."""
+    """Wait until every robot is seen to stand still, and stop them again while one is not.
+
+    Returns who is not seen to stand within `limits.standstill`, and how, "" where all are.
+    """
     limit_ns = round(rig.limits.standstill * SECOND)
-    lost_ns = round(rig.limits.stream_lost * SECOND)
     began = rig.clock.now()
     while True:
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
-        if not (newest := rig.camera.newest):
-            return ""
-        now = rig.clock.now()
-        blind = now - newest.received_ns > lost_ns
-        restless = [] if blind else moving(rig)
-        if newest.received_ns - began >= REST_NS and not restless and not blind:
+        now, newest = rig.clock.now(), rig.newest
+        lines = _blind(rig) or restless(rig)
+        if not lines and newest is not None and newest.received_ns - began >= REST_NS:
             return ""
         if now - began >= limit_ns:
-            if blind:
-                return "the cameras could not show that the robots stand still"
-            return "; ".join(restless) + f" {limit_ns / SECOND:g} s after the stop"
+            return f"{'; '.join(lines)} {limit_ns / SECOND:g} s after the stop"
+        if lines and now - began >= ROLLING_NS:
+            rig.loop.stop()
 
 
-def _speed_mm(rig: Rig, i: int, window: list[CameraFrame]) -> float:
-    """Return how fast robot i moved between the first and the last frame that show it [mm/s]."""
+def unseen(rig: Rig) -> str:
+    """Wait until every robot is tracked, of robots that cannot stand still.
+
+    Returns who is not within `limits.standstill`, "" where all are.
+    """
+    limit_ns = round(rig.limits.standstill * SECOND)
+    began = rig.clock.now()
+    while lines := _blind(rig) or _lost(rig):
+        if rig.clock.now() - began >= limit_ns:
+            return f"{'; '.join(lines)} {limit_ns / SECOND:g} s after the stop"
+        rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
+    return ""
+
+
+def _blind(rig: Rig) -> list[str]:
+    """Return a line where the cameras show nothing now."""
+    newest = rig.newest
+    silent_ns = rig.clock.now() - (newest.received_ns if newest is not None else 0)
+    if newest is None or silent_ns > rig.limits.stream_lost * SECOND:
+        return [f"the cameras do not show that the robots stand: {rig.guard.no_frame(silent_ns)}"]
+    return []
+
+
+def _lost(rig: Rig) -> list[str]:
+    newest = rig.newest
+    poses = newest.poses if newest is not None else (None,) * len(rig.setup.names)
+    return [rig.not_tracked(i) for i, pose in enumerate(poses) if pose is None]
+
+
+def _restless(rig: Rig, i: int, window: list[CameraFrame]) -> str:
+    """Return how robot i was not seen to stand within the frames, "" where it was."""
+    name, newest = rig.setup.names[i], window[-1].sampled_ns
     seen = [(f.sampled_ns, pose) for f in window if (pose := f.poses[i]) is not None]
-    if len(seen) < 2 or seen[-1][0] == seen[0][0]:
-        return 0.0
-    (began, first), (ended, last) = seen[0], seen[-1]
-    gone = math.hypot(last.x - first.x, last.y - first.y) * rig.mm
-    return gone * SECOND / (ended - began)
+    if not seen or newest - seen[-1][0] > rig.limits.untracked_stop * SECOND:
+        return f"{rig.not_tracked(i)}, so it is not seen to stand"
+    if seen[-1][0] - seen[0][0] < WATCHED * REST_NS:
+        return f"{name} has not been watched long enough"
+    speed, turning = _speeds(*seen[0], *seen[-1])
+    moves = speed * rig.mm > rig.limits.standstill_mm or turning > TURNING
+    return f"{name} still moves" if moves else ""
+
+
+def _speeds(began: int, first: Pose, ended: int, last: Pose) -> tuple[float, float]:
+    """Return the mean speed [length unit/s] and turning rate [rad/s] between two poses."""
+    seconds = (ended - began) / SECOND
+    gone = math.hypot(last.x - first.x, last.y - first.y)
+    return gone / seconds, abs(math.remainder(last.heading - first.heading, math.tau)) / seconds

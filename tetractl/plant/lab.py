@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
-from tetractl.core.commands import Command, Note, PlantInfo, Sample, Transmission, Verdict
+from tetractl.core.commands import HALTS, Command, Note, PlantInfo, Sample, Transmission, Verdict
 from tetractl.core.errors import AbortError
 from tetractl.core.operators import Operators
 from tetractl.core.poses import CameraFrame, Observation, Poses
@@ -17,7 +17,7 @@ from tetractl.lab.guard import GuardState
 from tetractl.lab.placing import wait_until_ready
 from tetractl.lab.preflight import Preflight
 from tetractl.lab.rig import Rig, build_rig
-from tetractl.lab.standstill import unrest
+from tetractl.lab.standstill import unrest, unseen
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import PathCheck
 
@@ -72,7 +72,8 @@ class LabPlant:
         if self._newest is None:
             raise AbortError("no camera frame came")
         rate_hz = findings.camera_rate_hz or 0.0
-        return PlantInfo("lab", False, round(rate_hz, 3), _facts(findings))
+        facts = {**_facts(findings), HALTS: "yes" if rig.actuator.halts else "no"}
+        return PlantInfo("lab", False, round(rate_hz, 3), facts)
 
     def observe(self) -> Observation:
         """Return the newest camera frame; a robot not tracked now keeps its last pose."""
@@ -110,7 +111,7 @@ class LabPlant:
         others = [sent for sent in loop.sent() if sent.sent_ns not in self._returned]
         self._news.extend(map(self._command, others))
         self._news.extend(Note(t_ns, "warning", text) for t_ns, text in loop.warnings())
-        news, self._news = list(self._news), deque(maxlen=KEPT)
+        news, self._news = sorted(self._news, key=_time_ns), deque(maxlen=KEPT)
         return news
 
     def stop(self) -> Command:
@@ -125,10 +126,14 @@ class LabPlant:
         return self._stop
 
     def settle(self) -> Verdict:
-        """Look by the camera that the robots stand still, where they do, and judge their path."""
-        restless = unrest(self.rig) if self.rig.actuator.halts and self._newest else ""
+        """Wait until the camera shows every robot, standing where it can, and judge the path."""
+        not_shown = unrest if self.rig.actuator.halts else unseen
+        restless = not_shown(self.rig) if self._newest else ""
         if restless:
             self._news.append(Note(self.clock.now(), "error", restless))
+        if outdated := self.rig.guard.outdated:
+            text = f"{outdated} camera frames were dropped: exposed before others"
+            self._news.append(Note(self.clock.now(), "warning", text))
         self._judging = False
         final = self._newest.poses if self._newest is not None else self.setup.starts
         entered = tuple(bool(e) for e in self._path_check.entered)
@@ -164,6 +169,10 @@ class LabPlant:
         if sent.direction is None:
             delivered = (True,) * len(sent.moving)
         return Command(sent.direction, sent.sent_ns, delivered, sent.left, sent.right)
+
+
+def _time_ns(item: Command | Note) -> int:
+    return item.t_ns if isinstance(item, Note) else item.sent_ns
 
 
 def _facts(findings: Preflight) -> dict[str, str]:

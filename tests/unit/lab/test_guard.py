@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import settings
@@ -150,6 +151,107 @@ def test_a_heading_that_flips_is_a_jump():
     assert course.guard.jumps == 1
 
 
+def walk(step_mm, course, frames=40):
+    """Green's pose walks on by `step_mm` a frame; return how far it was believed [mm]."""
+    x, believed = PLACES[0].x, 0.0
+    for _ in range(frames):
+        x += step_mm
+        course.frame((Pose(x, 500.0, 0.3), PLACES[1]))
+        course.guard.steered(course.at)
+        if course.guard.state is GuardState.ABORT:
+            break
+        ((pose, _), _) = course.guard.believed(CameraFrame(0, course.at, course.at, PLACES))
+        believed = pose.x - PLACES[0].x
+    return believed
+
+
+def test_a_ghost_that_walks_33_mm_a_frame_is_not_believed_for_long():
+    course = running()
+    assert walk(33.0, course) < 2 * 200 * 0.1 + 30 + 33
+    assert course.guard.state is GuardState.ABORT
+    assert course.guard.reason.startswith("green is not tracked: its pose jumped")
+
+
+@pytest.mark.parametrize("step_mm", [4.0, 5.0, 8.0, 20.0, 30.0])
+def test_a_second_of_believed_poses_is_bounded_by_speed_and_one_allowance(step_mm):
+    course = running()
+    assert walk(step_mm, course, 125) <= 2 * 200 * 1.0 + 30
+    assert course.guard.state is GuardState.ABORT
+
+
+def test_a_heading_that_walks_is_not_believed_for_long():
+    rules = replace(RULES, turning=(0.5, 0.5))
+    course = running(rules)
+    heading = 0.3
+    for _ in range(20):
+        heading += 0.6
+        course.frame((Pose(500.0, 500.0, heading), PLACES[1]))
+    assert course.guard.jumps >= 18
+
+
+@pytest.mark.parametrize("behind_ms", [1, 300, 20_250, 59_000])
+def test_one_outdated_frame_is_dropped_and_counted(behind_ms):
+    course = running()
+    course.at += FRAME
+    old = CameraFrame(99, course.at - behind_ms * MS - FRAME, course.at, (None, PLACES[0]))
+    assert course.guard.see(old) is None
+    ruling = course.frame(step=0)
+    assert (ruling.state, ruling.poses) == (GuardState.RUN, PLACES)
+    assert course.guard.outdated == 1
+    (warning,) = ruling.warnings
+    assert warning == f"a camera frame exposed {behind_ms / 1000:.2f} s before the newest came," + (
+        " and was dropped"
+    )
+    assert course.frames(5).warnings == ()
+    assert course.guard.jumps == 0
+
+
+def test_a_stream_of_outdated_frames_aborts_by_its_true_name():
+    course = running()
+    ended = None
+    for k in range(80):
+        course.guard.see(
+            CameraFrame(99 + k, course.at - 20_000 * MS + k * FRAME, course.at, PLACES)
+        )
+        ended = course.tick(after=(k + 1) * FRAME)
+        if ended.state is GuardState.ABORT:
+            break
+    assert ended.reason.startswith(
+        "no new camera frame for 0.50 s: 63 outdated ones came, the last"
+    )
+    assert ended.reason.endswith("exposed 19.50 s before the newest")
+
+
+HIGH = replace(PLACES[0], height=1450.0, tilt=0.0)
+UPSIDE_DOWN = replace(PLACES[0], height=60.0, tilt=math.pi)
+UPRIGHT = replace(PLACES[0], height=60.0, tilt=0.1)
+
+
+@pytest.mark.parametrize(
+    ("pose", "why"),
+    [
+        (HIGH, "its body is at a height of 1450 mm"),
+        (replace(HIGH, height=-300.0), "its body is at a height of -300 mm"),
+        (UPSIDE_DOWN, "its body is tilted by 3.14 rad"),
+    ],
+)
+def test_a_body_off_the_floor_is_not_believed(pose, why):
+    rules = replace(RULES, lowest=-100.0, highest=500.0, tilt=0.5)
+    course = running(rules)
+    assert course.frames(5, (UPRIGHT, PLACES[1])).moving == (True, True)
+    assert course.frames(8, (pose, PLACES[1])).moving == (False, True)
+    assert course.guard.refused == (why, "")
+    course.frames(40, (pose, PLACES[1]))
+    assert course.guard.reason == f"green is not tracked: {why} (0.30 s)"
+
+
+def test_a_body_off_the_floor_is_not_believed_before_a_run_either():
+    course = Course(replace(RULES, highest=500.0))
+    course.frames(3, (HIGH, PLACES[1]))
+    assert course.guard.refused[0].endswith("1450 mm")
+    assert course.guard.believed(CameraFrame(3, course.at, course.at, PLACES))[0] == (None, False)
+
+
 def test_driving_is_no_jump():
     course = running()
     x = PLACES[0].x
@@ -183,7 +285,7 @@ def test_robots_that_come_too_close_abort():
     course.guard.go(course.at)
     gap = 300.0
     while course.guard.state is not GuardState.ABORT and gap > 0:
-        gap -= 300.0 * FRAME / 1e9
+        gap -= 190.0 * FRAME / 1e9
         course.frame((Pose(500.0, 500.0, 0.0), Pose(500.0 + gap, 500.0, math.pi)))
     assert course.guard.reason.startswith("green and blue are too close")
     assert gap > 110.0
@@ -309,10 +411,12 @@ class GuardMachine(RuleBasedStateMachine):
         self.number += 1
         sampled = max(0, self.now - age)
         self.guard.see(CameraFrame(self.number, sampled, self.now, (a, b), fault=fault))
-        self.exposed = max(self.exposed or 0, sampled)
+        if self.exposed is not None and sampled <= self.exposed:
+            return
+        self.exposed = sampled
         for i, pose in enumerate((a, b)):
             if pose is not None:
-                self.seen[i] = max(self.seen[i] or 0, sampled)
+                self.seen[i] = sampled
 
     @rule(count=st.integers(1, 20))
     def drive_on(self, count):

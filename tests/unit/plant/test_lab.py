@@ -1,5 +1,7 @@
 """The lab as a plant, in virtual time, between a fake camera and a fake actuator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.labs import fake_lab
@@ -130,10 +132,116 @@ def test_robots_that_do_not_stand_after_a_stop_are_named():
     lab = opened()
     drive(lab, 0.4)
     lab.plant.stop()
+    lab.world.deaf = {0}
     lab.world.moving = (True, False, False)
     verdict = lab.plant.settle()
     assert verdict.unrest == "green still moves 2 s after the stop"
     assert [item.text for item in lab.plant.news() if isinstance(item, Note)] == [verdict.unrest]
+
+
+def test_a_stop_that_was_lost_is_sent_again_until_the_robots_stand():
+    lab = opened()
+    drive(lab, 0.4)
+    lab.plant.stop()
+    lab.world.moving = (True, False, False)
+    before = len(lab.actuator.sent)
+    assert lab.plant.settle().unrest == ""
+    assert lab.world.moving == (False, False, False)
+    assert all(sent.direction is None for sent in lab.actuator.sent[before:])
+
+
+def test_a_robot_that_turns_on_the_spot_does_not_stand():
+    lab = opened()
+    drive(lab, 0.4)
+    lab.plant.stop()
+    held = lab.world.advance
+
+    def spinning():
+        held()
+        lab.world.poses[1, 2] = lab.clock.now() / SECOND * 3.0
+
+    lab.world.advance = spinning
+    assert lab.plant.settle().unrest == "blue still moves 2 s after the stop"
+
+
+def test_a_robot_that_is_not_seen_after_the_stop_is_stopped_again_and_named():
+    lab = opened()
+    drive(lab, 0.4)
+    lab.camera.hidden = {"blue"}
+    wait(lab, 0.1)
+    lab.plant.stop()
+    before = len(lab.actuator.sent)
+    verdict = lab.plant.settle()
+    assert verdict.unrest == ("blue is not tracked, so it is not seen to stand 2 s after the stop")
+    assert len(lab.actuator.sent) >= before + 50
+
+
+def test_a_robot_that_is_seen_again_gives_its_true_final_pose():
+    lab = opened()
+    drive(lab, 0.4)
+    lab.camera.hidden = {"blue"}
+    wait(lab, 0.1)
+    lab.plant.stop()
+    lab.clock.steps.append(lambda: lab.camera.hidden.clear() if lab.clock.now() > back else None)
+    back = lab.clock.now() + SECOND
+    verdict = lab.plant.settle()
+    assert verdict.unrest == ""
+    assert verdict.final.array() == pytest.approx(lab.world.poses)
+
+
+def test_cells_that_are_not_seen_after_the_stop_are_waited_for():
+    lab = opened(**CELLS)
+    drive(lab, 0.4)
+    lab.camera.hidden = {"blue"}
+    wait(lab, 0.1)
+    lab.plant.stop()
+    lab.clock.steps.append(lambda: lab.camera.hidden.clear() if lab.clock.now() > back else None)
+    back = lab.clock.now() + SECOND // 2
+    assert lab.plant.settle().unrest == ""
+    assert lab.plant._newest.valid.all()
+    lab.clock.steps.pop()
+    lab.camera.hidden = {"blue"}
+    wait(lab, 0.1)
+    assert lab.plant.settle().unrest == "blue is not tracked 2 s after the stop"
+
+
+def test_outdated_frames_are_counted_and_do_not_end_a_run():
+    lab = opened()
+    drive(lab, 0.4)
+    newest = lab.camera.newest
+    lab.camera._fresh.append(
+        replace(newest, number=9999, sampled_ns=newest.sampled_ns - 20 * SECOND)
+    )
+    wait(lab, 0.05)
+    lab.plant.observe()
+    drive(lab, 0.4)
+    assert all(s.observation.frame != 9999 for s in lab.plant.samples())
+    lab.plant.stop()
+    assert lab.plant.settle().unrest == ""
+    notes = [item.text for item in lab.plant.news() if isinstance(item, Note)]
+    assert notes[0].endswith("before the newest came, and was dropped")
+    assert notes[-1] == "1 camera frames were dropped: exposed before others"
+
+
+@pytest.mark.parametrize(
+    ("standing", "why"),
+    [
+        ({"height": 1450.0}, "blue is not tracked: its body is at a height of 1450 mm"),
+        ({"tilt": np.pi}, "blue is not tracked: its body is tilted by 3.14 rad"),
+    ],
+)
+def test_a_body_that_is_not_on_the_floor_does_not_start_and_ends_a_run(standing, why):
+    lab = fake_lab(SETUP)
+    lab.camera.standing["blue"] = standing
+    with pytest.raises(AbortError) as refused:
+        lab.plant.open()
+    assert str(refused.value) == why
+    lab = opened()
+    drive(lab, 0.4)
+    lab.camera.standing["blue"] = standing
+    wait(lab, 0.5)
+    with pytest.raises(AbortError, match=why):
+        lab.plant.observe()
 
 
 def test_an_emergency_stop_is_sent_as_one_and_ends_every_call():

@@ -33,6 +33,8 @@ class Placement:
             self.x + self.scale * (cos * seen.x - sin * seen.y),
             self.y + self.scale * (sin * seen.x + cos * seen.y),
             math.remainder(seen.heading + self.rotation, math.tau),
+            self.scale * seen.height,
+            seen.tilt,
         )
 
 

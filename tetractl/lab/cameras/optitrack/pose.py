@@ -18,18 +18,23 @@ class UpAxis(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class PlanarPose:
-    """x, y in m; heading in rad anticlockwise from +x, in [-pi, pi]."""
+    """x, y and height in m; heading in rad anticlockwise from +x, in [-pi, pi].
+
+    `tilt` is the angle between the body's own vertical axis and the server's [rad, 0 to pi].
+    """
 
     x: float
     y: float
     heading: float
+    height: float
+    tilt: float
 
 
 def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> PlanarPose | None:
     """Project a body onto the floor, its own +x axis as heading, plus the robot's offset [rad].
 
-    With z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)).
-    With y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)).
+    With z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qy^2)).
+    With y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qz^2)).
 
     None where the body is not tracked: valid bit not set, a value not finite, or a quaternion
     whose norm is not 1.
@@ -41,8 +46,9 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pla
     if not abs(math.hypot(qx, qy, qz, qw) - 1.0) <= NORM_TOLERANCE:  # false for NaN as well
         return None
     if up is UpAxis.Z:
-        along, sine = y, qw * qz + qx * qy
+        along, height, sine, lean = y, z, qw * qz + qx * qy, qx * qx + qy * qy
     else:
-        along, sine = -z, qw * qy - qx * qz
+        along, height, sine, lean = -z, y, qw * qy - qx * qz, qx * qx + qz * qz
     heading = math.atan2(2.0 * sine, 1.0 - 2.0 * (qy * qy + qz * qz))
-    return PlanarPose(x, along, math.remainder(heading + heading_offset, math.tau))
+    tilt = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * lean)))
+    return PlanarPose(x, along, math.remainder(heading + heading_offset, math.tau), height, tilt)

@@ -1,0 +1,112 @@
+"""Who answers whose commands: N robots told to turn by a common direction, seen at 120 Hz."""
+
+import numpy as np
+import pytest
+
+from tetractl.lab.identities import Identities
+
+NAMES = ("green", "blue", "red")
+A = np.array([6.0, 4.0, 3.0])
+SPEED = 0.18  # m/s
+BODY = 0.095  # m: the diameter of an m3pi
+FRAME = 8_000_000
+SEND = 25_000_000
+
+
+def drive(answers, delay=0.08, seconds=2.0, directions=(1.2, 1.2), signs=(1, 1, 1), noise=0.003):
+    """Robot i does what robot answers[i] is told, later by `delay`; None stands still.
+
+    Returns the fault found and the metres driven until then. The direction changes every 0.2 s.
+    """
+    seen, random = Identities(NAMES), np.random.default_rng(3)
+    heading, shown, told = np.zeros(3), np.zeros(3), np.zeros(3)
+    queue, next_ns = [], 0
+    for now in range(FRAME, round(seconds * 1e9), FRAME):
+        while next_ns <= now:
+            u = directions[next_ns // 200_000_000 % len(directions)]
+            told = A * np.sin(u - heading)
+            seen.sent(next_ns, told)
+            queue.append((next_ns + round(delay * 1e9), told))
+            next_ns += SEND
+        acted = [turning for t, turning in queue if t <= now]
+        for i in range(3):
+            before = shown[i]
+            if acted and answers[i] is not None:
+                heading[i] += signs[i] * acted[-1][answers[i]] * FRAME / 1e9
+            shown[i] = heading[i] + random.normal(0, noise)
+            seen.turned(i, now, FRAME, shown[i] - before)
+        if fault := seen.fault():
+            return fault, SPEED * now / 1e9
+    return "", SPEED * seconds
+
+
+CHATTER = (1.2, -1.2)
+WIDE = (0.4, 2.5, -2.0, 1.0, 3.0)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+@pytest.mark.parametrize("stuck", [None, 0, 1])
+def test_robots_that_do_as_told_or_stand_still_are_no_others(delay, directions, stuck):
+    answers = [None if i == stuck else i for i in range(3)]
+    assert drive(answers, delay, 4.0, directions)[0] == ""
+
+
+@pytest.mark.parametrize("gains", [(0.8, 1.2, 1.0), (1.2, 0.8, 1.2), (1.0, 0.8, 1.25)])
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+@pytest.mark.parametrize("noise", [0.003, 0.01])
+def test_nor_are_robots_whose_wheels_are_not_calibrated(gains, directions, noise):
+    assert drive([0, 1, 2], 0.07, 4.0, directions, gains, noise)[0] == ""
+
+
+def test_nor_are_robots_that_all_stand_still():
+    assert drive([None] * 3, 0.05, 4.0, WIDE)[0] == ""
+
+
+@pytest.mark.parametrize("turned", [0, 1, 2])
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+def test_nor_is_one_whose_wheels_are_swapped(turned, directions):
+    signs = [-1 if i == turned else 1 for i in range(3)]
+    assert drive([0, 1, 2], 0.05, 2.0, directions, signs)[0] == ""
+
+
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+@pytest.mark.parametrize("delay", [0.02, 0.05, 0.1])
+def test_two_that_are_swapped_are_noticed_before_they_drove_a_body_length(delay, directions):
+    fault, driven = drive([1, 0, 2], delay, directions=directions)
+    assert (
+        fault == "green and blue turn as one another is told: are their numbers or bodies swapped?"
+    )
+    assert driven < BODY
+
+
+def test_three_that_follow_one_another_are_noticed():
+    fault, driven = drive([1, 2, 0], directions=WIDE)
+    assert "turn as one another is told" in fault
+    assert driven < 2 * BODY
+
+
+def test_one_with_the_number_of_another_is_noticed():
+    fault, driven = drive([0, 1, 0], directions=WIDE)
+    assert fault == "red turns as green is told, not as red is: is its number wrong?"
+    assert driven < 3 * BODY
+
+
+def test_robots_that_are_told_the_same_cannot_be_told_apart():
+    seen = Identities(NAMES[:2])
+    for now in range(FRAME, 10**9, FRAME):
+        seen.sent(now, (1.0, 1.0))
+        for i in range(2):
+            seen.turned(i, now, FRAME, FRAME / 1e9)
+    assert seen.fault() == ""
+
+
+def test_a_restart_forgets_what_was_seen():
+    seen = Identities(NAMES[:2])
+    for now in range(FRAME, 400_000_000, FRAME):
+        seen.sent(now, (1.0, -1.0))
+        seen.turned(0, now, FRAME, -FRAME / 1e9)
+        seen.turned(1, now, FRAME, FRAME / 1e9)
+    assert "swapped" in seen.fault()
+    seen.restart()
+    assert seen.fault() == ""

@@ -97,6 +97,7 @@ class Guard:
     _outdated_in_a_row: int = 0
     _behind_ns: int = 0  # by how much the last outdated frame was
     _warned: bool = False  # of outdated frames
+    _driven: bool = False  # from the first `go`: robots are not carried any more
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
@@ -130,7 +131,7 @@ class Guard:
 
     @property
     def outdated(self) -> int:
-        """Frames that were dropped because they were exposed no later than one before them."""
+        """Frames dropped, since the last start, as exposed no later than one before them."""
         return self._outdated
 
     @property
@@ -148,6 +149,7 @@ class Guard:
         if self.state is GuardState.READY:
             self.state = GuardState.RUN
             self._last_tick_ns = self._steered_ns = now_ns
+            self._driven, self._outdated = True, 0
             self._identities.restart()
             for track in self._tracks:  # where robots were before the run does not count
                 track.forget()
@@ -204,7 +206,7 @@ class Guard:
             before, seen_ns = track.pose, track.seen_ns
             if pose is None:
                 track.lost()
-            elif not track.add(pose, now, self._active):
+            elif not track.add(pose, now, self._driven):
                 self._jumps += 1
                 pose = None
             elif before is not None:

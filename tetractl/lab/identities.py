@@ -102,7 +102,7 @@ class Identities:
         return ""
 
     def _own(self, sign: float) -> Floats:
-        """Return Q_ii (N,) of each robot's own commands, or of their opposite where `sign` is -1."""
+        """Return Q_ii (N,) of each robot's own commands, of their opposite where `sign` is -1."""
         told = np.diagonal(self._told, axis1=1, axis2=2)
         common = sign * np.diagonal(self._common, axis1=1, axis2=2)
         gain = np.clip(common / np.maximum(told, TINY), *GAINS)

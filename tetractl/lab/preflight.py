@@ -83,7 +83,9 @@ class Preflight:
 def inspect(rig: Rig) -> Preflight:
     """Look at some camera frames, ask both devices and poll the robots; moves nothing."""
     statuses = rig.actuator.poll(POLL_S)
+    outdated = rig.guard.outdated
     seen = _watch(rig)
+    outdated = rig.guard.outdated - outdated
     camera, actuator = rig.camera.check(), rig.actuator.check()
     newest = rig.newest
     problems = [*camera.problems, *actuator.problems]
@@ -100,7 +102,7 @@ def inspect(rig: Rig) -> Preflight:
         latency_ms,
         _rate_hz(seen),
         tuple(problems),
-        (*camera.warnings, *actuator.warnings, *_outdated(rig)),
+        (*camera.warnings, *actuator.warnings, *((dropped(outdated),) if outdated else ())),
         {**camera.facts, **actuator.facts},
         (*camera.questions, *actuator.questions),
     )
@@ -115,6 +117,11 @@ def unplaced(rig: Rig) -> list[str]:
         if line:
             found.append(line)
     return found
+
+
+def dropped(outdated: int) -> str:
+    """Return a line about so many frames that were exposed no later than ones before them."""
+    return f"camera frames dropped because later ones had come: {outdated}"
 
 
 def _robot(rig: Rig, i: int, frame: CameraFrame | None, status: RobotStatus) -> RobotFinding:
@@ -146,11 +153,6 @@ def _off(rig: Rig, i: int, frame: CameraFrame | None) -> tuple[float | None, flo
 def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
     inside = [pose for pose in frame.strangers if rig.setup.arena.contains(pose.x, pose.y)]
     return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f}" for p in inside]
-
-
-def _outdated(rig: Rig) -> list[str]:
-    count = rig.guard.outdated
-    return [f"{count} camera frames were dropped: exposed before others"] if count else []
 
 
 def _watch(rig: Rig) -> list[CameraFrame]:

@@ -38,7 +38,7 @@ def unrest(rig: Rig) -> str:
         if not lines and newest is not None and newest.received_ns - began >= REST_NS:
             return ""
         if now - began >= limit_ns:
-            return f"{'; '.join(lines)} {limit_ns / SECOND:g} s after the stop"
+            return _late(rig, lines)
         if lines and now - began >= ROLLING_NS:
             rig.loop.stop()
 
@@ -52,9 +52,13 @@ def unseen(rig: Rig) -> str:
     began = rig.clock.now()
     while lines := _blind(rig) or _lost(rig):
         if rig.clock.now() - began >= limit_ns:
-            return f"{'; '.join(lines)} {limit_ns / SECOND:g} s after the stop"
+            return _late(rig, lines)
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
     return ""
+
+
+def _late(rig: Rig, lines: list[str]) -> str:
+    return f"{rig.limits.standstill:g} s after the stop: {'; '.join(lines)}"
 
 
 def _blind(rig: Rig) -> list[str]:

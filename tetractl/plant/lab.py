@@ -15,7 +15,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.guard import GuardState
 from tetractl.lab.placing import wait_until_ready
-from tetractl.lab.preflight import Preflight
+from tetractl.lab.preflight import Preflight, dropped
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.lab.standstill import unrest, unseen
 from tetractl.model.obstacles import Obstacles
@@ -132,8 +132,7 @@ class LabPlant:
         if restless:
             self._news.append(Note(self.clock.now(), "error", restless))
         if outdated := self.rig.guard.outdated:
-            text = f"{outdated} camera frames were dropped: exposed before others"
-            self._news.append(Note(self.clock.now(), "warning", text))
+            self._news.append(Note(self.clock.now(), "warning", dropped(outdated)))
         self._judging = False
         final = self._newest.poses if self._newest is not None else self.setup.starts
         entered = tuple(bool(e) for e in self._path_check.entered)

@@ -6,10 +6,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tetractl.core.clock import SECOND, milliseconds, seconds
-from tetractl.core.commands import Command, Verdict
+from tetractl.core.commands import HALTS, Command, Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import Result, Step
+from tetractl.experiment.lab import LabSection
+from tetractl.lab.standstill import REST_NS
 from tetractl.log.format import channels
 from tetractl.log.format.metadata import run_metadata
 from tetractl.log.read.gaps import frame_gaps, step_gaps
@@ -21,6 +23,8 @@ from tetractl.replay.recompute import Difference
 
 REST = 1e-6  # relative to a coordinate: tolerance for the position of a robot at rest
 LAST_FRAMES = 120  # of a lab trial, one of which shows the final poses
+SLACK = 2.0  # times the lab's limits: a few frames come between its last look and the log's end
+MM = 1e-3  # m
 
 
 @dataclass(slots=True)
@@ -212,6 +216,8 @@ def _result(log: TrialLog, result: Result) -> Iterator[Difference]:
         if not _stands(log, verdict.final):
             yield Difference(None, "result.final", "is not where the robots were seen last")
     yield from _ending(log, result)
+    if log.damage is None and result.outcome.complete:
+        yield from _rest(log)
     yield from _obstacles(log, verdict)
 
 
@@ -246,6 +252,28 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
         yield Difference(None, "result.duration_s", text)
     if result.outcome is Outcome.ABORTED and not result.reason:
         yield Difference(None, "result.reason", "aborted without a reason")
+
+
+def _rest(log: TrialLog) -> Iterator[Difference]:
+    """The last frames of a complete lab trial show every robot, standing where it can."""
+    lab, now = log.experiment.plant, log.mocap_ns
+    if log.start.plant.simulated or not isinstance(lab, LabSection) or not len(now):
+        return
+    halts = log.start.plant.facts.get(HALTS) == "yes"  # logs of old do not tell
+    for i, name in enumerate(log.start.setup.names):
+        seen = np.flatnonzero(log.valid[:, i])
+        unseen_s = seconds(int(now[-1] - (now[seen[-1]] if len(seen) else 0)))
+        if unseen_s > SLACK * lab.limits.untracked_stop:
+            text = f"complete, but {name} was not tracked for the last {unseen_s:.2f} s"
+            yield Difference(None, "result.outcome", text)
+            continue
+        last = seen[now[seen] >= now[-1] - REST_NS]
+        gone_mm = np.hypot(*(log.mocap[last[-1], i, :2] - log.mocap[last[0], i, :2]))
+        gone_mm *= log.start.setup.metres / MM
+        span_s = seconds(int(now[last[-1]] - now[last[0]]))
+        if halts and gone_mm > SLACK * lab.limits.standstill_mm * span_s:
+            text = f"complete, but {name} moved by {gone_mm:.0f} mm in the last {span_s:.2f} s"
+            yield Difference(None, "result.outcome", text)
 
 
 def _stands(log: TrialLog, final: Poses) -> bool:

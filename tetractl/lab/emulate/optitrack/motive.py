@@ -134,13 +134,17 @@ class Motive:
             delay += jitter.uniform(0, 0.45 / s.rate_hz)
         leaves = now + round(delay * SECOND)
         seconds = (now - self._start_ns) / SECOND
+        exposed = now
+        if self.trouble.outdated:
+            self.trouble.outdated -= 1
+            exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
         frame = NatNetFrame(
             number,
             self._expose(),
             params=MODELS_CHANGED * s.models_changed | EDIT_MODE * self.trouble.edit_mode,
             latency=delay,
             timestamp_s=seconds,
-            ticks=Ticks(ticks(now), ticks(now + round(0.6 * delay * SECOND)), 0),
+            ticks=Ticks(ticks(exposed), ticks(now + round(0.6 * delay * SECOND)), 0),
             precision=(int(seconds), int(seconds % 1 * 2**32)),
         )
         self._timeline.at(leaves, partial(self._transmit, self._exposures, frame))

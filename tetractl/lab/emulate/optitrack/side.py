@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.errors import SpecError
-from tetractl.experiment.base import Finite, Model, Name, Point
+from tetractl.experiment.base import Finite, Model, Name, Point, Positive
 from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
@@ -190,6 +190,66 @@ class Jump(Fault):
         return setting(device.tracked_body(self.robot), shift=self.by)
 
 
+class Ghost(Fault):
+    """A body's pose walks away from its robot."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    fault: Literal["ghost"]
+    robot: Name
+    """The robot it happens to."""
+    by: Point
+    """How far in each frame [mm]."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Let what is seen of the body walk."""
+        return setting(device.tracked_body(self.robot), step=self.by, shift=(0.0, 0.0))
+
+
+class Lifted(Fault):
+    """A body is seen at another height."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    fault: Literal["lifted"]
+    robot: Name
+    """The robot it happens to."""
+    height: Finite
+    """Height above the floor [mm]."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Lift the body."""
+        return setting(device.tracked_body(self.robot), height=self.height)
+
+
+class Tipped(Fault):
+    """A body is seen rolled about its own x axis."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    fault: Literal["tipped"]
+    robot: Name
+    """The robot it happens to."""
+    angle: Finite
+    """How far [rad]."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Roll the body."""
+        return setting(device.tracked_body(self.robot), roll=self.angle)
+
+
+class Outdated(Fault):
+    """Some frames are stamped with an older exposure than they have."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    fault: Literal["outdated"]
+    by: Positive
+    """By how much [s]."""
+    frames: int = Field(default=1, ge=1, le=1_000_000)
+    """How many frames."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Stamp the next frames so."""
+        return setting(device.motive.trouble, outdated=self.frames, outdated_s=self.by)
+
+
 class Swap(Fault):
     """Two bodies swap identities."""
 
@@ -219,6 +279,10 @@ class EmulatedOptitrack:
         OtherVersion,
         Untracked,
         Jump,
+        Ghost,
+        Lifted,
+        Tipped,
+        Outdated,
         Swap,
         NotANumber,
         BadQuaternion,

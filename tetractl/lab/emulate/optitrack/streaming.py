@@ -40,7 +40,8 @@ class Streaming:
 @dataclass(slots=True)
 class Trouble:
     """What faults set: silent (answers nothing, sends nothing), no frames, the same frame again
-    and again, the counter back by so many, edit mode, or a share of damaged datagrams."""
+    and again, the counter back by so many, edit mode, a share of damaged datagrams, or so many
+    `outdated` frames, stamped `outdated_s` too old."""
 
     silent: bool = False
     no_frames: bool = False
@@ -49,6 +50,8 @@ class Trouble:
     edit_mode: bool = False
     damaged: float = 0.0
     version: Version | None = None
+    outdated: int = 0
+    outdated_s: float = 0.0
 
 
 @dataclass(slots=True)

@@ -36,8 +36,9 @@ class View:
 class TrackedBody:
     """One robot's rigid body; `offset` is the spec's heading offset [rad].
 
-    The other fields are what faults set: not tracked, displaced by `shift` [mm], position NaN,
-    quaternion of norm `norm`.
+    The other fields are what faults set: not tracked, displaced by `shift` [mm], which grows by
+    `step` [mm] at each exposure, at another `height` [mm], rolled about its own x axis by `roll`
+    [rad], position NaN, quaternion of norm `norm`.
     """
 
     robot: Body
@@ -46,6 +47,9 @@ class TrackedBody:
     offset: float = 0.0
     tracked: bool = True
     shift: tuple[float, float] = (0.0, 0.0)
+    step: tuple[float, float] = (0.0, 0.0)
+    height: float = 60.0
+    roll: float = 0.0
     nan: bool = False
     norm: float = 1.0
     seen: RigidBody | None = field(default=None)  # the last one tracked
@@ -55,8 +59,11 @@ class TrackedBody:
         if not self.tracked and self.seen is not None:
             return replace(self.seen, mean_error=0.0, tracking_valid=False)
         robot = self.robot
+        self.shift = self.shift[0] + self.step[0], self.shift[1] + self.step[1]
         x, y = robot.x + self.shift[0], robot.y + self.shift[1]
-        body = view.body(self.id, x, y, robot.heading - self.offset, height=60.0)
+        body = view.body(self.id, x, y, robot.heading - self.offset, self.height)
+        if self.roll:
+            body = replace(body, quaternion=_rolled(body.quaternion, self.roll))
         self.seen = body
         if not self.tracked:
             return replace(body, mean_error=0.0, tracking_valid=False)
@@ -66,6 +73,15 @@ class TrackedBody:
             qx, qy, qz, qw = (self.norm * part for part in body.quaternion)
             return replace(body, quaternion=(qx, qy, qz, qw))
         return body
+
+
+def _rolled(
+    quaternion: tuple[float, float, float, float], angle: float
+) -> tuple[float, float, float, float]:
+    """Return a quaternion (x, y, z, w) after a turn about its body's own x axis."""
+    x, y, z, w = quaternion
+    sin, cos = math.sin(angle / 2), math.cos(angle / 2)
+    return x * cos + w * sin, y * cos + z * sin, z * cos - y * sin, w * cos - x * sin
 
 
 def expose(

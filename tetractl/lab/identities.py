@@ -26,9 +26,10 @@ KEPT_NS = SECOND  # of what was sent
 GAINS = (0.8, 1.25)  # of a robot's own commands, least and most
 APART = 0.1  # rad^2/s: commands that differ less, over all, cannot be told apart
 BETTER = 0.05  # share of that by which another robot's commands must fit each of a ring better
-ALONE_NS = 3 * SECOND // 4  # a robot alone must be watched for this long,
-ALONE_BETTER = 0.25  # and another's commands fit it better by this share
-EXPLAINED = 0.8  # and this share of them is seen
+ALONE_NS = 3 * SECOND // 4  # a robot alone must be watched for this long
+ALONE_GAINS = (-1.25, 1.25)  # its own commands are tried with: a wheel may be stuck, or inverted
+ALONE_BETTER = 0.25  # share of that by which another's commands must fit it better,
+EXPLAINED = 0.8  # and share of them that must be seen
 TINY = 1e-12
 
 
@@ -75,7 +76,7 @@ class Identities:
         """Return which robots answer the commands of others, "" where none does."""
         misfits = self._told - 2.0 * self._common
         misfit = misfits.min(axis=0)
-        better = self._own(1.0)[:, None] - misfit
+        better = self._own(GAINS)[:, None] - misfit
         follows = (self._apart > APART) & (better > BETTER * self._apart)
         if not follows.any():
             return ""
@@ -83,17 +84,16 @@ class Identities:
             names = " and ".join(self._names[i] for i in ring)
             return f"{names} turn as one another is told: are their numbers or bodies swapped?"
         told = np.take_along_axis(self._told, misfits.argmin(axis=0)[None], axis=0)[0]
-        return self._alone(better, misfit, told)
+        return self._alone(misfit, told)
 
-    def _alone(self, better: Floats, misfit: Floats, told: Floats) -> str:
-        """Return who follows another that follows nobody, by stricter limits."""
-        opposed = self._own(-1.0)[:, None] - misfit
+    def _alone(self, misfit: Floats, told: Floats) -> str:
+        """Return who follows another and cannot have lost a wheel, or swapped its own."""
+        better = self._own(ALONE_GAINS)[:, None] - misfit
         sure = (
             (self._watched_ns > ALONE_NS)[:, None]
             & (self._apart > APART)
             & (told > APART)
             & (better > ALONE_BETTER * self._apart)
-            & (opposed > ALONE_BETTER * self._apart)
             & (misfit < -EXPLAINED * told)
         )
         for i, j in np.argwhere(sure):
@@ -101,11 +101,11 @@ class Identities:
             return f"{one} turns as {other} is told, not as {one} is: is its number wrong?"
         return ""
 
-    def _own(self, sign: float) -> Floats:
-        """Return Q_ii (N,) of each robot's own commands, of their opposite where `sign` is -1."""
+    def _own(self, gains: tuple[float, float]) -> Floats:
+        """Return Q_ii (N,) of each robot's own commands, for the best gain between two."""
         told = np.diagonal(self._told, axis1=1, axis2=2)
-        common = sign * np.diagonal(self._common, axis1=1, axis2=2)
-        gain = np.clip(common / np.maximum(told, TINY), *GAINS)
+        common = np.diagonal(self._common, axis1=1, axis2=2)
+        gain = np.clip(common / np.maximum(told, TINY), *gains)
         return (gain**2 * told - 2.0 * gain * common).min(axis=0)
 
     def _at(self, when_ns: int) -> Floats:

@@ -13,8 +13,11 @@ FRAME = 8_000_000
 SEND = 25_000_000
 
 
-def drive(answers, delay=0.08, seconds=2.0, directions=(1.2, 1.2), signs=(1, 1, 1), noise=0.003):
-    """Robot i does what robot answers[i] is told, later by `delay`; None stands still.
+def drive(
+    answers, delay=0.08, seconds=2.0, directions=(1.2, 1.2), signs=(1, 1, 1), noise=0.003, lost=()
+):
+    """Robot i does what robot answers[i] is told, later by `delay`; None stands still, as do the
+    `lost` after 0.2 s.
 
     Returns the fault found and the metres driven until then. The direction changes every 0.2 s.
     """
@@ -31,7 +34,7 @@ def drive(answers, delay=0.08, seconds=2.0, directions=(1.2, 1.2), signs=(1, 1, 
         acted = [turning for t, turning in queue if t <= now]
         for i in range(3):
             before = shown[i]
-            if acted and answers[i] is not None:
+            if acted and answers[i] is not None and not (i in lost and now > 200_000_000):
                 heading[i] += signs[i] * acted[-1][answers[i]] * FRAME / 1e9
             shown[i] = heading[i] + random.normal(0, noise)
             seen.turned(i, now, FRAME, shown[i] - before)
@@ -57,6 +60,12 @@ def test_robots_that_do_as_told_or_stand_still_are_no_others(delay, directions, 
 @pytest.mark.parametrize("noise", [0.003, 0.01])
 def test_nor_are_robots_whose_wheels_are_not_calibrated(gains, directions, noise):
     assert drive([0, 1, 2], 0.07, 4.0, directions, gains, noise)[0] == ""
+
+
+@pytest.mark.parametrize("lost", [(0,), (1,), (2,), (0, 1), (0, 1, 2)])
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+def test_nor_are_robots_that_stop_halfway(lost, directions):
+    assert drive([0, 1, 2], 0.05, 4.0, directions, lost=lost)[0] == ""
 
 
 def test_nor_are_robots_that_all_stand_still():

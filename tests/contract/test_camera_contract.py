@@ -66,6 +66,14 @@ def test_poses_are_in_the_specs_coordinates_in_the_order_of_the_robots(rig):
             assert abs(math.remainder(pose.heading - heading, math.tau)) < 0.05
 
 
+def test_height_and_tilt_of_a_robot_on_the_floor_are_those_of_its_body_or_not_told(rig):
+    with rig.camera:
+        for pose in frames(rig)[-1].poses:
+            if pose.height is not None:
+                assert abs(pose.height * rig.setup.metres - 0.06) < 0.05
+            assert pose.tilt is None or 0.0 <= pose.tilt < 0.2
+
+
 def test_a_robot_that_is_not_tracked_is_none_and_the_others_are_not(rig):
     with rig.camera:
         rig.hide(rig.setup.names[0])

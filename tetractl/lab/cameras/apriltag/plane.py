@@ -54,6 +54,26 @@ class Plane:
         reach = (height - camera[2]) / ahead[..., 2]
         return camera[:2] + reach[..., None] * ahead[..., :2]
 
+    def stance(self, pixels: Floats, side: float) -> tuple[float, float] | None:
+        """Return the height above the floor [m] and the tilt [rad] of a tag.
+
+        `pixels` (4, 2) are the corners of the tag, of side `side` [m]. A small square seen from afar
+        fits two tilts: the smaller counts. None where neither can be found.
+        """
+        square = np.column_stack([side * SQUARE, np.zeros(4)])
+        _, turns, shifts, _ = cv2.solvePnPGeneric(
+            square, pixels, self.matrix, self.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
+        found = [self._upright(*each) for each in zip(turns, shifts, strict=True)]
+        sure = [each for each in found if np.isfinite(each).all()]
+        return min(sure, key=lambda each: each[1], default=None)
+
+    def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
+        """Return height [m] and tilt [rad] of a body turned and shifted in the camera's axes."""
+        place = self.rotation.T @ (shift.ravel() - self.shift.ravel())
+        upward = self.rotation.T @ cv2.Rodrigues(turn)[0][:, 2]
+        return float(place[2]), float(np.arccos(np.clip(upward[2], -1.0, 1.0)))
+
 
 def placed(tag: FloorTag, metres: float) -> Floats:
     """Return the corners of a floor tag on the floor, (4, 2) [m]."""

@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,7 +78,12 @@ class Tracker:
         corners = plane.locate(sighting.corners, robot.height_mm * MM)
         pose, side = self._posed(corners, robot.heading_offset)
         size = side / (robot.size_mm * MM)
-        return (pose if abs(size - 1) < ODD_SIZE else None), size
+        if abs(size - 1) >= ODD_SIZE:
+            return None, size
+        if (stance := plane.stance(sighting.corners, robot.size_mm * MM)) is not None:
+            height, tilt = stance
+            pose = replace(pose, height=height / self._metres, tilt=tilt)
+        return pose, size
 
     def _strangers(self, sightings: Sequence[Sighting]) -> tuple[Pose, ...]:
         plane = self.floor.plane

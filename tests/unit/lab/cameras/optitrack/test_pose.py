@@ -46,6 +46,17 @@ def test_heading_is_the_turn_about_the_vertical(angle, offset):
     assert abs(y_up.heading) <= math.pi
 
 
+@given(heading=angles, tilt=st.floats(0.0, math.pi), about=st.sampled_from([0, 1]))
+def test_tilt_is_the_angle_of_the_bodys_own_vertical_axis(heading, tilt, about):
+    z_up = product(turned_about(2, heading), turned_about(about, tilt))
+    y_up = product(turned_about(1, heading), turned_about(2 * about, tilt))
+    seen_z = planar_pose(body(quaternion=z_up), UpAxis.Z)
+    seen_y = planar_pose(body(quaternion=y_up), UpAxis.Y)
+    assert seen_z.tilt == pytest.approx(tilt, abs=1e-6)
+    assert seen_y.tilt == pytest.approx(tilt, abs=1e-6)
+    assert (seen_z.height, seen_y.height) == (3.0, 2.0)
+
+
 @given(heading=angles, tilt=st.floats(-1.0, 1.0))
 def test_heading_is_where_the_bodys_x_axis_points_also_when_tilted(heading, tilt):
     z_up = product(turned_about(2, heading), turned_about(1, tilt))

@@ -17,6 +17,8 @@ MM = 1e-3  # m
 # A tag's corners, in sides of the tag: top left first, clockwise; x is the direction of reading.
 SQUARE = np.array([(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)])
 
+ALIKE_PX = 0.05  # two fits that differ by less cannot be told apart
+
 
 @dataclass(frozen=True, slots=True)
 class Plane:
@@ -57,16 +59,20 @@ class Plane:
     def stance(self, pixels: Floats, side: float) -> tuple[float, float] | None:
         """Return the height above the floor [m] and the tilt [rad] of a tag.
 
-        `pixels` (4, 2) are the corners of the tag, of side `side` [m]. A small square seen from afar
-        fits two tilts: the smaller counts. None where neither can be found.
+        `pixels` (4, 2) are the corners of the tag, of side `side` [m]. A small square seen from
+        afar may fit two tilts as well as one: the smaller counts. None where none is found.
         """
         square = np.column_stack([side * SQUARE, np.zeros(4)])
-        _, turns, shifts, _ = cv2.solvePnPGeneric(
+        _, turns, shifts, errors = cv2.solvePnPGeneric(
             square, pixels, self.matrix, self.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
         )
-        found = [self._upright(*each) for each in zip(turns, shifts, strict=True)]
-        sure = [each for each in found if np.isfinite(each).all()]
-        return min(sure, key=lambda each: each[1], default=None)
+        misfits = np.ravel(errors)
+        found = [
+            self._upright(np.asarray(turn, float), np.asarray(shift, float))
+            for turn, shift, misfit in zip(turns, shifts, misfits, strict=True)
+            if misfit <= misfits.min() + ALIKE_PX
+        ]
+        return min(found, key=lambda each: each[1], default=None)
 
     def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
         """Return height [m] and tilt [rad] of a body turned and shifted in the camera's axes."""

@@ -15,6 +15,7 @@ from tetractl.lab.emulate.script import load_script
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
+from tetractl.replay.audit import audit
 
 SCRIPTS = sorted((ROOT / "experiments" / "faults").glob("*.yaml"))
 REACTION_S = 0.1  # on top of a fault's own tolerance, until the stop frame is on the wire
@@ -75,6 +76,7 @@ def check_log(expect, played):
         return
     if expect.outcome == "done":
         assert trial.result.outcome.complete
+        assert audit(trial).problems == []
     else:
         assert trial.result.outcome == expect.outcome
         if expect.outcome == "aborted":

@@ -8,6 +8,7 @@ from support.lab_processes import play
 
 from tetractl.lab.emulate.script import load_script
 from tetractl.log.read.reader import read_trial
+from tetractl.replay.audit import audit
 
 SLAVES = tuple(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3))
 UNEVEN = """
@@ -66,6 +67,7 @@ def test_a_run_in_which_nothing_goes_wrong(name, tmp_path):
         trial = read_trial(log)
         assert trial.damage is None
         assert trial.result.outcome.complete
+        assert audit(trial).problems == []
     check_poses(played, trial)
     assert played.of("robot", moving=False), "they drove, and stand"
 

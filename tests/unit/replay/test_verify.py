@@ -4,18 +4,23 @@ import random
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support import mutate, random_trials
 from support.mutate import places, rewrite, with_entry
+from support.paths import ROOT
 
+from tetractl.core.commands import HALTS, PlantInfo
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
-from tetractl.experiment.load import parse_spec
+from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.plants import on_plant
 from tetractl.log import provenance
 from tetractl.log.format.channels import CHANNELS, ESTIMATE, HOST, RESULT, RUN, STEP
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
+from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay import verify as module
 from tetractl.replay.audit import audit
 from tetractl.replay.recompute import recompute
@@ -279,3 +284,55 @@ def test_a_wall_that_a_logged_path_crosses_was_entered(
     log = replace(log, result=replace(log.result, verdict=clear))
     fields = {problem.field for problem in audit(log).problems}
     assert any(field.startswith("result.entered") for field in fields) == noticed
+
+
+def lab_log(tmp_path: Path, valid: np.ndarray, speed_mm: float, halts: str) -> TrialLog:
+    """A complete lab trial: a second of frames at 100 Hz; robot 0 drives along x throughout."""
+    made = random_trials.trial(simulated=False)
+    log = read_trial(random_trials.write(made, tmp_path / "trial.mcap"))
+    assert log.result
+    lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab").experiment
+    poses = np.zeros((100, 3, 3))
+    poses[:, 0, 0] = np.arange(100) * speed_mm / 100
+    return replace(
+        log,
+        experiment=lab,
+        start=replace(
+            log.start, setup=lab.setup, plant=PlantInfo("lab", False, 100.0, {HALTS: halts})
+        ),
+        stamps={},
+        result=replace(log.result, outcome=Outcome.ARRIVED),
+        damage=None,
+        mocap=poses,
+        valid=valid,
+        frames=np.arange(100),
+        mocap_ns=np.arange(100) * 10_000_000,
+        received_ns=np.arange(100) * 10_000_000 + 1,
+    )
+
+
+def lost(robot: int, since: int, until: int = 100) -> np.ndarray:
+    valid = np.ones((100, 3), bool)
+    valid[since:until, robot] = False
+    return valid
+
+
+@pytest.mark.parametrize(
+    ("valid", "speed_mm", "halts", "said"),
+    [
+        (lost(0, 100), 0.0, "yes", ""),
+        (lost(1, 96), 0.0, "yes", ""),
+        (lost(1, 40, 90), 0.0, "yes", ""),
+        (lost(1, 70), 0.0, "yes", "complete, but blue was not tracked for the last 0.30 s"),
+        (lost(1, 70), 0.0, "no", "complete, but blue was not tracked for the last 0.30 s"),
+        (lost(2, 0), 0.0, "yes", "complete, but red was not tracked for the last 0.99 s"),
+        (lost(0, 100), 60.0, "yes", "complete, but green moved by 15 mm in the last 0.25 s"),
+        (lost(0, 100), 60.0, "no", ""),
+    ],
+)
+def test_a_complete_lab_trial_shows_every_robot_at_rest(
+    tmp_path: Path, valid: np.ndarray, speed_mm: float, halts: str, said: str
+) -> None:
+    log = lab_log(tmp_path, valid, speed_mm, halts)
+    found = [p.message for p in audit(log).problems if p.field == "result.outcome"]
+    assert found == ([said] if said else [])

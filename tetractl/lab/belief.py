@@ -13,7 +13,7 @@ from tetractl.core.poses import Pose
 
 FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
 WINDOW_NS = SECOND  # a pose is held against every believed pose that is not older
-SPACING_NS = SECOND // 10  # between the poses kept for that: the bound is no looser for it
+SPACING_NS = SECOND // 10  # between the poses kept for that, besides the last
 
 
 @dataclass(frozen=True, slots=True)

@@ -300,7 +300,7 @@ def lab_log(tmp_path: Path, valid: np.ndarray, speed_mm: float, halts: str) -> T
         start=replace(
             log.start, setup=lab.setup, plant=PlantInfo("lab", False, 100.0, {HALTS: halts})
         ),
-        stamps={},
+        stamps=log.stamps | {"/mocap": [(10_000_000 * k + 1, 10_000_000 * k) for k in range(100)]},
         result=replace(log.result, outcome=Outcome.ARRIVED),
         damage=None,
         mocap=poses,

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
     from tetractl.replay.verify import Verification
     from tetractl.run.interrupt import Interrupt
-    from tetractl.stats.summary import Comparison, Summary
+    from tetractl.stats.comparison import Comparison
+    from tetractl.stats.summary import Summary
     from tetractl.stats.trials import Damaged
 
 Strings = NDArray[np.str_]
@@ -186,7 +187,9 @@ def to_arrays(trial: TrialLog) -> TrialArrays:
 def to_dataframe(data: TrialLog | Batch) -> "pandas.DataFrame":
     """Return a trial with one row for each frame and robot, or a batch with one row for each trial.
 
-    Units are in the names of the columns. Raises UsageError where pandas is not installed.
+    `origin`, of a trial in the frame's `attrs`, says what was steered, such as "emulated lab".
+    Earlier attempts at a trial have `attempt` True. Units are in the names of the columns. Raises
+    UsageError where pandas is not installed.
     """
     try:
         import pandas
@@ -196,10 +199,12 @@ def to_dataframe(data: TrialLog | Batch) -> "pandas.DataFrame":
             "pip install pandas, or use to_arrays",
         ) from None
     if isinstance(data, TrialLog):
-        return pandas.DataFrame(_columns(to_arrays(data)))
-    from tetractl.stats.export import row
+        frame = pandas.DataFrame(_columns(to_arrays(data)))
+        frame.attrs["origin"] = data.origin.value
+        return frame
+    from tetractl.stats.export import rows
 
-    return pandas.DataFrame([row(trial, trial.experiment.units.length) for trial in data.trials])
+    return pandas.DataFrame(rows(data.trials))
 
 
 def summarise(batch: Batch) -> "Summary":
@@ -214,9 +219,9 @@ def summarise(batch: Batch) -> "Summary":
 
 def compare(ours: "Summary", theirs: "Summary") -> "Comparison":
     """Compare the total errors of two batches; differences are `ours` minus `theirs`."""
-    from tetractl.stats import summary
+    from tetractl.stats import comparison
 
-    return summary.compare(ours, theirs)
+    return comparison.compare(ours, theirs)
 
 
 def plot(
@@ -231,7 +236,8 @@ def plot(
     "convergence", "error", "timing" or one of another package. Statistics and comparisons have one
     figure each, every trial a dot.
     """
-    from tetractl.stats.summary import Comparison, Summary
+    from tetractl.stats.comparison import Comparison
+    from tetractl.stats.summary import Summary
     from tetractl.view import style
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.figures.kinds import draw

@@ -49,7 +49,7 @@ def test_it_says_what_is_in_a_log(folder: Path) -> None:
         f"total error       {trial.result.total_error:.1f} mm",
         f"/mocap            tetractl.MocapSample      {len(trial.mocap):>6} messages  120.0 Hz",
         "  0.00 s  info     trial 0 of three-m3pi starts\n",
-        f"  8.20 s  info     sequence used up after {trial.result.steps} control steps\n",
+        f"  8.20 s  info     sequence completed after {trial.result.steps} control steps\n",
         "spec.resolved.yaml",
         "stated and computed  ",
     ):
@@ -67,7 +67,7 @@ def test_json_holds_the_same(folder: Path) -> None:
     assert done.returncode == 0
     assert found["run"]["seed"] == str(SEED)
     assert found["result"]["robot_errors"] == list(trial.result.robot_errors)
-    assert found["result"]["outcome"] == "sequence used up"
+    assert found["result"]["outcome"] == "sequence completed"
     assert [event["level"] for event in found["events"]] == ["info", "info"]
     assert found["events"][1]["time_s"] == pytest.approx(trial.result.duration_s)
     assert found["estimate"] is None

@@ -121,7 +121,7 @@ def test_a_damaged_trial_among_others_shows_in_the_exit_code(folder):
 
 def test_it_plays_to_the_end_and_waits_there(folder):
     with play(folder, "--rate", "50", "--start", "7.5") as terminal:
-        terminal.expect("ended: sequence used up")
+        terminal.expect("ended: sequence completed")
         terminal.expect("space again")
         terminal.press("q")
         assert terminal.finish() == 0

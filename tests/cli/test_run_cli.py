@@ -185,7 +185,7 @@ def test_resuming_runs_what_is_missing_and_sets_the_unfinished_aside(work):
     assert done.returncode == 0
     assert digests(logs) == before
     assert (logs / "trial-000.mcap").stat().st_mtime_ns == kept
-    assert (logs / "trial-002.mcap.part.unfinished-1").exists()
+    assert (logs / "trial-002.attempt-1.mcap.part").exists()
     assert "3 of 3 trials complete" in done.stdout
 
 

@@ -17,6 +17,8 @@ TETRACTL = Path(sys.executable).with_name("tetractl")
 REFERENCE = {"source": "section V", "n": 20, "mean": 648.6, "std": 225.1}
 SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
 
+PLANT = {"type": "sim", "heading_noise": 0.05}
+
 
 def stats(*args, cwd):
     done = subprocess.run(
@@ -29,7 +31,7 @@ def stats(*args, cwd):
 def write(folder, count, first=0, **fields):
     """Logs of trials whose total errors are 300, 310, ... mm."""
     folder.mkdir(exist_ok=True)
-    fields = {"reference": REFERENCE, "scale": SCALE} | fields
+    fields = {"reference": REFERENCE, "scale": SCALE, "plant": PLANT} | fields
     for i in range(first, first + count):
         trial = made.trial(i + 1, index=i, steps=3, frames=2, **fields)
         errors = (100.0, 100.0, 100.0 + 10 * i)
@@ -40,7 +42,8 @@ def write(folder, count, first=0, **fields):
 
 def stop(path, outcome, **fields):
     """A log whose trial did not run to its end."""
-    trial = made.trial(99, steps=3, frames=2, reference=REFERENCE, scale=SCALE, **fields)
+    known = {"reference": REFERENCE, "scale": SCALE, "plant": PLANT}
+    trial = made.trial(99, steps=3, frames=2, **known, **fields)
     result = replace(trial.result, outcome=outcome, reason="the cable came off")
     return made.write(replace(trial, result=result), path)
 
@@ -95,11 +98,32 @@ def test_stopped_trials_are_listed_but_not_averaged(work):
     done = stats("ten/*.mcap", cwd=work)
     assert done.returncode == 0
     assert "10 of 12 trials complete" in done.stdout
-    assert "not in the means, the cable came off" in done.stdout
+    assert "not in the means, robot 0 entered an obstacle, the cable came off" in done.stdout
     found = json.loads(stats("ten", "--format", "json", cwd=work).stdout)
     assert (found["n_trials"], found["n_counted"]) == (12, 10)
     assert (found["aborted"], found["interrupted"]) == (1, 1)
     assert found["total_error"]["mean"] == 345.0
+
+
+def test_an_attempt_that_was_set_aside_is_counted_and_listed(work):
+    """It vanished: the table said `aborted 0` and nothing else."""
+    aborted = stop(work / "aborted.mcap", Outcome.ABORTED, index=3)
+    aborted.rename(work / "ten/trial-003.attempt-1.mcap")
+    (work / "ten/trial-004.mcap.part.unfinished-1").write_bytes(b"torn")
+    done = stats("ten", cwd=work)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "10 of 10 trials complete" in done.stdout
+    rows = [line.split() for line in done.stdout.splitlines()]
+    assert ["earlier", "attempts,", "not", "counted", "2"] in rows
+    (listed,) = [line for line in done.stdout.splitlines() if "trial-003.attempt-1.mcap" in line]
+    assert "an earlier attempt, not counted" in listed
+    assert listed.rstrip().endswith("the cable came off")
+    found = json.loads(stats("ten", "--format", "json", cwd=work).stdout)
+    assert (found["n_trials"], found["n_attempts"], found["aborted"]) == (10, 2, 0)
+    assert [one["path"] for one in found["attempts"]] == [
+        "ten/trial-003.attempt-1.mcap",
+        "ten/trial-004.mcap.part.unfinished-1",
+    ]
 
 
 def test_a_torn_log_is_flagged_and_the_rest_printed(work):

@@ -14,6 +14,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.operators import Operators
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
+from tetractl.log.read.origin import Origin
 from tetractl.plant.lab import LabPlant
 
 DIRECTIONS = (0.5, -0.4, 0.6)
@@ -62,6 +63,8 @@ def test_one_run_keeps_every_promise(make):
     assert (info.kind, info.simulated) == ("lab", False)
     assert 100 < info.camera_rate_hz < 140
     assert all(isinstance(value, str) for value in info.facts.values())
+    assert info.facts["emulated"] == "camera"
+    assert Origin.of(experiment, info) is Origin.EMULATED
 
     first = plant.observe()
     starts = np.array([robot.start for robot in experiment.robots])

@@ -5,14 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.commands import Verdict
+from tetractl.core.commands import PlantInfo, Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
+from tetractl.log.read.origin import Origin
 from tetractl.log.read.trial_log import ResultSummary
 
 REFERENCE = {"source": "Figure 5", "n": 20, "mean": 648.6, "std": 225.1}
+DISTURBED = {"type": "sim", "heading_noise": 0.05}
 SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
 
 
@@ -38,7 +40,7 @@ def experiment(robots: int = 3, **fields: Any) -> Experiment:
 def result(errors: Sequence[float], **fields: Any) -> Result:
     n = len(errors)
     found: dict[str, Any] = {
-        "outcome": Outcome.SEQUENCE_USED_UP,
+        "outcome": Outcome.SEQUENCE_COMPLETED,
         "reason": "no signal left",
         "steps": 31,
         "duration_s": 6.2,
@@ -54,7 +56,8 @@ def result(errors: Sequence[float], **fields: Any) -> Result:
 def trial(
     path: str, spec: Experiment, found: Result, index: int = 0, **fields: Any
 ) -> ResultSummary:
-    known: dict[str, Any] = {"seed": 1, "simulated": True, "recovered": False, "digest": None}
+    origin = Origin.of(spec, PlantInfo("", True, 120.0, {}))
+    known: dict[str, Any] = {"seed": 1, "origin": origin, "recovered": False, "digest": None}
     return ResultSummary(path, spec, trial=index, result=found, **(known | fields))
 
 

@@ -85,7 +85,7 @@ class FakePlant:
 class FakeController:
     """Plans as many steps as it is given, then says how the trial ended."""
 
-    def __init__(self, happenings, steps=3, outcome=Outcome.SEQUENCE_USED_UP):
+    def __init__(self, happenings, steps=3, outcome=Outcome.SEQUENCE_COMPLETED):
         self.happenings, self.left, self.outcome = happenings, steps, outcome
         self.seen: list[Observation] = []
 
@@ -148,7 +148,7 @@ class Bench:
 
 
 def bench(
-    steps=3, outcome=Outcome.SEQUENCE_USED_UP, simulated=True, observers=("log",), **fields
+    steps=3, outcome=Outcome.SEQUENCE_COMPLETED, simulated=True, observers=("log",), **fields
 ) -> Bench:
     """Make a trial; `fields` are the controller's part of the spec."""
     spec = experiment(controller=fields)

@@ -97,7 +97,7 @@ def trial(
     final = _poses(rng, robots)
     errors = rng.uniform(0, 500, robots).tolist()
     result = Result(
-        outcome=Outcome.SEQUENCE_USED_UP,
+        outcome=Outcome.SEQUENCE_COMPLETED,
         reason="no signal left",
         steps=steps,
         duration_s=steps * 0.2,

@@ -12,7 +12,8 @@ from tetractl.core.errors import Exit
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from tetractl.stats.summary import Comparison, Summary
+    from tetractl.stats.comparison import Comparison
+    from tetractl.stats.summary import Summary
 
 Format = Literal["table", "json", "csv", "markdown", "latex"]
 
@@ -36,12 +37,13 @@ def stats(
 ) -> int:
     """Print statistics of a batch: errors with intervals, the published result beside them.
 
-    Trials that were aborted or interrupted are listed and counted, but stay out of the means.
+    Trials that were aborted or interrupted are listed and counted, but stay out of the means; so
+    are attempts that --resume set aside.
     Exits with 1 where a log is damaged.
 
     Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
     """
-    from tetractl.stats.summary import compare
+    from tetractl.stats.comparison import compare
 
     if plot:
         from tetractl.view.style import file_format
@@ -65,15 +67,16 @@ def _summary(paths: list[str]) -> "Summary":
     from tetractl.core.errors import LogError
     from tetractl.experiment.yaml.problems import printable
     from tetractl.stats.summary import summarise
-    from tetractl.stats.trials import load_trials
+    from tetractl.stats.trials import load_trials, split_attempts
 
     with _progress() as on_log:
         trials, damaged = load_trials(paths, on_log)
-    for trial in trials:
+    for trial in split_attempts(trials)[0]:
         if trial.recovered:
             print(f"damaged: {printable(trial.path)}: read as far as possible", file=sys.stderr)
     for log in damaged:
-        print(f"damaged: {printable(log.path)}: {printable(log.problem)}", file=sys.stderr)
+        if not log.set_aside:
+            print(f"damaged: {printable(log.path)}: {printable(log.problem)}", file=sys.stderr)
     if not trials:
         raise LogError(f"none of {len(damaged)} logs can be read")
     return summarise(trials, damaged)
@@ -96,7 +99,7 @@ def _show(form: Format, summary: "Summary", comparison: "Comparison | None") -> 
 
     from rich.console import Console
 
-    from tetractl.stats import export, table
+    from tetractl.stats import export, latex, table
 
     match form:
         case "table":
@@ -108,4 +111,4 @@ def _show(form: Format, summary: "Summary", comparison: "Comparison | None") -> 
         case "markdown":
             print(table.as_markdown(summary, comparison))
         case "latex":
-            print(table.as_latex(summary, comparison))
+            print(latex.as_latex(summary, comparison))

@@ -178,7 +178,7 @@ class Mpc:
         if self.k > self.section.steps_max:  # line 9
             return Outcome.STEPS_MAX
         if self.warm is not None and len(self.warm) == 0:
-            return Outcome.SEQUENCE_USED_UP
+            return Outcome.SEQUENCE_COMPLETED
         plan = self._decide(problem, mix(self.key, self.k))
         self.predictor.sent(observation.sampled_ns, float(plan.signals[0]))
         self.warm = plan.signals

@@ -58,11 +58,16 @@ class Verdict:
     unrest: str = ""
 
 
+EMULATED = "emulated"
+"""The key of the fact of a `PlantInfo` that names the emulated devices."""
+
+
 @dataclass(frozen=True, slots=True)
 class PlantInfo:
     """A description of an open plant; `facts` go into the log's metadata, `kind` is its type.
 
     The fact `HALTS` of a lab tells whether its robots stand still once stopped: "yes" or "no".
+    The fact EMULATED names the devices of a lab that are not real, such as "camera".
     """
 
     kind: str
@@ -108,9 +113,12 @@ class Health:
 
     `problems` keep a run from starting, `warnings` do not, and `questions` are for a person, where
     there is one, to agree to; all are lines for people. `facts` go into the log's metadata.
+    `emulated` is True where the device says that it is not real: a trial with it is not one of a
+    lab, and every table and figure says so.
     """
 
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     questions: tuple[str, ...] = ()
+    emulated: bool = False

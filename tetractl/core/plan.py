@@ -11,10 +11,15 @@ class Outcome(StrEnum):
     """How a trial ended; the first three are decided by the controller."""
 
     ARRIVED = "arrived"  # every robot within the arrival tolerance
-    SEQUENCE_USED_UP = "sequence used up"  # no signal left in the warm start
+    SEQUENCE_COMPLETED = "sequence completed"  # every signal planned was exerted: a good end
     STEPS_MAX = "steps max"  # k_max control steps done
     INTERRUPTED = "interrupted"  # Ctrl-C or SIGTERM
     ABORTED = "aborted"  # a fault or an error; the reason says which
+
+    @classmethod
+    def _missing_(cls, value: object) -> "Outcome | None":
+        """Return the outcome that log format 1 calls otherwise."""
+        return cls.SEQUENCE_COMPLETED if value == "sequence used up" else None
 
     @property
     def complete(self) -> bool:

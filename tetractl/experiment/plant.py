@@ -34,6 +34,11 @@ class PlantSection(Model):
         Only real robots need `operators`.
         """
 
+    @property
+    def disturbed(self) -> bool:
+        """Whether a simulation has any disturbance; only then is it compared with real robots."""
+        return False
+
     def bounds(self) -> dict[str, str]:
         """Return what bounds a trial on this plant, as a name and words for people."""
         return {}

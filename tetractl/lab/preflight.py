@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import RobotStatus
+from tetractl.core.commands import EMULATED, RobotStatus
 from tetractl.core.poses import CameraFrame
 from tetractl.lab.rig import Rig
 
@@ -97,13 +97,15 @@ def inspect(rig: Rig) -> Preflight:
     if newest is not None:
         problems += _strangers(rig, newest)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
+    devices = {"camera": camera, "actuator": actuator}
+    emulated = ", ".join(name for name, health in devices.items() if health.emulated)
     return Preflight(
         robots,
         latency_ms,
         _rate_hz(seen),
         tuple(problems),
         (*camera.warnings, *actuator.warnings, *((dropped(outdated),) if outdated else ())),
-        {**camera.facts, **actuator.facts},
+        {**camera.facts, **actuator.facts} | ({EMULATED: emulated} if emulated else {}),
         (*camera.questions, *actuator.questions),
     )
 

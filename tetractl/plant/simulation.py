@@ -76,6 +76,14 @@ class SimSection(PlantSection):
             raise inconsistent("truth_rate", message)
         return self
 
+    @property
+    def disturbed(self) -> bool:
+        """Whether any disturbance is on."""
+        noise = self.measurement_noise
+        sizes = (noise.position, noise.heading, self.heading_noise, self.dead_time)
+        chances = (self.lost_commands, self.a_error, self.speed_error)
+        return any((*sizes, *chances, *self.disturbances))
+
     def clock(self) -> Clock:
         """Return virtual time."""
         return VirtualClock()

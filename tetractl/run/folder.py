@@ -9,7 +9,7 @@ from pathlib import Path
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import spec_hash
-from tetractl.log.read.find import PART, SUFFIX
+from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX, attempt_name
 from tetractl.log.read.reader import read_result
 from tetractl.run.batch import log_path
 from tetractl.run.folder_lock import locked
@@ -60,12 +60,26 @@ def make_folder(folder: Path) -> None:
 
 
 def set_aside(folder: Path, trial: int) -> None:
-    """Rename the log of an unfinished trial, so that it is kept but not counted as a log."""
+    """Rename the logs of an unfinished trial to attempts, trial-003.attempt-1.mcap and so on.
+
+    An attempt is never overwritten. A recovered log keeps the number of the log it comes from.
+    """
     path = log_path(folder, trial)
+    recovered = path.with_suffix(RECOVERED_SUFFIX)
     for left in (path, path.with_name(path.name + ".part")):
         if left.exists():
-            names = (left.with_name(f"{left.name}.unfinished-{i}") for i in itertools.count(1))
-            left.rename(next(name for name in names if not name.exists()))
+            number = next(i for i in itertools.count(1) if not _attempts(folder, left, i))
+            for log in (left, recovered):
+                if log.exists():
+                    aside = log.with_name(attempt_name(log.name, number))
+                    aside.touch(exist_ok=False)  # nobody else gets this name
+                    log.replace(aside)
+
+
+def _attempts(folder: Path, log: Path, number: int) -> list[Path]:
+    """Return the logs of one trial that were set aside under a number."""
+    stem = log.name.partition(SUFFIX)[0]
+    return [p for p in folder.iterdir() if p.name.startswith(f"{stem}.attempt-{number}.")]
 
 
 def _is_log(path: Path) -> bool:

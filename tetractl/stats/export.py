@@ -2,23 +2,32 @@
 
 import csv
 import io
+import math
+from collections.abc import Sequence
 from typing import Any
 
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.stats.estimate import SEED, MeanDifference, finite
+from tetractl.stats.comparison import Comparison
+from tetractl.stats.difference import MeanDifference
+from tetractl.stats.estimate import Interval, finite
 from tetractl.stats.kinds import statistics
-from tetractl.stats.summary import Comparison, Scaled, Summary
-from tetractl.stats.trials import counts
+from tetractl.stats.notable import to_look_at
+from tetractl.stats.summary import Scaled, Summary
+from tetractl.stats.trials import counts, split_attempts
+
+_NOT_COMPARED = MeanDifference(math.nan, Interval.none("not compared"), math.nan, math.nan)
 
 
 def as_json(summary: Summary, comparison: Comparison | None = None) -> dict[str, Any]:
     """Return the object that `stats --format json` and `run --json` print; None for unknown values.
 
-    Numbers are not rounded. Lengths are in `unit`, times in the unit of their key.
+    Numbers are not rounded. Lengths are in `unit`, times in the unit of their key. `origin` says
+    what was steered, in the words of `Origin`.
     """
     names = [robot.name for robot in summary.experiment.robots]
     found: dict[str, Any] = {
         "experiment": summary.experiment.name,
+        "origin": summary.origin.value,
         "n_trials": len(summary.trials),
         "n_counted": summary.counted,
         "unit": summary.unit,
@@ -30,9 +39,17 @@ def as_json(summary: Summary, comparison: Comparison | None = None) -> dict[str,
         **summary.items,
         "reference": _reference(summary),
         "scaled": _scaled(summary.scaled) if summary.scaled else None,
-        "bootstrap_seed": SEED,
         "damaged": [{"path": log.path, "problem": log.problem} for log in summary.damaged],
         "trials": [_trial(trial) for trial in summary.trials],
+        "n_attempts": summary.n_attempts,
+        "attempts": [
+            *(_trial(trial) | {"counted": False} for trial in summary.attempts),
+            *({"path": log.path, "problem": log.problem} for log in summary.lost_attempts),
+        ],
+        "to_look_at": [
+            {"path": trial.path, "outcome": trial.outcome, "notes": list(trial.notes)}
+            for trial in to_look_at(summary)
+        ],
     }
     if comparison:
         found["against"] = as_json(comparison.theirs)
@@ -58,7 +75,8 @@ def _reference(summary: Summary) -> dict[str, Any] | None:
         "n": reference.n,
         "mean": reference.mean,
         "std": reference.std,
-        **_difference(published.comparison),
+        "comparable": published.comparison is not None,
+        **_difference(published.comparison or _NOT_COMPARED),
     }
 
 
@@ -78,7 +96,12 @@ def _comparison(comparison: Comparison) -> dict[str, Any]:
     return {
         "n": [comparison.ours.counted, comparison.theirs.counted],
         **_difference(comparison.welch),
-        "bootstrap": comparison.bootstrap.as_dict(),
+        "both": comparison.both.as_dict(),
+        "paired": {
+            "n": comparison.paired.n,
+            "reason": comparison.paired.reason or None,
+            **_difference(comparison.paired.difference or _NOT_COMPARED),
+        },
         "cliffs_delta": {
             "value": finite(comparison.effect.value),
             **comparison.effect.ci95.as_dict(),
@@ -99,8 +122,10 @@ def _trial(trial: ResultSummary) -> dict[str, Any]:
         "robot_errors": [finite(error) for error in result.robot_errors],
         "steps": result.steps,
         "duration_s": finite(result.duration_s),
+        "origin": trial.origin.value,
         "outcome": result.outcome.value,
         "reason": result.reason,
+        "warnings": trial.warnings,
         **_statistics(trial),
         "counted": counts(trial),
     }
@@ -112,26 +137,38 @@ def _statistics(trial: ResultSummary) -> dict[str, Any]:
 
 
 def as_csv(summary: Summary, comparison: Comparison | None = None) -> str:
-    """Return one row for each trial, lengths with their unit in the column's name.
+    """Return one row for each trial, as `rows` gives them.
 
     With a comparison the rows of the other batch follow; the column `batch` names the batch.
     """
-    rows = [row(trial, summary.unit) for trial in summary.trials]
+    table = rows([*summary.trials, *summary.attempts])
     if comparison:
-        rows = [{"batch": "ours", **row} for row in rows]
         theirs = comparison.theirs
-        rows += [{"batch": "against", **row(trial, theirs.unit)} for trial in theirs.trials]
-    columns = list(dict.fromkeys(column for row in rows for column in row))
+        table = [{"batch": "ours", **row} for row in table]
+        others = rows([*theirs.trials, *theirs.attempts])
+        table += [{"batch": "against", **row} for row in others]
+    columns = list(dict.fromkeys(column for row in table for column in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(table)
     return text.getvalue()
 
 
-def row(trial: ResultSummary, unit: str) -> dict[str, Any]:
-    """Return a trial as one row of a table, lengths with their unit in the key."""
-    fields = _trial(trial)
+def rows(trials: Sequence[ResultSummary]) -> list[dict[str, Any]]:
+    """Return one row for each trial, then those of earlier attempts with `attempt` True.
+
+    Lengths have their unit in the key.
+    """
+    counted, attempts = split_attempts(trials)
+    return [
+        *(_row(trial) | {"attempt": False} for trial in counted),
+        *(_row(trial) | {"attempt": True, "counted": False} for trial in attempts),
+    ]
+
+
+def _row(trial: ResultSummary) -> dict[str, Any]:
+    fields, unit = _trial(trial), trial.experiment.units.length
     total, errors = fields.pop("total_error"), fields.pop("robot_errors")
     names = [robot.name for robot in trial.experiment.robots]
     each = dict(zip(names, errors, strict=True))

@@ -7,6 +7,7 @@ STATISTICS = Registry(
     "tetractl.statistics",
     "statistic",
     {
+        "outcomes": "tetractl.stats.outcomes:OUTCOMES",
         "arrived": "tetractl.stats.outcomes:ARRIVED",
         "obstacle_violations": "tetractl.stats.outcomes:OBSTACLE_VIOLATIONS",
         "aborted": "tetractl.stats.outcomes:ABORTED",

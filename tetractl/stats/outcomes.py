@@ -1,5 +1,6 @@
 """How the trials of a batch ended: counts and shares of trials."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 from tetractl.core.plan import Outcome
@@ -14,12 +15,20 @@ _ENTERED = share(
 
 
 def _arrived(trials: Sequence[ResultSummary]) -> Value:
-    found = _ARRIVED.of_batch(trials)
     if trials[0].experiment.controller.arrival_tolerance > 0:
-        return found
-    return Value(found.items, (("arrived", f"{NONE} (no arrival_tolerance set)"),))
+        return _ARRIVED.of_batch(trials)
+    unknown = {"arrived": None, "arrived_ci95": None}
+    return Value(unknown, (("arrived", f"{NONE} (no arrival_tolerance set)"),))
 
 
+def _outcomes(trials: Sequence[ResultSummary]) -> Value:
+    found = Counter(trial.outcome for trial in trials)
+    text = ", ".join(f"{n} {outcome.value}" for outcome, n in found.most_common())
+    items = {outcome.value: found[outcome] for outcome in Outcome}
+    return Value({"outcomes": items}, (("outcomes", text),))
+
+
+OUTCOMES = Statistic(_outcomes)
 ARRIVED = Statistic(_arrived)
 OBSTACLE_VIOLATIONS = Statistic(
     _ENTERED.of_batch, lambda trial: {"entered_obstacle": trial.result.entered_obstacle}

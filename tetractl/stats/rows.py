@@ -1,26 +1,31 @@
 """The rows of every table: which statistics stand where, with how many digits."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.read.trial_log import ResultSummary
+from tetractl.log.read.origin import Origin
+from tetractl.stats.comparison import Comparison
 from tetractl.stats.estimate import Distribution
-from tetractl.stats.summary import Comparison, Summary
+from tetractl.stats.notable import to_look_at
+from tetractl.stats.summary import Summary
 from tetractl.stats.text import NONE, digits, fixed, lengths, p_value, span
-from tetractl.stats.trials import counts, listing
+from tetractl.stats.trials import listing
+
+_SHOWN = 20  # trials to look at, before a table gets too long to read
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
     """One table of text cells, `header` above `rows`; numbers stand in all columns but the first,
-    in none where `words` is True."""
+    in none where `words` is True. `note` says what must not be lost where the title is."""
 
     title: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     words: bool = False
+    note: str = ""
 
 
 def grids(summary: Summary, comparison: Comparison | None = None) -> list[Grid]:
@@ -28,8 +33,12 @@ def grids(summary: Summary, comparison: Comparison | None = None) -> list[Grid]:
     tables = [_errors(summary, comparison), _statistics(summary)]
     if comparison:
         tables.append(_comparison(comparison))
-    odd = [trial for trial in summary.trials if trial.recovered or not counts(trial)]
-    return [*tables, _odd(odd)] if odd else tables
+    notable = to_look_at(summary)
+    shown = [(trial.path, trial.outcome, ", ".join(trial.notes)) for trial in notable[:_SHOWN]]
+    if len(notable) > _SHOWN:
+        shown.append((f"{len(notable) - _SHOWN} more", NONE, "--format json names all"))
+    look = Grid("Trials to look at", ("log", "outcome", "note"), tuple(shown), words=True)
+    return [*tables, look] if shown else tables
 
 
 def _errors(summary: Summary, comparison: Comparison | None) -> Grid:
@@ -43,35 +52,37 @@ def _errors(summary: Summary, comparison: Comparison | None) -> Grid:
         rows.append(("published", *known, NONE, NONE, NONE, NONE))
     names = (robot.name for robot in summary.experiment.robots)
     rows += [_row(name, robot, show) for name, robot in zip(names, summary.robots, strict=True)]
-    title = (
-        f"{summary.experiment.name}: distance to the targets at the end [{summary.unit}],"
-        f" {summary.counted} of {len(summary.trials)} trials complete"
-    )
+    complete = f"{summary.counted} of {len(summary.trials)} trials complete"
+    batch = f"{summary.experiment.name}, {summary.origin}"
+    title = f"{batch}: final error [{summary.unit}], {complete}"
     return Grid(
         title,
-        ("error", "n", "mean", "std", "median", "min", "max", "95 % interval"),
+        (f"error [{summary.unit}]", "n", "mean", "std", "median", "min", "max", "95 % interval"),
         tuple(rows),
+        note=f"{batch}, {complete}",
     )
 
 
 def _row(name: str, values: Distribution, show: Callable[[float], str]) -> tuple[str, ...]:
     figures = (values.mean, values.std, values.median, values.min, values.max)
-    interval = span(values.ci95, show)
-    if values.ci95.method == "t":
-        interval += " (t)"
-    return (name, str(values.n), *map(show, figures), interval)
+    return (name, str(values.n), *map(show, figures), span(values.ci95, show))
 
 
 def _statistics(summary: Summary) -> Grid:
-    rows = []
+    rows = [("what was steered", str(summary.origin))]
+    if summary.origin is Origin.DISTURBED:
+        rows.append(("  its disturbances", "assumed in the spec, not measured"))
     if summary.published:
         found = summary.published.comparison
-        show = lengths(found.value)
-        rows += [
-            (f"ours minus published [{summary.unit}]", show(found.value)),
-            (f"  its 95 % interval [{summary.unit}]", span(found.ci95, show)),
-            ("  p (Welch)", p_value(found.p_value)),
-        ]
+        if found is None:
+            rows.append(("ours minus published", f"{NONE} (not real robots: not compared)"))
+        else:
+            show = lengths(found.value)
+            rows += [
+                (f"ours minus published [{summary.unit}]", show(found.value)),
+                (f"  its 95 % interval [{summary.unit}]", span(found.ci95, show)),
+                ("  p (Welch)", p_value(found.p_value)),
+            ]
     if scaled := summary.scaled:
         show_scaled = lengths(scaled.error)
         unit = scaled.scale.unit
@@ -89,6 +100,7 @@ def _statistics(summary: Summary) -> Grid:
             rows.append((f"  published, scaled alike [{unit}]", text))
     rows += [
         *(row for value in summary.statistics for row in value.rows),
+        ("earlier attempts, not counted", str(summary.n_attempts)),
         ("logs that could not be read", str(len(summary.damaged))),
     ]
     return Grid("Trials", ("figure", "value"), tuple(rows), words=True)
@@ -100,11 +112,14 @@ def _comparison(comparison: Comparison) -> Grid:
     show = lengths(found.value, _finest(comparison.ours.experiment))
     verdict = comparison.verdict or f"none: {comparison.reason}"
     rows = [
+        ("steered in ours", str(comparison.ours.origin)),
+        ("steered in the other", str(comparison.theirs.origin)),
         ("n", f"{comparison.ours.counted} and {comparison.theirs.counted}"),
         (f"difference of the means [{unit}]", show(found.value)),
         (f"  95 % interval, Welch [{unit}]", span(found.ci95, show)),
-        (f"  95 % interval, bootstrap [{unit}]", span(comparison.bootstrap, show)),
+        (f"  95 % interval, of both [{unit}]", span(comparison.both, show)),
         ("  p (Welch)", p_value(found.p_value)),
+        *_paired(comparison, show),
         ("Cliff's delta", fixed(2)(comparison.effect.value)),
         ("  95 % interval", span(comparison.effect.ci95, fixed(2))),
         ("verdict on the mean error", verdict),
@@ -113,16 +128,16 @@ def _comparison(comparison: Comparison) -> Grid:
     return Grid("Ours against the other batch", ("figure", "value"), tuple(rows), words=True)
 
 
-def _odd(trials: Sequence[ResultSummary]) -> Grid:
-    rows = []
-    for trial in trials:
-        notes = ["in the means" if counts(trial) else "not in the means"]
-        if trial.recovered:
-            notes.append("read from a damaged log")
-        if trial.result.reason:
-            notes.append(trial.result.reason)
-        rows.append((trial.path, trial.outcome.value, ", ".join(notes)))
-    return Grid("Trials to look at", ("log", "outcome", "note"), tuple(rows), words=True)
+def _paired(comparison: Comparison, show: Callable[[float], str]) -> list[tuple[str, str]]:
+    unit, paired = comparison.ours.unit, comparison.paired
+    if (found := paired.difference) is None:
+        return [("pairs of the same world", f"none: {paired.reason}")]
+    return [
+        ("pairs of the same world (seed, trial)", str(paired.n)),
+        (f"  mean difference of the pairs [{unit}]", show(found.value)),
+        (f"  95 % interval, paired t [{unit}]", span(found.ci95, show)),
+        ("  p (paired t)", p_value(found.p_value)),
+    ]
 
 
 def _finest(experiment: Experiment) -> int:

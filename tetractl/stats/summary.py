@@ -1,4 +1,4 @@
-"""The statistics of a batch of trials, and the comparison of two batches."""
+"""The statistics of a batch of trials."""
 
 import math
 from collections.abc import Sequence
@@ -7,32 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment, Reference, Scale
+from tetractl.log.read.origin import Origin
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.stats.estimate import (
-    ENOUGH,
-    Distribution,
-    Effect,
-    Interval,
-    MeanDifference,
-    bootstrap_difference,
-    cliffs_delta,
-    describe,
-    welch,
-)
+from tetractl.stats.difference import MeanDifference, welch
+from tetractl.stats.estimate import Distribution, Interval, describe
 from tetractl.stats.kinds import statistics
 from tetractl.stats.statistic import Value
-from tetractl.stats.trials import Damaged, counts, differences, one_batch
+from tetractl.stats.trials import Damaged, counts, one_batch, split_attempts
 
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """The published result, and ours minus it by Welch's t."""
+    """The published result, and ours minus it by Welch's t; None where that is no comparison, as
+    of an undisturbed simulation with real robots."""
 
     reference: Reference
-    comparison: MeanDifference
+    comparison: MeanDifference | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +51,17 @@ class Summary:
 
     `total` and `robots` describe the errors of the n trials that count: the complete ones, whose
     outcome the controller decided. `statistics` are the values of `stats.kinds`, over all trials.
+    `attempts` are logs of the same trials that did not count, `damaged` logs that cannot be read;
+    `lost_attempts` are those of them that were set aside. `published` and `scaled` are None where
+    the spec asks for none; `scaled` too where robots cannot be concluded on.
     """
 
     experiment: Experiment
+    origin: Origin
     trials: tuple[ResultSummary, ...]
+    attempts: tuple[ResultSummary, ...]
     damaged: tuple[Damaged, ...]
+    lost_attempts: tuple[Damaged, ...]
     totals: Floats  # (n,) total errors
     errors: Floats  # (n, N) errors of each robot
     total: Distribution
@@ -83,6 +81,11 @@ class Summary:
         return self.total.n
 
     @property
+    def n_attempts(self) -> int:
+        """Number of earlier attempts, readable or not."""
+        return len(self.attempts) + len(self.lost_attempts)
+
+    @property
     def items(self) -> dict[str, Any]:
         """The statistics by their keys in JSON, such as `arrived` and `solve_ms`."""
         return {key: item for value in self.statistics for key, item in value.items.items()}
@@ -94,11 +97,13 @@ class Summary:
 
 
 def summarise(trials: Sequence[ResultSummary], damaged: Sequence[Damaged] = ()) -> Summary:
-    """Summarise the trials of one experiment.
+    """Summarise the trials of one experiment; attempts among them are told apart.
 
     Raises UsageError where they belong to several, or where a simulated trial occurs twice.
     """
-    experiment = one_batch(trials)
+    trials, attempts = split_attempts(trials)
+    experiment = one_batch(trials, attempts)
+    origin = trials[0].origin
     counted = [trial.result for trial in trials if counts(trial)]
     robots = len(experiment.robots)
     totals = np.array([result.total_error for result in counted], dtype=float)
@@ -107,21 +112,26 @@ def summarise(trials: Sequence[ResultSummary], damaged: Sequence[Damaged] = ()) 
     total, *each = describe(np.vstack([totals, errors.T]))
     return Summary(
         experiment=experiment,
+        origin=origin,
         trials=tuple(trials),
-        damaged=tuple(damaged),
+        attempts=tuple(attempts),
+        damaged=tuple(log for log in damaged if not log.set_aside),
+        lost_attempts=tuple(log for log in damaged if log.set_aside),
         totals=totals,
         errors=errors,
         total=total,
         robots=tuple(each),
         statistics=tuple(statistic.of_batch(trials) for statistic in statistics()),
-        published=_published(experiment, total),
-        scaled=_scaled(experiment, total),
+        published=_published(experiment, total, origin),
+        scaled=_scaled(experiment, total) if origin.comparable else None,
     )
 
 
-def _published(experiment: Experiment, total: Distribution) -> Published | None:
+def _published(experiment: Experiment, total: Distribution, origin: Origin) -> Published | None:
     if (reference := experiment.reference) is None:
         return None
+    if not origin.comparable:
+        return Published(reference, None)
     comparison = welch(total.n, total.mean, total.std, reference.n, reference.mean, reference.std)
     return Published(reference, comparison)
 
@@ -137,53 +147,3 @@ def _scaled(experiment: Experiment, total: Distribution) -> Scaled | None:
         interval = Interval(interval.low * factor, interval.high * factor, interval.method)
     published = experiment.reference.mean * factor if experiment.reference else math.nan
     return Scaled(scale, total.mean * factor, interval, published)
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """Two batches of total errors: `ours` against `theirs`, differences being ours minus theirs.
-
-    `verdict` is "lower", "higher" or "undecided" as the two intervals of the difference say
-    together, and None, with the reason, where the trials are too few to tell.
-    """
-
-    ours: Summary
-    theirs: Summary
-    differs: tuple[str, ...]
-    welch: MeanDifference
-    bootstrap: Interval
-    effect: Effect
-    verdict: str | None
-    reason: str | None
-
-
-def compare(ours: Summary, theirs: Summary) -> Comparison:
-    """Compare the total errors of two batches; they must share the unit of length."""
-    if ours.unit != theirs.unit:
-        raise UsageError(f"cannot compare errors in {ours.unit} with errors in {theirs.unit}")
-    a, b = ours.total, theirs.total
-    difference = welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
-    bootstrap = bootstrap_difference(ours.totals, theirs.totals)
-    verdict, reason = _verdict(min(a.n, b.n), difference.ci95, bootstrap)
-    return Comparison(
-        ours,
-        theirs,
-        tuple(differences(ours.experiment, theirs.experiment)),
-        difference,
-        bootstrap,
-        cliffs_delta(ours.totals, theirs.totals),
-        verdict,
-        reason,
-    )
-
-
-def _verdict(n: int, *intervals: Interval) -> tuple[str | None, str | None]:
-    if n < ENOUGH:
-        return None, f"a verdict needs {ENOUGH} complete trials on each side"
-    if not all(interval.known for interval in intervals):
-        return None, "no interval of the difference"
-    if all(interval.high < 0 for interval in intervals):
-        return "lower", None
-    if all(interval.low > 0 for interval in intervals):
-        return "higher", None
-    return "undecided", None

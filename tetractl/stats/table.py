@@ -1,4 +1,4 @@
-"""Statistics as tables: in a terminal, in Markdown and in LaTeX, with the same rows."""
+"""Statistics as tables in a terminal and in Markdown, with the rows of every other form."""
 
 from rich import box
 from rich.console import Console
@@ -6,8 +6,9 @@ from rich.table import Table
 from rich.text import Text
 
 from tetractl.experiment.yaml.problems import printable
+from tetractl.stats.comparison import Comparison
 from tetractl.stats.rows import grids
-from tetractl.stats.summary import Comparison, Summary
+from tetractl.stats.summary import Summary
 
 _PLAIN_WIDTH = 1000  # characters; without a terminal no line is wrapped or cut
 
@@ -39,42 +40,5 @@ def as_markdown(summary: Summary, comparison: Comparison | None = None) -> str:
     return "\n".join(parts)
 
 
-def as_latex(summary: Summary, comparison: Comparison | None = None) -> str:
-    r"""Return `tabular` environments ready to paste; the document needs `\usepackage{booktabs}`."""
-    parts = [r"% needs \usepackage{booktabs}"]
-    for grid in grids(summary, comparison):
-        lines = [" & ".join(map(_latex, row)) + r" \\" for row in (grid.header, *grid.rows)]
-        columns = "l" + ("l" if grid.words else "r") * (len(grid.header) - 1)
-        parts += [
-            f"% {printable(grid.title)}",
-            rf"\begin{{tabular}}{{{columns}}}",
-            r"\toprule",
-            lines[0],
-            r"\midrule",
-            *lines[1:],
-            r"\bottomrule",
-            r"\end{tabular}",
-            "",
-        ]
-    return "\n".join(parts)
-
-
 def _markdown(text: str) -> str:
     return printable(text).replace("\\", "\\\\").replace("|", "\\|")
-
-
-_LATEX = str.maketrans(
-    {
-        "\\": r"\textbackslash{}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        "<": r"$<$",
-        ">": r"$>$",
-        **{c: "\\" + c for c in "&%$#_{}"},
-    }
-)
-
-
-def _latex(text: str) -> str:
-    indent = r"\quad " if text.startswith("  ") else ""
-    return indent + printable(text).strip().translate(_LATEX)

@@ -8,7 +8,7 @@ from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.read.find import find_logs
+from tetractl.log.read.find import find_logs, is_set_aside
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
 
@@ -22,19 +22,24 @@ class Damaged:
     path: str
     problem: str
 
+    @property
+    def set_aside(self) -> bool:
+        """Whether it is an attempt that was set aside, so that the batch lacks nothing."""
+        return is_set_aside(Path(self.path).name)
+
 
 def load_trials(
     paths: Iterable[Path | str],
     on_log: Callable[[int, int], object] = lambda done, count: None,
 ) -> tuple[list[ResultSummary], list[Damaged]]:
-    """Read the results of the logs in files, folders and patterns.
+    """Read the results of the logs in files, folders and patterns, those set aside too.
 
     `on_log` is called after each log with the numbers of logs read and of all. Raises UsageError
     for a path without a log.
     """
     trials: list[ResultSummary] = []
     damaged: list[Damaged] = []
-    logs = find_logs(paths)
+    logs = find_logs(paths, attempts=True)
     for done, log in enumerate(logs, start=1):
         try:
             trials.append(read_result(log))
@@ -44,22 +49,52 @@ def load_trials(
     return trials, damaged
 
 
+def split_attempts(
+    trials: Sequence[ResultSummary],
+) -> tuple[list[ResultSummary], list[ResultSummary]]:
+    """Return the trials, and the earlier attempts at them, both in order.
+
+    An attempt is a log that `--resume` set aside, or one that did not run to its end, whatever it
+    is called, of a trial that has a complete log besides.
+    """
+    done = {_key(trial) for trial in trials if trial.outcome.complete}
+    split: tuple[list[ResultSummary], list[ResultSummary]] = ([], [])
+    for trial in trials:
+        replaced = not trial.outcome.complete and _key(trial) in done
+        split[replaced or is_set_aside(Path(trial.path).name)].append(trial)
+    return split
+
+
+def _key(trial: ResultSummary) -> tuple[int, int]:
+    return trial.seed, trial.trial
+
+
 def counts(trial: ResultSummary) -> bool:
     """Whether a trial's errors enter the means: it is complete and its errors are known."""
     errors = (trial.result.total_error, *trial.result.robot_errors)
     return trial.outcome.complete and all(map(math.isfinite, errors))
 
 
-def one_batch(trials: Sequence[ResultSummary]) -> Experiment:
-    """Return the experiment that all trials share.
+def one_batch(
+    trials: Sequence[ResultSummary], attempts: Sequence[ResultSummary] = ()
+) -> Experiment:
+    """Return the experiment that all trials and attempts share.
 
-    Raises UsageError where they do not share one, or where a trial occurs twice: copies of a log,
-    or a simulation run again, would make n larger than it is.
+    Raises UsageError where they do not share one, where some are of an emulated lab and some are
+    not, or where a trial occurs twice: copies of a log, or a simulation run again, would make n
+    larger than it is.
     """
     if not trials:
+        if attempts:
+            raise UsageError("no trial to summarise but earlier attempts", "go on with --resume")
         raise UsageError("no trial to summarise")
     first = trials[0]
-    for other in trials:
+    for other in (*trials, *attempts):
+        if other.origin is not first.origin:
+            raise UsageError(
+                f"{first.path} is of the {first.origin}, {other.path} of the {other.origin}",
+                "give the logs of one, and the others with --against",
+            )
         if other.experiment is first.experiment:
             continue
         if found := differences(first.experiment, other.experiment):

@@ -73,6 +73,12 @@ def figure(width_in: float, height_in: float) -> Figure:
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
+def headline(drawing: Figure, text: str) -> None:
+    """Write a line above everything else in a figure."""
+    with styled():
+        drawing.suptitle(text, x=0.01, ha="left", fontsize=7, color=GREY)
+
+
 def panel(axes: Axes, letter: str, title: str) -> None:
     """Set the title of a panel: (a) what it shows."""
     axes.set_title(f"({letter}) {title}", loc="left")

@@ -120,7 +120,7 @@ def test_a_used_up_sequence_is_the_outcome():
     search = Scripted({1: 0.0})
     controller = mpc(spec(), 99, search)
     assert isinstance(controller.plan(seen()), Plan)
-    assert controller.plan(seen()) is Outcome.SEQUENCE_USED_UP
+    assert controller.plan(seen()) is Outcome.SEQUENCE_COMPLETED
 
 
 def test_k_max_steps_follow_step_0():
@@ -150,7 +150,7 @@ def test_arrival_comes_before_the_other_ends():
     controller = mpc(spec(arrival_tolerance=20, steps_max=1), 99, Scripted({1: 0.0}))
     assert isinstance(controller.plan(seen()), Plan)
     assert controller.plan(seen(TARGETS)) is Outcome.ARRIVED
-    assert controller.plan(seen()) is Outcome.SEQUENCE_USED_UP
+    assert controller.plan(seen()) is Outcome.SEQUENCE_COMPLETED
 
 
 def test_the_plan_states_the_terms_of_its_cost_and_its_path():
@@ -182,7 +182,7 @@ def test_a_step_spends_no_more_than_its_budget(budget):
     for k in range(4):
         plan = controller.plan(seen(now=k))
         if isinstance(plan, Outcome):
-            assert (k > 0, plan) == (True, Outcome.SEQUENCE_USED_UP)
+            assert (k > 0, plan) == (True, Outcome.SEQUENCE_COMPLETED)
             return
         assert 5 <= plan.evaluations <= budget
         assert plan.cost == min(search.cost for search in plan.searches)

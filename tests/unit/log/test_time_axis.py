@@ -76,7 +76,7 @@ def test_notes_come_back_as_they_were(tmp_path: Path) -> None:
     log = read_trial(path)
     assert [note for note in log.notes if note in notes] == list(notes)
     assert log.notes[0] == Note(0, "info", "trial 0 of made-up starts")
-    ended = "sequence used up (no signal left) after 3 control steps"
+    ended = "sequence completed (no signal left) after 3 control steps"
     assert log.notes[-1] == Note(made.stop.sent_ns, "info", ended)
 
 

@@ -7,6 +7,7 @@ from support import random_trials as made
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
+from tetractl.log.read.find import find_logs
 from tetractl.run.batch import log_path
 from tetractl.run.folder import default_folder, make_folder, set_aside, trials_to_run
 
@@ -47,7 +48,7 @@ def test_a_file_is_no_folder(tmp_path):
 
 
 def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path):
-    log(tmp_path, 0, Outcome.SEQUENCE_USED_UP)
+    log(tmp_path, 0, Outcome.SEQUENCE_COMPLETED)
     log(tmp_path, 1, Outcome.INTERRUPTED)
     log(tmp_path, 2, Outcome.STEPS_MAX)
     log(tmp_path, 3, Outcome.ABORTED)
@@ -77,12 +78,24 @@ def test_what_is_unfinished_is_set_aside_under_a_name_of_its_own(tmp_path):
     set_aside(tmp_path, 3)  # nothing left
     kept = {left.name: left.read_bytes() for left in tmp_path.iterdir()}
     assert kept == {
-        "trial-003.mcap.part.unfinished-1": b"one",
-        "trial-003.mcap.part.unfinished-2": b"two",
-        "trial-003.mcap.part.unfinished-3": b"three",
-        "trial-003.mcap.unfinished-1": b"whole",
+        "trial-003.attempt-1.mcap.part": b"one",
+        "trial-003.attempt-2.mcap.part": b"two",
+        "trial-003.attempt-3.mcap.part": b"three",
+        "trial-003.attempt-4.mcap": b"whole",
     }
-    assert trials_to_run(spec(), tmp_path, False) == [0, 1, 2, 3]  # no longer counted
+    assert trials_to_run(spec(), tmp_path, True) == [0, 1, 2, 3]  # not taken for a trial
+
+
+def test_a_recovered_log_is_set_aside_with_its_source(tmp_path):
+    path = log_path(tmp_path, 3)
+    path.with_name(path.name + ".part").write_bytes(b"torn")
+    path.with_name("trial-003.recovered.mcap").write_bytes(b"saved")
+    set_aside(tmp_path, 3)
+    assert {left.name for left in tmp_path.iterdir()} == {
+        "trial-003.attempt-1.mcap.part",
+        "trial-003.attempt-1.recovered.mcap",
+    }
+    assert find_logs([tmp_path], attempts=True) == [tmp_path / "trial-003.attempt-1.mcap.part"]
 
 
 def test_a_folder_is_made_with_its_parents(tmp_path):

@@ -10,7 +10,7 @@ from tetractl.core.errors import AbortError, ControlError, LogError, TetractlErr
 from tetractl.core.plan import Outcome
 
 PERIOD = SECOND // 5
-DECIDED = [Outcome.ARRIVED, Outcome.SEQUENCE_USED_UP, Outcome.STEPS_MAX]
+DECIDED = [Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.STEPS_MAX]
 
 
 class BugError(Exception):
@@ -190,8 +190,8 @@ def test_interruptions_while_the_robots_stop_tear_nothing():
     made = bench(2)
     for where in ("stop", "settle", "log.stop"):
         made.happenings.actions[where, 1] = made.interrupt.request
-    assert made.run().outcome is Outcome.SEQUENCE_USED_UP
-    assert_ended_well(made, Outcome.SEQUENCE_USED_UP)
+    assert made.run().outcome is Outcome.SEQUENCE_COMPLETED
+    assert_ended_well(made, Outcome.SEQUENCE_COMPLETED)
 
 
 @pytest.fixture
@@ -226,7 +226,7 @@ SQUARE = {"type": "square", "side": 2.0, "laps": 2}
 def test_the_square_is_driven_while_the_first_plan_is_made():
     made = bench(2, first_plan=SQUARE)
     result = made.run()
-    assert_ended_well(made, Outcome.SEQUENCE_USED_UP)
+    assert_ended_well(made, Outcome.SEQUENCE_COMPLETED)
     driven = made.plant.steered[:80]  # 8 sides of 2 s, told anew each control period
     assert [when for when, _ in driven] == [k * PERIOD for k in range(80)]
     turns = [direction for _, direction in driven]
@@ -311,6 +311,6 @@ def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():
         return plan(observation)
 
     made.controller.plan = slow
-    assert made.run().outcome is Outcome.SEQUENCE_USED_UP
+    assert made.run().outcome is Outcome.SEQUENCE_COMPLETED
     names = made.happenings.names
     assert names.index("log.samples") < names.index("plan") < names.index("steer")

@@ -7,14 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from tetractl.stats.estimate import (
-    ENOUGH,
-    bootstrap_difference,
-    cliffs_delta,
-    describe,
-    proportion_interval,
-    welch,
-)
+from tetractl.stats.estimate import describe, describe_published, proportion_interval
 
 lengths = st.floats(0, 5000, allow_subnormal=False)
 samples = st.lists(lengths, min_size=1, max_size=30)
@@ -47,7 +40,7 @@ def test_the_interval_holds_the_mean_or_says_why_there_is_none(values):
         assert found.ci95.reason is None
     else:
         assert found.ci95.reason
-        assert len(set(values)) == 1
+        assert len(set(values)) == 1 or len(values) == 2
 
 
 @settings(max_examples=30)
@@ -89,127 +82,69 @@ def test_equal_values_have_no_deviation_and_no_interval(n):
     assert found.ci95.reason == f"all {n} values are equal"
 
 
-def test_a_small_batch_gets_students_t():
-    values = SKEWED[: ENOUGH - 1]
+def test_the_interval_of_a_distance_is_on_a_logarithmic_scale():
+    found = only([2, 4, 6, 8]).ci95
+    assert found.method == "log-t"
+    # m exp(-+ t s / (sqrt(n) m)) with t(0.975, 3) = 3.182446, m = 5, s = 2.581989
+    assert (found.low, found.high) == pytest.approx((2.1987, 11.370), rel=1e-3)
+
+
+def test_halls_transformation_takes_the_skewness_out_of_t():
+    """The upper end solves f(T) = t(0.025, n - 1), with Hall's f written out."""
+    n, found = len(SKEWED), only(SKEWED)
+    t = (found.mean - found.ci95.high) * math.sqrt(n) / found.std
+    g = stats.skew(SKEWED, bias=False) / math.sqrt(n)
+    assert t + g * t**2 / 3 + g**2 * t**3 / 27 + g / 6 == pytest.approx(stats.t.ppf(0.025, n - 1))
+
+
+def test_without_skewness_the_logarithm_of_the_mean_is_students():
+    values = 100 + np.arange(-5.0, 6.0)
+    found = only(values).ci95
+    half = stats.t.ppf(0.975, 10) * stats.sem(values) / 100
+    assert np.log([found.low, found.high]) == pytest.approx(math.log(100) + np.array([-half, half]))
+
+
+@settings(max_examples=60)
+@given(st.lists(lengths, min_size=3, max_size=12).filter(lambda v: np.std(v) > 1e-100))
+def test_a_distance_is_never_negative(values):
+    found = only(values)
+    assert found.ci95.low > 0
+    assert found.ci95.high >= found.mean
+
+
+def test_values_that_may_be_negative_get_students_t():
+    values = SKEWED - 20
     low, high = stats.t.interval(0.95, len(values) - 1, values.mean(), stats.sem(values))
     found = only(values).ci95
     assert found.method == "t"
     assert (found.low, found.high) == pytest.approx((low, high))
 
 
-def reference_bca(values, resamples, rng):
-    """Efron's BCa step by step, after Efron and Tibshirani (1993), 14.3."""
-    n, mean = len(values), values.mean()
-    means = np.array([rng.choice(values, n).mean() for _ in range(resamples)])
-    bias = stats.norm.ppf(((means < mean).mean() + (means <= mean).mean()) / 2)
-    left_out = np.array([np.delete(values, i).mean() for i in range(n)])
-    gaps = left_out.mean() - left_out
-    acceleration = (gaps**3).sum() / (6 * (gaps**2).sum() ** 1.5)
-    ends = []
-    for z in stats.norm.ppf([0.025, 0.975]):
-        shifted = bias + (bias + z) / (1 - acceleration * (bias + z))
-        ends.append(np.quantile(means, stats.norm.cdf(shifted)))
-    return ends, np.quantile(means, [0.025, 0.975])
+@pytest.mark.parametrize(("n", "least"), [(5, 0.93), (8, 0.93), (20, 0.93)])
+@pytest.mark.parametrize("name", ["normal", "gamma", "lognormal"])
+def test_the_interval_covers_as_often_as_it_says(name, n, least):
+    """BCa covers 0.80 to 0.90 of these at n = 8; benchmarks/coverage.py has the whole table."""
+    rng = np.random.default_rng([n, 3])
+    draws = {
+        "normal": (rng.normal(1, 0.35, (2000, n)).clip(0), 1.0),
+        "gamma": (rng.gamma(2, 1, (2000, n)), 2.0),
+        "lognormal": (rng.lognormal(0, 0.5, (2000, n)), math.exp(0.125)),
+    }
+    rows, true = draws[name]
+    share = np.mean([f.ci95.low <= true <= f.ci95.high for f in describe(rows)])
+    assert least < share < 0.98
 
 
-def test_the_bootstrap_agrees_with_bca_written_out():
-    (low, high), percentile = reference_bca(SKEWED, 40_000, np.random.default_rng(5))
-    error = stats.sem(SKEWED)
-    found = only(SKEWED).ci95
-    assert found.method == "BCa"
-    assert found.low == pytest.approx(low, abs=0.1 * error)
-    assert found.high == pytest.approx(high, abs=0.25 * error)
-    assert found.high - percentile[1] > 0.5 * error  # the corrections matter for these values
+def test_two_values_carry_no_interval():
+    assert only([1.0, 3.0]).ci95.reason == "an interval needs 3 values"
 
 
-def test_welch_gives_the_handbooks_figures():
-    """NIST/SEMATECH e-Handbook 1.3.5.3, AUTO83B.DAT: miles a gallon of U.S. and Japanese cars."""
-    found = welch(249, 20.14458, 6.414700, 79, 30.48101, 6.107710)
-    error = found.value / -12.94627
-    assert found.value == pytest.approx(-10.33643)
-    assert found.degrees == pytest.approx(136.8750, rel=1e-5)
-    half = 1.977478 * error  # t(0.975, 136.875)
-    assert found.ci95.low == pytest.approx(found.value - half, rel=1e-5)
-    assert found.ci95.high == pytest.approx(found.value + half, rel=1e-5)
-    assert found.p_value < 1e-20
-
-
-@settings(max_examples=50)
-@given(
-    st.lists(lengths, min_size=2, max_size=20).filter(lambda v: np.std(v) > 1e-3),
-    st.lists(lengths, min_size=2, max_size=20).filter(lambda v: np.std(v) > 1e-3),
-)
-def test_welch_from_figures_agrees_with_scipy_on_the_values(ours, theirs):
-    a, b = only(ours), only(theirs)
-    found = welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
-    test = stats.ttest_ind(ours, theirs, equal_var=False)
-    interval = test.confidence_interval()
-    assert found.p_value == pytest.approx(test.pvalue, rel=1e-6, abs=1e-12)
-    assert found.degrees == pytest.approx(test.df, rel=1e-6)
-    assert (found.ci95.low, found.ci95.high) == pytest.approx(
-        (interval.low, interval.high), rel=1e-6, abs=1e-6
-    )
-
-
-def test_welch_says_nothing_where_n_cannot_carry_it():
-    single = welch(1, 600.0, math.nan, 20, 648.6, 225.1)
-    assert single.value == pytest.approx(-48.6)
-    assert not single.ci95.known
-    assert math.isnan(single.p_value)
-    assert single.ci95.reason == "Welch's t needs two values on each side"
-    still = welch(5, 600.0, 0.0, 20, 648.6, 0.0)
-    assert not still.ci95.known
-    assert still.ci95.reason == "the values do not vary on either side"
-
-
-def test_the_difference_of_two_bootstraps_is_near_welchs():
-    rng = np.random.default_rng(8)
-    ours, theirs = rng.normal(500, 100, 40), rng.normal(600, 200, 60)
-    found = bootstrap_difference(ours, theirs)
-    a, b = only(ours), only(theirs)
-    other = welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
-    assert found.low == pytest.approx(other.ci95.low, abs=8)
-    assert found.high == pytest.approx(other.ci95.high, abs=8)
-    back = bootstrap_difference(theirs, ours)
-    assert (-back.high, -back.low) == pytest.approx((found.low, found.high), abs=8)
-
-
-def test_the_bootstrap_of_a_difference_needs_values_that_vary():
-    few, flat = SKEWED[: ENOUGH - 1], np.full(10, 3.0)
-    assert "needs 8 values" in (bootstrap_difference(few, SKEWED).reason or "")
-    assert "do not vary" in (bootstrap_difference(flat, flat).reason or "")
-    assert bootstrap_difference(flat, SKEWED).known
-
-
-@settings(max_examples=60)
-@given(samples, samples)
-def test_cliffs_delta_counts_pairs(ours, theirs):
-    found = cliffs_delta(np.array(ours), np.array(theirs))
-    pairs = [np.sign(a - b) for a in ours for b in theirs]
-    assert found.value == pytest.approx(np.mean(pairs), abs=1e-12)
-    if found.ci95.known:
-        assert -1 <= found.ci95.low <= found.value + 1e-9
-        assert found.value - 1e-9 <= found.ci95.high <= 1
-        back = cliffs_delta(np.array(theirs), np.array(ours)).ci95
-        assert (-back.high, -back.low) == pytest.approx((found.ci95.low, found.ci95.high), abs=1e-9)
-    else:
-        assert found.ci95.reason == "one value has no spread"
-
-
-def test_batches_that_do_not_overlap_keep_an_interval_that_narrows_with_n():
-    widths = []
-    for n in (4, 20, 100):
-        found = cliffs_delta(np.arange(n) + 1000.0, np.arange(n) + 0.0)
-        assert (found.value, found.ci95.high) == (1.0, 1.0)
-        widths.append(1 - found.ci95.low)
-    assert 1 > widths[0] > widths[1] > widths[2] > 0
-
-
-def test_cliffs_interval_covers_as_often_as_it_says():
-    rng = np.random.default_rng(2)
-    true = 2 * stats.norm.cdf(1 / math.sqrt(2)) - 1  # N(1, 1) against N(0, 1)
-    found = [cliffs_delta(rng.normal(1, 1, 15), rng.normal(0, 1, 12)).ci95 for _ in range(800)]
-    assert np.mean([i.low <= true <= i.high for i in found]) == pytest.approx(0.95, abs=0.025)
+def test_a_published_result_has_a_positive_interval_too():
+    found = describe_published(4, 10.0, 12.0)
+    half = stats.t.ppf(0.975, 3) * 12 / 2 / 10
+    ends = 10 * math.exp(-half), 10 * math.exp(half)
+    assert (found.ci95.low, found.ci95.high) == pytest.approx(ends)
+    assert not describe_published(4, 0.0, 0.0).ci95.known
 
 
 def test_wilsons_interval_of_a_proportion():

@@ -10,9 +10,10 @@ from support.batches import batch
 
 from tetractl.stats.export import as_csv, as_json
 from tetractl.stats.kinds import STATISTICS
+from tetractl.stats.latex import as_latex
 from tetractl.stats.statistic import number
 from tetractl.stats.summary import summarise
-from tetractl.stats.table import as_latex, as_markdown, print_table
+from tetractl.stats.table import as_markdown, print_table
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 WORST = number("worst_error", "error of the worst robot", lambda result: max(result.robot_errors))

@@ -6,13 +6,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from support.batches import REFERENCE, SCALE, batch, experiment, result, trial
+from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, result, trial
 
 from tetractl.core.commands import Verdict
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
-from tetractl.stats.summary import compare, summarise
+from tetractl.log.read.origin import Origin
+from tetractl.stats.comparison import compare
+from tetractl.stats.notable import to_look_at
+from tetractl.stats.summary import summarise
+from tetractl.stats.trials import Damaged
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
 
@@ -53,11 +57,22 @@ def test_only_trials_that_ran_to_their_end_enter_the_means():
     assert found.total.mean == pytest.approx(ERRORS[:3].sum(axis=1).mean())
 
 
-@pytest.mark.parametrize("outcome", [Outcome.ARRIVED, Outcome.SEQUENCE_USED_UP, Outcome.STEPS_MAX])
+@pytest.mark.parametrize(
+    "outcome", [Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.STEPS_MAX]
+)
 def test_outcomes_decided_by_the_controller_count(outcome):
     found = summarise(batch(ERRORS.tolist(), outcome=outcome))
     assert found.counted == 20
-    assert found.items["arrived"] == (20 if outcome is Outcome.ARRIVED else 0)
+    assert found.items["outcomes"][outcome.value] == 20
+
+
+def test_arrivals_are_not_known_where_nothing_says_what_arriving_is():
+    arrived = [
+        summarise(batch(ERRORS.tolist(), experiment(controller={"arrival_tolerance": tolerance})))
+        for tolerance in (0, 20)
+    ]
+    assert [found.items["arrived"] for found in arrived] == [None, 0]
+    assert [found.items["arrived_ci95"] is None for found in arrived] == [True, False]
 
 
 def test_no_complete_trial_leaves_no_mean():
@@ -90,8 +105,9 @@ def test_solve_times_are_over_all_steps_of_all_trials():
 
 
 def test_the_published_result_is_compared_by_welch():
-    found = summarise(batch(ERRORS.tolist(), experiment(reference=REFERENCE)))
+    found = summarise(batch(ERRORS.tolist(), experiment(reference=REFERENCE, plant=DISTURBED)))
     assert found.published
+    assert found.published.comparison
     totals = ERRORS.sum(axis=1)
     test = stats.ttest_ind_from_stats(
         totals.mean(), totals.std(ddof=1), 20, 648.6, 225.1, 20, equal_var=False
@@ -104,7 +120,7 @@ def test_the_published_result_is_compared_by_welch():
 
 
 def test_errors_scale_by_the_ratio_of_speeds():
-    spec = experiment(reference=REFERENCE, scale=SCALE)
+    spec = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
     found = summarise(batch([[200, 300, 358.8]] * 3, spec)).scaled
     assert found
     speed = (180 + 200 + 150) / 3
@@ -116,7 +132,7 @@ def test_errors_scale_by_the_ratio_of_speeds():
 
 def test_robots_that_stand_still_have_no_scaled_error():
     still = experiment(1).robots[0].model_copy(update={"speed": 0.0})
-    spec = experiment(1, scale=SCALE).model_copy(update={"robots": (still,)})
+    spec = experiment(1, scale=SCALE, plant=DISTURBED).model_copy(update={"robots": (still,)})
     found = summarise(batch([[1.0], [2.0]], spec)).scaled
     assert found
     assert math.isnan(found.error)
@@ -149,7 +165,7 @@ def test_a_trial_given_twice_is_refused():
 
 
 def test_a_trial_in_the_lab_can_be_done_again_but_not_given_twice():
-    lab = [replace(one, simulated=False, digest=one.path) for one in batch(ERRORS[:2].tolist())]
+    lab = [replace(one, origin=Origin.LAB, digest=one.path) for one in batch(ERRORS[:2].tolist())]
     again = replace(lab[0], path="again.mcap", digest="other")
     torn = replace(lab[0], path="torn.mcap", digest=None, recovered=True)
     assert summarise([*lab, again, torn, replace(torn, path="too.mcap")]).counted == 5
@@ -168,7 +184,7 @@ def test_two_batches_compare():
     found = compare(ours, theirs)
     assert found.verdict == "lower"
     assert found.welch.value == pytest.approx(ours.total.mean - theirs.total.mean)
-    assert found.bootstrap.high < 0
+    assert found.both.high < 0
     assert found.effect.value < -0.9
     assert found.differs == ("controller.motion: exact != euler",)
     assert compare(theirs, ours).verdict == "higher"
@@ -186,7 +202,7 @@ def test_few_trials_carry_no_verdict():
     found = compare(few, summarise(batch((ERRORS + 1e4).tolist())))
     assert found.verdict is None
     assert found.reason == "a verdict needs 8 complete trials on each side"
-    assert not found.bootstrap.known
+    assert found.paired.n == 5
 
 
 def test_batches_in_other_units_do_not_compare():
@@ -194,3 +210,108 @@ def test_batches_in_other_units_do_not_compare():
     theirs = summarise(batch(ERRORS.tolist(), experiment(units={"length": "um"})))
     with pytest.raises(UsageError, match="errors in mm with errors in um"):
         compare(ours, theirs)
+
+
+def test_trials_of_the_same_world_are_paired_whatever_their_order():
+    spec = experiment(plant=DISTURBED)
+    other = experiment(plant=DISTURBED, controller={"motion": "exact"}, name="other")
+    better = (0.9 * ERRORS).tolist()
+    ours, theirs = batch(better, other), batch(ERRORS.tolist(), spec)
+    found = compare(summarise(ours[::-1]), summarise(theirs[3:]))
+    assert found.paired.n == 17
+    assert found.paired.difference
+    totals = ERRORS[3:].sum(axis=1)
+    test = stats.ttest_rel(0.9 * totals, totals)
+    assert found.paired.difference.value == pytest.approx(-0.1 * totals.mean())
+    assert found.paired.difference.p_value == pytest.approx(test.pvalue)
+    assert found.welch.ci95.high > 0 > found.paired.difference.ci95.high
+    assert found.verdict == "lower"
+
+
+@pytest.mark.parametrize(
+    ("fields", "more", "why"),
+    [
+        ({"plant": DISTURBED | {"dead_time": 0.1}}, {}, "differ in more than the controller"),
+        ({"plant": DISTURBED}, {"seed": 2}, "no seed and trial in common"),
+        ({"plant": DISTURBED}, {"origin": Origin.LAB}, "no two trials in a lab are alike"),
+    ],
+)
+def test_other_worlds_are_not_paired(fields, more, why):
+    ours = batch(ERRORS.tolist(), experiment(**fields))
+    ours = [replace(trial, **more) for trial in ours]
+    theirs = summarise(batch(ERRORS.tolist(), experiment(plant=DISTURBED)))
+    found = compare(summarise(ours), theirs)
+    assert (found.paired.n, found.paired.difference) == (0, None)
+    assert why in found.paired.reason
+    assert found.welch.ci95.known
+
+
+@pytest.mark.parametrize(
+    ("plant", "origin", "compared"),
+    [
+        ({"type": "sim"}, Origin.UNDISTURBED, False),
+        (DISTURBED, Origin.DISTURBED, True),
+        ({"type": "sim"}, Origin.EMULATED, False),
+        ({"type": "sim"}, Origin.LAB, True),
+    ],
+)
+def test_only_real_robots_or_a_disturbed_plant_stand_beside_a_published_result(
+    plant, origin, compared
+):
+    spec = experiment(reference=REFERENCE, scale=SCALE, plant=plant)
+    found = summarise([replace(trial, origin=origin) for trial in batch(ERRORS.tolist(), spec)])
+    assert found.origin is origin
+    assert found.published
+    assert (found.published.comparison is not None) == (found.scaled is not None) == compared
+
+
+def test_a_lab_and_its_emulation_are_no_batch():
+    trials = batch(ERRORS[:2].tolist())
+    mixed = [replace(trials[0], origin=Origin.LAB), replace(trials[1], origin=Origin.EMULATED)]
+    with pytest.raises(UsageError, match=r"of the lab, trial-001\.mcap of the emulated lab"):
+        summarise(mixed)
+
+
+@pytest.mark.parametrize(
+    "name", ["trial-000.attempt-1.mcap", "trial-000.mcap.part.unfinished-1", "old/anything.mcap"]
+)
+def test_an_attempt_is_told_apart_whatever_it_is_called(name):
+    trials = batch(ERRORS[:3].tolist())
+    spec = trials[0].experiment
+    stopped = result([9e5] * 3, outcome=Outcome.ABORTED, reason="the cable came off")
+    found = summarise([*trials, trial(name, spec, stopped, 0)], [Damaged(f"{name}x", "torn")])
+    assert (len(found.trials), found.counted, found.items["aborted"]) == (3, 3, 0)
+    assert [attempt.path for attempt in found.attempts] == [name]
+    last = to_look_at(found)[-1]
+    assert (last.path, last.outcome) == (name, "aborted")
+    assert last.notes == ("an earlier attempt, not counted", "the cable came off")
+    assert len(found.damaged) == 1
+    assert not found.whole
+
+
+def test_an_attempt_that_cannot_be_read_is_counted_and_leaves_the_batch_whole():
+    lost = Damaged("trial-000.attempt-1.mcap.part", "not an MCAP file")
+    found = summarise(batch(ERRORS[:3].tolist()), [lost])
+    assert (found.n_attempts, found.damaged, found.whole) == (1, (), True)
+    assert to_look_at(found)[0].notes[-1] == "not an MCAP file"
+
+
+def test_nothing_but_attempts_is_no_batch():
+    with pytest.raises(UsageError, match="no trial to summarise but earlier attempts"):
+        summarise([replace(one, path="trial-000.attempt-1.mcap") for one in batch([[1.0]])])
+
+
+def test_trials_to_look_at_are_those_that_ended_oddly():
+    trials = batch(ERRORS[:5].tolist())
+    assert to_look_at(summarise(trials)) == []
+    inside = Verdict(Poses.of(np.zeros((3, 3))), (True, False, True), (-1.0, 5.0, -2.0))
+    trials[1] = replace(trials[1], result=result([1, 2, 3], verdict=inside))
+    trials[2] = replace(trials[2], result=result([1, 2, 3], outcome=Outcome.STEPS_MAX))
+    trials[3] = replace(trials[3], warnings=2)  # of the disturbances that the spec asks for
+    found = to_look_at(summarise(trials))
+    assert [(one.path, one.notes[1]) for one in found] == [
+        ("trial-001.mcap", "green, red entered an obstacle"),
+        ("trial-002.mcap", "not over after 31 steps"),
+    ]
+    lab = [replace(one, origin=Origin.LAB, digest=one.path) for one in trials]
+    assert ("in the means", "2 warnings") in [one.notes for one in to_look_at(summarise(lab))]

@@ -1,17 +1,20 @@
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from rich.console import Console
-from support.batches import REFERENCE, SCALE, batch, experiment, result
+from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, result
 
 from tetractl.core.plan import Outcome
-from tetractl.stats.summary import compare, summarise
-from tetractl.stats.table import as_latex, as_markdown, print_table
+from tetractl.stats.comparison import compare
+from tetractl.stats.latex import as_latex
+from tetractl.stats.summary import summarise
+from tetractl.stats.table import as_markdown, print_table
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
-SPEC = experiment(reference=REFERENCE, scale=SCALE)
+SPEC = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
 
 
 def printed(*args, **console):
@@ -77,7 +80,9 @@ def test_means_keep_three_digits_in_every_unit(scale, mean):
 def test_small_errors_beside_a_large_published_one_keep_their_own_digits():
     # down to a millionth of the arena, 2000 mm wide
     rows = [[0.04123456, 0.01], [0.05543210, 0.01]]
-    text = printed(summarise(batch(rows, experiment(reference=REFERENCE, scale=SCALE, robots=2))))
+    text = printed(
+        summarise(batch(rows, experiment(2, reference=REFERENCE, scale=SCALE, plant=DISTURBED)))
+    )
     assert " 0.058 " in text
     assert " -648.5 " in text
 
@@ -102,9 +107,62 @@ def test_markdown_has_as_many_cells_in_every_row():
 
 def test_latex_is_booktabs_with_special_characters_escaped():
     scale = SCALE | {"name": "T_p & 100% ^"}
-    text = as_latex(summarise(batch(ERRORS, experiment(reference=REFERENCE, scale=scale))))
-    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 2
+    text = as_latex(
+        summarise(batch(ERRORS, experiment(reference=REFERENCE, scale=scale, plant=DISTURBED)))
+    )
+    assert [text.count(rf"\{mark}{{tabular}}") for mark in ("begin", "end")] == [1, 1]
+    assert [text.count(rf"\{mark}{{tabularx}}") for mark in ("begin", "end")] == [1, 1]
     assert text.count(r"\toprule") == text.count(r"\bottomrule") == 2
     assert r"T\_p \& 100\% \textasciicircum{}" in text
     cells = [line.count(" & ") for line in text.splitlines() if line.startswith(("total", "green"))]
     assert set(cells) == {7}
+
+
+def test_latex_has_units_minus_signs_and_a_width():
+    ours, theirs = summarise(batch(ERRORS, SPEC)), summarise(batch(ERRORS[:9], SPEC))
+    text = as_latex(ours, compare(ours, theirs))
+    assert "error [mm] & n & mean" in text
+    assert r"[$\mu$m]" in text
+    assert "[um]" not in text
+    assert "three-m3pi, disturbed simulation, 20 of 20 trials complete" in text
+    rows = [line for line in text.splitlines() if line.endswith(r"\\")]
+    assert not [row for row in rows if re.search(r"(?<![\w.$])-\d", row)]
+    assert re.search(r"ours minus published \[mm\] & \$-\$\d", text)
+    assert r" & -- & --" in text
+    assert text.count(r"\begin{tabular}") == text.count(r"\resizebox{\ifdim\width>\linewidth")
+    assert text.count(r"\begin{tabularx}{\linewidth}") == 2
+
+
+def shown(summary, label, *comparison):
+    """The value of one row of the tables of figures."""
+    lines = printed(summary, *comparison).splitlines()
+    (line,) = [line for line in lines if line.strip().startswith(label)]
+    return line.strip().removeprefix(label).strip()
+
+
+def test_the_table_says_what_was_steered():
+    plain = summarise(batch(ERRORS, experiment(reference=REFERENCE, scale=SCALE)))
+    text = printed(plain)
+    assert text.startswith("three-m3pi, undisturbed simulation: final error [mm], 20 of 20")
+    assert "p (Welch)" not in text
+    assert "scaled" not in text
+    assert shown(plain, "ours minus published") == "- (not real robots: not compared)"
+    disturbed = summarise(batch(ERRORS, SPEC))
+    assert "assumed in the spec, not measured" in printed(disturbed)
+    assert shown(disturbed, "p (Welch)")
+    both = compare(disturbed, plain)
+    assert shown(disturbed, "steered in ours", both) == "disturbed simulation"
+    assert shown(disturbed, "steered in the other", both) == "undisturbed simulation"
+    assert "differ in more than the controller" in shown(disturbed, "pairs of the same", both)
+
+
+def test_outcomes_have_a_row():
+    trials = batch(ERRORS[:4])
+    trials[1] = replace(trials[1], result=result([1, 2, 3], outcome=Outcome.STEPS_MAX))
+    assert shown(summarise(trials), "outcomes") == "3 sequence completed, 1 steps max"
+
+
+def test_a_long_list_of_trials_to_look_at_is_cut():
+    text = printed(summarise(batch(ERRORS * 2, outcome=Outcome.STEPS_MAX)))
+    assert "20 more" in text
+    assert text.count("not over after") == 20

@@ -20,7 +20,9 @@ from tetractl.log.format.channels import FORMAT_VERSION
 from tetractl.log.format.digest import CHECKSUM
 from tetractl.log.read.trial_log import Damage
 
+WARNINGS = "warnings"
 _PLANT = "plant."
+_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # what readers of format 1 know
 
 
 def seal(items: Mapping[str, str]) -> dict[str, str]:
@@ -97,11 +99,14 @@ def read_run(items: Mapping[str, str]) -> RunRecord:
     )
 
 
-def result_metadata(result: Result, unit: str) -> dict[str, str]:
-    """Return the metadata record at the end of a log: the result without its times of solving."""
+def result_metadata(result: Result, unit: str, warnings: int = 0) -> dict[str, str]:
+    """Return the metadata record at the end of a log: the result without its times of solving.
+
+    `warnings` are the messages for people that warn or tell of an error.
+    """
     final = result.verdict.final
     return {
-        "outcome": result.outcome.value,
+        "outcome": _STORED.get(result.outcome, result.outcome.value),
         "reason": result.reason,
         "unit": unit,
         "steps": str(result.steps),
@@ -113,6 +118,7 @@ def result_metadata(result: Result, unit: str) -> dict[str, str]:
         "final_x": _numbers(final.x.tolist()),
         "final_y": _numbers(final.y.tolist()),
         "final_heading": _numbers(final.heading.tolist()),
+        WARNINGS: str(warnings),
     }
 
 

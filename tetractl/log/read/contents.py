@@ -13,7 +13,7 @@ from tetractl.log import provenance
 from tetractl.log.format import channels
 from tetractl.log.format.channels import FORMAT_VERSION, Entry
 from tetractl.log.format.digest import CHECKSUM, DIGEST, ContentDigest
-from tetractl.log.format.metadata import RunRecord, read_damage, read_result, read_run
+from tetractl.log.format.metadata import WARNINGS, RunRecord, read_damage, read_result, read_run
 from tetractl.log.read.trial_log import Damage
 
 
@@ -91,6 +91,12 @@ class Contents:
             return read_result(items, timing, len(self.run.robots))
         except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError):
             return None
+
+    @property
+    def warnings(self) -> int:
+        """How many warnings and errors for people the log states; 0 where it states none."""
+        stated = self.metadata.get(channels.RESULT, {}).get(WARNINGS, "")
+        return int(stated) if stated.isdecimal() and len(stated) < 12 else 0
 
     @property
     def stated_digest(self) -> str | None:

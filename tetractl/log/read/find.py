@@ -10,20 +10,36 @@ from tetractl.core.errors import UsageError
 SUFFIX = ".mcap"
 PART = ".mcap.part"
 RECOVERED_SUFFIX = ".recovered.mcap"
+_LOG = re.compile(r"\.mcap(\.part)?$")
+_SET_ASIDE = re.compile(
+    r"\.attempt-\d+\.(recovered\.)?mcap(\.part)?$|\.mcap(\.part)?\.unfinished-\d+$"
+)
 
 
-def find_logs(paths: Iterable[Path | str]) -> list[Path]:
+def attempt_name(log: str, number: int) -> str:
+    """Return the name under which `--resume` sets a log aside: trial-003.attempt-1.mcap."""
+    stem, suffix, rest = log.partition(RECOVERED_SUFFIX if RECOVERED_SUFFIX in log else SUFFIX)
+    return f"{stem}.attempt-{number}{suffix}{rest}"
+
+
+def is_set_aside(name: str) -> bool:
+    """Return whether a file's name is that of a log set aside, by an earlier tetractl too."""
+    return _SET_ASIDE.search(name) is not None
+
+
+def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]:
     """Return the logs of some paths, each once, in the order given.
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
     in it and in its sub-folders, sorted by name with numbers in their order. A .part counts as a
     log, since a trial that crashed is part of its batch, unless the finished log lies beside it. A
-    recovered log is left out where its source is among the paths. Raises UsageError for a path that
-    does not exist, a folder without logs, or a pattern without a match.
+    recovered log is left out where its source is among the paths. Logs that `--resume` set aside
+    are found in folders and by patterns only where `attempts` are asked for. Raises UsageError for
+    a path that does not exist, a folder without logs, or a pattern without a match.
     """
     found: dict[Path, Path] = {}
     for path in map(Path, paths):
-        for log in _expand(path):
+        for log in _expand(path, attempts):
             found.setdefault(log.resolve(), log)
     return [log for real, log in found.items() if not _sources(real) & found.keys()]
 
@@ -36,9 +52,9 @@ def _sources(log: Path) -> set[Path]:
     return {log.with_name(stem + suffix) for suffix in (SUFFIX, PART)}
 
 
-def _expand(path: Path) -> list[Path]:
+def _expand(path: Path, attempts: bool) -> list[Path]:
     if path.is_dir():
-        if logs := _in_folder(path):
+        if logs := _in_folder(path, attempts):
             return logs
         raise UsageError(f"{path}: no logs (*{SUFFIX}) in this folder")
     if path.exists():
@@ -47,19 +63,27 @@ def _expand(path: Path) -> list[Path]:
         raise UsageError(f"{path}: no such file or folder")
     pattern = glob.glob(str(path), recursive=True)  # noqa: PTH207, Path.glob refuses absolute ones
     matches = sorted(map(Path, pattern), key=_natural)
-    logs = [log for match in matches for log in (_in_folder(match) or _logs([match]))]
+    logs = [
+        log
+        for match in matches
+        for log in (_in_folder(match, attempts) or _logs([match], attempts))
+    ]
     if not logs:
         raise UsageError(f"{path}: matches no log")
     return logs
 
 
-def _in_folder(folder: Path) -> list[Path]:
-    logs = set(_logs(folder.rglob("*")))
+def _in_folder(folder: Path, attempts: bool) -> list[Path]:
+    logs = set(_logs(folder.rglob("*"), attempts))
     return sorted((log for log in logs if log.with_suffix("") not in logs), key=_natural)
 
 
-def _logs(paths: Iterable[Path]) -> list[Path]:
-    return [path for path in paths if path.name.endswith((SUFFIX, PART)) and path.is_file()]
+def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
+    return [
+        path
+        for path in paths
+        if (attempts if is_set_aside(path.name) else _LOG.search(path.name)) and path.is_file()
+    ]
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:

@@ -21,6 +21,7 @@ from tetractl.log.format import channels, codec
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read.contents import Contents
+from tetractl.log.read.origin import Origin
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, Integers, ResultSummary, TrialLog
 from tetractl.model.obstacles import Obstacles
@@ -122,7 +123,8 @@ def read_result(path: Path) -> ResultSummary:
         experiment, start = _start(contents)
         recovered, digest = contents.recovered is not None, contents.stated_digest
     else:
-        trial = read_trial(path)
+        contents = scan(Path(path))
+        trial = trial_of(contents)
         experiment, start, digest = trial.experiment, trial.start, trial.digest
         result, recovered = trial.result or recompute(trial), True
     return ResultSummary(
@@ -130,10 +132,11 @@ def read_result(path: Path) -> ResultSummary:
         experiment=experiment,
         seed=start.seed,
         trial=start.trial,
-        simulated=start.plant.simulated,
+        origin=Origin.of(experiment, start.plant),
         result=result,
         recovered=recovered,
         digest=digest,
+        warnings=contents.warnings,
     )
 
 

@@ -11,6 +11,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.experiment import Experiment
+from tetractl.log.read.origin import Origin
 
 Integers = NDArray[np.int64]
 ALTERED = "the content does not match the digest that the log states"
@@ -105,6 +106,11 @@ class TrialLog:
         return tuple(sorted(found, key=lambda event: event.time_s))
 
     @property
+    def origin(self) -> Origin:
+        """What the robots were."""
+        return Origin.of(self.experiment, self.start.plant)
+
+    @property
     def altered(self) -> bool:
         """Whether the content differs from the digest that the log states."""
         return self.digest is not None and self.digest != self.content_digest
@@ -122,10 +128,16 @@ class ResultSummary:
     experiment: Experiment
     seed: int  # root seed of the batch
     trial: int  # index in the batch, from 0
-    simulated: bool
+    origin: Origin
     result: Result
     recovered: bool
     digest: str | None  # content digest that the log states
+    warnings: int = 0  # and errors, among the messages for people
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the plant was a simulation."""
+        return self.origin.simulated
 
     @property
     def outcome(self) -> Outcome:

@@ -31,6 +31,7 @@ class Encoder:
         self._names, self._unit = start.setup.names, start.setup.unit
         self._scene = Scene(start.setup)
         self._tracked = [True] * len(self._names)
+        self._warnings = 0  # the end of the trial is told by its outcome, and does not count
         self._batch: list[Entry] = []
         self._flushed_ns = 0
 
@@ -95,6 +96,7 @@ class Encoder:
 
     def stop(self, stop: Command, result: Result) -> None:
         """Add the stop and the result."""
+        warnings = self._warnings
         self._add(channels.COMMANDS, codec.encode_command(stop), stop.sent_ns)
         level = "error" if result.outcome is Outcome.ABORTED else "info"
         reason = f" ({result.reason})" if result.reason else ""
@@ -103,7 +105,7 @@ class Encoder:
         self._write()
         timing = timing_metadata(result) | {"ended": provenance.now()}
         self._sink.metadata(channels.TIMING, timing)
-        self._sink.last_metadata(channels.RESULT, result_metadata(result, self._unit))
+        self._sink.last_metadata(channels.RESULT, result_metadata(result, self._unit, warnings))
 
     def _add(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
@@ -113,6 +115,7 @@ class Encoder:
         self._batch.append(Entry(topic, log_unix, publish_unix, message.SerializeToString()))
 
     def _note(self, note: Note) -> None:
+        self._warnings += note.level in ("warning", "error")
         self._add(channels.LOG, encode_note(note, self._start_ns), note.t_ns)
 
     def _note_tracking(self, valid: list[bool], log_ns: int) -> None:

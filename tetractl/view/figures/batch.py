@@ -11,8 +11,9 @@ from matplotlib.lines import Line2D
 from tetractl.core.colors import BLUE, GREEN, RED
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
+from tetractl.stats.comparison import Comparison
 from tetractl.stats.estimate import Distribution, describe_published
-from tetractl.stats.summary import Comparison, Summary
+from tetractl.stats.summary import Summary
 from tetractl.view import style
 
 _ASIDE = 0.14  # how far dots stand left of the centre of their category
@@ -21,11 +22,19 @@ _LABELS = 12  # most categories that get a label
 
 
 def batch_figure(summary: Summary, comparison: Comparison | None = None) -> Figure:
-    """Draw the total errors of the counted trials and, beside them, those of each robot."""
+    """Draw the total errors of the counted trials and, beside them, those of each robot.
+
+    A headline says what was steered.
+    """
     if summary.counted == 0:
         raise LogError("no complete trial to plot")
     with style.styled():
-        return _drawn(summary, comparison)
+        figure = _drawn(summary, comparison)
+    origin = summary.origin.value
+    if comparison:
+        origin = f"this batch: {origin}; against: {comparison.theirs.origin}"
+    style.headline(figure, origin)
+    return figure
 
 
 def _drawn(summary: Summary, comparison: Comparison | None) -> Figure:

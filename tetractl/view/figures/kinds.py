@@ -30,6 +30,11 @@ def check_kind(kind: str) -> None:
 
 
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
-    """Draw the figure of a kind; only a trajectory shows several trials."""
+    """Draw the figure of a kind, headed by what was steered; only a trajectory shows several
+    trials."""
+    from tetractl.view.style import headline
+
     check_kind(kind)
-    return FIGURES.load(kind)(logs)
+    figure = FIGURES.load(kind)(logs)
+    headline(figure, ", ".join(sorted({log.origin.value for log in logs})))
+    return figure

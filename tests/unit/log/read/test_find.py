@@ -17,6 +17,8 @@ def folder(tmp_path: Path) -> Path:
         "a/trial-1.mcap.part",
         "a/trial-3.mcap.part",
         "a/trial-4.mcap.unfinished-0",
+        "a/trial-2.attempt-1.mcap",
+        "a/trial-2.attempt-2.mcap.part",
         "a/notes.txt",
         "b/deep/er/trial-0.mcap",
         "empty/readme.md",
@@ -38,6 +40,16 @@ def test_a_folder_stands_for_its_logs_in_the_order_of_numbers(folder: Path) -> N
         "a/trial-3.mcap.part",
         "a/trial-10.mcap",
     ]
+
+
+def test_what_was_set_aside_is_found_where_it_is_asked_for(folder: Path) -> None:
+    names = {log.name for log in find_logs([folder / "a"], attempts=True)}
+    assert names - {log.name for log in find_logs([folder / "a"])} == {
+        "trial-2.attempt-1.mcap",
+        "trial-2.attempt-2.mcap.part",
+        "trial-4.mcap.unfinished-0",
+    }
+    assert _names(folder, "a/trial-2.attempt-1.mcap") == ["a/trial-2.attempt-1.mcap"]
 
 
 def test_sub_folders_count(folder: Path) -> None:

@@ -192,7 +192,7 @@ def test_lost_robots_and_commands_are_noted(tmp_path: Path) -> None:
             b"robot 2 is lost",
             b"robot 2 is tracked again",
             b"robot 1 did not get the command of step 0",
-            b"sequence used up (no signal left) after 2 control steps",
+            b"sequence completed (no signal left) after 2 control steps",
         ),
         strict=True,
     ):

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
-from support.batches import REFERENCE, batch, experiment
+from support.batches import DISTURBED, REFERENCE, batch, experiment
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
-from tetractl.stats.summary import compare, summarise
+from tetractl.stats.comparison import compare
+from tetractl.stats.summary import summarise
 from tetractl.view.figures.batch import batch_figure
 from tetractl.view.style import file_format, save
 
@@ -54,3 +55,11 @@ def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path):
         file_format(tmp_path / "batch.gif")
     with pytest.raises(UsageError, match="there is no folder"):
         file_format(tmp_path / "nowhere" / "batch.png")
+
+
+def test_a_headline_says_what_was_steered():
+    ours = summarise(batch(ERRORS.tolist(), experiment(plant=DISTURBED)))
+    theirs = summarise(batch(ERRORS.tolist()))
+    assert batch_figure(ours).get_suptitle() == "disturbed simulation"
+    both = batch_figure(ours, compare(ours, theirs)).get_suptitle()
+    assert both == "this batch: disturbed simulation; against: undisturbed simulation"

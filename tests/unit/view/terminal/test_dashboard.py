@@ -103,7 +103,9 @@ def test_without_colour_or_utf8_it_is_ascii(recording):
 
 
 def test_the_end_says_how_it_ended_and_damage_is_told(recording):
-    assert "ended: sequence used up" in "\n".join(screen(recording, 80, 24, recording.end_ns / 1e9))
+    assert "ended: sequence completed" in "\n".join(
+        screen(recording, 80, 24, recording.end_ns / 1e9)
+    )
     cut = Recording(cut_short(three_robots(), 20))
     text = "\n".join(screen(cut, 80, 24, 1))
     assert "damaged log" in text

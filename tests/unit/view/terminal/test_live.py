@@ -66,7 +66,7 @@ def run(folder: Path, tick: float) -> Console:
 def test_the_live_view_shows_trial_numbers_and_how_it_ended(tmp_path):
     shown = pictures(run(tmp_path, tick=0.02))
     assert "trial 3 of 20" in shown[1]
-    assert any("ended: sequence used up" in picture for picture in shown)
+    assert any("ended: sequence completed" in picture for picture in shown)
     assert "trial 4 of 20" in shown[-1]
     assert "left" in shown[-1]
     assert f"mean total error {three_robots().result.total_error:.1f} mm" in shown[-1]
@@ -126,7 +126,7 @@ def test_without_a_terminal_progress_is_one_plain_line_a_trial():
         progress.trial_finished(1, aborted)
     end = f"total error {result.total_error:.1f} mm, {result.steps} steps, 8.2 s"
     assert written(console).splitlines() == [
-        f"trial 1 of 2: sequence used up, {end}",
+        f"trial 1 of 2: sequence completed, {end}",
         f"trial 2 of 2: aborted (no [new] frame for 500 ms), {end}",
     ]
 

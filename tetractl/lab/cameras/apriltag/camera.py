@@ -5,6 +5,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
@@ -133,7 +134,8 @@ class AprilTagCamera:
             damaged=self.damaged,
             skipped=self._skipped,
         )
-        return judged(self.section, self._tracker.robots, tuple(self._looks), state)
+        found = judged(self.section, self._tracker.robots, tuple(self._looks), state)
+        return replace(found, emulated=self._feed is not None and self._feed.emulated)
 
     def _read(self, feed: Feed) -> None:
         """Offer every picture; of a live source only the newest waits to be searched."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
+from tetractl.lab.announcement import is_emulated
 from tetractl.lab.cameras.apriltag.detect import Grey
 from tetractl.lab.cameras.apriltag.multipart import Multipart
 from tetractl.lab.cameras.apriltag.section import DeviceSource, FileSource, MjpegSource, Source
@@ -38,11 +39,12 @@ class Feed(Protocol):
     """An open source. One thread reads and closes; any may interrupt.
 
     Pictures of a `live` source come whether they are read or not. `rate_hz` is what it promises,
-    None where it promises nothing.
+    None where it promises nothing. An `emulated` source shows no robots of this moment.
     """
 
     live: bool
     rate_hz: float | None
+    emulated: bool
 
     @property
     def damaged(self) -> int:
@@ -95,6 +97,7 @@ class DeviceFeed:
     """A camera at this computer through OpenCV; never tried on a real one."""
 
     live = True
+    emulated = False
     damaged = 0
 
     def __init__(self, source: DeviceSource, clock: Clock) -> None:
@@ -144,6 +147,7 @@ class FileFeed:
     """A video file, each picture at its time; without one to spare on a virtual clock."""
 
     live = False
+    emulated = True  # nobody can steer what was filmed
     damaged = 0
 
     def __init__(self, source: FileSource, clock: Clock) -> None:
@@ -207,6 +211,7 @@ class MjpegFeed:
                 f"{source.url} is no MJPEG stream: it answers {self._answer.status}, {kind}",
                 "a stream is multipart/x-mixed-replace with a boundary",
             )
+        self.emulated = is_emulated(self._answer.getheader("Server", ""))
         self._socket.settimeout(None)  # from here on, who reads is interrupted by closing
         self._parts = Multipart(boundary)
         self._waiting: list[bytes] = []

@@ -9,6 +9,7 @@ from tetractl.core.commands import Health
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
 from tetractl.core.wire_tap import NO_TAP, Tap
+from tetractl.lab.announcement import is_emulated
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.client import NatNetClient
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
@@ -85,10 +86,11 @@ class OptitrackCamera:
         version = stream.version
         if version is not None and not version.known:
             warnings.append(f"protocol {version} is newer than those known here; it is read as 4.3")
+        server = stream.info.name if stream.info else ""
         facts = {
             "natnet": str(version),
-            "server": stream.info.name if stream.info else "",
+            "server": server,
             "rigid_bodies": diagnosis.bodies(stream),
             "clock_round_trip_ms": round_trip,
         }
-        return Health(tuple(problems), tuple(warnings), facts)
+        return Health(tuple(problems), tuple(warnings), facts, emulated=is_emulated(server))

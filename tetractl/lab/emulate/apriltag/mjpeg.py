@@ -13,6 +13,7 @@ import cv2
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Poses
+from tetractl.lab.announcement import EMULATED
 from tetractl.lab.emulate.apriltag.renderer import Renderer
 
 BOUNDARY = "emulated-by-tetractl"
@@ -124,7 +125,7 @@ class EmulatedNetworkCamera:
         self._clients.add(mine)
         try:
             answer.send_response(200)
-            answer.send_header("Server", "camera (EMULATED by tetractl)")
+            answer.send_header("Server", f"camera ({EMULATED})")
             answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
             answer.end_headers()
             while not self._closing.is_set():

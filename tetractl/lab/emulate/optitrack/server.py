@@ -4,6 +4,7 @@ import struct
 from collections.abc import Callable, Sequence
 
 from tetractl.core.clock import SECOND
+from tetractl.lab.announcement import EMULATED
 from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     BodyName,
@@ -120,7 +121,7 @@ class MotiveServer:
         a, b, c, d = (int(part) for part in self.streaming.group.split("."))
         major, minor = self.streaming.version
         return ServerInfo(
-            "Motive (EMULATED by tetractl)",
+            f"Motive ({EMULATED})",
             (3, 0, 0, 0),
             (major, minor, 0, 0),
             CLOCK_HZ,

@@ -269,6 +269,12 @@ def test_a_camera_without_pictures_is_no_camera():
         camera.__exit__(None, None, None)  # again: nothing happens
 
 
+def test_an_emulated_camera_announces_itself():
+    with Served() as it:
+        it.woken.wait(lambda: it.woken.count >= 3)
+        assert it.camera.check().emulated
+
+
 def test_two_cameras_may_watch_one_server():
     with Served() as it:
         other, woken = built({"type": "mjpeg", "url": it.server.url}, MonotonicClock())

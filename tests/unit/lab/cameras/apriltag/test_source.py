@@ -25,6 +25,7 @@ def test_a_film_plays_at_its_own_rate(tmp_path):
     clock.sleep_until(3 * SECOND)
     feed = open_feed(source, clock, 1.0)
     assert feed.rate_hz == pytest.approx(20.0)
+    assert feed.emulated  # a film shows nobody who could be steered
     times = [feed.read().received_ns for _ in range(5)]
     assert times == [3 * SECOND + i * SECOND // 20 for i in range(5)]
     with pytest.raises(SourceEndedError, match="has ended"):
@@ -85,6 +86,7 @@ def test_a_device_is_set_up_read_and_released(monkeypatch):
     monkeypatch.setattr(cv2, "VideoCapture", Capture)
     feed = open_feed(DEVICE, VirtualClock(), 1.0)
     assert Capture.last.settings[cv2.CAP_PROP_FPS] == 30
+    assert not feed.emulated
     assert Capture.last.settings[cv2.CAP_PROP_FOURCC] == cv2.VideoWriter.fourcc(*"MJPG")
     assert all((decoded(feed.read()) == 7).all() for _ in range(3))
     with pytest.raises(SourceEndedError, match="camera 2 delivers no more"):
@@ -170,6 +172,7 @@ def test_a_stream_is_read_to_its_end():
     part = b"--b\r\nContent-Type: image/jpeg\r\n\r\n" + jpeg(PICTURE) + b"\r\n"
     server, source = answering(200, 'multipart/x-mixed-replace; boundary="b"', 3 * part + b"--b--")
     feed = open_feed(source, VirtualClock(), 5.0)
+    assert not feed.emulated  # though it is on loopback
     assert all(decoded(feed.read()).shape == PICTURE.shape for _ in range(3))
     with pytest.raises(SourceEndedError, match="closed the stream"):
         feed.read()

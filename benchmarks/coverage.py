@@ -1,0 +1,121 @@
+"""Measure how often the 95 % intervals of `tetractl stats` hold what they should hold.
+
+    python benchmarks/coverage.py                half a minute
+    python benchmarks/coverage.py --sets 500
+
+Draws many sets of n errors from distributions whose mean is known, and prints as Markdown, in
+percent, how many intervals hold it: for one mean, beside Student's t and the BCa bootstrap; and for
+the difference of two means. The seed is fixed.
+"""
+
+import argparse
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from tetractl.core.poses import Floats
+from tetractl.stats.difference import from_both_intervals, paired_t, welch
+from tetractl.stats.estimate import Interval, describe
+
+SIZES = (5, 8, 20, 50)
+SPREAD = 0.35  # deviation of the normal errors around 1: none is negative in practice
+BCA_SETS, RESAMPLES = 500, 999
+
+
+@dataclass(frozen=True)
+class Errors:
+    """A distribution of errors with a known mean."""
+
+    name: str
+    draw: Callable[[np.random.Generator, tuple[int, ...]], Floats]
+    mean: float
+
+
+ERRORS = (
+    Errors("normal, deviation 35 %", lambda rng, shape: np.abs(rng.normal(1, SPREAD, shape)), 1.0),
+    Errors("gamma, shape 2", lambda rng, shape: rng.gamma(2, 1, shape), 2.0),
+    Errors("lognormal, sigma 0.5", lambda rng, shape: rng.lognormal(0, 0.5, shape), np.exp(0.125)),
+    Errors("lognormal, sigma 1", lambda rng, shape: rng.lognormal(0, 1, shape), np.exp(0.5)),
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sets", type=int, default=4000, help="sets of n errors for each figure")
+    sets = parser.parse_args().sets
+    print("| errors | n | `log-t` | Student's t | BCa | negative ends: `log-t`, t |")
+    print("|---|---|---|---|---|---|")
+    for errors in ERRORS:
+        for n in SIZES:
+            print(f"| {errors.name} | {n} | {_one_mean(errors, n, sets)} |", flush=True)
+    print("\n| errors | n | Welch, alike | Welch, 1 to 4 | both, alike | both, 1 to 4 | paired t |")
+    print("|---|---|---|---|---|---|---|")
+    for errors in ERRORS:
+        for n in SIZES:
+            print(f"| {errors.name} | {n} | {_two_means(errors, n, sets)} |", flush=True)
+    print(f"\n{sets} sets for each figure, {min(sets, BCA_SETS)} for BCa.")
+
+
+def _one_mean(errors: Errors, n: int, sets: int) -> str:
+    """Return the cells of one row: coverage of a mean, and shares of negative lower ends."""
+    rows = errors.draw(np.random.default_rng([n, 1]), (sets, n))
+    ours = [found.ci95 for found in describe(rows)]
+    half = stats.t.ppf(0.975, n - 1) * rows.std(axis=1, ddof=1) / np.sqrt(n)
+    middle = rows.mean(axis=1)
+    student = [Interval(m - h, m + h) for m, h in zip(middle, half, strict=True)]
+    shares = [_share(found, errors.mean) for found in (ours, student, _bca(rows[:BCA_SETS]))]
+    negative = [np.mean([found.low < 0 for found in each]) for each in (ours, student)]
+    cells = [*map(_percent, shares), ", ".join(map(_percent, negative))]
+    return " | ".join(cells)
+
+
+def _bca(rows: Floats) -> list[Interval]:
+    """Return BCa bootstrap intervals, each with a seed of its own."""
+    found = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", stats.DegenerateDataWarning)
+        for seed, row in enumerate(rows):
+            ends = stats.bootstrap(
+                [row], np.mean, n_resamples=RESAMPLES, method="BCa", rng=np.random.default_rng(seed)
+            ).confidence_interval
+            found.append(Interval(float(ends.low), float(ends.high)))
+    return found
+
+
+def _two_means(errors: Errors, n: int, sets: int) -> str:
+    """Return the cells of one row: coverage of the difference of two means.
+
+    Errors are alike on both sides, or four times as large on the other; for pairs both have half
+    of their error in common.
+    """
+    rng = np.random.default_rng([n, 2])
+    ours, theirs, common = (errors.draw(rng, (sets, n)) for _ in range(3))
+    cells = []
+    for interval in (_welch, from_both_intervals):
+        for factor in (1, 4):
+            pairs = zip(describe(ours), describe(factor * theirs), strict=True)
+            found = [interval(one, other) for one, other in pairs]
+            cells.append(_percent(_share(found, errors.mean * (1 - factor))))
+    differences = (ours + common) / 2 - 4 * (theirs + common) / 2
+    found = [paired_t(each).ci95 for each in differences]
+    cells.append(_percent(_share(found, -3 * errors.mean)))
+    return " | ".join(cells)
+
+
+def _welch(one, other) -> Interval:
+    return welch(one.n, one.mean, one.std, other.n, other.mean, other.std).ci95
+
+
+def _share(intervals: Iterable[Interval], true: float) -> float:
+    return float(np.mean([found.low <= true <= found.high for found in intervals]))
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f}"
+
+
+if __name__ == "__main__":
+    main()

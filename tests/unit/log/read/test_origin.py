@@ -1,0 +1,42 @@
+"""What a trial's robots were, from its log."""
+
+import pytest
+from support.batches import DISTURBED, experiment
+
+from tetractl.core.commands import PlantInfo
+from tetractl.log.read.origin import Origin
+
+PLAIN = {"type": "sim", "camera_rate": 60}
+
+
+@pytest.mark.parametrize(
+    "disturbance",
+    [
+        {"measurement_noise": {"position": 1}},
+        {"measurement_noise": {"heading": 0.01}},
+        {"heading_noise": 0.1},
+        {"dead_time": 0.1},
+        {"lost_commands": 0.1},
+        {"a_error": 0.1},
+        {"speed_error": 0.1},
+        {"disturbances": [{"type": "tracking-loss", "every": 3}]},
+    ],
+)
+def test_any_disturbance_disturbs_a_simulation(disturbance):
+    info = PlantInfo("sim", True, 60.0, {})
+    assert Origin.of(experiment(plant=PLAIN), info) is Origin.UNDISTURBED
+    assert Origin.of(experiment(plant=PLAIN | disturbance), info) is Origin.DISTURBED
+
+
+@pytest.mark.parametrize(
+    ("facts", "origin"),
+    [
+        ({}, Origin.LAB),
+        ({"server": "Motive"}, Origin.LAB),
+        ({"server": "Motive", "emulated": "camera"}, Origin.EMULATED),
+        ({"server": "Motive (EMULATED by tetractl)"}, Origin.EMULATED),  # of an earlier tetractl
+    ],
+)
+def test_an_emulated_device_makes_an_emulated_lab(facts, origin):
+    found = Origin.of(experiment(plant=DISTURBED), PlantInfo("lab", False, 120.0, facts))
+    assert (found, found.simulated) == (origin, False)

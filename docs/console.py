@@ -6,12 +6,17 @@ now; a test fails while a page differs from it.
 The blocks of a page are run one after another in one empty folder that holds a copy of
 `experiments/`. A fence with `title=NAME` is a file of that name there. Below a command stands what
 it prints, stdout and stderr together; without that, it only has to succeed. `...` stands for what
-varies: alone on a line for any lines, within a line for anything there. Numbers may differ by 15 %
-or 3 of the last digit: another processor rounds differently, and a disturbed trial may then go
-another way.
+varies from run to run, such as a time: alone on a line for any lines, within a line for anything
+there. Everything else is compared to the last digit.
+
+But another processor, or another version of a library, rounds differently, and a disturbed trial
+may then go another way. So the last line of a page says what its numbers were printed on. Anywhere
+else they may differ by 15 % or 3 of the last digit; `--write` there puts in every output anew, so
+that all numbers of a page come from one place.
 """
 
 import argparse
+import hashlib
 import os
 import re
 import shutil
@@ -20,6 +25,8 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -29,6 +36,8 @@ ONCE = "compiling the solver, once on this machine ...\n"  # where the tests com
 _FENCE = re.compile(r"^```(\w*)[^\n]*?(?:title=(\S+))?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _COMMAND = re.compile(r"^\$ ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", re.MULTILINE)
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+_PRINTED_ON = re.compile(r"\n*<!-- numbers printed on (.*) -->\n*\Z")
+_ROUNDING = ("numba", "llvmlite", "numpy", "scipy")  # whose versions may change a last digit
 _DONE = "--- the command above ended with"
 
 
@@ -84,18 +93,75 @@ def run(page: str) -> list[tuple[Example, str, int]]:
     return [(e, printed, int(code)) for e, (printed, code) in zip(asked, found, strict=True)]
 
 
-def agrees(shown: str, printed: str) -> bool:
-    """Whether an output is as a page shows it."""
-    return not shown or _same_lines(_plain(shown), _plain(printed))
+@cache
+def here() -> str:
+    """Return what decides how numbers are rounded: processor, its features, and libraries."""
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features().flatten()
+    digest = hashlib.sha256(features.encode()).hexdigest()[:8]
+    versions = (f"{name} {metadata.version(name)}" for name in _ROUNDING)
+    return ", ".join([f"{binding.get_host_cpu_name()} ({digest})", *versions])
+
+
+def printed_on(page: str) -> str:
+    """Return what the numbers of a page were printed on, "" where it does not say."""
+    found = _PRINTED_ON.search(page)
+    return found[1] if found else ""
+
+
+def agrees(shown: str, printed: str, exact: bool) -> bool:
+    """Whether an output is as a page shows it, with the same digits where it must be `exact`."""
+    return not shown or _same_lines(_plain(shown), _plain(printed), exact)
 
 
 def mended(page: str) -> str:
-    """Return the page with the outputs that no longer agree replaced by what is printed now."""
+    """Return the page with the outputs that no longer agree replaced by what is printed now.
+
+    Where its numbers were printed elsewhere all are replaced: kept ones would be of another run
+    than the new ones, and contradict them. `...` stays.
+    """
+    exact = printed_on(page) == here()
     for example, printed, _ in reversed(run(page)):
-        if not agrees(example.shown, printed):
-            now = "\n".join(line.rstrip() for line in printed.strip("\n").splitlines()) + "\n"
+        if example.shown and not (exact and agrees(example.shown, printed, True)):
+            now = _with_dots(example.shown.splitlines(), printed)
             page = page[: example.start] + now + page[example.end :]
-    return page
+    return _PRINTED_ON.sub("", page).rstrip("\n") + f"\n\n<!-- numbers printed on {here()} -->\n"
+
+
+def _with_dots(shown: list[str], printed: str) -> str:
+    """Return what is printed with `...` in place of what the page leaves out."""
+    lines = [line.rstrip() for line in printed.strip("\n").splitlines()]
+    if shown.count("...") == 1:
+        first = shown.index("...")
+        if first + 1 == len(shown):
+            lines = [*lines[:first], "..."]
+        else:  # up to the last line that looks like the one below the dots
+            after = _pattern(shown[first + 1])
+            ends = [i for i, line in enumerate(lines) if i >= first and after.fullmatch(line)]
+            lines = [*lines[:first], "...", *lines[ends[-1] :]] if ends else lines
+    inside = [line for line in shown if "..." in line and line.strip() != "..."]
+    return "\n".join(_dotted(line, inside) for line in lines) + "\n"
+
+
+def _dotted(line: str, shown: list[str]) -> str:
+    """Return a printed line with the `...` of the line of the page that looks like it."""
+    for found in filter(None, (_pattern(other).fullmatch(line) for other in shown)):
+        for i in range(found.re.groups, 0, -1):
+            line = f"{line[: found.start(i)]}...{line[found.end(i) :]}"
+        break
+    return line
+
+
+def _pattern(shown: str) -> re.Pattern[str]:
+    """Return a pattern of the lines that look like one of a page, with a group for each `...`."""
+    return re.compile("(.*?)".join(map(_loose, shown.rstrip().split("..."))))
+
+
+def _loose(text: str) -> str:
+    """Return a pattern, without groups, of texts that differ only in their numbers and gaps."""
+    words = (re.sub(r"(\\ )+", r"\\s+", re.escape(word)) for word in _NUMBER.split(text))
+    return _NUMBER.pattern.join(words)
 
 
 def _plain(text: str) -> list[str]:
@@ -104,19 +170,21 @@ def _plain(text: str) -> list[str]:
     return [line for line in lines if line]
 
 
-def _same_lines(shown: list[str], printed: list[str]) -> bool:
+def _same_lines(shown: list[str], printed: list[str], exact: bool) -> bool:
     if not shown or not printed:
         return not printed and all(line == "..." for line in shown)
     if shown[0] == "...":
-        return _same_lines(shown[1:], printed) or _same_lines(shown, printed[1:])
-    return _same_line(shown[0], printed[0]) and _same_lines(shown[1:], printed[1:])
+        return _same_lines(shown[1:], printed, exact) or _same_lines(shown, printed[1:], exact)
+    same = _same_line(shown[0], printed[0], exact)
+    return same and _same_lines(shown[1:], printed[1:], exact)
 
 
-def _same_line(shown: str, printed: str) -> bool:
+def _same_line(shown: str, printed: str, exact: bool) -> bool:
     words = map(re.escape, _NUMBER.split(shown))
     pattern = f"({_NUMBER.pattern})".join(words).replace(r"\.\.\.", ".*?")
     found = re.fullmatch(pattern, printed)
-    return found is not None and all(map(_close, _NUMBER.findall(shown), found.groups()))
+    same = str.__eq__ if exact else _close
+    return found is not None and all(map(same, _NUMBER.findall(shown), found.groups()))
 
 
 def _close(shown: str, printed: str) -> bool:

@@ -54,8 +54,8 @@ def _body(grid: Grid) -> list[str]:
 
 
 def _cell(text: str) -> str:
-    if text == NONE:
-        return "--"
+    if text == NONE or text.startswith(f"{NONE} "):
+        return f"-- {_escaped(text.removeprefix(NONE))}".strip()
     return (r"\quad " if text.startswith("  ") else "") + _escaped(text)
 
 

@@ -129,6 +129,7 @@ def test_latex_has_units_minus_signs_and_a_width():
     assert not [row for row in rows if re.search(r"(?<![\w.$])-\d", row)]
     assert re.search(r"ours minus published \[mm\] & \$-\$\d", text)
     assert r" & -- & --" in text
+    assert r"arrived & -- (no arrival\_tolerance set)" in text
     assert text.count(r"\begin{tabular}") == text.count(r"\resizebox{\ifdim\width>\linewidth")
     assert text.count(r"\begin{tabularx}{\linewidth}") == 2
 

@@ -84,7 +84,7 @@ def batch(folder: Path, sets: Sequence[str], trials: int) -> list[TrialLog]:
             f"lab.actuator.port={ready['port']}",
         )
         for _ in range(ATTEMPTS):  # an aborted trial ends a batch; it is run again
-            if run(folder, "--plant", "lab", "--resume", *flags(settings)):
+            if run(folder, "--plant", "lab", "--yes", "--resume", *flags(settings)):
                 break
     finally:
         emulator.close()

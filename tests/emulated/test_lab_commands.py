@@ -135,7 +135,7 @@ def test_check_says_what_is_odd_of_the_radio(lab, tmp_path, actuator, says):
 def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
     emulator, settings = lab()
     sets = flags((*settings, "robots.1.start=[900, 1300]"))
-    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--out", "logs", *sets)
+    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets)
     assert done.returncode == 1
     assert "error: blue is 100 mm from its start" in done.stderr
     _, record = emulator.end()
@@ -181,6 +181,37 @@ def test_lab_options_of_run_are_checked(tmp_path):
     assert "one trial at a time" in done.stderr
 
 
+def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
+    """Regression: `run --from LABLOG </dev/null` set robots moving, as did `run --plant lab`."""
+    emulator, settings = lab("", "--replace-after", "0.5")
+    sets = flags((*settings, "controller.steps_max=2", "lab.limits.placing=30"))
+
+    def run(*words):
+        done = tetractl(tmp_path, "run", *words)
+        assert emulator.runs() == started
+        return done
+
+    started = 0
+    refused = run(str(SPEC), "--plant", "lab", "--out", "first", *sets)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "error: robots would move" in refused.stderr
+    assert not (tmp_path / "first").exists()
+    started = 1
+    assert run(str(SPEC), "--plant", "lab", "--yes", "--out", "first", *sets).returncode == 0
+
+    log = ("--from", "first/trial-000.mcap", "--out")
+    again = run(*log, "simulated")
+    assert again.returncode == 0, again.stderr
+    assert "the log is of the lab, the new one simulated" in again.stderr
+    assert read_trial(tmp_path / "simulated" / "trial-000.mcap").start.plant.simulated
+    refused = run(*log, "lab", "--plant", "lab")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    started = 2
+    again = run(*log, "lab", "--plant", "lab", "--yes")
+    assert again.returncode == 0, again.stderr
+    assert "the log is of the lab, the new one of the lab" in again.stderr
+
+
 def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tmp_path):
     _, settings = lab(UNEVEN, "--replace-after", "4")
     done = tetractl(
@@ -206,7 +237,7 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
             "controller.steps_max=3",
         )
     )
-    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--out", "logs", *sets)
+    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets)
     assert done.returncode == 0, done.stderr
     trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
     assert trial.experiment.plant.actuator.robots[0].radius_mm == green.radius_mm
@@ -223,7 +254,7 @@ def attachment(path, name):
 
 def test_a_recorded_wire_gives_the_same_poses_and_commands_again(lab, tmp_path):
     _, settings = lab()
-    words = ("--plant", "lab", "--out", "logs", "--record-wire", "wire", *flags(settings))
+    words = ("--plant", "lab", "--yes", "--out", "logs", "--record-wire", "wire", *flags(settings))
     done = tetractl(tmp_path, "run", str(SPEC), *words)
     assert done.returncode == 0, done.stderr
     trial = read_trial(tmp_path / "logs" / "trial-000.mcap")

@@ -75,6 +75,11 @@ class Emulator:
             pass
         return event
 
+    def runs(self):
+        """How many runs have begun, by its record."""
+        lines = self.record.read_text().splitlines()
+        return sum(json.loads(line)["event"] == "run" for line in lines)
+
     def end(self):
         """End it as Ctrl-C does; return its exit code and its record."""
         self.process.send_signal(signal.SIGINT)
@@ -97,8 +102,8 @@ class Runner:
     def __init__(self, folder, name, settings):
         self.folder = folder / name
         self.words = []
-        command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--quiet", *flags(settings)]
-        command += ["--out", str(self.folder)]
+        command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", "--quiet"]
+        command += ["--out", str(self.folder), *flags(settings)]
         self.process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,

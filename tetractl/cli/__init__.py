@@ -1,114 +1,26 @@
 """The command line: one module for each command, which parses, calls and prints.
 
-Heavy modules are imported inside the command that needs them, so that `--help` answers at once.
+What is imported here is little, so that `main` soon decides what a signal does.
 """
 
-import os
 import sys
-from typing import Annotated
 
-import typer
-from typer.exceptions import TyperException
-
-from tetractl import __version__
-from tetractl.cli import (
-    export,
-    info,
-    init,
-    kinds,
-    lab,
-    open_log,
-    plot,
-    recover,
-    replay,
-    report,
-    run,
-    schema,
-    stats,
-    validate,
-    verify,
-)
-from tetractl.core.errors import Exit, TetractlError
-
-app = typer.Typer(
-    name="tetractl",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"tetractl {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def _root(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
-) -> None:
-    """Steer several robots at once with one control signal.
-
-    Run an experiment from a YAML spec, show its trials, and compute their statistics.
-    """
-
-
-app.command("init")(init.init)
-app.command("run")(run.run)
-app.command("validate")(validate.validate)
-app.command("schema")(schema.schema)
-app.command("kinds")(kinds.kinds)
-app.command("info")(info.info)
-app.command("recover")(recover.recover)
-app.command("replay")(replay.replay)
-app.command("plot")(plot.plot)
-app.command("report")(report.report)
-app.command("export")(export.export)
-app.command("open")(open_log.open_logs)
-app.command("verify")(verify.verify)
-app.command("stats")(stats.stats)
-app.add_typer(lab.app, name="lab")
+from tetractl.cli.streams import open_streams
+from tetractl.core.errors import Exit
+from tetractl.run.interrupt import leave_on_signals
 
 
 def main() -> None:
     """Run the command line and exit with one of the codes of `Exit`."""
-    sys.exit(_run())
+    messages = open_streams()
 
+    def say() -> None:
+        messages.writer.urge(b"error: interrupted\n")
+        messages.writer.finish()
 
-def _run() -> int:
-    try:
-        code = app(standalone_mode=False)
-        sys.stdout.flush()  # here, so that a closed pipe is handled below
-    except TetractlError as error:
-        complain(str(error), error.hint)
-        return error.exit
-    except TyperException as error:
-        complain(error.format_message(), _usage_hint(error))
-        return Exit.USAGE
-    except (typer.Abort, KeyboardInterrupt):
-        complain("interrupted")
-        return Exit.INTERRUPTED
-    except BrokenPipeError:  # the reader of the output has ended, as in `tetractl stats | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return Exit.DONE
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        complain(f"{where}{error.strerror or error}")
-        return Exit.FAILED
-    return code if isinstance(code, int) else Exit.DONE
+    leave_on_signals(Exit.INTERRUPTED, say)
+    from tetractl.cli.app import run_app
 
-
-def _usage_hint(error: TyperException) -> str | None:
-    context = getattr(error, "ctx", None)
-    return f"try '{context.command_path} --help'" if context else None
-
-
-def complain(message: str, hint: str | None = None) -> None:
-    """Print an error to stderr: `error:` and its line or lines, then the hint."""
-    print(f"error: {message}", file=sys.stderr)
-    if hint:
-        print(f"hint: {hint}", file=sys.stderr)
+    code = run_app()
+    leave_on_signals(code)
+    sys.exit(code)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli import lab_emulate
+from tetractl.cli.caution import Yes, need_consent
 from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def calibrate(
             help="How hard to drive: for m3pi the greatest wheel count, of 127.",
         ),
     ] = 45,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before robots move.")] = False,
+    yes: Yes = False,
 ) -> int:
     """Measure what the actuator needs to know of each robot, by moving it a little.
 
@@ -137,11 +138,11 @@ def calibrate(
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """
-    import sys
     from datetime import UTC, datetime
     from threading import Event
 
     from tetractl.experiment.plants import Calibration, calibration_yaml
+    from tetractl.run.interrupt import interrupted_once
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
     if output.exists():
@@ -151,12 +152,11 @@ def calibrate(
     for name in names:
         if name not in setup.names:
             raise UsageError(f"--robot {name}: the spec has no such robot")
+    need_consent(yes)
     if not yes:
-        if not sys.stdin.isatty():
-            raise UsageError("robots would move", "add --yes where nobody can be asked")
         typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Go on?", abort=True)
     emergency = Event()
-    with StopKey(emergency.set, lambda: None) as key:
+    with interrupted_once(robots=True), StopKey(emergency.set, lambda: None) as key:
         if key.listening:
             typer.echo(SAYS, err=True)
         found = lab.actuator.calibrate(

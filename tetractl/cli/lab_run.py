@@ -24,8 +24,12 @@ def run_in_lab(
     interrupt: "Interrupt",
     live: bool,
     record: Path | None,
+    yes: bool,
 ) -> "Report":
-    """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time."""
+    """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time.
+
+    A person at the terminal starts each trial, but not where `yes`.
+    """
     from rich.console import Console
 
     from tetractl.core.operators import Operators
@@ -41,7 +45,7 @@ def run_in_lab(
         console.print(says, style="bold", highlight=False)
         unit = loaded.experiment.units.length
         watch = LabWatch(console, quiet, unit, live and key.listening)
-        attendant = TerminalAttendant(console, entered) if key.listening else None
+        attendant = None if yes or not key.listening else TerminalAttendant(console, entered)
 
         @contextmanager
         def operators(trial: int) -> "Iterator[Operators]":

@@ -1,8 +1,6 @@
 """`tetractl run`: run the trials of an experiment."""
 
-import os
 import sys
-from contextlib import ExitStack
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -10,12 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.caution import Strict, refuse, warn
+from tetractl.cli.caution import Strict, Yes, need_consent, refuse, warn
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from tetractl.experiment.load import LoadedSpec
     from tetractl.run.batch import Report
+    from tetractl.run.interrupt import Interrupt
 
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
@@ -45,8 +46,12 @@ def run(
     ] = None,
     plant: Annotated[
         PlantChoice | None,
-        typer.Option(help="Simulate, or drive the robots of the spec's lab.  \\[spec: plant.type]"),
+        typer.Option(
+            help="Simulate, or drive the robots of the spec's lab.  \\[spec: plant.type; sim with "
+            "--from]"
+        ),
     ] = None,
+    yes: Yes = False,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the logs.  \\[logs/<spec name>-<UTC time>]"),
@@ -75,7 +80,8 @@ def run(
         typer.Option(
             "--from",
             metavar="LOG",
-            help="In place of SPEC: repeat the trial of a log, and compare.",
+            help="In place of SPEC: simulate the trial of a log again, and compare. Only with "
+            "--plant lab do robots move.",
         ),
     ] = None,
     json: Annotated[
@@ -84,15 +90,23 @@ def run(
 ) -> int:
     """Run the trials of an experiment, log each to DIR/trial-000.mcap ..., print the statistics.
 
+    In the lab a person at the terminal is shown where robots must stand and starts them by Enter;
+    without a terminal it takes --yes.
+
     Ctrl-C finishes the step, stops the robots and closes the log; a second one does so at once.
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
+    from rich.console import Console
+
     from tetractl.cli.spec import load
+    from tetractl.cli.streams import hurrier
+    from tetractl.control.build import warm_up
     from tetractl.experiment.plants import on_plant
     from tetractl.replay.rerun import compare, recorded
     from tetractl.run.batch import log_path
     from tetractl.run.folder import batch_folder, default_folder, trials_to_run
+    from tetractl.run.interrupt import Interrupt, leave_on_signals
     from tetractl.run.limits import check
 
     if resume and out is None:
@@ -102,7 +116,7 @@ def run(
     settings = list(sets or [])
     settings += [] if trials is None else [f"trials.count={trials}"]
     settings += [] if seed is None else [f"trials.seed={seed}"]
-    if log is not None and (settings or plant or resume):
+    if log is not None and (settings or resume):
         raise UsageError("--from repeats a trial as it was: nothing of it can be set")
     number = None
     if spec is not None:
@@ -113,7 +127,7 @@ def run(
         loaded = on_plant(loaded, plant.value if plant else None)
     else:
         assert log is not None
-        loaded, number = recorded(log)
+        loaded, number = recorded(log, plant.value if plant else "sim")
     _check_lab_options(loaded, jobs, record_wire)
     check(loaded.experiment)
     folder = out or default_folder(loaded.experiment.name, datetime.now(UTC))
@@ -121,10 +135,17 @@ def run(
         todo = trials_to_run(loaded.experiment, folder, resume)
         _describe(loaded, folder, todo if number is None else [number])
         return Exit.DONE
+    if not loaded.experiment.plant.simulated:
+        need_consent(yes)
+    console = Console(stderr=True, quiet=quiet)
     with batch_folder(loaded.experiment, folder, resume) as todo:
         todo = todo if number is None else [number]
-        report = _run(loaded, folder, todo, jobs, quiet, record_wire)
-    code = _conclude(report, folder, json)
+        warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
+        interrupt = Interrupt(hurrier(STOPPING))
+        leave_on_signals(Exit.INTERRUPTED)  # again, once all is said
+        with interrupt.watch(robots=not loaded.experiment.plant.simulated):
+            report = _run(loaded, folder, todo, jobs, console, interrupt, record_wire, yes)
+            code = _conclude(report, folder, json)
     if log is not None and number in report.results and code == Exit.DONE:
         return compare(log, log_path(folder, number))
     return code
@@ -160,35 +181,26 @@ def _run(
     folder: Path,
     todo: list[int],
     jobs: int,
-    quiet: bool,
+    console: "Console",
+    interrupt: "Interrupt",
     record_wire: Path | None,
+    yes: bool,
 ) -> "Report":
-    from rich.console import Console
-
-    from tetractl.control.build import warm_up
     from tetractl.run.batch import run_batch
-    from tetractl.run.interrupt import Interrupt
 
-    console = Console(stderr=True, quiet=quiet)
-    warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
-    # a handler may only write: the console's lock may be taken
-    interrupt = Interrupt(lambda: os.write(sys.stderr.fileno(), STOPPING))
-    live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not quiet
-    with ExitStack() as stack:
-        stack.enter_context(interrupt.watch())
-        if not loaded.experiment.plant.simulated:
-            from tetractl.cli.lab_run import run_in_lab
+    live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not console.quiet
+    if not loaded.experiment.plant.simulated:
+        from tetractl.cli.lab_run import run_in_lab
 
-            return run_in_lab(loaded, folder, todo, console, interrupt, live, record_wire)
-        if live:
-            from tetractl.view.terminal.live import LiveView
+        return run_in_lab(loaded, folder, todo, console, interrupt, live, record_wire, yes)
+    if live:
+        from tetractl.view.terminal.live import LiveView
 
-            view = stack.enter_context(LiveView(console))
+        with LiveView(console) as view:
             return run_batch(loaded, folder, todo, jobs, interrupt, view, [view])
-        from tetractl.view.terminal.progress import BatchProgress
+    from tetractl.view.terminal.progress import BatchProgress
 
-        unit = loaded.experiment.units.length
-        progress = stack.enter_context(BatchProgress(console, len(todo), unit))
+    with BatchProgress(console, len(todo), loaded.experiment.units.length) as progress:
         return run_batch(loaded, folder, todo, jobs, interrupt, progress)
 
 
@@ -198,9 +210,16 @@ def _conclude(report: "Report", folder: Path, json: bool) -> int:
 
     if report.refused and not report.results:
         raise report.refused
+    unprinted = None
     if report.results or not report.not_run:
         try:
             _print_statistics(folder, json)
+        except KeyboardInterrupt:
+            print("the statistics were left out", file=sys.stderr)
+        except BrokenPipeError:
+            pass  # nobody reads them
+        except OSError as error:
+            unprinted = error
         except UsageError:
             if not report.aborted:  # an aborted trial may leave no log, or one without poses
                 raise
@@ -220,6 +239,8 @@ def _conclude(report: "Report", folder: Path, json: bool) -> int:
         f"look at one with: tetractl replay {log_path(folder, min(report.results, default=0))}",
         file=sys.stderr,
     )
+    if unprinted:
+        raise unprinted
     return Exit.DONE
 
 
@@ -228,13 +249,15 @@ def _print_statistics(folder: Path, json: bool) -> None:
 
     from rich.console import Console
 
+    from tetractl.run.interrupt import interrupted_once
     from tetractl.stats import export, table
     from tetractl.stats.summary import summarise
     from tetractl.stats.trials import load_trials
 
-    results, damaged = load_trials([folder])
-    summary = summarise(results, damaged)
-    if json:
-        print(dumps(export.as_json(summary), indent=2, allow_nan=False))
-    else:
-        table.print_table(summary, Console())
+    with interrupted_once():
+        results, damaged = load_trials([folder])
+        summary = summarise(results, damaged)
+        if json:
+            print(dumps(export.as_json(summary), indent=2, allow_nan=False), flush=True)
+        else:
+            table.print_table(summary, Console())

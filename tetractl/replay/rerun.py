@@ -8,16 +8,23 @@ from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
+    from tetractl.experiment.plants import PlantKind
 
 
-def recorded(log: Path) -> "tuple[LoadedSpec, int]":
-    """Return the spec that a log was run with, and the index of its trial in the batch."""
+def recorded(log: Path, plant: "PlantKind") -> "tuple[LoadedSpec, int]":
+    """Return the spec that a log was run with, on a plant, and its trial's index in the batch.
+
+    A log of the lab has its calibration in the spec already; no file is read for it.
+    """
     from tetractl.experiment.load import LoadedSpec
+    from tetractl.experiment.plants import on_plant
     from tetractl.log.read.reader import read_trial
 
     trial = read_trial(log)
     start = trial.start
     spec = LoadedSpec(trial.experiment, start.spec_text, start.spec_name, attached=start.attached)
+    if plant == "sim" or trial.experiment.plant.simulated:
+        spec = on_plant(spec, plant)
     return spec, start.trial
 
 
@@ -26,9 +33,12 @@ def compare(log: Path, again: Path) -> int:
     from tetractl.log.read.reader import content_digest, read_result, read_trial
     from tetractl.replay.verify import host_differences
 
-    first = read_result(log)
-    if not first.simulated:
-        print("the log is of the lab: the trial was done once more, not repeated", file=sys.stderr)
+    first, second = read_result(log), read_result(again)
+    if not (first.simulated and second.simulated):
+        was, is_now = ("simulated" if r.simulated else "of the lab" for r in (first, second))
+        print(
+            f"the log is {was}, the new one {is_now}: done once more, not repeated", file=sys.stderr
+        )
         return Exit.DONE
     one, two = (content_digest(path) for path in (log, again))
     if one == two:

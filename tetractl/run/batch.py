@@ -4,6 +4,7 @@ import gc
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -29,6 +30,7 @@ from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
 
 SIGNAL_AGAIN_S = 1.0
+ORPHAN_S = 5.0  # a worker without a parent closes its log within that
 
 
 class BatchObserver(Protocol):
@@ -153,7 +155,8 @@ def _run_processes(
     report: Report,
 ) -> None:
     context = multiprocessing.get_context("spawn")  # a fork would copy threads half-way
-    ending = context.Event()
+    with _signals_held_back():  # the process that looks after semaphores starts here
+        ending = context.Event()
     waiting = list(reversed(trials))
     running: dict[Future[Result], int] = {}
     count = min(jobs, len(trials))
@@ -210,20 +213,34 @@ class _SharedInterrupt(Interrupt):
     def request(self) -> None:
         """Count two requests: a worker gets SIGTERM only as the second."""
         self.count = 2
-        if self._breakable:
-            raise KeyboardInterrupt
+        self._break()
 
 
 _worker_interrupt: Interrupt
 
 
 def _start_worker(ending: Event) -> None:
-    """Ignore Ctrl-C, which the terminal sends to every process: the parent acts on it."""
+    """Prepare a worker: the parent alone acts on signals, and the worker ends when the parent does.
+
+    A terminal sends its signals to every process; SIGTERM here is the parent's.
+    """
     global _worker_interrupt
     _worker_interrupt = interrupt = _SharedInterrupt(ending)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers what came before
+    threading.Thread(target=_outlive_nobody, name="parent", daemon=True).start()
+
+
+def _outlive_nobody() -> None:
+    """Wait for the end of the parent process, then end the trial, and this process soon after."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(ORPHAN_S)
+    os._exit(1)
 
 
 def _work(spec: LoadedSpec, folder: Path, trial: int) -> Result:

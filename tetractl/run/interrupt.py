@@ -1,11 +1,26 @@
-"""Ctrl-C and SIGTERM: the first stops the robots after the control step, the second at once."""
+"""Signals: the first stops the robots after the control step, the second at once.
 
+Every signal whose default ends the process counts: Ctrl-C, SIGTERM, SIGHUP of a closed terminal,
+SIGQUIT, SIGUSR1, SIGALRM and the others that can be caught. The exceptions are those by which the
+processor reports a fault of the program, and SIGPIPE and SIGXFSZ, which Python turns into errors.
+"""
+
+import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_FAULTS = {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGPIPE", "SIGXFSZ"}
+_HARMLESS = {"SIGCHLD", "SIGCLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGINFO"}
+_SUSPENDING = {"SIGTSTP", "SIGTTIN", "SIGTTOU"}
+_OTHERS = _FAULTS | _HARMLESS | _SUSPENDING | {"SIGKILL", "SIGSTOP"}
+SIGNALS = tuple(sorted(signal.valid_signals() - {getattr(signal, n, None) for n in _OTHERS}))
+"""The signals whose default ends a process."""
+
+Handler = Callable[[int, FrameType | None], Any] | int | None
 
 
 class Interrupt:
@@ -26,18 +41,25 @@ class Interrupt:
         self.count += 1
         if self.count == 1:
             self.notice()
-        if self.count > 1 and self._breakable:
-            raise KeyboardInterrupt
+        else:
+            self._break()
 
     @contextmanager
-    def watch(self) -> Iterator[None]:
-        """Count SIGINT and SIGTERM as requests inside the block; main thread only."""
-        before = [signal.signal(number, self._on_signal) for number in SIGNALS]
+    def watch(self, robots: bool = False) -> Iterator[None]:
+        """Count signals as requests inside the block; main thread only.
+
+        Where `robots` move, Ctrl-Z is a request too, and a terminal used from the background does
+        not suspend the process: suspended, it could not stop them.
+        """
+        more = {signal.SIGTSTP: self._on_signal} if robots else {}
+        deaf = {signal.SIGTTIN: signal.SIG_IGN, signal.SIGTTOU: signal.SIG_IGN} if robots else {}
+        before = _install({**dict.fromkeys(SIGNALS, self._on_signal), **more, **deaf})
+        unraisable, sys.unraisablehook = sys.unraisablehook, self._on_unraisable
         try:
             yield
         finally:
-            for number, handler in zip(SIGNALS, before, strict=True):
-                signal.signal(number, handler)
+            sys.unraisablehook = unraisable
+            _install(before)
 
     @contextmanager
     def breakable(self) -> Iterator[None]:
@@ -45,10 +67,69 @@ class Interrupt:
         self._breakable = True
         try:
             if self.count > 1:
-                raise KeyboardInterrupt
+                self._break()
             yield
         finally:
             self._breakable = False
 
+    def _break(self) -> None:
+        """Raise KeyboardInterrupt in breakable code; the code it unwinds to is not breakable."""
+        if self._breakable:
+            self._breakable = False
+            raise KeyboardInterrupt
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.request()
+
+    def _on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
+        """Print nothing on a KeyboardInterrupt lost in a finaliser: `count` remembers it."""
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(lost)
+
+
+class _OneInterrupt(Interrupt):
+    def request(self) -> None:
+        self.count += 1
+        if self.count == 1:
+            raise KeyboardInterrupt
+
+    def _on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
+        super()._on_unraisable(lost)
+        self.count = 0  # the next signal raises again
+
+
+@contextmanager
+def interrupted_once(robots: bool = False) -> Iterator[None]:
+    """Raise KeyboardInterrupt in the block at the first signal; those after it do nothing.
+
+    So nothing interrupts the `finally` clauses that stop robots or restore a terminal. `robots` is
+    as in `Interrupt.watch`; main thread only.
+    """
+    with _OneInterrupt().watch(robots):
+        yield
+
+
+def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> None:
+    """End the process at the next signal, at once: call `say`, exit with `code`.
+
+    For when there is nothing to stop or to close. A KeyboardInterrupt in its place could be raised
+    in the middle of an import, which prints a traceback of it and goes on.
+    """
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        _install(dict.fromkeys(SIGNALS, signal.SIG_IGN))
+        say()
+        os._exit(code)
+
+    _install(dict.fromkeys(SIGNALS, leave))
+
+
+def _install(handlers: dict[int, Handler]) -> dict[int, Handler]:
+    """Set handlers of signals and return those before; `nohup` still means no SIGHUP."""
+    before: dict[int, Handler] = {}
+    for number, handler in handlers.items():
+        now = signal.getsignal(number)
+        kept = now is None or (number == signal.SIGHUP and now == signal.SIG_IGN)
+        if handler is not None and not kept:
+            before[number] = signal.signal(number, handler)
+    return before

@@ -64,7 +64,9 @@ class Runner(Model):
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings that both sides get."""
-    on_mark: dict[str, Literal["KILL", "STOP", "CONT", "INT", "TERM"]] = Field(default={})
+    on_mark: dict[str, Literal["KILL", "STOP", "CONT", "INT", "TERM", "HUP", "QUIT"]] = Field(
+        default={}
+    )
     """Signals to send it when a `mark` of that name comes."""
     second: bool = False
     """A second runner is started on the same port at the mark `second`."""

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Self
 
+from tetractl.run.interrupt import SIGNALS
+
 _SEQUENCES = {
     b"\x1b[C": "right",
     b"\x1b[D": "left",
@@ -68,7 +70,7 @@ def _sequence_length(data: bytes) -> int | None:
 class Keyboard:
     """Reads each key when it is pressed, without echo; a context manager.
 
-    Ctrl-C, SIGTERM and SIGHUP raise nothing, so that nothing is left half done: `interrupted` is
+    Ctrl-C and all other SIGNALS raise nothing, so that nothing is left half done: `interrupted` is
     True from then on, and `read` returns ["q"]. On Ctrl-Z `leave` is called and the terminal
     restored before the process stops; in the foreground again, `back` is called.
     """
@@ -82,16 +84,9 @@ class Keyboard:
 
     def __enter__(self) -> Self:
         self._before = termios.tcgetattr(self._fd)
-        self._handlers = {
-            number: signal.signal(number, handler)
-            for number, handler in (
-                (signal.SIGTSTP, self._note_stop),
-                (signal.SIGINT, self._interrupt),
-                (signal.SIGTERM, self._interrupt),
-                (signal.SIGHUP, self._interrupt),
-            )
-        }
-        tty.setcbreak(self._fd, termios.TCSADRAIN)
+        handlers = {signal.SIGTSTP: self._note_stop} | dict.fromkeys(SIGNALS, self._interrupt)
+        self._handlers = {n: signal.signal(n, handler) for n, handler in handlers.items()}
+        tty.setcbreak(self._fd, termios.TCSANOW)
         return self
 
     def __exit__(
@@ -100,7 +95,7 @@ class Keyboard:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
+        termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
@@ -130,11 +125,11 @@ class Keyboard:
     def _suspend(self) -> None:
         self._stop_wanted = False
         self._leave()
-        termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
+        termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
         signal.signal(signal.SIGTSTP, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGTSTP)  # stops here until SIGCONT
         signal.signal(signal.SIGTSTP, self._note_stop)
-        tty.setcbreak(self._fd, termios.TCSADRAIN)
+        tty.setcbreak(self._fd, termios.TCSANOW)
         self._back()
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:

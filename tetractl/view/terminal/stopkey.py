@@ -2,7 +2,6 @@
 
 import os
 import select
-import signal
 import sys
 import termios
 import threading
@@ -19,8 +18,8 @@ POLL_S = 0.2
 class StopKey:
     """Calls `stop` on space, Esc, or when the terminal goes away; a context manager.
 
-    Enter calls `enter`. Other keys do nothing, and Ctrl-Z does not suspend the program while robots
-    move. Works only where stdin is a terminal: then `listening` is True.
+    Enter calls `enter`; other keys do nothing. Works only where stdin is a terminal: then
+    `listening` is True.
     """
 
     def __init__(self, stop: Callable[[], None], enter: Callable[[], None]) -> None:
@@ -33,8 +32,7 @@ class StopKey:
         if self.listening:
             self._fd = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._fd)
-            self._handler = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
-            tty.setcbreak(self._fd, termios.TCSADRAIN)
+            tty.setcbreak(self._fd, termios.TCSANOW)  # waits for no terminal that stands still
             self._thread.start()
         return self
 
@@ -47,9 +45,8 @@ class StopKey:
         if self.listening:
             self._closing.set()
             self._thread.join(1.0)
-            signal.signal(signal.SIGTSTP, self._handler)
             try:
-                termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
+                termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
             except termios.error:
                 return  # the terminal has gone
 

@@ -174,8 +174,13 @@ class _Bench:
 
     def close(self) -> None:
         """Stop the robot and release the devices."""
-        self.rig.loop.stop()
-        self.rig.close()
+        try:
+            self.rig.loop.stop()
+        except KeyboardInterrupt:  # comes once: the robot is stopped all the same
+            self.rig.loop.stop()
+            raise
+        finally:
+            self.rig.close()
 
     def measure(self) -> Found:
         """Move the robot and return what its motion says of it."""

@@ -1,0 +1,110 @@
+"""`tetractl run` in a process of its own that can be sent signals, and what it leaves."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from tetractl.core.plan import Outcome
+from tetractl.log.read.reader import read_trial
+
+BIN = Path(sys.executable).parent
+TETRACTL = BIN / "tetractl"
+PATIENCE_S = 120  # before a test gives up; nothing waits for it to pass
+
+QUICK = """\
+name: quick
+arena: {left: 0, bottom: 0, width: 2000, height: 1000}
+robots: [{name: r, start: [100, 500], target: [300, 500], a: 6, speed: 200}]
+controller: {horizon_max: 6, steps_max: 6, optimizer: {type: pso, particles: 10, iterations: 10}}
+plant: {type: sim, camera_rate: 20, measurement_noise: {position: 1}, lost_commands: 0.1}
+trials: {count: 3, seed: 7}
+"""
+ENDLESS = (
+    QUICK.replace("width: 2000", "width: 1.0e+9")
+    .replace("[300, 500]", "[9.0e+8, 500]")
+    .replace("steps_max: 6", "steps_max: 1000000")
+)
+HEAVY = ENDLESS.replace("horizon_max: 6", "horizon_max: 2000").replace(
+    "particles: 10, iterations: 10", "particles: 100, iterations: 1000, stop: {type: budget}"
+)
+
+
+def environment():
+    return {k: v for k, v in os.environ.items() if not k.startswith(("COLUMNS", "_TETRACTL"))}
+
+
+class Running:
+    """A run in a session of its own, with what it prints in files."""
+
+    def __init__(self, folder, spec, *args):
+        self.logs = folder / "logs"
+        (folder / "spec.yaml").write_text(spec)
+        self.out, self.err = folder / "out", folder / "err"
+        with self.out.open("w") as out, self.err.open("w") as err:
+            self.process = subprocess.Popen(
+                [TETRACTL, "run", "spec.yaml", "--out", "logs", *args],
+                cwd=folder,
+                env=environment(),
+                stdout=out,
+                stderr=err,
+                start_new_session=True,
+            )
+
+    def until(self, condition):
+        """Watch until something can be seen."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert self.process.poll() is None, self.err.read_text()
+            assert time.monotonic() < deadline
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(0.02)
+
+    def until_logging(self, trials, size=0):
+        """Until so many trials have written more than `size` bytes of log."""
+        self.until(lambda: sum(p.stat().st_size > size for p in self._parts()) >= trials)
+
+    def _parts(self):
+        return list(self.logs.glob("*.part")) if self.logs.exists() else []
+
+    def workers(self):
+        """Process ids of the workers, those that still start too."""
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        found = []
+        for pid in children.read_text().split():
+            with suppress(OSError):
+                if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                    found.append(int(pid))
+        return found
+
+    def end(self):
+        code = self.process.wait(PATIENCE_S)
+        assert "Traceback" not in self.err.read_text(), self.err.read_text()
+        assert self._parts() == []
+        return code
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+
+def assert_interrupted(running, trials, reason=""):
+    logs = [read_trial(path) for path in sorted(running.logs.glob("*.mcap"))]
+    assert len(logs) == trials
+    for log in logs:
+        assert log.damage is None
+        assert log.result is not None
+        assert log.stop is not None
+        assert log.result.outcome is Outcome.INTERRUPTED
+        assert log.result.reason.startswith(reason)
+        assert len(log.steps) == log.result.steps
+    last = running.err.read_text().splitlines()[-1]
+    assert last == "interrupted; go on with the same command and --out logs --resume"
+    assert "interrupted" in running.out.read_text()

@@ -1,0 +1,160 @@
+"""Standard output and error, written by threads, so that no terminal or pipe delays a run.
+
+A terminal that is gone or stands still, a pipe that nobody reads and a full disk are met by what is
+printed alone: it is lost, and the command goes on.
+"""
+
+import io
+import os
+import queue
+import select
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+MESSAGES_S = 1.0  # a stderr that takes nothing for so long gets nothing more until it does
+TERMINAL_S = 10.0  # the same for results on a terminal; a pipe's reader may take any time,
+INTERRUPTED_S = 2.0  # but not once the command is to end
+PIECE = 4096  # bytes written at a time, so that slow progress is seen as progress
+
+
+class PatientWriter(io.RawIOBase):
+    """Bytes to a file descriptor, waited for while the descriptor takes them.
+
+    Where it takes none for `patience_s`, bytes are dropped, without waiting, until it takes some
+    again. What the descriptor refuses is lost too; where `tells`, the OSError is raised, once.
+    """
+
+    def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
+        super().__init__()
+        self.patience_s = patience_s
+        self._descriptor, self._tells = descriptor, tells
+        self._pieces: queue.SimpleQueue[tuple[bytes, int]] = queue.SimpleQueue()
+        self._changed = threading.Condition()
+        self._put = self._done = 0  # bytes
+        self._moved_s = 0.0  # when the descriptor last took something, or had nothing to take
+        self._failure: OSError | None = None
+        threading.Thread(target=self._work, name="output", daemon=True).start()
+
+    def fileno(self) -> int:
+        """Return the descriptor."""
+        return self._descriptor
+
+    def isatty(self) -> bool:
+        """Return whether it is a terminal."""
+        return os.isatty(self._descriptor)
+
+    def writable(self) -> bool:
+        """Return that it can be written to."""
+        return True
+
+    def write(self, data: "ReadableBuffer", /) -> int:
+        """Write bytes, or drop them; return how many were given."""
+        piece = bytes(data)
+        with self._changed:
+            if self._done >= self._put or not self._stuck():
+                self._queue(piece, len(piece))
+            self._tell()
+        return len(piece)
+
+    def urge(self, data: bytes) -> None:
+        """Queue bytes without waiting and without a lock, as the handler of a signal must."""
+        self._pieces.put((data, 0))
+
+    def finish(self) -> None:
+        """Wait until everything is written, or for `patience_s` in which nothing could be."""
+        with self._changed:
+            self._queue(b"", 1)
+            self._tell()
+
+    def _queue(self, piece: bytes, count: int) -> None:
+        """Queue a piece that counts as `count` bytes, and wait for it; the lock is held."""
+        if self._done >= self._put:
+            self._moved_s = time.monotonic()
+        self._put += count
+        put = self._put
+        self._pieces.put((piece, count))
+        while self._done < put and not self._stuck():
+            self._changed.wait(0.1)  # so often, because `patience_s` may be lowered meanwhile
+
+    def _tell(self) -> None:
+        if self._tells and self._failure is not None:
+            self._tells = False
+            raise self._failure
+
+    def _stuck(self) -> bool:
+        return time.monotonic() - self._moved_s >= self.patience_s
+
+    def _work(self) -> None:
+        while True:
+            piece, count = self._pieces.get()
+            try:
+                while piece:
+                    piece = piece[self._taken(piece[:PIECE]) :]
+                    self._moved_s = time.monotonic()
+            except OSError as error:
+                self._failure = error
+            with self._changed:
+                self._done += count
+                self._changed.notify_all()
+
+    def _taken(self, piece: bytes) -> int:
+        """Return how many bytes the descriptor took."""
+        try:
+            return os.write(self._descriptor, piece)
+        except BlockingIOError:  # somebody else set the terminal so
+            select.select([], [self._descriptor], [], MESSAGES_S)
+            return 0
+
+
+class Output(io.TextIOWrapper):
+    """A text stream on a `PatientWriter`; what its encoding lacks is written as an escape."""
+
+    def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
+        self.writer = PatientWriter(descriptor, patience_s, tells)
+        super().__init__(
+            io.BufferedWriter(self.writer),
+            encoding=sys.__stdout__.encoding if sys.__stdout__ else "utf-8",
+            errors="backslashreplace",
+            line_buffering=not tells or self.writer.isatty(),
+        )
+
+    def finish(self) -> None:
+        """Write what is buffered, as far as the descriptor takes it; OSError where one tells."""
+        self.flush()
+        self.writer.finish()
+
+
+def open_streams() -> Output:
+    """Put patient streams in the places of `sys.stdout` and `sys.stderr`; return the latter.
+
+    A standard descriptor that is closed is opened on the null device: no log may get its number.
+    """
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+    results_s = TERMINAL_S if os.isatty(1) else float("inf")
+    messages = Output(2, MESSAGES_S, False)
+    sys.stdout, sys.stderr = Output(1, results_s, True), messages
+    return messages
+
+
+def hurrier(text: bytes) -> Callable[[], None]:
+    """Return what the handler of a first signal calls: print text, and then wait less for readers.
+
+    Neither takes a lock or waits.
+    """
+    results, messages = sys.stdout, sys.stderr  # now: a live view puts others in their places
+
+    def hurry() -> None:
+        if isinstance(results, Output):
+            results.writer.patience_s = INTERRUPTED_S
+        if isinstance(messages, Output):
+            messages.writer.urge(text)
+
+    return hurry

@@ -1,6 +1,7 @@
 """`tetractl lab check`, `stop`, `calibrate`, and what `tetractl run --plant lab` adds, emulated."""
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -306,6 +307,40 @@ def test_space_is_the_operators_emergency_stop(lab, tmp_path):
     _, record = emulator.end()
     stops = [e for e in record if e["event"] == "command" and e["flags"] & 2]
     assert len(stops) >= 10
+    last = [e for e in record if e["event"] == "robot"][-3:]
+    assert not any(event["moving"] for event in last)
+
+
+LONG = ("controller.steps_max=40", "lab.limits.placing=30", "robots.0.target=[1500, 500]")
+SLAVES = (
+    "lab.actuator.protocol={type: slave, accept_no_watchdog: true}",
+    *(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3)),
+)
+
+
+@pytest.mark.parametrize("protocol", [(), SLAVES], ids=["watchdog", "no watchdog"])
+@pytest.mark.parametrize("hangs", [False, True], ids=["closed", "hangs"])
+def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, protocol, hangs):
+    """Regression: a closed terminal left robots without a watchdog driving, and the log torn."""
+    emulator, settings = lab("", *flags(protocol))
+    sets = flags((*settings, *protocol, *LONG))
+    command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--out", "logs", *sets]
+    with Terminal(command, tmp_path, columns=100) as terminal:
+        terminal.expect("press Enter to go")
+        terminal.press("\r")
+        emulator.wait_for("run")
+        if hangs:  # the live view fills it at once
+            terminal.fill()
+            terminal.process.send_signal(signal.SIGINT)
+        else:
+            terminal.close()
+        code = terminal.process.wait(PATIENCE_S)
+    assert code == (130 if hangs else 1)
+    trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
+    assert trial.damage is None
+    assert trial.result.outcome == ("interrupted" if hangs else "aborted")
+    assert len(trial.steps) < 40
+    _, record = emulator.end()
     last = [e for e in record if e["event"] == "robot"][-3:]
     assert not any(event["moving"] for event in last)
 

@@ -9,6 +9,7 @@ import signal
 import struct
 import subprocess
 import termios
+import time
 from pathlib import Path
 from typing import Self
 
@@ -54,6 +55,19 @@ class Terminal:
                 self._seen = found.end()
                 return found[0]
             assert self._read(), f"{pattern!r} never came:\n{text[self._seen :][-3000:]}"
+
+    def fill(self) -> None:
+        """Leave the terminal as it is, unread, until it takes nothing more."""
+        deadline = time.monotonic() + PATIENCE_S
+        while select.select([], [self._slave], [], 0)[1]:
+            assert time.monotonic() < deadline, "nothing fills the terminal"
+            self.process.poll()
+
+    def close(self) -> None:
+        """Close the terminal, as a window or a lost connection does."""
+        os.close(self._slave)
+        os.close(self._master)
+        self._slave = self._master = -1
 
     def finish(self) -> int:
         """Read until the command ends and return its exit code."""

@@ -1,17 +1,22 @@
-"""The command line: one module for each command, which parses, calls and prints.
-
-What is imported here is little, so that `main` soon decides what a signal does.
-"""
-
-import sys
-
-from tetractl.cli.streams import open_streams
-from tetractl.core.errors import Exit
-from tetractl.run.interrupt import leave_on_signals
+"""The command line: one module for each command, which parses, calls and prints."""
 
 
 def main() -> None:
-    """Run the command line and exit with one of the codes of `Exit`."""
+    """Run the command line and exit with one of the codes of `Exit`.
+
+    Nothing is imported before signals are seen to: Python's own answer to Ctrl-C in the middle of
+    an import is a traceback.
+    """
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the process without a word
+
+    import sys
+
+    from tetractl.cli.streams import open_streams
+    from tetractl.core.errors import Exit
+    from tetractl.run.interrupt import leave_on_signals
+
     messages = open_streams()
 
     def say() -> None:

@@ -206,6 +206,7 @@ def _run(
 
 def _conclude(report: "Report", folder: Path, json: bool) -> int:
     """Print the statistics of the whole folder, then how the run ended; return the exit code."""
+    from tetractl.cli.streams import hurrier
     from tetractl.run.batch import log_path
 
     if report.refused and not report.results:
@@ -215,9 +216,10 @@ def _conclude(report: "Report", folder: Path, json: bool) -> int:
         try:
             _print_statistics(folder, json)
         except KeyboardInterrupt:
+            hurrier(b"")()
             print("the statistics were left out", file=sys.stderr)
-        except BrokenPipeError:
-            pass  # nobody reads them
+        except (BrokenPipeError, SystemExit):  # the latter is rich's: nobody reads them
+            pass
         except OSError as error:
             unprinted = error
         except UsageError:

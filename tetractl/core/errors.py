@@ -14,7 +14,7 @@ class Exit(IntEnum):
     FAILED = 1  # a trial aborted, a check failed, a log is damaged
     USAGE = 2  # bad usage or a bad spec
     LOSSY = 3  # a log was recovered, but not all of it
-    INTERRUPTED = 130  # Ctrl-C or SIGTERM, after stopping the robots and closing the log
+    INTERRUPTED = 130  # Ctrl-C or another signal, after stopping the robots and closing the log
 
 
 class TetractlError(Exception):

@@ -13,7 +13,7 @@ class Outcome(StrEnum):
     ARRIVED = "arrived"  # every robot within the arrival tolerance
     SEQUENCE_COMPLETED = "sequence completed"  # every signal planned was exerted: a good end
     STEPS_MAX = "steps max"  # k_max control steps done
-    INTERRUPTED = "interrupted"  # Ctrl-C or SIGTERM
+    INTERRUPTED = "interrupted"  # Ctrl-C or another signal
     ABORTED = "aborted"  # a fault or an error; the reason says which
 
     @classmethod

@@ -3,7 +3,7 @@ import signal
 
 import pytest
 
-from tetractl.run.interrupt import Interrupt
+from tetractl.run.interrupt import SIGNALS, Interrupt, interrupted_once
 
 
 def test_only_a_second_request_breaks_and_only_what_is_breakable():
@@ -29,7 +29,65 @@ def test_a_second_request_breaks_what_is_under_way():
     assert interrupt.count == 3
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_breakable_code_is_broken_once():
+    """Regression: of eight signals at once the third broke the code that stops the robots."""
+    interrupt = Interrupt()
+    stopped = False
+    try:
+        with interrupt.breakable():
+            interrupt.request()
+            try:
+                interrupt.request()
+            finally:
+                interrupt.request()
+                stopped = True
+    except KeyboardInterrupt:
+        pass
+    assert stopped
+
+
+def test_signals_are_all_that_end_a_process_and_can_be_caught():
+    names = {"SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGALRM", "SIGABRT", "SIGXCPU"}
+    assert {getattr(signal, name) for name in names} <= set(SIGNALS)
+    left = {"SIGKILL", "SIGSTOP", "SIGTSTP", "SIGSEGV", "SIGCHLD", "SIGWINCH", "SIGPIPE"}
+    assert not {getattr(signal, name) for name in left} & set(SIGNALS)
+
+
+def test_the_first_signal_raises_and_the_cleaning_up_is_left_in_peace():
+    cleaned = False
+    with pytest.raises(KeyboardInterrupt), interrupted_once():
+        try:
+            signal.raise_signal(signal.SIGHUP)
+        finally:
+            signal.raise_signal(signal.SIGINT)
+            cleaned = True
+    assert cleaned
+
+
+def test_a_suspending_signal_is_a_request_only_where_robots_move():
+    before = signal.getsignal(signal.SIGTSTP)
+    interrupt = Interrupt()
+    with interrupt.watch(robots=True):
+        signal.raise_signal(signal.SIGTSTP)
+        signal.raise_signal(signal.SIGTTOU)
+    assert interrupt.count == 1
+    with interrupt.watch():
+        assert signal.getsignal(signal.SIGTSTP) is before
+
+
+@pytest.mark.parametrize("ignored", [True, False])
+def test_nohup_is_obeyed(ignored):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+    try:
+        interrupt = Interrupt()
+        with interrupt.watch():
+            signal.raise_signal(signal.SIGHUP)
+        assert interrupt.requested is not ignored
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
 def test_signals_are_requests_while_watched_and_handlers_are_put_back(number):
     before = signal.getsignal(number)
     interrupt = Interrupt()

@@ -1,0 +1,190 @@
+"""Signals, and terminals and pipes that vanish or stand still, to real processes."""
+
+import fcntl
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+from support.running import (
+    ENDLESS,
+    HEAVY,
+    PATIENCE_S,
+    QUICK,
+    TETRACTL,
+    Running,
+    assert_interrupted,
+    environment,
+)
+
+from tetractl.log.read.reader import read_result
+
+NAMES = ["SIGHUP", "SIGQUIT", "SIGUSR1", "SIGALRM", "SIGABRT", "SIGRTMIN"]
+LINUX = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_signal_finishes_the_step_and_the_log(tmp_path, name):
+    with Running(tmp_path, ENDLESS) as running:
+        running.until_logging(1, size=30_000)
+        running.process.send_signal(getattr(signal, name))
+        assert running.end() == 130
+        assert_interrupted(running, 1, "interrupted; the step was finished")
+
+
+@pytest.mark.parametrize("spec", [ENDLESS, HEAVY], ids=["endless", "heavy"])
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path, spec, jobs):
+    with Running(tmp_path, spec, "--jobs", jobs) as running:
+        running.until_logging(int(jobs))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT) * 2:
+            running.process.send_signal(number)
+            time.sleep(0.002)  # apart, so that two of a kind do not arrive as one
+        assert running.end() == 130
+        for path in running.logs.glob("*.mcap"):
+            assert not read_result(path).recovered
+        lines = running.err.read_text().splitlines()
+        assert lines[-2].startswith("logs in logs")
+        assert lines[-1] == "interrupted; go on with the same command and --out logs --resume"
+
+
+@pytest.mark.parametrize("module", ["typer", "pydantic", "numba", "tetractl.run.batch"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_signal_during_an_import_is_one_line(tmp_path, module, number):
+    (tmp_path / "spec.yaml").write_text(QUICK)
+    command = [sys.executable, "-X", "importtime", "-m", "tetractl", "run", "spec.yaml"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=environment(), stderr=subprocess.PIPE, text=True
+    ) as process:
+        said = []
+        for line in process.stderr:
+            if re.search(rf"\| +{re.escape(module)}\b", line) and not said:
+                process.send_signal(number)
+            said += [] if line.startswith("import time:") else [line]
+        assert process.wait(PATIENCE_S) == 130
+    assert said == ["error: interrupted\n"]
+
+
+@LINUX
+@pytest.mark.parametrize("spec", [ENDLESS, HEAVY], ids=["endless", "heavy"])
+def test_workers_end_with_their_parent(tmp_path, spec):
+    """Regression: kill -9 of the parent left its workers for ever."""
+    with Running(tmp_path, spec, "--jobs", "2") as running:
+        running.until_logging(2)
+        workers = running.workers()
+        assert len(workers) == 2
+        running.process.kill()
+        running.process.wait()
+        deadline = time.monotonic() + PATIENCE_S
+        while any(map(alive, workers)):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        logs = sorted(running.logs.glob("*.mcap"))
+        assert [read_result(log).outcome for log in logs] == ["interrupted"] * 2
+
+
+def alive(pid):
+    with suppress(OSError):
+        return b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
+
+
+@contextmanager
+def full_pipe():
+    """A pipe that takes nothing any more."""
+    reading, writing = os.pipe()
+    fill(writing)
+    try:
+        yield writing
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+@contextmanager
+def closed_pipe():
+    """A pipe whose reader has gone."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        yield writing
+    finally:
+        os.close(writing)
+
+
+@contextmanager
+def full_disk():
+    with Path("/dev/full").open("wb") as file:
+        yield file.fileno()
+
+
+@contextmanager
+def hung_terminal():
+    """A terminal that takes nothing any more."""
+    master, slave = pty.openpty()
+    fill(slave)
+    try:
+        yield slave
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+@contextmanager
+def gone_terminal():
+    master, slave = pty.openpty()
+    os.close(master)
+    try:
+        yield slave
+    finally:
+        os.close(slave)
+
+
+def fill(descriptor):
+    before = fcntl.fcntl(descriptor, fcntl.F_SETFL, os.O_NONBLOCK | os.O_RDWR)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(descriptor, b"x" * 100)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(descriptor, b"x")
+    fcntl.fcntl(descriptor, fcntl.F_SETFL, os.O_RDWR | before)
+    assert not select.select([], [descriptor], [], 0)[1]
+
+
+BROKEN = [full_pipe, closed_pipe, full_disk, hung_terminal, gone_terminal]
+
+
+@pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.__name__)
+@pytest.mark.parametrize("which", ["stderr", "stdout"])
+def test_a_broken_stream_neither_hangs_nor_kills_a_run(tmp_path, broken, which):
+    (tmp_path / "spec.yaml").write_text(QUICK)
+    with broken() as descriptor:
+        other = {"stdout", "stderr"} - {which}
+        process = subprocess.Popen(
+            [TETRACTL, "run", "spec.yaml", "--out", "logs"],
+            cwd=tmp_path,
+            env=environment(),
+            text=True,
+            stdin=subprocess.DEVNULL,
+            **{which: descriptor, other.pop(): subprocess.PIPE},
+        )
+        if which == "stdout" and broken is full_pipe:  # its reader may still come: it is waited for
+            while "trial 3 of 3" not in process.stderr.readline():
+                pass
+            process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=PATIENCE_S)
+    assert len(list((tmp_path / "logs").glob("*.mcap"))) == 3
+    told = broken in (full_disk, gone_terminal)
+    assert process.returncode == (1 if which == "stdout" and told else 0), err
+    if which == "stderr":
+        assert "3 of 3 trials complete" in out
+    else:
+        assert "look at one with: tetractl replay logs/trial-000.mcap" in err

@@ -20,10 +20,10 @@ PLAN = """
 import json, sys
 from pathlib import Path
 import numpy as np
-from numba import config
 from tetractl.control import levenberg
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.evaluate import compiled_costs
+from tetractl.control.kernels.cache import folder
 from tetractl.control.kernels.levenberg import lay_out_polish, polish
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
@@ -41,7 +41,7 @@ _, z, _ = polish(work, found, 1e-3, 0.5, 5, 2**62, np.empty((rows, rows)), histo
 search = spec.controller.optimizer.search(problem, 24, None, 1, Limits())
 x, y = predict(problem, search.signals)[..., :2].T
 print(json.dumps({
-    "cache": str(config.CACHE_DIR),
+    "cache": str(folder()),
     "hits": int((reference.obstacle > 0).sum()),
     "worst": float(np.abs(compiled / reference.total - 1).max()),
     "polish": float(np.abs(history[: z + 1] - slow.history).max()),

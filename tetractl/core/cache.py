@@ -1,21 +1,119 @@
-"""The folder for compiled code, and a name for the sources it was compiled from."""
+"""The folder for compiled code, which nobody but its user can write to, and names for its files.
 
+What is in the folder is executed: numba's files are pickles, and the firmware's cores are shared
+libraries. A folder that somebody else can write to, or whose parents somebody else can exchange,
+is therefore never read.
+"""
+
+import atexit
+import functools
 import hashlib
+import multiprocessing
 import os
+import shutil
+import stat
+import sys
 import tempfile
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
+FOLDER = "TETRACTL_CACHE_DIR"
+"""The variable of the environment that names the folder; worker processes inherit it."""
 
+_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+
+
+@functools.cache
 def cache_folder() -> Path:
-    """Return the user's cache folder for tetractl, or a temporary one where it cannot be made."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(base) / "tetractl"
+    """Return the user's cache folder for tetractl, mode 0700.
+
+    Where it cannot be made, or others can write to it, it is a new folder that is removed at the
+    end of the process. OSError where that cannot be made either.
+    """
+    wanted, why = _wanted(), "the user has no home"
+    if wanted is not None:
+        why = claim(wanted)
+        if why is None:
+            return wanted
+    own = Path(tempfile.mkdtemp(prefix="tetractl-"))  # 0700
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    os.environ[FOLDER] = str(own)
+    say_once(f"{why}; compiled code is kept in a folder of this run's own and compiled again next")
+    return own
+
+
+def _wanted() -> Path | None:
+    if named := os.environ.get(FOLDER):
+        return Path(named).absolute()
+    base = os.environ.get("XDG_CACHE_HOME")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        folder = Path(tempfile.gettempdir()) / f"tetractl-{os.getuid()}"
-    return folder
+        return (Path(base) if base else Path.home() / ".cache").absolute() / "tetractl"
+    except RuntimeError:  # neither $HOME nor an entry in the user database
+        return None
+
+
+def claim(folder: Path) -> str | None:
+    """Make a folder that only this user can write to; return why that is not so, None if it is."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if why := exposed(folder):
+            return why
+        if folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+            folder.chmod(0o700)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        return f"{folder} cannot be used: {error.strerror or error}"
+    return None
+
+
+def exposed(folder: Path) -> str | None:
+    """Return who else could put files into a folder, in a sentence, None for nobody.
+
+    The folder has to be the user's, and each parent the user's or root's; a parent that others can
+    write to must be sticky, as the temporary folder is. A group of which the user is the only
+    member counts as the user.
+    """
+    if not hasattr(os, "getuid"):  # a system without owners
+        return None
+    me, real = os.getuid(), folder.resolve(strict=True)
+    for place in (real, *real.parents):
+        found = place.stat()
+        if found.st_uid not in ((me,) if place == real else (me, 0)):
+            return f"{place} belongs to another user"
+        shared = found.st_mode & _OTHERS
+        if shared == stat.S_IWGRP and _alone_in(found.st_gid):
+            continue
+        if shared and (place == real or not found.st_mode & stat.S_ISVTX):
+            return f"others can write to {place}"
+    return None
+
+
+def _alone_in(group: int) -> bool:
+    """Return whether a group is the one that systems make for each user."""
+    import grp
+    import pwd
+
+    try:
+        name = pwd.getpwuid(os.getuid()).pw_name
+        found = grp.getgrgid(group)
+    except KeyError:
+        return False
+    return found.gr_name == name and set(found.gr_mem) <= {name}
+
+
+def compiler_settings() -> str:
+    """Return the variables that tell numba how to compile, `NAME=value` each, "" for none."""
+    found = (f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
+    return " ".join(sorted(item for item in found if not item.startswith("NUMBA_CACHE_DIR=")))
+
+
+@functools.cache
+def say_once(text: str) -> None:
+    """Print a note to stderr: once, and not in the worker processes of a batch."""
+    if multiprocessing.parent_process() is None:
+        with suppress(OSError, ValueError):  # stderr may be closed
+            print(f"note: {text}", file=sys.stderr)
 
 
 def digest(sources: Iterable[Path], options: str = "") -> str:

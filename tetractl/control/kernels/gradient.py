@@ -9,15 +9,14 @@ robot and signal, the partial derivatives of d and of the next heading g:
 the chain rule backwards in time, in `backward`.
 """
 
-from numba import njit
-
+from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.motion import derivatives
-from tetractl.control.kernels.options import PART
+from tetractl.control.kernels.options import PIECE
 
 EAST_H, NORTH_H, EAST_U, NORTH_U, KEEP = range(5)
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def trace(u, start, a, v, first_period, period, motion, path, gradients):
     """Predict under signals u (L,): path (N, L, 2) of positions, gradients (N, L, 5).
 
@@ -36,7 +35,7 @@ def trace(u, start, a, v, first_period, period, motion, path, gradients):
                 gradients[i, j, k] = step[3 + k]
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def backward(gradients, i, last, east, north, row):
     """Write to row (L,) how east * x + north * y of robot i after signal `last` depends on u."""
     by_heading = 0.0

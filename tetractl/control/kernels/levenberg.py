@@ -12,12 +12,12 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.gradient import backward, trace
 from tetractl.control.kernels.obstacles import count_deepest, outward
-from tetractl.control.kernels.options import KERNEL, PART
+from tetractl.control.kernels.options import KERNEL, PIECE
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
@@ -79,7 +79,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
     )
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def _merit(work):
     """f(u) + DEPTH_WEIGHT times the depth of the deepest position of each robot and obstacle."""
     count_deepest(work.obstacles, work.path, work.depths, work.where)
@@ -94,7 +94,7 @@ def _merit(work):
     return merit
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def _linearise(work, floor, slack):
     """Fill residuals and Jacobian of the path `_merit` has just seen; return the rows in use.
 
@@ -121,7 +121,7 @@ def _linearise(work, floor, slack):
     return r
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def _gram(work, r):
     """J J' of the first r rows."""
     rows, gram = work.rows, work.gram
@@ -133,7 +133,7 @@ def _gram(work, r):
             gram[p, q] = total
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def _solve(gram, residual, step, r, damping, factor):
     """Solve (gram + damping I) step = residual by Cholesky in `factor`; False if it fails."""
     for p in range(r):
@@ -160,7 +160,7 @@ def _solve(gram, residual, step, r, damping, factor):
     return True
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def _propose(work, u, r):
     """Write to work.trial the sequence u - J' step, no signal moved by more than LARGEST_STEP."""
     largest = 0.0
@@ -175,7 +175,7 @@ def _propose(work, u, r):
         work.trial[j] = u[j] - shrink * work.trial[j]
 
 
-@njit(**KERNEL)
+@compiled(**KERNEL)
 def polish(work, u, tolerance, slack, iterations, budget, factor, history):
     """Improve u (L,) in place; returns (merit, iterations used, evaluations).
 

@@ -13,8 +13,7 @@ PIECE: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "forceinl
 """Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
 been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
 the cache: two machine codes, and results that differ in the last bits from run to run."""
-PART = {**PIECE, "cache": True}
-KERNEL = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "cache": True}
+KERNEL: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy"}
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """Of functions of scalars: compiled as if they were written where they are called."""
 

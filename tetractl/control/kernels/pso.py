@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from tetractl.control.kernels.options import KERNEL, PART
+from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.options import KERNEL, PIECE
 from tetractl.control.kernels.rollout import add_up, begin, follow, views
 from tetractl.control.kernels.update import move
 from tetractl.core.poses import Floats
@@ -44,7 +44,7 @@ class SwarmRules(NamedTuple):
     target: float
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def update_bests(swarm, z):
     """Apply (18)-(19) after move z: mark who improved in `better`, copy the best to u_gb."""
     leader, least = -1, swarm.history[z - 1]
@@ -62,7 +62,7 @@ def update_bests(swarm, z):
             swarm.u_gb[j] = swarm.u[j, leader] if fresh else swarm.best[j, leader]
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def stop_reason(history, z, rules):
     """Return why to stop after iteration z, else PAUSED: the twin of `tetractl.control.stop`."""
     if rules.stop == TARGET_STOP and history[z] <= rules.target:
@@ -82,7 +82,7 @@ def stop_reason(history, z, rules):
     return PAUSED
 
 
-@njit(**KERNEL)
+@compiled(**KERNEL)
 def iterate(rollout, swarm, rules, z, pause):
     """Run iterations z + 1, ... until something stops the search or iteration `pause` is done.
 

@@ -8,12 +8,12 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 
+from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.motion import advance
 from tetractl.control.kernels.obstacles import Sole, count_hits, row
-from tetractl.control.kernels.options import KERNEL, PART, PIECE, entries, inlined
+from tetractl.control.kernels.options import KERNEL, PIECE, entries, inlined
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
@@ -67,7 +67,7 @@ def lay_out(problem: Problem, particles: int) -> Rollout:
     )
 
 
-@njit(**KERNEL)
+@compiled(**KERNEL)
 def costs(rollout, signals, total):
     """Write J of each column of signals (L, P) to total (P,); return whether all are finite."""
     lanes, scratch = views(rollout)
@@ -77,7 +77,7 @@ def costs(rollout, signals, total):
     return add_up(rollout, lanes, total)
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def views(rollout):
     """Return (x, y, cos, sin, hits) and (cos_u, sin_u, x0, y0, gap).
 
@@ -87,7 +87,7 @@ def views(rollout):
     return (a[0], a[1], a[2], a[3], a[4]), (b[0], b[1], b[2], b[3], b[4])
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def begin(rollout, lanes, scratch):
     """Put every particle's robots at their start."""
     x, y, cos, sin, hits = lanes
@@ -160,7 +160,7 @@ def _follow_past_sole(constants, obstacles):
     return follow
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def add_up(rollout, lanes, total):
     """Write (7) of each particle to total (P,); return whether all are finite."""
     x, y, hits, target, weight = lanes[0], lanes[1], lanes[4], rollout.target, rollout.weight

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
-from tetractl.control.kernels.options import PART
+from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.options import PIECE
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -15,7 +15,7 @@ UNIT_31 = 2.0**-31
 SPAN = 2 * math.pi  # |ub - lb|, (15)
 
 
-@njit(**PART)
+@compiled(**PIECE)
 def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
     """(14)-(17) of signal j of every particle, with draws first, first + 1, ...
 

@@ -3,8 +3,10 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from support.durable import small_disk
 from support.paths import ROOT
 
 SEARCH = """
@@ -41,3 +43,80 @@ def test_compiling_and_loading_give_the_same_bits(tmp_path):
     ]
     assert [hits for hits, _ in found] == ["0", "2"]  # a kernel for each motion
     assert found[0][1] == found[1][1]
+
+
+SMALL = """
+import sys
+from tetractl.control.kernels.cache import compiled, folder
+
+@compiled(nogil=True)
+def double(x):
+    return 2 * x
+
+print(double(21), sum(double.stats.cache_hits.values()), folder())
+"""
+
+
+def small(tmp_path: Path, **changes: str) -> tuple[list[str], str]:
+    """Compile and call a function in a process of its own; return what it printed, and stderr."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} | changes
+    done = subprocess.run(
+        [sys.executable, "-c", SMALL], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split(), done.stderr
+
+
+DAMAGES = {
+    "empty": lambda data: b"",
+    "garbage": lambda data: b"no pickle at all" * 10,
+    "cut short": lambda data: data[: len(data) // 2],
+    "a bit flipped": lambda data: data[:3000] + bytes([data[3000] ^ 1]) + data[3001:],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
+def test_a_damaged_cache_is_compiled_again(tmp_path: Path, damage) -> None:
+    """Regression: an empty file ended the run as interrupted, any other with a traceback."""
+    assert small(tmp_path)[0][:2] == ["42", "0"]
+    (file,) = (tmp_path / "cache").rglob("*.kernel")
+    file.write_bytes(damage(file.read_bytes()))
+    said, notes = small(tmp_path)
+    assert said[:2] == ["42", "0"]
+    assert notes.count("\n") == 1
+    assert "damaged, compiled again" in notes
+    assert small(tmp_path)[0][:2] == ["42", "1"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts file systems")
+def test_a_full_disk_only_costs_the_cache(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", "8k") as disk:
+        (tmp_path / "cache").symlink_to(disk)
+        said, notes = small(tmp_path)
+        assert said[:2] == ["42", "0"]
+        assert notes.count("\n") == 1
+        assert "compiled code is not kept" in notes
+        assert list(disk.rglob("tmp*")) == []
+
+
+@pytest.mark.slow
+def test_a_cache_that_others_can_write_to_is_never_read(tmp_path: Path) -> None:
+    """Regression: the index in it is a pickle, which runs what its writer likes."""
+    shared = tmp_path / "cache"
+    shared.mkdir()
+    shared.chmod(0o777)
+    said, notes = small(tmp_path, XDG_CACHE_HOME=str(tmp_path / "own"))
+    assert said[2].startswith(str(tmp_path / "own"))
+    assert list(shared.rglob("*.kernel")) == []
+    assert "NUMBA_CACHE_DIR is not used: others can write to" in notes
+
+
+@pytest.mark.slow
+def test_without_any_folder_kernels_are_compiled_each_time(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    nowhere = str(tmp_path / "file" / "below")
+    found = small(tmp_path, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere)
+    assert found[0][:2] == ["42", "0"]
+    assert "Not a directory" in found[1]

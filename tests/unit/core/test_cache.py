@@ -1,0 +1,96 @@
+"""The folder for compiled code: only this user's, or a new one."""
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from tetractl.core import cache
+from tetractl.core.cache import FOLDER, cache_folder, claim, exposed
+
+
+@pytest.fixture(autouse=True)
+def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each test finds its folder anew, and the variable as it was afterwards."""
+    monkeypatch.setenv(FOLDER, "")
+    cache_folder.cache_clear()
+    cache.say_once.cache_clear()
+    yield
+    cache_folder.cache_clear()
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_the_folder_is_the_users_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new"))
+    found = cache_folder()
+    assert found == tmp_path / "new" / "tetractl"
+    assert mode(found) == 0o700
+    assert capsys.readouterr().err == ""
+
+
+def test_a_folder_of_earlier_versions_is_closed(tmp_path):
+    folder = tmp_path / "tetractl"
+    folder.mkdir(mode=0o755)
+    assert claim(folder) is None
+    assert mode(folder) == 0o700
+
+
+@pytest.mark.parametrize("exposes", ["itself", "its parent"])
+def test_a_folder_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, capsys, exposes):
+    base = tmp_path / "shared"
+    (base / "tetractl").mkdir(parents=True)
+    (base if exposes == "its parent" else base / "tetractl").chmod(0o777)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(base))
+    found = cache_folder()
+    assert not found.is_relative_to(base)
+    assert mode(found) == 0o700
+    assert list(found.iterdir()) == []
+    assert os.environ[FOLDER] == str(found)  # for worker processes
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "others can write to" in said
+
+
+def test_a_sticky_parent_is_no_danger(tmp_path):
+    tmp_path.chmod(0o1777)
+    assert claim(tmp_path / "tetractl") is None
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_a_folder_of_another_user_is_not_used(tmp_path):
+    """Regression: the temporary folder's `tetractl-UID` was used whoever had made it."""
+    folder = tmp_path / "tetractl"
+    folder.mkdir(mode=0o700)
+    os.chown(folder, 12345, 12345)
+    assert claim(folder) == f"{folder} belongs to another user"
+    os.chown(folder, 0, 0)
+    os.chown(tmp_path, 12345, 12345)
+    assert exposed(folder) == f"{tmp_path} belongs to another user"
+
+
+def test_a_link_into_a_shared_folder_is_not_used(tmp_path):
+    shared = tmp_path / "shared"
+    (shared / "mine").mkdir(parents=True)
+    shared.chmod(0o777)
+    (tmp_path / "tetractl").symlink_to(shared / "mine")
+    assert claim(tmp_path / "tetractl") == f"others can write to {shared}"
+
+
+def test_without_a_home_there_is_a_folder(monkeypatch, capsys):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", homeless)
+    assert mode(cache_folder()) == 0o700
+    assert "the user has no home" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert "Not a directory" in str(claim(tmp_path / "file" / "tetractl"))

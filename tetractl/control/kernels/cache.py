@@ -1,0 +1,131 @@
+"""Keeps compiled kernels between runs, in place of numba's own cache.
+
+Numba's cache ends the process where one of its files is empty, damaged or cannot be written, and
+unpickles whatever it finds. Here each file holds the SHA-256 of its contents; what does not match
+is compiled again, and what cannot be written is left out, which is said once.
+"""
+
+import hashlib
+import os
+import pickle
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba import njit
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+from tetractl.core.cache import cache_folder, claim, compiler_settings, digest, say_once
+from tetractl.experiment.kinds import MOTIONS, SHAPES
+
+_SUM = hashlib.sha256().digest_size
+
+
+def sources() -> Iterator[Path]:
+    """Yield the files that kernels are compiled from.
+
+    Of a motion or shape that is installed with another package these are all modules beside its own
+    in the package, or its own alone where it is in none.
+    """
+    yield from Path(__file__).parent.glob("*.py")
+    for registry in (MOTIONS, SHAPES):
+        for file in registry.files():
+            yield from (
+                file.parent.glob("*.py") if (file.parent / "__init__.py").exists() else [file]
+            )
+
+
+@cache
+def folder() -> Path | None:
+    """Return the folder for this state of sources and settings, None where none can be made.
+
+    It is in the folder that $NUMBA_CACHE_DIR names, else in the user's cache folder.
+    """
+    name = f"kernels-{digest(set(sources()), compiler_settings())}"
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        chosen = Path(given).absolute() / name
+        why = claim(chosen)
+        if why is None:
+            return chosen
+        say_once(f"NUMBA_CACHE_DIR is not used: {why}")
+    try:
+        chosen = cache_folder() / name
+        why = claim(chosen)
+    except OSError as error:
+        why = error.strerror or str(error)
+    if why is not None:
+        say_once(f"compiled code is not kept: {why}")
+        return None
+    return chosen
+
+
+class KernelCache:
+    """The compiled code of one function: a file for each signature and processor."""
+
+    def __init__(self, function: Callable[..., Any], place: Path) -> None:
+        self._function, self._place = function, place
+
+    @property
+    def cache_path(self) -> str:
+        """The folder of the files."""
+        return str(self._place)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the code kept for a signature, None where there is none or it is damaged."""
+        target_context.refresh()
+        key = self._key(sig, target_context.codegen())
+        path = self._path(key)
+        try:
+            stored = path.read_bytes()
+            if hashlib.sha256(stored[_SUM:]).digest() != stored[:_SUM]:
+                raise ValueError("its checksum does not match")
+            kept, payload = pickle.loads(stored[_SUM:])
+            return CompileResult._rebuild(target_context, *payload) if kept == key else None
+        except FileNotFoundError:
+            return None
+        except Exception as error:  # whatever it is, compiling anew is the remedy
+            say_once(f"{path.parent}: damaged, compiled again: {error}")
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code of a signature."""
+        key = self._key(sig, data.codegen)
+        try:
+            stored = dumps((key, data._reduce()))
+            with tempfile.NamedTemporaryFile(dir=self._place, delete=False) as file:
+                try:
+                    file.write(hashlib.sha256(stored).digest() + stored)
+                    file.close()
+                    Path(file.name).replace(self._path(key))
+                except OSError:
+                    with suppress(OSError):
+                        Path(file.name).unlink()
+                    raise
+        except OSError as error:
+            say_once(f"compiled code is not kept: {self._place}: {error.strerror or error}")
+
+    def _key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return sig, codegen.magic_tuple(), numba.__version__
+
+    def _path(self, key: tuple[Any, ...]) -> Path:
+        name = f"{self._function.__module__}.{self._function.__qualname__}"
+        told = hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:16]
+        return self._place / f"{self._function.__name__}-{told}.kernel"
+
+
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator like `numba.njit`, whose compiled code is kept between runs."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher: Any = njit(**options)(function)
+        place = folder()
+        if place is not None:
+            dispatcher._cache = KernelCache(function, place)
+        return dispatcher
+
+    return decorate

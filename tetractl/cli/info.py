@@ -9,6 +9,8 @@ import typer
 
 from tetractl.core.errors import Exit, UsageError
 
+SHOWN = 1000  # characters of a line
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -37,7 +39,7 @@ def info(
         print(found.as_json())
     else:
         for line in _lines(found):
-            print(printable(line).rstrip())
+            print(printable(line, SHOWN).rstrip())
     return Exit.FAILED if found.damage else Exit.DONE
 
 

@@ -5,6 +5,8 @@ import numpy as np
 from tetractl.core.poses import Bools, Floats
 from tetractl.model.obstacles import Obstacles
 
+BLOCK = 10_000  # samples of a recorded path that are checked at a time
+
 
 class PathCheck:
     """The path of N robots, added sample by sample; between samples it is taken as straight.
@@ -40,6 +42,8 @@ def check_path(obstacles: Obstacles, path: Floats, known: Bools) -> tuple[Bools,
         samples = path[known[:, robot], robot]
         if len(samples):
             check = PathCheck(obstacles, 1)
-            check.add(samples[:, :1], samples[:, 1:2])
+            for begin in range(0, len(samples), BLOCK):
+                block = samples[begin : begin + BLOCK]
+                check.add(block[:, :1], block[:, 1:2])
             entered[robot], clearance[robot] = check.entered[0], check.clearance[0]
     return entered, clearance

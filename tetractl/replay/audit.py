@@ -15,10 +15,8 @@ from tetractl.lab.standstill import REST_NS
 from tetractl.log.format import channels
 from tetractl.log.format.metadata import run_metadata
 from tetractl.log.read.gaps import frame_gaps, step_gaps
-from tetractl.log.read.reader import trial_path
+from tetractl.log.read.reader import judged, trial_path
 from tetractl.log.read.trial_log import ALTERED, TrialLog
-from tetractl.model.obstacles import Obstacles
-from tetractl.model.path_check import check_path
 from tetractl.replay.recompute import Difference
 
 REST = 1e-6  # relative to a coordinate: tolerance for the position of a robot at rest
@@ -229,7 +227,7 @@ def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
     the true path goes round, so that only its samples count.
     """
     path, known = trial_path(log)
-    entered, clearance = check_path(Obstacles.of(log.start.setup.obstacles), path, known)
+    entered, clearance = judged(log, path, known)
     for i, (stated, least) in enumerate(zip(verdict.clearance, clearance, strict=True)):
         if log.start.plant.simulated and stated > least + REST * max(1.0, abs(least)):
             text = f"states {stated}, a frame shows {least}"

@@ -8,6 +8,7 @@ last bit that differs in one cost changes which particle leads, and soon everyth
 """
 
 import copy
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
@@ -22,6 +23,7 @@ from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.trial import Step
 from tetractl.experiment.controller import OptimizerSection
+from tetractl.log.read import bounds
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.run.seeds import trial_seeds
 
@@ -46,19 +48,39 @@ class _StopError(Exception):
     """The controller wants to search where the log has no search."""
 
 
+class _TooLongError(Exception):
+    """To go on would take longer than `bounds` allows."""
+
+
 class Rerun:
     """Does the logged searches of a trial again, in place of a controller's optimisers.
 
     A search that the deadline cut short is run with the looks at the clock that spend the logged
     evaluations: a deadline is only obeyed at a look, so their number is all there is to know. With
-    `again` False the logged searches are given back, and what differs in them is in `wrong`.
+    `again` False the logged searches are given back, and what differs in them is in `wrong`. From
+    `start` on, `limit_s` may pass as `wall` [s] tells it.
     """
 
-    def __init__(self, again: bool) -> None:
+    def __init__(self, again: bool, wall: Callable[[], float], limit_s: float) -> None:
         self.again = again
+        self._wall, self._limit_s = wall, limit_s
+        self._until: float | None = None
         self.wrong: list[tuple[str, str]] = []
         self._logged: Sequence[Search] = ()
         self._done = 0
+
+    @property
+    def started(self) -> bool:
+        """Whether the time counts."""
+        return self._until is not None
+
+    def start(self) -> None:
+        """Count the time from now on."""
+        self._until = self._wall() + self._limit_s
+
+    def expired(self) -> bool:
+        """Return whether the time is up."""
+        return self._until is not None and self._wall() > self._until
 
     def begin(self, searches: Sequence[Search]) -> None:
         """Go on with the searches that a step logged."""
@@ -96,9 +118,18 @@ class _Repeated:
             return logged
 
         def found_with(expired: Callable[[], bool]) -> Search:
-            limited = replace(limits, expired=expired)
-            return self._optimizer.search(problem, length, warm, key, limited)
+            late = self._rerun.expired
+            limited = replace(limits, expired=lambda: late() or expired())
+            found = self._optimizer.search(problem, length, warm, key, limited)
+            if late():
+                raise _TooLongError
+            return found
 
+        _require_affordable(self._optimizer, problem, length)
+        if not self._rerun.started:  # compiling does not count
+            least = Limits(self._optimizer.evaluations_min)
+            self._optimizer.search(problem, 1, np.zeros(1), key, least)
+            self._rerun.start()
         if logged.stopped != StopReason.DEADLINE:
             return found_with(never)
         few, many = 1, 2  # looks: the fewest that spend as many evaluations
@@ -151,17 +182,30 @@ class _Countdown:
         return self._left <= 0
 
 
-def recompute(log: TrialLog, again: bool) -> Difference | None:
+def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: int) -> None:
+    """Raise _TooLongError where a round of a search takes more than a log may ask for."""
+    robots, obstacles = problem.a.size, len(problem.obstacles.shapes)
+    if optimizer.evaluations_min * length * robots * (1 + obstacles) > bounds.swarm_limit():
+        raise _TooLongError
+
+
+def recompute(
+    log: TrialLog, again: bool, wall: Callable[[], float] = time.perf_counter
+) -> Difference | None:
     """Decide every step of a log once more; return the first difference, None for none.
 
     `again` True runs the searches again and compares bits, False takes them as logged. Steps behind
-    a gap are not looked at: what the controller knew by then is lost.
+    a gap are not looked at: what the controller knew by then is lost. Nor are steps for which there
+    is no time by `bounds`, as `wall` [s] tells it; that counts as a difference.
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
         return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.start.seed}")
-    rerun, setup = Rerun(again), log.start.setup
+    setup, limit_s = log.start.setup, bounds.seconds_limit()
+    rerun = Rerun(again, wall, limit_s)
+    if not again:
+        rerun.start()
     controller = log.experiment.controller.build(setup, key, rerun.wrap, rerun.timer)
     room = 0.0 if again else ROUNDING * _extent(setup.starts.xy, setup.targets)
     estimated = any(step.plan.estimate is not None for step in log.steps)
@@ -169,6 +213,13 @@ def recompute(log: TrialLog, again: bool) -> Difference | None:
         rerun.begin(step.plan.searches)
         try:
             decision = controller.plan(step.observation)
+            if rerun.expired():
+                raise _TooLongError
+        except (_TooLongError, MemoryError):
+            text = (
+                f"not decided again: from here on it takes more than {limit_s:g} s or much memory"
+            )
+            return Difference(step.k, "plan", f"{text}; {bounds.FACTOR}=2 allows twice as much")
         except _StopError:
             found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
             return Difference(step.k, *found)

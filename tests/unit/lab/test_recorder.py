@@ -14,7 +14,7 @@ from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, Stream
 from tetractl.lab.cameras.optitrack.wire import pack
 from tetractl.lab.recorder import Passage, WireRecorder
 from tetractl.log.format.wire import read_wire
-from tetractl.log.read import salvage
+from tetractl.log.read import bounds
 
 passages = st.lists(
     st.builds(
@@ -78,7 +78,7 @@ def recorded(path, data=b"x" * 1000):
 
 def test_a_bomb_is_not_unpacked(tmp_path):
     """Regression: 16 MB and more were unpacked, whatever a chunk said."""
-    path = recorded(tmp_path / "a.wire", bytes(salvage.CHUNK_LIMIT))
+    path = recorded(tmp_path / "a.wire", bytes(bounds.CHUNK))
     assert path.stat().st_size < 10_000
     tracemalloc.start()
     with pytest.raises(LogError, match="claims to unpack to"):

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from tetractl.core.errors import SpecError
+from tetractl.core.text import printable
 
 Loc = tuple[str | int, ...]
 """Where something is in a spec, as keys and list indices: ("robots", 0, "start")."""
@@ -50,13 +51,6 @@ class InvalidSpecError(SpecError):
         if len(self.problems) > SHOWN_PROBLEMS:
             lines.append(f"{self.problems[0].origin}: and more; mend these first")
         return lines
-
-
-def printable(text: str, length: int | None = None) -> str:
-    """Text safe to print on one line: control characters escaped, cut to `length`."""
-    if length is not None and len(text) > length:
-        text = text[: length - 3] + "..."
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def dotted(loc: Loc) -> str:

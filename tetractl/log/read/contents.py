@@ -8,12 +8,15 @@ from pathlib import Path
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from tetractl.core.errors import LogError
+from tetractl.core.text import printable
 from tetractl.core.trial import Result
 from tetractl.log import provenance
 from tetractl.log.format import channels
 from tetractl.log.format.channels import FORMAT_VERSION, Entry
 from tetractl.log.format.digest import CHECKSUM, DIGEST, ContentDigest
 from tetractl.log.format.metadata import WARNINGS, RunRecord, read_damage, read_result, read_run
+from tetractl.log.read.believe import believe_result
+from tetractl.log.read.bounds import Budget
 from tetractl.log.read.trial_log import Damage
 
 
@@ -28,6 +31,7 @@ class Contents:
     problems: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)  # by topic
+    budget: Budget = field(default_factory=Budget)
 
     @cached_property
     def entries(self) -> list[Entry]:
@@ -74,23 +78,36 @@ class Contents:
             if version <= FORMAT_VERSION:
                 return read_run(items)
         except (KeyError, RecursionError, TypeError, ValueError) as error:
-            raise LogError(f"{self.path}: the record of the run cannot be read: {error}") from None
+            raise LogError(
+                f"{self.path}: the record of the run cannot be read: {_reason(error)}"
+            ) from None
         raise LogError(
             f"{self.path}: of log format {version}; this tetractl reads up to {FORMAT_VERSION}",
             "update tetractl",
         )
 
-    @cached_property
+    @property
     def result(self) -> Result | None:
         """The result the log states, None where none can be read."""
+        return self._result[0]
+
+    @property
+    def result_problem(self) -> str:
+        """Why there is no result, "" where there is one."""
+        return self._result[1]
+
+    @cached_property
+    def _result(self) -> tuple[Result | None, str]:
         items = self.metadata.get(channels.RESULT)
         if items is None:
-            return None
+            why = "the log has no result: the run was cut short or the log's end is lost"
+            return None, why
         try:
-            timing = self.metadata.get(channels.TIMING)
-            return read_result(items, timing, len(self.run.robots))
-        except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError):
-            return None
+            result = read_result(items, self.metadata.get(channels.TIMING), len(self.run.robots))
+            believe_result(result)
+        except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError) as error:
+            return None, f"the result is not as tetractl writes it: {_reason(error)}"
+        return result, ""
 
     @property
     def warnings(self) -> int:
@@ -143,3 +160,9 @@ class Contents:
             else:
                 digest.attachment(record.name, record.media_type, record.data)
         return digest.hexdigest()
+
+
+def _reason(error: Exception) -> str:
+    """Return what is wrong with a record, in at most a line."""
+    text = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+    return printable(text or type(error).__name__, 200)

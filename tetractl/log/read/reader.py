@@ -1,12 +1,10 @@
 """Trials read from their logs: whole, or as much as a damaged file still holds."""
 
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
 from tetractl.core.commands import Verdict
@@ -16,14 +14,16 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.trial import Result, Start
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec, spec_hash
+from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
-from tetractl.log.format import channels, codec
-from tetractl.log.format import tetractl_pb2 as pb
-from tetractl.log.format.scene import decode_note
+from tetractl.log.format import channels
+from tetractl.log.read import bounds, decode
+from tetractl.log.read.believe import believe_run
+from tetractl.log.read.bounds import TooMuchError
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.origin import Origin
 from tetractl.log.read.salvage import peek, scan
-from tetractl.log.read.trial_log import Damage, Integers, ResultSummary, TrialLog
+from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import check_path
 
@@ -45,6 +45,8 @@ def trial_of(contents: Contents) -> TrialLog:
     experiment, start = _start(contents)
     try:
         return _trial(contents, experiment, start)
+    except TooMuchError as error:
+        raise LogError(f"{contents.path}: {error}") from None
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
         # intact, but not as we write it
         raise LogError(f"{contents.path}: holds what tetractl does not write: {error}") from None
@@ -52,43 +54,29 @@ def trial_of(contents: Contents) -> TrialLog:
 
 def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog:
     robots = len(start.setup.names)
-    data = {topic: [e.data for e in contents.by_topic[topic]] for topic in channels.CHANNELS}
-    frames = map(pb.MocapSample.FromString, data[channels.MOCAP])
-    samples = [codec.decode_observation(frame, robots) for frame in frames]
-    sent = map(pb.WheelCommand.FromString, data[channels.COMMANDS])
-    commands = tuple(map(codec.decode_command, sent))
+    frames = decode.frames(contents, robots)
+    commands = tuple(decode.commands(contents, robots))
     stops = [command for command in commands if command.direction is None]
-    truths = map(pb.Truth.FromString, data[channels.TRUTH])
-    true = {truth.frame: codec.decode_poses(truth, robots) for truth in truths}
-    missing = Poses.of(np.full((robots, 3), np.nan))
-    timings = {m.k: m for m in map(pb.StepTiming.FromString, data[channels.HOST_TIMING])}
-    estimates = {m.k: m for m in map(pb.Estimate.FromString, data[channels.ESTIMATE])}
-    steps = map(pb.ControllerStep.FromString, data[channels.STEP])
-    received_ns = _integers(seen.received_ns for seen in samples)
+    simulated = start.plant.simulated
     begin = start.start_unix_ns
     log = TrialLog(
         path=str(contents.path),
         experiment=experiment,
         start=start,
-        mocap_ns=_integers(seen.sampled_ns for seen in samples),
-        mocap=_stack([seen.poses for seen in samples], robots),
-        valid=np.array([seen.valid for seen in samples], dtype=np.bool_).reshape(-1, robots),
-        truth=_stack([true.get(seen.frame, missing) for seen in samples], robots)
-        if start.plant.simulated
-        else None,
-        steps=tuple(
-            codec.decode_step(step, timings.get(step.k), estimates.get(step.k), robots)
-            for step in steps
-        ),
+        mocap_ns=frames.sampled_ns,
+        mocap=frames.poses,
+        valid=frames.valid,
+        truth=decode.truth(contents, frames.numbers, robots) if simulated else None,
+        steps=tuple(decode.steps(contents, robots)),
         stop=stops[-1] if stops else None,
         result=contents.result,
         damage=None,
         host=contents.host,
         provenance=contents.versions,
-        frames=_integers(seen.frame for seen in samples),
-        received_ns=received_ns,
+        frames=frames.numbers,
+        received_ns=frames.received_ns,
         commands=commands,
-        notes=tuple(decode_note(Log.FromString(note), begin) for note in data[channels.LOG]),
+        notes=tuple(decode.notes(contents, begin)),
         digest=contents.stated_digest,
         content_digest=contents.digest,
         run=contents.run.items,
@@ -97,7 +85,7 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
             for topic, entries in contents.by_topic.items()
         },
     )
-    until_s = log.elapsed_s(int(received_ns.max(initial=0)))
+    until_s = log.elapsed_s(int(frames.received_ns.max(initial=0)))
     return replace(log, damage=_damage(contents, until_s))
 
 
@@ -107,7 +95,7 @@ def _damage(contents: Contents, until_s: float) -> Damage | None:
     problems = [*(before.problems if before else ()), *contents.problems]
     lost = [*(before.lost if before else ()), *contents.lost]
     if contents.result is None:
-        problems.append("the log has no result: the run was cut short or the log's end is lost")
+        problems.append(contents.result_problem)
         lost.append(f"the result and everything after {until_s:.3f} s")
     return Damage(tuple(problems), tuple(lost)) if problems else None
 
@@ -151,7 +139,7 @@ def recompute(trial: TrialLog) -> Result:
         raise LogError(f"{trial.path}: holds no result, and no poses to compute it from")
     last = len(path) - 1 - known[::-1].argmax(axis=0)
     final = Poses.of(path[last, np.arange(path.shape[1])])
-    entered, clearance = check_path(Obstacles.of(trial.start.setup.obstacles), path, known)
+    entered, clearance = judged(trial, path, known)
     return Result.of(
         trial.start.setup,
         Verdict(final, tuple(entered.tolist()), tuple(clearance.tolist())),
@@ -161,6 +149,14 @@ def recompute(trial: TrialLog) -> Result:
         solve_ns=tuple(step.solve_ns for step in trial.steps),
         deadline_misses=sum(step.deadline_missed for step in trial.steps),
     )
+
+
+def judged(trial: TrialLog, path: Floats, known: Bools) -> tuple[Bools, Floats]:
+    """Return `entered` and `clearance` of a path by `check_path`; LogError for too long a one."""
+    obstacles = trial.start.setup.obstacles
+    if path.shape[0] * path.shape[1] * len(obstacles) > bounds.path_limit():
+        raise LogError(f"{trial.path}: {TooMuchError('it holds very many poses and obstacles')}")
+    return check_path(Obstacles.of(obstacles), path, known)
 
 
 def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
@@ -187,9 +183,12 @@ def _start(contents: Contents) -> tuple[Experiment, Start]:
     run, resolved = contents.run, contents.text(channels.RESOLVED_SPEC)
     if resolved is None:
         raise LogError(f"{contents.path}: damaged: the resolved spec is lost")
+    if len(resolved) > MAX_BYTES:
+        raise LogError(f"{contents.path}: its resolved spec has {len(resolved)} characters")
     try:
         experiment, upgraded = _resolved(resolved)
         hashed = run.items["spec_hash"] if upgraded else spec_hash(experiment)
+        believe_run(run, len(experiment.robots))
     except (SpecError, KeyError, RecursionError, ValueError) as error:
         used = [
             f"{key.removeprefix(provenance.PLUGIN)} {version}"
@@ -226,12 +225,3 @@ def _resolved(text: str) -> tuple[Experiment, bool]:
     """
     spec = parse_spec(text, channels.RESOLVED_SPEC)
     return spec.experiment, bool(spec.notices)
-
-
-def _integers(values: Iterable[int]) -> Integers:
-    return np.fromiter(values, dtype=np.int64)
-
-
-def _stack(poses: list[Poses], robots: int) -> Floats:
-    """Stack poses to shape (M, N, 3)."""
-    return np.array([item.array() for item in poses], dtype=np.float64).reshape(-1, robots, 3)

@@ -4,21 +4,18 @@ MCAP has checksums for chunks and attachments, and tetractl's metadata has its o
 is verified by itself. The file is read from record to record; where a record is damaged, or the
 checksum over the data section does not match, the file is also searched for further records.
 
-A file may be hostile: the bytes that it can make tetractl unpack, copy and keep are bounded.
+A file may be hostile: what it can make tetractl unpack, copy and keep is charged to its budget.
 """
 
-import mmap
-import re
 import struct
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import IO, cast
 
 import zstandard
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -34,34 +31,23 @@ from mcap.records import (
 )
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import CHANNELS, METADATA, RUN, Entry
+from tetractl.log.format.channels import CHANNELS, METADATA, RUN, TIMING, Entry
 from tetractl.log.format.metadata import intact
+from tetractl.log.read import bounds
+from tetractl.log.read.bounds import TooMuchError
 from tetractl.log.read.contents import Contents
+from tetractl.log.read.file import read_file
 
 MAGIC = b"\x89MCAP0\r\n"
-CHUNK_LIMIT = 1 << 24
-"""Most bytes a chunk may unpack to; tetractl's have about a million."""
-TOTAL_LIMIT = 1 << 32
-"""Most bytes all chunks may unpack to: some ten hours of a trial."""
-MESSAGE_LIMIT = 10_000_000
-OVERLAP_LIMIT = 32
-"""How many times the file's size may be read, by records that overlap."""
-PROBLEM_LIMIT = 50
 
 _HEAD = 9  # opcode and length, before the body of every record
 _FOOTER_BODY = 20
-_TRACES = re.compile(
-    rb"(?P<chunk>\x04\0\0\0zstd)"
-    rb"|(?P<metadata>[\0-\xff]\0\0\0tetractl\.(?:run|host|timing|result|recovered))"
-    rb"|(?P<attachment>[\0-\xff]\0\0\0[ -~]{1,200}\x10\0\0\0application/(?:yaml|json))"
-)
-_TRACED = {  # opcode of the record that holds the trace, and bytes from its start to the trace
-    "chunk": (Opcode.CHUNK, _HEAD + 28),
-    "metadata": (Opcode.METADATA, _HEAD),
-    "attachment": (Opcode.ATTACHMENT, _HEAD + 16),
-}
+_DATA_END_BODY = 4
+_KIND = b"\x10\0\0\0application/"
+"""Length and start of the media type of tetractl's attachments."""
+_NAME_MAX = 200
 
-Verified = Chunk | Attachment | Metadata
+Verified = int | Attachment | Metadata  # of a chunk, its number of messages
 RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, data
 Inside = tuple[list[Schema], list[Channel], list[RawMessage]]
 
@@ -69,42 +55,49 @@ _MESSAGE = struct.Struct("<HIQQ")
 
 
 def scan(path: Path) -> Contents:
-    """Return every intact record of a file; LogError where it is no MCAP file."""
-    with _opened(path) as data:
-        return _Scan(path, data).contents()
+    """Return every intact record of a file.
+
+    Raises LogError where it is no MCAP file, or would become more than `bounds` allows.
+    """
+    with _named(path):
+        return _Scan(path).contents()
 
 
 def peek(path: Path) -> Contents | None:
-    """Return metadata and attachments alone, found by the file's index; None for a damaged file."""
-    with _opened(path) as data:
-        return _Scan(path, data).indexed()
+    """Return metadata and attachments alone, found by the file's index; None for a damaged file.
+
+    The checksums over the data section and the index are tested, and so every byte of the file.
+    """
+    with _named(path):
+        return _Scan(path).indexed()
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[mmap.mmap]:
+def _named(path: Path) -> Iterator[None]:
     try:
-        with path.open("rb") as file:
-            if path.stat().st_size == 0:
-                raise LogError(f"{path}: the file is empty")
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                yield data
-    except OSError as error:
-        why = "is a folder, not a log" if path.is_dir() else error.strerror or error
-        raise LogError(f"{path}: {why}") from None
+        yield
+    except TooMuchError as error:
+        raise LogError(f"{path}: {error}") from None
 
 
 class _Scan:
-    def __init__(self, path: Path, data: mmap.mmap) -> None:
-        self._data = data
-        self._result = Contents(path, size=len(data))
+    def __init__(self, path: Path) -> None:
+        self._data, size, problem = read_file(path)
+        self._file = BytesIO(self._data)
+        self._result = Contents(path, size=size)
+        self._spend = self._result.budget.spend
+        self._spend(len(self._data), "very many bytes")
         self._problems = self._result.problems
+        if problem:
+            self._problems.append(problem)
         self._found: dict[int, Verified] = {}  # by offset in the file
         self._messages: dict[int, list[RawMessage]] = {}  # of the chunk at an offset
         self._topics: dict[int, str] = {}
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
-        self._read = self._unpacked = self._count = 0  # bytes, bytes, messages
+        self._read = 0  # bytes
         self._indexed: list[tuple[int, int]] = []  # offset and opcode, by the index
+        self._summary = 0  # where the index begins
         self._expected: int | None = None  # messages, by the index
 
     def contents(self) -> Contents:
@@ -124,15 +117,26 @@ class _Scan:
     def indexed(self) -> Contents | None:
         """Read metadata and attachments by the file's index; None for a damaged file."""
         self._read_index()
+        if self._problems or not self._sealed():
+            return None
         try:
             for offset, opcode in self._indexed:
                 self._verify(offset, opcode)
+        except TooMuchError:
+            raise
         except Exception:  # as in _walk; the caller will scan
-            return None
-        if self._problems:
             return None
         self._collect()
         return self._result
+
+    def _sealed(self) -> bool:
+        """Return whether the record before the index states the checksum of all before it."""
+        offset = self._summary - _HEAD - _DATA_END_BODY
+        head = bytes([Opcode.DATA_END]) + _DATA_END_BODY.to_bytes(8, "little")
+        if offset < len(MAGIC) or self._data[offset : offset + _HEAD] != head:
+            return False
+        stated = DataEnd.read(self._stream(offset + _HEAD)).data_section_crc
+        return stated != 0 and stated == self._crc(0, offset)
 
     def _read_index(self) -> None:
         """Read the index at the end of the file: the number of messages, and where records are."""
@@ -147,11 +151,17 @@ class _Scan:
         if offset > body or self._crc(offset, body + _FOOTER_BODY - 4) != footer.summary_crc:
             self._problems.append("the index at the end of the file is damaged")
             return
+        self._summary = offset
         while 0 < offset < body - _HEAD:
             opcode, end = self._head(offset)
+            self._spend(bounds.RECORD_COST, "very many records in its index")
             if opcode == Opcode.CHANNEL:
                 channel = Channel.read(self._stream(offset + _HEAD))
                 self._topics[channel.id] = channel.topic
+                self._channels[channel.id] = channel  # the chunk that holds it may be lost
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(self._stream(offset + _HEAD))
+                self._schemas[schema.id] = schema
             elif opcode == Opcode.STATISTICS:
                 self._expected = Statistics.read(self._stream(offset + _HEAD)).message_count
             elif opcode == Opcode.METADATA_INDEX:
@@ -176,52 +186,87 @@ class _Scan:
                 return
             try:
                 self._verify(offset, opcode)
+            except TooMuchError:
+                raise
             except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other ancestor
                 why = str(error).splitlines()[0] if str(error) else type(error).__name__
-                if len(self._problems) < PROBLEM_LIMIT:
+                if len(self._problems) < bounds.PROBLEMS:
                     self._problems.append(f"the record at byte {offset} is damaged: {why}")
             offset = end
         self._problems.append(f"the file breaks off in the record at byte {offset}")
 
     def _search(self) -> None:
         """Find records by typical bytes in them, whatever the bytes around them are."""
-        for match in _TRACES.finditer(self._data):
-            opcode, before = _TRACED[match.lastgroup or ""]
-            offset = match.start() - before
+        for offset, opcode in self._traces():
             if offset >= 0 and offset not in self._found:
-                with suppress(Exception):  # damaged, or bytes that only look like a record
+                try:
                     self._verify(offset, opcode)
+                except TooMuchError:
+                    raise
+                except Exception:  # damaged, or bytes that only look like a record
+                    continue
+
+    def _traces(self) -> Iterator[tuple[int, int]]:
+        """Yield where a record may begin, and its opcode."""
+        for at in self._all(b"\x04\0\0\0zstd"):
+            yield at - 28 - _HEAD, Opcode.CHUNK
+        for at in self._all(b"\0\0\0tetractl."):
+            yield at - 1 - _HEAD, Opcode.METADATA
+        for at in self._all(_KIND):
+            for length in range(1, _NAME_MAX):
+                name = at - length - 4
+                if self._data[name : name + 4] == length.to_bytes(4, "little"):
+                    yield name - 16 - _HEAD, Opcode.ATTACHMENT
+
+    def _all(self, trace: bytes) -> Iterator[int]:
+        at = self._data.find(trace)
+        while at >= 0:
+            yield at
+            at = self._data.find(trace, at + 1)
 
     def _verify(self, offset: int, opcode: int) -> None:
         """Decode and keep the record at an offset; raise where its checksum does not match."""
-        if self._read > OVERLAP_LIMIT * len(self._data):
+        self._spend(bounds.RECORD_COST, "very many records")
+        if self._read > bounds.OVERLAP * len(self._data):
             raise ValueError("too many records claim the same bytes")
+        _, end = self._head(offset)
         stream = self._stream(offset + _HEAD)
         try:
-            self._keep(offset, opcode, stream)
+            self._keep(offset, opcode, stream, end)
         finally:
-            self._read += self._data.tell() - offset
+            self._read += self._file.tell() - offset
 
-    def _keep(self, offset: int, opcode: int, stream: ReadDataStream) -> None:
+    def _keep(self, offset: int, opcode: int, stream: ReadDataStream, end: int) -> None:
+        size = end - offset
         if opcode == Opcode.CHUNK:
-            chunk = Chunk.read(stream)
-            schemas, channels, messages = self._unpack(chunk)
+            schemas, channels, messages = self._unpack(Chunk.read(stream))
             self._schemas |= {item.id: item for item in schemas}
             self._channels |= {item.id: item for item in channels}
             self._topics |= {item.id: item.topic for item in channels}
             self._messages[offset] = messages
-            self._found[offset] = chunk
+            self._found[offset] = len(messages)
         elif opcode == Opcode.ATTACHMENT:
+            if size > bounds.ATTACHMENT:
+                raise ValueError(f"an attachment of {size} bytes is more than tetractl reads")
             attachment = Attachment.read(stream)
-            builder, end = RecordBuilder(), self._data.tell()
-            attachment.write(builder)
-            if builder.end()[-4:] != self._data[end - 4 : end]:
+            if self._data[end - 4 : end] != self._crc(offset + _HEAD, end - 4).to_bytes(
+                4, "little"
+            ):
                 raise ValueError("its checksum does not match")
+            self._spend(size, "very large attachments")
             self._found[offset] = attachment
         elif opcode == Opcode.METADATA:
+            if size > bounds.TIMING:
+                raise ValueError(f"metadata of {size} bytes are more than tetractl reads")
             metadata = Metadata.read(stream)
-            if metadata.name.startswith("tetractl.") and not intact(metadata.metadata):
+            if size > bounds.METADATA and metadata.name != TIMING:
+                raise ValueError(f"metadata of {size} bytes are more than tetractl reads")
+            items = metadata.metadata
+            if len(items) > bounds.KEYS or max(map(len, [metadata.name, *items])) > bounds.KEY:
+                raise ValueError("its metadata have more or longer keys than tetractl reads")
+            if metadata.name.startswith("tetractl.") and not intact(items):
                 raise ValueError("its checksum does not match")
+            self._spend(size, "very large metadata")
             self._found[offset] = metadata
 
     def _unpack(self, chunk: Chunk) -> Inside:
@@ -230,11 +275,8 @@ class _Scan:
             size = max(size, zstandard.frame_content_size(chunk.data))
         elif chunk.compression:
             raise ValueError(f"its compression {chunk.compression[:20]!r} is not known")
-        if size > CHUNK_LIMIT:
+        if size > bounds.CHUNK:
             raise ValueError(f"it claims to unpack to {size} bytes")
-        self._unpacked += size
-        if self._unpacked > TOTAL_LIMIT or self._count > MESSAGE_LIMIT:
-            raise ValueError("with it the log holds more than tetractl reads")
         if chunk.uncompressed_crc == 0:
             raise ValueError("it has no checksum")
         data = chunk.data
@@ -242,9 +284,11 @@ class _Scan:
             data = zstandard.decompress(data, max_output_size=max(size, 1))
         if len(data) != chunk.uncompressed_size or zlib.crc32(data) != chunk.uncompressed_crc:
             raise ValueError("its checksum does not match")
-        inside = _inside(data)
-        self._count += len(inside[2])
-        return inside
+        schemas, channels, messages = _inside(data)
+        self._spend(len(data), "chunks that unpack to very much")
+        self._spend(bounds.RECORD_COST * (len(schemas) + len(channels)), "very many channels")
+        self._spend(bounds.MESSAGE_COST * len(messages), "very many messages")
+        return schemas, channels, messages
 
     def _collect(self) -> None:
         """Sort the records found into file order, and count the messages that are missing."""
@@ -255,11 +299,11 @@ class _Scan:
         for offset, record in sorted(self._found.items()):
             if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
                 continue  # it may be damaged: another program's, without a checksum
-            if isinstance(record, Chunk):
+            if isinstance(record, int):
                 result.chunks += 1
                 result.records += [
                     Entry(self._topics[channel], log_ns, publish_ns, data)
-                    for channel, log_ns, publish_ns, data in self._messages[offset]
+                    for channel, log_ns, publish_ns, data in self._messages.pop(offset)
                     if channel in self._topics
                 ]
             else:
@@ -279,8 +323,8 @@ class _Scan:
         return self._data[offset], offset + _HEAD + length
 
     def _stream(self, offset: int) -> ReadDataStream:
-        self._data.seek(offset)
-        return ReadDataStream(cast(IO[bytes], self._data))
+        self._file.seek(offset)
+        return ReadDataStream(self._file)
 
     def _crc(self, start: int, end: int) -> int:
         with memoryview(self._data) as view:

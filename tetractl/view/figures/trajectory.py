@@ -21,6 +21,7 @@ from tetractl.view import style
 from tetractl.view.figures.axes import LABELLED
 from tetractl.view.figures.labels import Labels, edge
 
+FAR = 2.0  # arena sizes beyond the arena that a figure may show
 MARKS = 5  # about as many times are marked along a trail
 
 
@@ -138,14 +139,19 @@ def _end_marks(axes: Axes, ends: Floats, color: str, alone: bool) -> None:
 
 
 def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
-    """Show the whole arena and all paths; dash the arena's edge where a path leaves it."""
+    """Show the whole arena and all paths; dash the arena's edge where a path leaves it.
+
+    What lies further from the arena than FAR times its size is cut off: a single wild pose would
+    leave nothing of the rest to see.
+    """
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])
     points = points[np.isfinite(points).all(axis=1)]
     margin = 0.02 * max(arena.width, arena.height)
     least, most = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
-    low = np.where(least < corners[0], least - margin, corners[0])
-    high = np.where(most > corners[1], most + margin, corners[1])
+    far = FAR * max(arena.width, arena.height)
+    low = np.where(least < corners[0], np.maximum(least - margin, corners[0] - far), corners[0])
+    high = np.where(most > corners[1], np.minimum(most + margin, corners[1] + far), corners[1])
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     beyond = bool((low < corners[0]).any() or (high > corners[1]).any())

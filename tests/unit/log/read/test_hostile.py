@@ -17,15 +17,33 @@ from support.mutate import rewrite
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError, TetractlError
-from tetractl.log.format.channels import MOCAP, RECOVERED, RESULT, RUN, STEP, TIMING, TRUTH
-from tetractl.log.format.tetractl_pb2 import ControllerStep, MocapSample, Truth
-from tetractl.log.read import salvage
+from tetractl.log.format.channels import (
+    COMMANDS,
+    HOST_TIMING,
+    MOCAP,
+    RECOVERED,
+    RESULT,
+    RUN,
+    STEP,
+    TIMING,
+    TRUTH,
+)
+from tetractl.log.format.tetractl_pb2 import (
+    ControllerStep,
+    MocapSample,
+    Search,
+    StepTiming,
+    Truth,
+    WheelCommand,
+)
+from tetractl.log.read import bounds
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import MAGIC, scan
 from tetractl.replay.verify import verify
+from tetractl.stats.trials import counts, load_trials
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +108,7 @@ def with_chunks(log: Path, path: Path, chunks: list[bytes]) -> Path:
 
 @pytest.mark.parametrize("said", [None, 100])
 def test_a_bomb_is_not_unpacked(log: Path, tmp_path: Path, said: int | None) -> None:
-    bomb = chunk(b"\0" * (salvage.CHUNK_LIMIT + 1), said)
+    bomb = chunk(b"\0" * (bounds.CHUNK + 1), said)
     assert len(bomb) < 10_000
     found = scan(with_chunks(log, tmp_path / "bomb.mcap", [bomb]))
     assert any("claims to unpack to 16777217 bytes" in problem for problem in found.problems)
@@ -106,17 +124,12 @@ def test_a_frame_that_hides_its_size_stops_at_what_the_chunk_says(
     assert found.problems
 
 
-def test_many_chunks_together_are_bounded(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(salvage, "TOTAL_LIMIT", 10_000)
-    padding = bytes([0x80]) + struct.pack("<Q", 4000) + b"\0" * 4000
-    found = scan(with_chunks(log, tmp_path / "many.mcap", [chunk(padding)] * 20))
-    assert any("more than tetractl reads" in problem for problem in found.problems)
-    assert len(found.problems) <= salvage.PROBLEM_LIMIT + 5
-    monkeypatch.setattr(salvage, "TOTAL_LIMIT", 1 << 32)
-    monkeypatch.setattr(salvage, "MESSAGE_LIMIT", 10)
-    assert any("more than tetractl" in problem for problem in scan(log).problems)
+def test_many_chunks_together_are_bounded(log: Path, tmp_path: Path) -> None:
+    padding = bytes([0x80]) + struct.pack("<Q", 15_000_000) + b"\0" * 15_000_000
+    path = with_chunks(log, tmp_path / "many.mcap", [chunk(padding)] * 60)
+    assert path.stat().st_size < 200_000
+    with pytest.raises(LogError, match="unpack to very much, more than tetractl reads"):
+        scan(path)
 
 
 def test_records_that_claim_the_same_bytes_are_not_all_read(log: Path, tmp_path: Path) -> None:
@@ -202,6 +215,117 @@ def test_messages_that_do_not_fit_the_run_are_one_line(
     path = rewrite(contents, tmp_path / "trial.mcap", {entry: new})
     with pytest.raises(LogError, match="holds what tetractl does not write"):
         read_trial(path)
+
+
+HUGE = "9" * 400  # 10^400 - 1
+
+
+@pytest.mark.parametrize(
+    ("record", "changes"),
+    [
+        (TIMING, {"solve_ns": f"[{HUGE}]"}),
+        (TIMING, {"solve_ns": "[-1]"}),
+        (TIMING, {"deadline_misses": HUGE}),
+        (RESULT, {"total_error": "inf"}),
+        (RESULT, {"total_error": "nan"}),
+        (RESULT, {"duration_s": "inf"}),
+        (RESULT, {"duration_s": "-1.0"}),
+        (RESULT, {"steps": "-1"}),
+        (RESULT, {"final_x": '["nan"]'}),
+        (RESULT, {"final_x": "[1e300]"}),
+        (RESULT, {"clearance": '["nan"]'}),
+        (RESULT, {"entered": "[]"}),
+    ],
+)
+def test_a_bad_result_costs_its_own_trial_only(
+    tmp_path: Path, contents: Contents, record: str, changes: dict[str, str]
+) -> None:
+    """Regression: one such log ended `stats` of a whole batch with a traceback."""
+    edited(contents, tmp_path / "bad.mcap", record, changes)
+    write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
+    trials, damaged = load_trials([tmp_path])
+    bad, good = trials
+    assert (bad.recovered, good.recovered, damaged) == (True, False, [])
+    assert not counts(bad)
+    log = read_trial(tmp_path / "bad.mcap")
+    assert log.damage
+    assert any("not as tetractl writes it" in problem for problem in log.damage.problems)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"robots": '["a", "b"]'},
+        {"camera_rate_hz": "nan"},
+        {"camera_rate_hz": "-1.0"},
+        {"start_unix_ns": str(2**63)},
+        {"start_unix_ns": "-1"},
+        {"seed": HUGE},
+    ],
+)
+def test_a_bad_run_costs_its_own_trial_only(
+    tmp_path: Path, contents: Contents, changes: dict[str, str]
+) -> None:
+    edited(contents, tmp_path / "bad.mcap", RUN, changes)
+    write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
+    trials, damaged = load_trials([tmp_path])
+    assert len(trials) == 1
+    assert [Path(log.path).name for log in damaged] == ["bad.mcap"]
+
+
+NAN, INF = float("nan"), float("inf")
+
+
+def spoilt_step(**changes: object) -> ControllerStep:
+    """A step of one robot that could be ours, but for the changes."""
+    seen = MocapSample(x=[1.0], y=[1.0], heading=[1.0], valid=[True])
+    one = Search(length=1, signals=[0.5], cost=1.0, history=[1.0], evaluations=1)
+    command = WheelCommand(direction=0.5, delivered=[True])
+    path = {"path_x": [1.0] * 2, "path_y": [1.0] * 2, "path_heading": [1.0] * 2}
+    whole = {"observation": seen, "searches": [one], "command": command, "signals": [0.5], **path}
+    return ControllerStep(**{**whole, **changes})
+
+
+@pytest.mark.parametrize(
+    ("topic", "message"),
+    [
+        (MOCAP, MocapSample(x=[NAN], y=[1.0], heading=[1.0], valid=[True])),
+        (MOCAP, MocapSample(x=[INF], y=[1.0], heading=[1.0], valid=[False])),
+        (MOCAP, MocapSample(x=[1.0], y=[1.0], heading=[1e300], valid=[True])),
+        (MOCAP, MocapSample(x=[1.0], y=[1.0], heading=[1], valid=[True], sampled_ns=2**62)),
+        (TRUTH, Truth(x=[INF], y=[1.0], heading=[1.0])),
+        (COMMANDS, WheelCommand(direction=NAN, delivered=[True])),
+        (COMMANDS, WheelCommand(direction=1.0, delivered=[True], sent_ns=-(2**63))),
+        (COMMANDS, WheelCommand(direction=1.0)),
+        (COMMANDS, WheelCommand(direction=1.0, delivered=[True], left=[1.0, 2.0])),
+        (HOST_TIMING, StepTiming(k=0, solve_ns=-1)),
+        (STEP, spoilt_step(k=-1)),
+        (STEP, spoilt_step(cost=INF)),
+        (STEP, spoilt_step(signals=[NAN])),
+        (STEP, spoilt_step(path_x=[1.0, NAN])),
+        (STEP, spoilt_step(path_x=[1.0] * 3, path_y=[1.0] * 3, path_heading=[1.0] * 3)),
+        (STEP, spoilt_step(searches=[Search(length=1, signals=[0.5], cost=1.0)])),
+        (STEP, spoilt_step(searches=[Search(length=2, signals=[0.5], history=[1.0])])),
+        (STEP, spoilt_step(searches=[Search(length=1, signals=[0.5], history=[-INF])])),
+    ],
+)
+def test_no_number_is_believed_that_cannot_be(
+    tmp_path: Path, contents: Contents, topic: str, message
+) -> None:
+    """Regression: replay, plot and verify ended with tracebacks."""
+    entry = next(entry for entry in contents.entries if entry.topic == topic)
+    new = entry._replace(data=message.SerializeToString())
+    path = rewrite(contents, tmp_path / "trial.mcap", {entry: new})
+    with pytest.raises(LogError, match="holds what tetractl does not write"):
+        read_trial(path)
+
+
+def test_the_step_that_is_spoilt_there_is_good_otherwise(
+    tmp_path: Path, contents: Contents
+) -> None:
+    entry = next(entry for entry in contents.entries if entry.topic == STEP)
+    new = entry._replace(data=spoilt_step().SerializeToString())
+    assert read_trial(rewrite(contents, tmp_path / "trial.mcap", {entry: new})).steps
 
 
 @pytest.mark.parametrize("name", ["../../escape", "/tmp/escape", "a/b", "..", "nul\0", "x" * 5000])

@@ -18,7 +18,7 @@ from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.log.format.digest import CHECKSUM
 from tetractl.log.format.metadata import seal
-from tetractl.log.read import salvage
+from tetractl.log.read import bounds
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, scan
 from tetractl.log.read.trial_log import TrialLog
@@ -310,7 +310,7 @@ def test_a_chunk_that_would_fill_the_memory_is_left_out(
     chunks: list[tuple[int, int, int]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(salvage, "CHUNK_LIMIT", 1 << 20)
+    monkeypatch.setattr(bounds, "CHUNK", 1 << 20)
     bomb = zstandard.ZstdCompressor().compress(b"\0" * ((1 << 20) + 1))
     head = struct.pack("<QQQI", 0, 0, 10, 1) + b"\x04\0\0\0zstd" + struct.pack("<Q", len(bomb))
     record = b"\x06" + struct.pack("<Q", len(head) + len(bomb)) + head + bomb

@@ -1,0 +1,236 @@
+"""Small logs that would cost much: every command ends soon and small, or says why in a line."""
+
+import os
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel
+from support.mutate import rewrite
+from support.paths import ROOT
+from support.random_trials import trial, write
+
+from tetractl.log.format.channels import MOCAP, RESOLVED_SPEC, RUN, STEP, Entry
+from tetractl.log.format.tetractl_pb2 import ControllerStep, MocapSample, Search
+from tetractl.log.read.contents import Contents
+from tetractl.log.read.salvage import scan
+
+SECONDS, MEMORY_MB = 30, 1000
+COMMANDS = ("info", "replay", "plot", "stats", "verify", "recover")
+
+
+def chunk(data: bytes) -> bytes:
+    packed = zstandard.ZstdCompressor(level=19).compress(data)
+    head = struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data)) + b"\x04\0\0\0zstd"
+    body = head + struct.pack("<Q", len(packed)) + packed
+    return bytes([Opcode.CHUNK]) + struct.pack("<Q", len(body)) + body
+
+
+def message(channel: int, data: bytes) -> bytes:
+    body = struct.pack("<HIQQ", channel, 0, 0, 0) + data
+    return bytes([Opcode.MESSAGE]) + struct.pack("<Q", len(body)) + body
+
+
+def before_the_end(contents: Contents, path: Path, chunks: list[bytes]) -> Path:
+    """A copy with further chunks behind its first, and no index."""
+    data = contents.path.read_bytes()
+    second = data.index(b"\x04\0\0\0zstd", data.index(b"\x04\0\0\0zstd") + 10) - 37
+    path.write_bytes(data[:second] + b"".join(chunks) + data[second:])
+    return path
+
+
+def empty_searches(contents: Contents, path: Path) -> Path:
+    """Each Search is two bytes that become a kilobyte; all zeros for the compressor."""
+    step = ControllerStep(searches=[Search()] * 2_000_000).SerializeToString()
+    return before_the_end(contents, path, [chunk(message(4, step))] * 20)
+
+
+def steps_of_searches(contents: Contents, path: Path) -> Path:
+    """Steps that fit the run, each with very many small searches."""
+    entry = next(entry for entry in contents.entries if entry.topic == STEP)
+    step = ControllerStep.FromString(entry.data)
+    one = step.searches[0]
+    del one.history[1:]
+    del step.searches[:]
+    step.searches.extend([one] * 20_000)
+    step.chosen = 0
+    several = b"".join(message(4, step.SerializeToString()) for _ in range(5))
+    return before_the_end(contents, path, [chunk(several)] * 30)
+
+
+def empty_messages(contents: Contents, path: Path) -> Path:
+    return before_the_end(contents, path, [chunk(message(1, b"") * 500_000)] * 20)
+
+
+def zeros(contents: Contents, path: Path) -> Path:
+    padding = bytes([0x80]) + struct.pack("<Q", 16_000_000) + bytes(16_000_000)
+    return before_the_end(contents, path, [chunk(padding)] * 200)
+
+
+def huge_spec(contents: Contents, path: Path) -> Path:
+    def asks(text: str) -> str:
+        text = text.replace("particles: 100", "particles: 1000000")
+        text = text.replace("iterations: 100", "iterations: 1000000")
+        assert "particles: 1000000" in text
+        return text
+
+    return with_spec(contents, path, asks)
+
+
+def large_spec(contents: Contents, path: Path) -> Path:
+    return with_spec(contents, path, lambda text: text + "# " + "x" * 200_000_000)
+
+
+def nested_spec(contents: Contents, path: Path) -> Path:
+    return with_spec(contents, path, lambda text: text + "more: " + "[" * 100_000)
+
+
+def with_spec(contents: Contents, path: Path, change: Callable[[str], str]) -> Path:
+    records = []
+    for record in contents.records:
+        if isinstance(record, Attachment) and record.name == RESOLVED_SPEC:
+            record = replace(record, data=change(record.data.decode()).encode())
+        records.append(record)
+    changed = Contents(contents.path, records=records, channels=contents.channels)
+    return rewrite(changed, path, {})
+
+
+def far_pose(contents: Contents, path: Path) -> Path:
+    entry = [entry for entry in contents.entries if entry.topic == MOCAP][7]
+    frame = MocapSample.FromString(entry.data)
+    frame.x[0] = 1e8
+    return rewrite(contents, path, {entry: entry._replace(data=frame.SerializeToString())})
+
+
+def long_key(contents: Contents, path: Path) -> Path:
+    def add(name: str, facts: dict[str, str]) -> dict[str, str]:
+        return facts | ({"k" * 1_000_000: "v"} if name == RUN else {})
+
+    return rewrite(contents, path, {}, add)
+
+
+def long_value(contents: Contents, path: Path) -> Path:
+    def add(name: str, facts: dict[str, str]) -> dict[str, str]:
+        return facts | ({"note": "v" * 3_000_000} if name == RUN else {})
+
+    return rewrite(contents, path, {}, add)
+
+
+def many_records(contents: Contents, path: Path) -> Path:
+    empty = bytes([Opcode.METADATA]) + struct.pack("<QII", 8, 0, 0)
+    return before_the_end(contents, path, [empty * 5_000_000])
+
+
+def zeros_behind(contents: Contents, path: Path) -> Path:
+    """What a power cut leaves on some file systems, 2 GB of it."""
+    data = contents.path.read_bytes()
+    with path.open("wb") as file:
+        file.write(data[: len(data) // 2])
+        file.truncate(2_000_000_000)
+    return path
+
+
+def endless(contents: Contents, path: Path) -> Path:
+    with path.open("wb") as file:
+        file.write(contents.path.read_bytes())
+        file.truncate(10**12)
+    return path
+
+
+def only_in_the_summary(contents: Contents, path: Path) -> Path:
+    """Regression: `recover` copied messages of a channel that it had not made."""
+    extra = Entry("/only", 1, 1, b"data")
+    first = contents.records.index(contents.entries[0])
+    records = [*contents.records[:first], extra, *contents.records[first:]]
+    more = {"/only": (Channel(77, "/only", "none", {}, 0), None)}
+    changed = Contents(contents.path, records=records, channels=contents.channels | more)
+    whole = path.with_suffix(".whole")
+    write_with(changed, whole)
+    data = whole.read_bytes()
+    path.write_bytes(data.replace(chunks_of(data)[0], b"", 1))
+    return path
+
+
+def write_with(contents: Contents, path: Path) -> None:
+    from tetractl.log.write.sink import Sink
+
+    sink = Sink(path)
+    for channel, schema in contents.channels.values():
+        sink.channel(channel, schema)
+    for record in contents.records:
+        if isinstance(record, Entry):
+            sink.messages([record])
+            sink.flush()
+        elif isinstance(record, Attachment):
+            sink.attachment(record.name, record.media_type, record.log_time, record.data)
+        else:
+            sink.copy_metadata(record.name, record.metadata)
+    sink.close(complete=True)
+
+
+def chunks_of(data: bytes) -> list[bytes]:
+    at = data.index(b"\x04\0\0\0zstd") - 37
+    size = 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    return [data[at : at + size]]
+
+
+BUILDERS = [
+    empty_searches,
+    steps_of_searches,
+    empty_messages,
+    zeros,
+    huge_spec,
+    large_spec,
+    nested_spec,
+    far_pose,
+    long_key,
+    long_value,
+    many_records,
+    zeros_behind,
+    endless,
+    only_in_the_summary,
+]
+
+
+@pytest.fixture(scope="module")
+def contents(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+    folder = tmp_path_factory.mktemp("log")
+    return scan(write(trial(steps=12, robots=2, index=1), folder / "trial.mcap"))
+
+
+@pytest.mark.parametrize("build", BUILDERS, ids=lambda build: build.__name__)
+def test_a_log_costs_its_reader_little(
+    contents: Contents, tmp_path: Path, build: Callable[[Contents, Path], Path]
+) -> None:
+    path = build(contents, tmp_path / "trial.mcap")
+    (tmp_path / "out").mkdir()
+    script = ROOT / "tests" / "support" / "commands.py"
+    done = subprocess.run(
+        [sys.executable, script, path, tmp_path / "out", *COMMANDS],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    for line in done.stdout.splitlines():
+        name, _, seconds, memory, _ = line.split("\t")
+        assert float(seconds) < SECONDS, name
+        assert float(memory) < MEMORY_MB, name
+
+
+def test_a_pipe_is_no_log(tmp_path: Path) -> None:
+    """Regression: `info` waited for ever."""
+    os.mkfifo(tmp_path / "pipe.mcap")
+    done = subprocess.run(
+        [sys.executable, "-m", "tetractl", "info", "pipe.mcap"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (1, "error: pipe.mcap: is not a file\n")

@@ -1,0 +1,75 @@
+"""One log through every command that reads logs, in this process, and what it cost."""
+
+import contextlib
+import io
+import os
+import resource
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+from unittest import mock
+
+from tetractl import cli
+
+COMMANDS = {
+    "info": "info {log}",
+    "info --json": "info {log} --json",
+    "replay": "replay {log}",
+    "plot": "plot {log} -o {out}/t.png",
+    "plot convergence": "plot {log} --kind convergence -o {out}/c.png",
+    "plot error": "plot {log} --kind error -o {out}/e.png",
+    "plot timing": "plot {log} --kind timing -o {out}/s.png",
+    "stats": "stats {log}",
+    "stats --json": "stats {log} --format json",
+    "stats --csv": "stats {log} --format csv",
+    "verify": "verify {log}",
+    "recover": "recover {log} -o {out}/r.mcap",
+}
+
+
+class Cost(NamedTuple):
+    """What a command said, its exit code, its time [s], and the process' most memory [MB]."""
+
+    out: str
+    err: str
+    code: int
+    seconds: float
+    memory_mb: float
+
+
+def call(command: str, log: Path, out: Path) -> Cost:
+    """Run a command in this process; a bug of it is raised."""
+    for left in out.glob("*"):
+        left.unlink()
+    words = [word.format(log=log, out=out) for word in COMMANDS[command].split()]
+    stdout, stderr = io.StringIO(), io.StringIO()
+    began = time.perf_counter()
+    with (
+        mock.patch.object(sys, "argv", ["tetractl", *words]),
+        contextlib.redirect_stdout(stdout),
+        contextlib.redirect_stderr(stderr),
+    ):
+        code = cli._run()
+    seconds = time.perf_counter() - began
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    return Cost(stdout.getvalue(), stderr.getvalue(), code, seconds, memory)
+
+
+def check(command: str, log: Path, out: Path) -> Cost:
+    """Run a command; AssertionError for output that a terminal would obey, or that is endless."""
+    found = call(command, log, out)
+    for line in (found.out + found.err).split("\n"):
+        assert line.isprintable(), (command, line[:200])
+    assert len(found.out) + len(found.err) < 1_000_000, command
+    assert found.code in (0, 1, 2, 3), (command, found.code)
+    assert found.code == 0 or found.err or command in ("verify", "info", "info --json", "recover")
+    return found
+
+
+if __name__ == "__main__":  # LOG FOLDER [COMMAND]...: a line for each command
+    os.environ.setdefault("COLUMNS", "200")
+    for name in sys.argv[3:] or COMMANDS:
+        cost = check(name, Path(sys.argv[1]), Path(sys.argv[2]))
+        last = (cost.err or cost.out).strip().splitlines()[-1:] or [""]
+        print(f"{name}\t{cost.code}\t{cost.seconds:.2f}\t{cost.memory_mb:.0f}\t{last[0][:150]}")

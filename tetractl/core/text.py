@@ -1,0 +1,22 @@
+"""Text that is safe to print, whoever wrote it."""
+
+
+def printable(text: str, length: int | None = None) -> str:
+    """Return text for one line of a terminal, cut to `length` characters.
+
+    Control characters (C0, escape and C1), changes of the writing direction, line separators and
+    the bytes of a file name that is not UTF-8 are written as escapes.
+    """
+    if length is not None and len(text) > length:
+        text = text[: length - 3] + "..."
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def cell(text: str) -> str:
+    """Return text for a cell of a table that a spreadsheet may open.
+
+    A spreadsheet computes what begins with =, +, -, @ or a tab; an apostrophe before it keeps it
+    text.
+    """
+    safe = printable(text)
+    return f"'{safe}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else safe

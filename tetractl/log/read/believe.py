@@ -1,0 +1,161 @@
+"""Whether decoded values can be those of a trial: each is checked here, once, before it is used.
+
+Checksums tell that a log is as it was written, not that tetractl wrote it. Whoever reads a value
+behind these checks may compute, draw and print it. Each function raises ValueError with the first
+value that cannot be.
+"""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.commands import Command, Note
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Bools, Floats
+from tetractl.core.trial import Result, Step
+from tetractl.log.format.metadata import RunRecord
+
+LENGTH_MAX = 1e9
+"""Of a coordinate, a distance or a speed [length unit]: a thousand kilometres in mm."""
+ANGLE_MAX = 1e9
+"""Of a heading or direction, which are not wrapped [rad]."""
+COST_MAX = 1e100
+TIME_MAX_NS = 10**18
+"""Of a time since the trial began: thirty years."""
+COUNT_MAX = 2**53
+"""Of steps, evaluations and the like: what a double still counts one by one."""
+UNIX_MAX_NS = 2**63 - TIME_MAX_NS
+RATE_MAX_HZ = 1e6
+
+
+def believe_run(run: RunRecord, robots: int) -> None:
+    """Check the record of a run whose resolved spec has `robots` robots."""
+    if len(run.robots) != robots:
+        raise ValueError(f"the run has {len(run.robots)} robots and its spec {robots}")
+    _counts("trial", [abs(run.trial)])
+    if not 0 <= run.seed < 2**128:
+        raise ValueError(f"the seed is {_shown(run.seed)}")
+    _within("camera_rate_hz", [run.plant.camera_rate_hz], 0, RATE_MAX_HZ)
+    if not 0 <= run.start_unix_ns <= UNIX_MAX_NS:
+        raise ValueError(f"the trial starts at {_shown(run.start_unix_ns)} ns of Unix time")
+
+
+def believe_frames(poses: Floats, valid: Bools, times: NDArray[np.int64]) -> None:
+    """Check poses (M, N, 3), which are known where `valid` (M, N), and times and numbers."""
+    _poses("a pose", poses[valid])
+    if np.isinf(poses).any():
+        raise ValueError("a pose is infinite")
+    _times(times)
+
+
+def believe_truth(poses: Floats) -> None:
+    """Check true poses (M, N, 3), NaN where they are lost."""
+    _poses("a true pose", poses[~np.isnan(poses).all(axis=2)])
+
+
+def believe_command(command: Command, robots: int) -> None:
+    """Check a command to N robots."""
+    if command.direction is not None:
+        _within("a direction", [command.direction], -ANGLE_MAX, ANGLE_MAX)
+    _times([command.sent_ns])
+    if len(command.delivered) != robots:
+        raise ValueError(f"a command to {len(command.delivered)} robots, not {robots}")
+    for wheel in (command.left, command.right):
+        if wheel is not None:
+            if len(wheel) != robots:
+                raise ValueError(f"a command to {len(wheel)} wheels of {robots} robots")
+            _within("a wheel's speed", wheel, -LENGTH_MAX, LENGTH_MAX)
+
+
+def believe_step(step: Step) -> None:
+    """Check a control step of N robots."""
+    seen, plan = step.observation, step.plan
+    robots = len(seen.valid)
+    believe_frames(
+        seen.poses.array()[None],
+        seen.valid[None],
+        np.array([seen.frame, seen.sampled_ns, seen.received_ns]),
+    )
+    believe_command(step.command, robots)
+    _counts("k", [step.k])
+    _counts("a time of solving", [step.solve_ns])
+    if len(plan.path) != len(plan.signals) + 1:
+        raise ValueError(f"a path of {len(plan.path)} poses for {len(plan.signals)} signals")
+    _poses("a predicted pose", plan.path)
+    for search in plan.searches:
+        if not search.length == len(search.signals) > 0:
+            raise ValueError(f"a search for {_shown(search.length)} signals has another number")
+        if not len(search.history):
+            raise ValueError("a search has no history")
+    signals = [plan.signals, *(search.signals for search in plan.searches)]
+    _within("a signal", np.concatenate(signals), -ANGLE_MAX, ANGLE_MAX)
+    costs = [plan.cost, plan.target_cost, plan.obstacle_cost, *(s.cost for s in plan.searches)]
+    histories = (search.history for search in plan.searches)
+    _within("a cost", np.concatenate([costs, *histories]), -COST_MAX, COST_MAX)
+    _counts("evaluations", (search.evaluations for search in plan.searches))
+    if plan.estimate is not None:
+        _believe_estimate(plan.estimate)
+
+
+def _believe_estimate(estimate: Estimate) -> None:
+    for name in ("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std"):
+        values = getattr(estimate, name)
+        if values is not None:
+            _within(f"an estimated {name}", values, -LENGTH_MAX, LENGTH_MAX)
+    for name in ("dead_time", "dead_time_std"):
+        value = getattr(estimate, name)
+        if value is not None:
+            _within(f"an estimated {name}", [value], -TIME_MAX_NS / 1e9, TIME_MAX_NS / 1e9)
+
+
+def believe_note(note: Note) -> None:
+    """Check a message for people."""
+    _times([note.t_ns])
+
+
+def believe_result(result: Result) -> None:
+    """Check a result; of a trial that is not complete, final poses and errors may be NaN."""
+    verdict = result.verdict
+    known = result.outcome.complete
+    lengths = [result.total_error, *result.robot_errors, *verdict.final.xy.ravel().tolist()]
+    headings = verdict.final.heading.tolist()
+    if not known:
+        lengths = [value for value in lengths if not math.isnan(value)]
+        headings = [value for value in headings if not math.isnan(value)]
+    _within("a length", lengths, -LENGTH_MAX, LENGTH_MAX)
+    _within("a heading", headings, -ANGLE_MAX, ANGLE_MAX)
+    near = [value for value in verdict.clearance if value != math.inf]  # without obstacles
+    _within("a clearance", near, -LENGTH_MAX, LENGTH_MAX)
+    _within("duration_s", [result.duration_s], 0, TIME_MAX_NS / 1e9)
+    _counts("steps", [result.steps, result.deadline_misses])
+    _counts("a time of solving", result.solve_ns)
+
+
+def _poses(what: str, poses: Floats) -> None:
+    _within(what, poses[..., :2], -LENGTH_MAX, LENGTH_MAX)
+    _within(what, poses[..., 2], -ANGLE_MAX, ANGLE_MAX)
+
+
+def _times(values: Iterable[int]) -> None:
+    found = np.asarray(values)
+    if ((found < -TIME_MAX_NS) | (found > TIME_MAX_NS)).any():
+        raise ValueError(f"a time or number is beyond {TIME_MAX_NS}")
+
+
+def _counts(what: str, values: Iterable[int]) -> None:
+    for value in values:
+        if not 0 <= value <= COUNT_MAX:
+            raise ValueError(f"{what} is {_shown(value)}")
+
+
+def _within(what: str, values: Iterable[float], least: float, most: float) -> None:
+    found = np.asarray(values, dtype=np.float64)
+    good = (found >= least) & (found <= most)  # NaN is not
+    if not good.all():
+        raise ValueError(f"{what} is {float(found[~good].flat[0])!r}")
+
+
+def _shown(number: int) -> str:
+    return str(number) if abs(number) < 10**20 else "a number of more than 20 digits"

@@ -11,6 +11,7 @@ from mcap.records import Attachment, Metadata
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import HOST, HOST_TIMING, RECOVERED, TIMING, Entry
 from tetractl.log.format.metadata import damage_metadata
+from tetractl.log.read.bounds import file_limit
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX
 from tetractl.log.read.gaps import frame_gaps, step_gaps
@@ -18,6 +19,10 @@ from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.write.sink import Sink
+
+PART_SUFFIX = ".recovering"
+"""What an unfinished copy is called: no log yet, and no trial's, so that the next run replaces it.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +54,9 @@ def recovered_path(log: Path) -> Path:
 def recover(log: Path, out: Path | None = None) -> Recovery:
     """Write every intact chunk, metadata record and attachment of a log to a complete file.
 
-    The file is `out`, by default `recovered_path`; an undamaged log is copied only to `out`. Raises
-    LogError where nothing can be read, or where the file exists already.
+    The file is `out`, by default `recovered_path`; an undamaged log is copied only to `out`. What
+    an earlier call left unfinished is replaced. Raises LogError where nothing can be read, where
+    the file exists already, or where another process is writing it.
     """
     contents = scan(log)
     if not contents.records:
@@ -92,7 +98,16 @@ def _examine(contents: Contents) -> tuple[list[str], list[str]]:
 
 
 def _write(contents: Contents, damage: Damage, path: Path) -> None:
-    sink = Sink(path)
+    sink = Sink(path, PART_SUFFIX)
+    try:
+        _fill(contents, damage, sink)
+    except BaseException:  # a full disk: the source still has everything
+        sink.discard()
+        raise
+    sink.close(complete=True)
+
+
+def _fill(contents: Contents, damage: Damage, sink: Sink) -> None:
     for channel, schema in contents.channels.values():
         sink.channel(channel, schema)
     for messages, records in groupby(contents.records, lambda one: isinstance(one, Entry)):
@@ -104,7 +119,15 @@ def _write(contents: Contents, damage: Damage, path: Path) -> None:
                 sink.attachment(record.name, record.media_type, record.log_time, record.data)
             elif isinstance(record, Metadata) and record.name != RECOVERED:
                 sink.copy_metadata(record.name, record.metadata)
-    with contents.path.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    sha256 = _sha256(contents.path)
     sink.metadata(RECOVERED, damage_metadata(damage, contents.path.name, contents.size, sha256))
-    sink.close(complete=True)
+
+
+def _sha256(path: Path) -> str:
+    """Return the SHA-256 of the bytes that are read of a file: all but of a giant."""
+    found, left = hashlib.sha256(), file_limit()
+    with path.open("rb") as file:
+        while left > 0 and (piece := file.read(min(left, 1 << 20))):
+            found.update(piece)
+            left -= len(piece)
+    return found.hexdigest()

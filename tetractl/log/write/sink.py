@@ -1,6 +1,7 @@
 """An MCAP file while it is written: messages go in, chunks go to the disk."""
 
 import errno
+import fcntl
 import os
 import shutil
 import time
@@ -26,6 +27,8 @@ CHUNK_S = 0.7
 which the loop gathers camera frames, a killed process then loses less than 1.2 s of its trial."""
 SYNC_S = 1.0
 """The longest time written bytes may be lost by a power cut [s of wall time]."""
+
+TRIAL_PART = ".part"
 
 P = ParamSpec("P")
 Method = Callable[Concatenate["Sink", P], None]
@@ -53,20 +56,24 @@ class Sink:
     Where the file system refuses a write, the call raises LogError and the file is closed: it stays
     readable as NAME.part. Later calls do nothing, so that stopping a trial because of a full disk
     gives no second error.
+
+    With another `part` than ".part" the unfinished file is a copy of something and not a trial:
+    what is left of an earlier one is replaced, unless a process is still writing it.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
         self._path = path
-        self._part = path.with_name(path.name + ".part")
+        self._part = path.with_name(path.name + part)
         self._digest = ContentDigest()
         self._file: BinaryIO | None = None
         self._chunk_since: float | None = None  # when the oldest message of the open chunk came
         self._dirty_since: float | None = None  # when something was written that is not synced
-        for name in (path, self._part):  # never overwrite a trial
+        copied = part != TRIAL_PART
+        for name in (path,) if copied else (path, self._part):  # never overwrite a trial
             if os.path.lexists(name):
                 raise LogError(f"{name}: this log exists already", "write to another folder")
         try:
-            self._file = self._part.open("x+b")
+            self._file = _owned(self._part) if copied else self._part.open("x+b")
             _sync_folder(path.parent)
             self._mcap = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
             self._mcap.start(library=f"tetractl {__version__}")
@@ -174,6 +181,13 @@ class Sink:
             self._part.rename(self._path)
             _sync_folder(self._path.parent)
 
+    def discard(self) -> None:
+        """Close the file and remove it."""
+        with suppress(OSError):
+            self._release()
+        with suppress(OSError):
+            self._part.unlink()
+
     @_while_open
     def _sync_written(self) -> None:
         assert self._file is not None
@@ -210,6 +224,21 @@ class Sink:
         file, self._file = self._file, None
         if file:
             file.close()
+
+
+def _owned(path: Path) -> BinaryIO:
+    """Open an empty file that no other process has opened so; OSError where one has.
+
+    The lock ends with its process, however that ends.
+    """
+    file = path.open("a+b")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        file.truncate(0)
+    except BlockingIOError:
+        file.close()
+        raise OSError(errno.EBUSY, "another process is writing it") from None
+    return file
 
 
 def _sync_folder(folder: Path) -> None:

@@ -1,17 +1,20 @@
 """`recover`: all that is intact comes back, and what does not is named."""
 
+import os
 import random
 from pathlib import Path
 
 import pytest
+from support.durable import small_disk
 from support.random_trials import trial, write
 from support.sameness import same
 
 from tetractl.core.errors import LogError
 from tetractl.log.read.find import find_logs
 from tetractl.log.read.reader import content_digest, read_result, read_trial
-from tetractl.log.read.recover import recover, recovered_path
+from tetractl.log.read.recover import PART_SUFFIX, recover, recovered_path
 from tetractl.log.read.salvage import MAGIC, scan
+from tetractl.log.write.sink import Sink
 from tetractl.stats.trials import load_trials, one_batch
 
 
@@ -125,3 +128,46 @@ def test_a_recovered_trial_counts_once(tmp_path: Path, name: str, simulated: boo
     assert (len(trials), unreadable) == (1, [])
     assert trials[0].recovered
     assert one_batch(trials).name == "made-up"
+
+
+def torn(log: Path, folder: Path) -> Path:
+    return damaged(folder, log.read_bytes()[:-2000], "trial.mcap.part")
+
+
+def test_what_a_killed_recovery_left_is_replaced(log: Path, tmp_path: Path) -> None:
+    """Regression: `recover` refused to run again."""
+    source = torn(log, tmp_path)
+    left = tmp_path / f"trial.recovered.mcap{PART_SUFFIX}"
+    left.write_bytes(log.read_bytes()[:5000])
+    assert find_logs([tmp_path]) == [source]
+    done = recover(source)
+    assert done.whole
+    assert not left.exists()
+    assert same(read_trial(Path(str(done.path))).steps, read_trial(log).steps)
+
+
+def test_a_recovery_that_is_under_way_is_left_alone(log: Path, tmp_path: Path) -> None:
+    source = torn(log, tmp_path)
+    sink = Sink(recovered_path(source), PART_SUFFIX)
+    with pytest.raises(LogError, match="another process is writing it"):
+        recover(source)
+    sink.discard()
+    assert recover(source).whole
+
+
+def test_an_unfinished_trial_is_never_replaced(log: Path, tmp_path: Path) -> None:
+    source = torn(log, tmp_path)
+    part = tmp_path / "other.mcap.part"
+    part.write_bytes(b"a trial that runs")
+    recover(source, tmp_path / "other.mcap")
+    assert part.read_bytes() == b"a trial that runs"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts file systems")
+def test_a_full_disk_leaves_nothing_behind(log: Path, tmp_path: Path) -> None:
+    source = torn(log, tmp_path)
+    with small_disk(tmp_path / "disk", "16k") as disk:
+        with pytest.raises(LogError, match="No space left on device"):
+            recover(source, disk / "out.mcap")
+        assert list(disk.iterdir()) == []
+    assert recover(source).whole

@@ -42,6 +42,7 @@ def open_logs(
     from tetractl.log.read.find import find_logs
     from tetractl.report.page import report
     from tetractl.report.server import FileServer
+    from tetractl.run.interrupt import interrupted_once
 
     found = find_logs(logs)
     html, unread = report(logs, None, lambda done, total: None)
@@ -60,7 +61,7 @@ def open_logs(
         print(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST", file=sys.stderr)
         if browser:
             webbrowser.open(server.page_url)
-        with suppress(KeyboardInterrupt):
+        with suppress(KeyboardInterrupt), interrupted_once():
             threading.Event().wait()
     return Exit.FAILED if unread else Exit.DONE
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.trial_log import ResultSummary, TrialLog
-from tetractl.stats.export import row
+from tetractl.stats.export import rows
 
 Columns = dict[str, list[Any]]
 """Columns by name, all of the same length; None where a value is not known."""
@@ -152,7 +152,7 @@ def of_log(path: Path, names: Container[str]) -> dict[str, tuple[int, Columns]]:
 
 def trials(result: ResultSummary) -> Columns:
     """Return the one row of a trial: its errors, outcome and statistics."""
-    values = row(result, result.experiment.units.length)
+    (values,) = rows([result])
     return {name: [value] for name, value in values.items() if name != "path"}
 
 

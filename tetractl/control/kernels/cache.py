@@ -56,12 +56,12 @@ def folder() -> Path | None:
     try:
         chosen = cache_folder() / name
         why = claim(chosen)
+        if why is None:
+            return chosen
     except OSError as error:
         why = error.strerror or str(error)
-    if why is not None:
-        say_once(f"compiled code is not kept: {why}")
-        return None
-    return chosen
+    say_once(f"compiled code is not kept: {why}")
+    return None
 
 
 class KernelCache:

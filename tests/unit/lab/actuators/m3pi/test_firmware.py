@@ -241,12 +241,12 @@ def test_without_a_compiler_the_error_says_so(tmp_path, monkeypatch):
 
 @needs_compiler
 def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(firmware, "cache_folder", lambda: tmp_path)
     firmware.load("m3pi")
-    (built,) = (tmp_path / "tetractl").iterdir()
+    (built,) = tmp_path.iterdir()
     monkeypatch.setattr(firmware, "compiler", lambda: None)
     assert firmware.load("m3pi").m3pi_size() > 0
-    assert list((tmp_path / "tetractl").iterdir()) == [built]
+    assert list(tmp_path.iterdir()) == [built]
 
 
 @pytest.mark.slow

@@ -30,6 +30,7 @@ def plot(
     trajectory: paths of the robots, the paper's Figure 5.
     convergence: cost over the iterations, its Figure 3.
     error: distances to the targets over time.
+    estimate: the controller's estimates of a, speed and so on over time.
     timing: solve time of each control step.
     Other packages may add figures.
 

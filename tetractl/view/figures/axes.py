@@ -1,16 +1,20 @@
 """What several figures share: one trial of the logs given, and logarithmic axes."""
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.view import style
 
-LABELLED = 8  # most robots that get a line of the legend each
+NUMBERED = 8  # from so many robots on they are told apart by numbers: there are no more colours
+NAME_LENGTH = 16  # of a robot in a figure [characters]
 
 
 def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
@@ -21,6 +25,31 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
             "give one log, or use --kind trajectory",
         )
     return logs[0]
+
+
+def robot_labels(names: Sequence[str]) -> list[str]:
+    """Return the robots' names for a figure: shortened, and numbered where they are many."""
+    short = [name if len(name) <= NAME_LENGTH else name[: NAME_LENGTH - 1] + "…" for name in names]
+    if len(names) < NUMBERED:
+        return short
+    return [f"{number} {name}" for number, name in enumerate(short, start=1)]
+
+
+def unfinished(log: TrialLog) -> str:
+    """Return how and why a trial did not run to its own end, "" where it did."""
+    if log.result is None:
+        return "the log ends before its trial"
+    if log.result.outcome.complete:
+        return ""
+    return f"{log.result.outcome.value}: {log.result.reason}"
+
+
+def state_unfinished(figure: Figure, log: TrialLog) -> None:
+    """Write above a figure as wide as a page that its trial did not run to its own end."""
+    if text := unfinished(log):
+        figure.suptitle(
+            textwrap.fill(text, 120), x=0.01, ha="left", fontsize=7.5, color=style.ALARM
+        )
 
 
 def need_steps(log: TrialLog) -> None:
@@ -45,9 +74,15 @@ def span(values: Floats) -> tuple[float, float]:
 
 
 def plain_log(axes: Axes) -> None:
-    """Write 100 rather than 10^2, and mark 1, 2 and 5 of each decade where there are few."""
+    """Write 100 rather than 10^2, and mark 1, 2 and 5 of each decade where there are few.
+
+    Less than half a decade gets evenly spaced marks.
+    """
     low, high = axes.get_ylim()
-    marks = (1.0, 2.0, 5.0) if high / low < 1000 else (1.0,)
-    axes.yaxis.set_major_locator(LogLocator(subs=marks))
+    if high / low < 5:
+        axes.yaxis.set_major_locator(MaxNLocator(4))
+    else:
+        marks = (1.0, 2.0, 5.0) if high / low < 1000 else (1.0,)
+        axes.yaxis.set_major_locator(LogLocator(subs=marks))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())

@@ -12,7 +12,14 @@ from tetractl.core.colors import BLUE, RED
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.axes import need_steps, one_trial, plain_log, positive, span
+from tetractl.view.figures.axes import (
+    need_steps,
+    one_trial,
+    plain_log,
+    positive,
+    span,
+    state_unfinished,
+)
 
 
 def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
@@ -30,6 +37,7 @@ def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
         _later_plans(gain, log.steps, unit)
         _iterations(count, log.steps, log.start.setup.iterations_max)
         gain.tick_params(labelbottom=False)
+        state_unfinished(figure, log)
     return figure
 
 
@@ -95,7 +103,7 @@ def _iterations(axes: Axes, steps: Sequence[Step], most: int) -> None:
     done = [len(step.plan.search.history) - 1 for step in steps]
     axes.bar([step.k for step in steps], done, width=0.8, color=BLUE, alpha=0.55)
     axes.axhline(most, color=style.GREY, lw=0.6, ls="--")
-    axes.set_ylim(0, most * 1.12)
+    axes.set_ylim(0, max(most, *done) * 1.12)
     axes.set_ylabel("iterations")
     axes.set_xlabel("control step k")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))

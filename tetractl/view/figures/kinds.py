@@ -18,6 +18,7 @@ FIGURES = Registry(
         "trajectory": "tetractl.view.figures.trajectory:trajectory_figure",
         "convergence": "tetractl.view.figures.convergence:convergence_figure",
         "error": "tetractl.view.figures.error:error_figure",
+        "estimate": "tetractl.view.figures.estimate:estimate_figure",
         "timing": "tetractl.view.figures.timing:timing_figure",
     },
 )

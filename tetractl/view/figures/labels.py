@@ -1,4 +1,6 @@
-"""Text beside trails, placed where nothing else is drawn."""
+"""Text beside trails and curves, placed where nothing else is drawn."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,6 +11,52 @@ from tetractl.core.setup import Bounds
 from tetractl.view import style
 
 HALO = [withStroke(linewidth=1.6, foreground="white")]
+
+
+def end_labels(
+    axes: Axes, ends: Sequence[float], texts: Sequence[str], colors: Sequence[str]
+) -> None:
+    """Write each curve's name at the right of the axes, at the height of its end or beside it.
+
+    Labels keep a line apart, in the order of the ends, so that none hides another.
+    """
+    size = 6.5 if len(texts) < 8 else 5.5
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.draw_without_rendering()  # only then the height of the axes is known
+    low, high = axes.get_ylim()
+    line = 1.25 * size / (72 * axes.get_window_extent().height / figure.dpi)
+    order = np.argsort(ends, kind="stable")
+    wanted = np.clip((np.asarray(ends)[order] - low) / (high - low), 0.0, 1.0)
+    for label, height, place in zip(order, wanted, apart(wanted, line), strict=True):
+        axes.annotate(
+            texts[int(label)], (1.0, float(height)), (1.025, float(place)),
+            xycoords="axes fraction", textcoords="axes fraction", va="center", fontsize=size,
+            color=colors[label], annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-", "color": colors[label], "lw": 0.4,
+                "shrinkA": 0, "shrinkB": 0, "relpos": (0.0, 0.5),
+            },
+        )  # fmt: skip
+
+
+def apart(wanted: Floats, gap: float) -> Floats:
+    """Return rising heights at least `gap` apart within 0 to 1, near the rising `wanted` ones.
+
+    Neighbours that would touch move together about their mean, which is the least squares
+    solution; then all are brought within the range as far as it has space for them.
+    """
+    blocks: list[tuple[float, int]] = []  # mean of wanted - index * gap, and how many
+    for i, height in enumerate(wanted):
+        mean, count = float(height) - i * gap, 1
+        while blocks and blocks[-1][0] > mean:
+            before, many = blocks.pop()
+            mean, count = (mean * count + before * many) / (count + many), count + many
+        blocks.append((mean, count))
+    base = np.repeat([mean for mean, _ in blocks], [count for _, count in blocks])
+    rise = gap * np.arange(len(wanted))
+    highest = max(1.0 - gap * (len(wanted) - 1), 0.0)
+    return np.asarray(np.clip(base, 0.0, highest) + rise, dtype=np.float64)
 
 
 def edge(arena: Bounds) -> Floats:

@@ -12,7 +12,14 @@ from tetractl.core.colors import BLUE, RED
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.axes import need_steps, one_trial, plain_log, positive, span
+from tetractl.view.figures.axes import (
+    need_steps,
+    one_trial,
+    plain_log,
+    positive,
+    span,
+    state_unfinished,
+)
 
 
 def timing_figure(logs: Sequence[TrialLog]) -> Figure:
@@ -52,6 +59,7 @@ def timing_figure(logs: Sequence[TrialLog]) -> Figure:
                 va="center", fontsize=6.5,
             )  # fmt: skip
         _distribution(shares, solve_ms)
+        state_unfinished(figure, log)
     return figure
 
 

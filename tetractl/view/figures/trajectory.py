@@ -1,6 +1,8 @@
 """The paper's Figure 5: the paths of the robots in one trial or in several."""
 
+import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
+from matplotlib.textpath import TextPath
 from matplotlib.ticker import MultipleLocator
 
-from tetractl.core.clock import SECOND, seconds
+from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
@@ -18,10 +21,12 @@ from tetractl.core.setup import Bounds, Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
 from tetractl.view import style
-from tetractl.view.figures.axes import LABELLED
-from tetractl.view.figures.labels import Labels, edge
+from tetractl.view.figures.axes import NUMBERED, robot_labels, unfinished
+from tetractl.view.figures.labels import HALO, Labels, edge
 
 FAR = 2.0  # arena sizes beyond the arena that a figure may show
+LINE_IN = 0.156  # height of a line of the legend
+KEYED = 30  # most robots that get an entry of the legend each
 MARKS = 5  # about as many times are marked along a trail
 
 
@@ -35,13 +40,18 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     for log in logs[1:]:
         _check_alike(logs[0], log)
     with style.styled():
+        colors = robot_colors(setup.names, setup.colors)
+        ends = np.array([_final(log)[:, :2] for log in logs])
+        key = _errors(logs, colors, setup.distances(ends))
+        alarm = _alarm(logs)
         width = style.COLUMN_IN
         shape = min(max(setup.arena.height / setup.arena.width, 0.3), 2.0)
-        figure = style.figure(width, (width - 0.55) * shape + 0.78)
+        lines = key.rows + alarm.count("\n") + bool(alarm)
+        figure = style.figure(width, (width - 0.55) * shape + 0.5 + LINE_IN * lines)
         axes = figure.subplots()
-        colors = robot_colors(setup.names, setup.colors)
+        axes.set_title(alarm, fontsize=7, color=style.ALARM)
+        key.draw(figure)
         _scene(axes, setup, colors)
-        ends = np.array([_final(log)[:, :2] for log in logs])
         if len(logs) == 1:
             _one(axes, logs[0], colors)
         else:
@@ -50,7 +60,6 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
             _end_marks(axes, ends[:, robot], color, alone=len(logs) == 1)
         trails = [tracked(log.mocap, log.valid) for log in logs]
         beyond = _limits(axes, setup.arena, [ends, *trails])
-        _errors(figure, logs, colors, setup.distances(ends))
         _signs(figure, logs, beyond)
     return figure
 
@@ -88,6 +97,13 @@ def _scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
         }
         axes.plot(*start, marker="o", markersize=6, markerfacecolor="white", **look)
         axes.plot(*target, marker="s", markersize=7, markerfacecolor="none", **look)
+    if len(setup.names) >= NUMBERED:
+        for robot, color in enumerate(colors):
+            for place, aside in ((starts[robot], (0, 0)), (setup.targets[robot], (6.5, 4))):
+                axes.annotate(
+                    str(robot + 1), tuple(place), aside, textcoords="offset points", ha="center",
+                    va="center", fontsize=4.5, color=color, path_effects=HALO, zorder=7,
+                )  # fmt: skip
 
 
 def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
@@ -108,12 +124,13 @@ def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
         if truth is not None:
             axes.plot(*truth[:, robot].T, color=style.INK, lw=0.6, ls=(0, (3, 2)), zorder=3.5)
         for time_s in times:
-            index = int(np.searchsorted(log.mocap_ns, time_s * SECOND - 1))
+            index = int(np.searchsorted(log.mocap_ns, log.began_ns + time_s * SECOND - 1))
             x, y, heading = log.mocap[min(index, len(log.mocap) - 1), robot]
             tip = x + ahead * np.cos(heading), y + ahead * np.sin(heading)
             axes.plot([x, tip[0]], [y, tip[1]], color=color, lw=1.0, zorder=3.6)
             axes.plot(x, y, ".", color=color, ms=4, zorder=3.6)
-            labels.write(np.array([x, y]), np.array(tip), f"{time_s:g} s")
+            if len(colors) < NUMBERED:
+                labels.write(np.array([x, y]), np.array(tip), f"{time_s:g} s")
         gap = np.array([final[robot], setup.targets[robot]])
         axes.plot(*gap.T, color=color, lw=0.6, ls=":", zorder=2)
 
@@ -162,38 +179,89 @@ def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
     return beyond
 
 
-def _errors(figure: Figure, logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> None:
-    """Write the robots' names and their errors (trials, N) above the axes."""
+@dataclass(frozen=True, slots=True)
+class _Key:
+    """The legend of the robots: a title and entries in `columns`."""
+
+    title: str
+    handles: list[Line2D]
+    columns: int
+
+    @property
+    def rows(self) -> int:
+        """The number of lines, the title's too."""
+        return self.title.count("\n") + 1 + -(-len(self.handles) // self.columns)
+
+    def draw(self, figure: Figure) -> None:
+        """Put the legend above the axes."""
+        figure.legend(
+            handles=self.handles,
+            title=self.title,
+            title_fontsize=7,
+            loc="outside upper center",
+            ncols=self.columns,
+            columnspacing=1.2,
+            handlelength=1.2,
+            handletextpad=0.5,
+        )
+
+
+def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key:
+    """Return the key of the robots' names and their errors (trials, N).
+
+    Of several trials the means are over those that ran to their own end.
+    """
     setup = logs[0].start.setup
     unit = style.unit_of(setup.unit)
-    total = errors.sum(axis=1)
     if len(logs) == 1:
         words = [f"{error:.1f}" for error in errors[0]]
-        title = f"error at the end [{unit}], total {total[0]:.1f}"
+        title = f"error at the end [{unit}], total {errors.sum():.1f}"
     else:
-        words = [_spread(robot) for robot in errors.T]
-        title = f"{len(logs)} trials, error at the end [{unit}], total {_spread(total)}"
+        whole = np.array([not unfinished(log) for log in logs])
+        counted = errors[whole] if whole.any() else errors
+        words = [_spread(robot) for robot in counted.T]
+        title = f"{len(logs)} trials, error at the end [{unit}], total "
+        title += _spread(counted.sum(axis=1))
     handles = [
         Line2D([], [], color=color, label=f"{name}: {word}")
-        for name, color, word in zip(setup.names, colors, words, strict=True)
-    ][: LABELLED if len(colors) <= LABELLED else 0]
-    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
-    figure.legend(
-        handles=handles,
-        title=title,
-        title_fontsize=7,
-        loc="outside upper center",
-        ncols=3 if longest <= 19 else 2 if longest <= 30 else 1,
-        columnspacing=1.2,
-        handlelength=1.2,
-        handletextpad=0.5,
-    )
+        for name, color, word in zip(robot_labels(setup.names), colors, words, strict=True)
+    ][: KEYED if len(colors) <= KEYED else 0]
+    widths = [_width_pt(str(handle.get_label())) for handle in handles]
+    most = min(len(widths), 6)
+    fitting = (n for n in range(most, 1, -1) if _legend_pt(widths, n) <= 72 * style.COLUMN_IN)
+    return _Key(title, handles, next(fitting, 1))
+
+
+def _width_pt(text: str) -> float:
+    """Return the width of a text of the legend [pt]."""
+    return float(TextPath((0, 0), text, size=7).get_extents().width)
+
+
+def _legend_pt(widths: Sequence[float], columns: int) -> float:
+    """Return the width of a legend [pt] whose entries have texts so wide, column after column."""
+    handle, space, edge_pt = 1.7 * 7, 1.2 * 7, 7.0
+    columns_pt = [max(part) + handle for part in np.array_split(widths, columns)]
+    return sum(columns_pt) + space * (columns - 1) + edge_pt
+
+
+def _alarm(logs: Sequence[TrialLog]) -> str:
+    """Return the lines that tell of trials that did not run to their own end, "" for none."""
+    if len(logs) == 1:
+        return textwrap.fill(unfinished(logs[0]), 62)
+    cut = sum(1 for log in logs if unfinished(log))
+    if not cut:
+        return ""
+    counted = "" if cut == len(logs) else ", not in the means"
+    return f"{cut} of {len(logs)} trials did not run to their end{counted}"
 
 
 def _spread(errors: Floats) -> str:
-    """Return mean and standard deviation (n - 1) as text."""
-    mean, std = float(errors.mean()), float(errors.std(ddof=1))
+    """Return mean and, of two or more, standard deviation (n - 1) as text."""
+    mean = float(errors.mean())
     digits = 0 if mean >= 100 else 1 if mean >= 10 else 2
+    if len(errors) < 2:
+        return f"{mean:.{digits}f}"
+    std = float(errors.std(ddof=1))
     return f"{mean:.{digits}f} ± {std:.{digits}f}"
 
 
@@ -210,10 +278,16 @@ def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
         signs.append(
             Patch(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, lw=0.6, label="obstacle")
         )
+    many = len(logs) == 1 and len(logs[0].start.setup.names) >= NUMBERED
+    if many and (times := _marked_times(logs[0])):
+        label = f"every {times[0]:g} s"
+        signs.append(Line2D([], [], marker=".", markersize=4, label=label, **grey))
     if beyond:
         signs.append(Line2D([], [], color=style.GREY, label="arena", **dashed))
     if len(logs) == 1 and _visible_truth(logs[0]) is not None:
         signs.append(Line2D([], [], color=style.INK, label="true path", **dashed))
+    if len(signs) > 5:  # a second line
+        figure.set_figheight(figure.get_figheight() + LINE_IN)
     figure.legend(
         handles=signs,
         loc="outside lower center",
@@ -246,8 +320,8 @@ def _visible_truth(log: TrialLog) -> Floats | None:
 
 
 def _marked_times(log: TrialLog) -> list[float]:
-    """Return at most `MARKS` times [s] within the trial, in steps of 1, 2 or 5 times 10^n s."""
-    end_s = seconds(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
+    """Return at most `MARKS` times since the first direction [s], steps of 1, 2 or 5 times 10^n."""
+    end_s = log.elapsed_s(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
     if end_s <= 0:
         return []
     step = _nice_step(end_s, MARKS)

@@ -5,14 +5,20 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.figure import Figure
-from support.trials import cut_short, experiment, three_robots
+from support.trials import THREE_M3PI, cut_short, experiment, three_robots
 
+from tetractl.core.clock import SECOND
 from tetractl.core.colors import BLUE, GREEN, RED, robot_colors
 from tetractl.core.errors import LogError, UsageError
+from tetractl.core.plan import Estimate, Outcome
+from tetractl.core.poses import Poses
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.kinds import FIGURES, draw
+from tetractl.view.figures.labels import apart
 from tetractl.view.figures.trajectory import trajectory_figure
 
 
@@ -21,7 +27,85 @@ def log() -> TrialLog:
     log = three_robots()
     valid = log.valid.copy()
     valid[100:110, 1] = False  # the cameras lose a robot
-    return replace(log, valid=valid)
+    return estimated(replace(log, valid=valid))
+
+
+def estimated(log: TrialLog, **more: object) -> TrialLog:
+    """The trial with an estimate at each step that comes nearer to 5 % above the spec."""
+    setup = log.start.setup
+
+    def estimate(k: int) -> Estimate:
+        share = 0.05 * (1 - 0.5**k)
+        a, speed = setup.a * (1 + share), setup.speed * (1 + share)
+        return Estimate(a, 0.1 * a / (k + 1), speed, 0.1 * speed / (k + 1), **more)
+
+    steps = tuple(
+        replace(step, plan=replace(step.plan, estimate=estimate(step.k))) for step in log.steps
+    )
+    return replace(log, steps=steps)
+
+
+def many(log: TrialLog, count: int) -> TrialLog:
+    """The trial with its robots copied, a little apart, until there are `count`."""
+    spec = experiment(
+        robots=[
+            {
+                **THREE_M3PI["robots"][i % 3],
+                "name": f"{i} {'long' * (i % 4)} name",
+                "start": [900, 400 + 1700 * i / count],
+            }
+            for i in range(count)
+        ]
+    )
+    pick = np.arange(count) % 3
+    assert log.result
+    verdict = replace(
+        log.result.verdict,
+        final=Poses.of(log.result.verdict.final.array()[pick] + 5.0 * np.arange(count)[:, None]),
+        entered=(False,) * count,
+        clearance=(1.0,) * count,
+    )
+    errors = spec.setup.distances(verdict.final.xy)
+    result = replace(
+        log.result, verdict=verdict, robot_errors=tuple(errors), total_error=float(errors.sum())
+    )
+    plant = replace(log.start.plant, facts={})
+    start = replace(log.start, setup=spec.setup, plant=plant)
+    mocap, valid = log.mocap[:, pick], log.valid[:, pick]
+    made = replace(log, experiment=spec, start=start, mocap=mocap, valid=valid, result=result)
+    return estimated(replace(made, truth=None))
+
+
+def unseen(figure: Figure) -> set[int]:
+    """The numbers of marks outside what their axis shows, and the numbers of marks on a trail."""
+    found = set()
+    for axes in figure.axes:
+        for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+                if not axes.axison or not min(limits) <= tick.get_loc() <= max(limits):
+                    found |= {id(tick.label1), id(tick.label2)}
+        if axes.get_aspect() == 1:
+            found |= {id(text) for text in axes.texts}
+    return found
+
+
+def overlapping(figure: Figure) -> list[tuple[str, str]]:
+    """The pairs of texts of a figure that lie over one another, or beyond its edge."""
+    figure.draw_without_rendering()
+    hidden, page = unseen(figure), figure.bbox
+    shown = [
+        (text.get_text(), matplotlib.text.Text.get_window_extent(text))  # without its arrow
+        for text in figure.findobj(matplotlib.text.Text)
+        if text.get_text().strip() and text.get_visible() and id(text) not in hidden
+    ]
+    found = [
+        (text, "edge")
+        for text, box in shown
+        if min(box.x0 - page.x0, page.x1 - box.x1, box.y0 - page.y0, page.y1 - box.y1) < -1
+    ]
+    for i, (text, box) in enumerate(shown):
+        found += [(text, other) for other, at in shown[:i] if box.shrunk(0.9, 0.7).overlaps(at)]
+    return found
 
 
 def words(figure: Figure) -> str:
@@ -133,16 +217,14 @@ def test_the_convergence_figure_takes_any_cost(log):
 def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
     late = replace(log.steps[7], deadline_missed=True)
     figure = draw("error", [replace(log, steps=(*log.steps[:7], late, *log.steps[8:]))])
-    (axes,) = figure.axes
-    labels = [line.get_label() for line in axes.lines]
-    assert labels == [
-        *("total", "green", "blue", "red"),
-        *("arrival within 20 mm", "deadline missed"),
-    ]
-    assert axes.get_ylim()[0] == 0
-    misses = axes.lines[-1].get_xdata()
+    whole, each = figure.axes
+    assert [line.get_gid() for line in each.lines[:3]] == [f"robot-{i}" for i in range(3)]
+    labels = [line.get_label() for line in each.lines[3:]]
+    assert labels == ["arrival within 20 mm", "deadline missed"]
+    assert (whole.get_ylim()[0], each.get_ylim()[0]) == (0, 0)
+    misses = each.lines[-1].get_xdata()
     assert late.command.sent_ns / 1e9 in np.asarray(misses)
-    total = np.asarray(axes.lines[0].get_ydata())
+    total = np.asarray(whole.lines[0].get_ydata())
     seen = log.valid.all(axis=1)
     gap = np.hypot(*(log.mocap[..., :2] - [(1700, 500), (1700, 1500), (1700, 2000)]).T).T
     assert total[seen] == pytest.approx(gap.sum(axis=1)[seen])
@@ -159,6 +241,108 @@ def test_the_timing_figure_counts_misses_against_the_period(log):
     assert "first plan" in text
     (late,) = [line for line in figure.axes[0].lines if line.get_color() == style.ALARM]
     assert len(late.get_xdata()) == missed
+
+
+@pytest.mark.parametrize("kind", ["error", "estimate"])
+def test_the_time_axis_starts_with_the_first_direction(log, kind):
+    placed = 20 * SECOND
+    steps = tuple(
+        replace(one, command=replace(one.command, sent_ns=one.command.sent_ns + placed))
+        for one in log.steps
+    )
+    later = replace(log, commands=(), steps=steps, mocap_ns=log.mocap_ns + placed)
+    early = np.arange(0, placed, SECOND)
+    waiting = replace(
+        later,
+        mocap_ns=np.concatenate([early, later.mocap_ns]),
+        mocap=np.concatenate([np.repeat(log.mocap[:1], len(early), axis=0), log.mocap]),
+        valid=np.concatenate([np.ones((len(early), 3), dtype=bool), log.valid]),
+    )
+    for axes, other in zip(draw(kind, [log]).axes, draw(kind, [waiting]).axes, strict=True):
+        assert axes.get_xlim() == other.get_xlim()
+        assert axes.get_xlim()[0] == 0
+        assert axes.get_xlabel() == other.get_xlabel()
+
+
+def test_the_estimate_figure_shows_what_was_estimated(log):
+    figure = draw("estimate", [log])
+    a, speed = figure.axes
+    (green,) = [line for line in a.lines if line.get_gid() == "robot-0"]
+    assert np.asarray(green.get_ydata())[[0, 1]] == pytest.approx([0, 2.5])
+    assert len(green.get_ydata()) == len(log.steps)
+    assert len(speed.collections) == 3  # bands
+    text = words(figure)
+    assert "green 6.3" in text
+    assert "true value" in text
+    assert "one standard deviation" in text
+    more = {
+        "heading_bias": np.array([0.1, 0, -0.1]),
+        "heading_bias_std": np.full(3, 0.01),
+        "dead_time": 0.15,
+        "dead_time_std": 0.01,
+    }
+    figure = draw("estimate", [estimated(log, **more)])
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert [title[:4] for title in titles] == ["(a) ", "(b) ", "(c) ", "(d) "]
+    assert np.asarray(figure.axes[3].lines[0].get_ydata()) == pytest.approx(150)
+    assert "dead time [ms]" in words(figure)
+
+
+def test_one_wild_estimate_does_not_squash_the_others(log):
+    wild = log.steps[1].plan.estimate
+    assert wild is not None
+    wild = replace(wild, speed=wild.speed * np.array([30.0, 1, 1]))
+    steps = list(log.steps)
+    steps[1] = replace(steps[1], plan=replace(steps[1].plan, estimate=wild))
+    low, high = draw("estimate", [replace(log, steps=tuple(steps))]).axes[1].get_ylim()
+    assert high - low < 60
+
+
+@pytest.mark.parametrize("kind", FIGURES.names())
+@pytest.mark.parametrize("count", [3, 8, 14])
+def test_no_text_hides_another_however_many_the_robots(log, kind, count):
+    assert overlapping(draw(kind, [many(log, count)])) == []
+
+
+def test_from_eight_robots_on_they_have_numbers(log):
+    text = words(trajectory_figure([many(log, 8)]))
+    assert "every 2 s" in text
+    assert "2 s\n" not in text.replace("every 2 s", "")
+    lines = text.split("\n")
+    assert all(lines.count(str(number)) >= 2 for number in range(1, 9))  # at start and target
+
+
+@pytest.mark.parametrize("kind", FIGURES.names())
+def test_an_aborted_trial_says_so(log, kind):
+    assert log.result
+    aborted = replace(log.result, outcome=Outcome.ABORTED, reason="red is not tracked (0.30 s)")
+    text = words(draw(kind, [replace(log, result=aborted)]))
+    assert "aborted: red is not tracked (0.30 s)" in text
+    assert "the log ends before its trial" in words(draw(kind, [cut_short(log, 3)]))
+    assert "aborted" not in words(draw(kind, [log]))
+
+
+def test_aborted_trials_are_not_in_the_means(log):
+    logs = [three_robots(seed) for seed in (1, 2, 3)]
+    assert logs[2].result
+    logs[2] = replace(logs[2], result=replace(logs[2].result, outcome=Outcome.ABORTED))
+    text = words(trajectory_figure(logs))
+    totals = [trial.result.total_error for trial in logs[:2] if trial.result]
+    assert f"3 trials, error at the end [mm], total {np.mean(totals):.0f}" in text
+    assert "1 of 3 trials did not run to their end, not in the means" in text
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=20), st.floats(0.001, 0.05))
+def test_labels_stay_apart_in_order_and_inside(heights, gap):
+    wanted = np.sort(np.array(heights))
+    placed = apart(wanted, gap)
+    assert (np.diff(placed) >= gap - 1e-9).all()
+    assert placed.min() >= 0
+    assert placed.max() <= 1 + 1e-9
+
+
+def test_labels_that_do_not_touch_stay_where_they_are():
+    assert apart(np.array([0.1, 0.5, 0.9]), 0.1).tolist() == pytest.approx([0.1, 0.5, 0.9])
 
 
 @pytest.mark.slow

@@ -94,6 +94,9 @@ def run_app() -> int:
         if not isinstance(end.__context__, BrokenPipeError):
             raise
         return Exit.DONE  # the same; typer makes it another exception
+    except FileNotFoundError as error:
+        complain(f"{error.filename}: no such file or folder")
+        return Exit.USAGE
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         complain(f"{where}{error.strerror or error}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import Exit
 
 SHOWN = 1000  # characters of a line
 
@@ -30,11 +30,10 @@ def info(
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
     """
     from tetractl.experiment.yaml.problems import printable
+    from tetractl.log.read.find import find_log
     from tetractl.log.read.overview import overview
 
-    if not log.exists():
-        raise UsageError(f"{log}: no such file")
-    found = overview(log)
+    found = overview(find_log(log))
     if as_json:
         print(found.as_json())
     else:

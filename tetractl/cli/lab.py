@@ -114,7 +114,7 @@ def calibrate(
     spec: Spec,
     sets: Sets = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="Where the calibration goes.")
+        Path, typer.Option("-o", "--out", metavar="FILE", help="Where the calibration goes.")
     ] = Path("calibration.yaml"),
     robot: Annotated[
         list[str] | None,
@@ -146,7 +146,7 @@ def calibrate(
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
     if output.exists():
-        raise UsageError(f"{output}: exists already", "name another with --output")
+        raise UsageError(f"{output}: exists already", "name another with --out")
     lab, setup = _lab(spec, sets)
     names = robot or list(setup.names)
     for name in names:
@@ -189,10 +189,12 @@ def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Setup]":
 def _xbee(port: str, baud: int, mode: str) -> "XbeeSection":
     from pydantic import ValidationError
 
+    from tetractl.experiment.yaml.explain import words
     from tetractl.lab.actuators.xbee.section import XbeeSection
 
     try:
         return XbeeSection.model_validate({"port": port, "baud": baud, "mode": mode})
     except ValidationError as error:
-        field = error.errors()[0]["loc"][0]
-        raise UsageError(f"--{field}: {error.errors()[0]['msg']}") from None
+        details = error.errors()[0]
+        message = words(details, details["input"])
+        raise UsageError(f"--{details['loc'][0]}: {message}") from None

@@ -16,7 +16,7 @@ def plot(
         Path | None,
         typer.Option(
             "-o",
-            "--output",
+            "--out",
             metavar="FILE",
             help="Picture to write: .png, .svg or .pdf; by default LOG-KIND.png here.",
         ),
@@ -38,12 +38,14 @@ def plot(
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
     """
+    from tetractl.log.read.find import find_logs
     from tetractl.log.read.reader import read_trial
     from tetractl.view.figures.kinds import check_kind, draw
     from tetractl.view.style import file_format, save
     from tetractl.view.terminal.damage import warn_of_damage
 
     check_kind(kind)
+    logs = find_logs(logs)
     path = output or _default_name(logs, kind)
     file_format(path)
     trials = [read_trial(log) for log in logs]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import Exit
 
 
 def recover(
@@ -26,10 +26,10 @@ def recover(
     Example: tetractl recover logs/batch/trial-003.mcap.part
     """
     from tetractl.experiment.yaml.problems import printable
+    from tetractl.log.read.find import find_log
     from tetractl.log.read.recover import recover as save
 
-    if not log.exists():
-        raise UsageError(f"{log}: no such file")
+    log = find_log(log)
     done = save(log, out)
     if as_json:
         print(json.dumps({**asdict(done), "whole": done.whole}, indent=2))

@@ -54,7 +54,12 @@ def run(
     yes: Yes = False,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for the logs.  \\[logs/<spec name>-<UTC time>]"),
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="DIR",
+            help="Folder for the logs.  \\[logs/<spec name>-<UTC time>]",
+        ),
     ] = None,
     jobs: Annotated[
         int, typer.Option(min=1, metavar="N", help="Trials at a time, each in its process.")
@@ -103,6 +108,7 @@ def run(
     from tetractl.cli.streams import hurrier
     from tetractl.control.build import warm_up
     from tetractl.experiment.plants import on_plant
+    from tetractl.log.read.find import find_log
     from tetractl.replay.rerun import compare, recorded
     from tetractl.run.batch import log_path
     from tetractl.run.folder import batch_folder, default_folder, trials_to_run
@@ -127,6 +133,7 @@ def run(
         loaded = on_plant(loaded, plant.value if plant else None)
     else:
         assert log is not None
+        log = find_log(log)
         loaded, number = recorded(log, plant.value if plant else "sim")
     _check_lab_options(loaded, jobs, record_wire)
     check(loaded.experiment)

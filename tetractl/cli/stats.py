@@ -23,6 +23,7 @@ def stats(
         list[str], typer.Argument(metavar="PATH", help="Logs, folders or globs: one batch.")
     ],
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = "table",
+    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
     against: Annotated[
         list[str] | None,
         typer.Option(
@@ -52,7 +53,7 @@ def stats(
     ours = _summary(paths)
     theirs = _summary(against) if against else None
     comparison = compare(ours, theirs) if theirs else None
-    _show(form, ours, comparison)
+    _show("json" if as_json else form, ours, comparison)
     if plot:
         from tetractl.view.figures.batch import batch_figure
         from tetractl.view.style import save

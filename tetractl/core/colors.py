@@ -24,6 +24,11 @@ def _own_color(name: str, color: str | None) -> str | None:
         return NAMED[color]
     if color.startswith("#"):
         return color.upper()
-    from matplotlib.colors import is_color_like, to_hex  # slow to import; only names need it
+    return known_colors()[color]
 
-    return to_hex(color).upper() if is_color_like(color) else None
+
+def known_colors() -> dict[str, str]:
+    """Return the colours that can be named, those of CSS, as #RRGGBB."""
+    from matplotlib.colors import CSS4_COLORS  # slow to import; only names need it
+
+    return CSS4_COLORS

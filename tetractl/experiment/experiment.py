@@ -4,8 +4,10 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
+from pydantic_core import PydanticCustomError
 
+from tetractl.core.colors import NAMED, known_colors
 from tetractl.core.poses import Poses
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
@@ -62,8 +64,17 @@ class Robot(Model):
     speed: NonNegative
     """Speed v [length unit/s]."""
     color: str | None = Field(default=None, pattern=r"^(#[0-9a-fA-F]{6}|[a-z]{3,20})$")
-    """Colour in pictures: a matplotlib name or #rrggbb; by default from a colour-blind safe
-    list."""
+    """Colour in pictures: a name of CSS or #rrggbb; by default from a colour-blind safe list."""
+
+    @field_validator("color")
+    @classmethod
+    def _is_known(cls, color: str | None) -> str | None:
+        named = color is not None and not color.startswith("#") and color not in NAMED
+        if named and color not in known_colors():
+            raise PydanticCustomError(
+                "unknown_color", "is unknown", {"known": list(known_colors())}
+            )
+        return color
 
 
 class Trials(Model):

@@ -78,7 +78,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
 
     `text` is the calibration file, `origin` its name; problems are told as a spec's are.
     """
-    document = parse_document(text, origin)
+    document = _calibration(text, origin)
     if is_old_calibration(document.data):
         data = upgrade_calibration(document.data)
         document.data.clear()
@@ -103,6 +103,19 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     for loc, message in plant_contradictions(updated):
         raise SpecError(f"{origin}: with this calibration, {dotted(loc)} {message}")
     return updated
+
+
+def _calibration(text: str, origin: str) -> Document:
+    """Parse a calibration; of a file that is none, whatever it holds, no line is shown."""
+    try:
+        document = parse_document(text, origin)
+    except InvalidSpecError:
+        document = None
+    if document is None or not ("measured" in document.data or is_old_calibration(document.data)):
+        raise SpecError(
+            f"{printable(origin)}: is no calibration", "`tetractl lab calibrate` writes one"
+        )
+    return document
 
 
 class _Merge:

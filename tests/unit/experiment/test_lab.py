@@ -1,3 +1,5 @@
+import os
+
 import pytest
 from support.paths import ROOT
 
@@ -103,7 +105,7 @@ def test_a_calibration_is_written_as_it_is_read():
         ),
         ("name: blue", "name: pink", "m: pink is no robot of the lab"),
         ("dead_zone: 9", "dead_zone: 60}, limit: 50, x: {", "unknown key"),
-        ("measured: 2026", "meshured: 2026", "measured: is missing"),
+        ("measured: 2026", "meshured: 2026", "m: is no calibration"),
     ],
 )
 def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
@@ -203,3 +205,29 @@ def test_a_protocol_version_needs_no_quotes_where_it_is_a_number(written, read):
     settings = ["lab.camera.transport=unicast", f"lab.camera.version={written}"]
     camera = lab_of(load_spec(SPEC, settings).experiment, "spec").camera
     assert camera.version == read
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "root:x:0:0:root:/root:/bin/bash\nbin:x:1:1::/:/sbin/nologin\n",
+        "[secret]\nkey = hunter2\n",
+        "password: hunter2\n",
+        "- hunter2\n",
+        "hunter2: {",
+        "",
+    ],
+)
+def test_no_line_of_a_file_that_is_no_calibration_is_shown(text):
+    """Regression: a spec could name any readable file, and its lines were printed."""
+    with pytest.raises(SpecError) as error:
+        calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "/etc/secret")
+    assert str(error.value) == "/etc/secret: is no calibration"
+
+
+def test_a_calibration_that_never_ends_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "m.yaml")
+    (tmp_path / "spec.yaml").write_text(SPEC.read_text())
+    loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
+    with pytest.raises(SpecError, match=r"m.yaml: is no regular file"):
+        on_plant(loaded, "lab")

@@ -74,6 +74,8 @@ def read_text(path: Path) -> str:
     """Read a spec file; InvalidSpecError names what is wrong with the file itself."""
     origin = printable(str(path))
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):  # a FIFO may never end
+            raise InvalidSpecError([SpecProblem(origin, "is no regular file")])
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:

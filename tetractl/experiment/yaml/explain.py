@@ -23,6 +23,8 @@ KINDS = {
     "model_type": "must be a mapping of keys",
     "model_attributes_type": "must be a mapping of keys",
     "dict_type": "must be a mapping of keys",
+    "missing": "is missing",
+    "extra_forbidden": "unknown key",
 }
 LIMITS = {
     "greater_than": "must be greater than {gt}",
@@ -33,6 +35,8 @@ LIMITS = {
     "string_too_long": "must have at most {max_length} characters",
     "too_short": "must have at least {min_length} entries",
     "too_long": "must have at most {max_length} entries, not {actual_length}",
+    "literal_error": "must be {expected}",
+    "string_pattern_mismatch": "must match {pattern}",
 }
 
 
@@ -105,20 +109,31 @@ def _problem(details: ErrorDetails, loc: Loc, value: Any, document: Document) ->
 
 
 def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any) -> str:
+    """Return what is wrong as `words` does, with the schema's own words on the field."""
+    kind, context = details["type"], details.get("ctx", {})
+    about = describe(loc, data)
+    if kind == "literal_error":
+        options = [str(option) for option in about.get("enum") or [about.get("const")]]
+        return f"must be one of {', '.join(options)}{did_you_mean(str(value), options)}"
+    if kind == "string_pattern_mismatch":
+        text = about.get("description", context["pattern"])
+        return f"must be {_sentence(text.partition(': ')[2] or text)}"
+    return words(details, value)
+
+
+def words(details: ErrorDetails, value: Any) -> str:
+    """Return what is wrong with a value in plain words, by pydantic's error alone."""
     kind, context = details["type"], details.get("ctx", {})
     if kind in KINDS:
         return KINDS[kind] + _quotes(kind, value)
     if kind in LIMITS:
         numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
         return LIMITS[kind].format(**numbers)
-    about = describe(loc, data)
-    if kind == "literal_error":
-        options = [str(option) for option in about.get("enum") or [about.get("const")]]
-        return f"must be one of {', '.join(options)}{did_you_mean(str(value), options)}"
-    if kind == "string_pattern_mismatch":
-        words = about.get("description", context["pattern"])
-        return f"must be {_sentence(words.partition(': ')[2] or words)}"
-    message = details["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    if kind == "unknown_color":
+        known = context["known"]
+        guess = did_you_mean(str(value), known)
+        return f"is an unknown colour{guess}; known are #rrggbb and {', '.join(known)}"
+    message = details["msg"].removeprefix("Value error, ")
     return message[:1].lower() + message[1:]
 
 

@@ -12,6 +12,7 @@ Loc = tuple[str | int, ...]
 
 SHOWN_PROBLEMS = 100
 SHOWN_LENGTH = 60
+MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})  # as in um
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,5 +62,6 @@ def dotted(loc: Loc) -> str:
 def did_you_mean(word: str, known: Sequence[str]) -> str:
     """`; did you mean 'heading'?`, or nothing where no known word is close."""
     lower = {k.lower(): k for k in known}
-    close = difflib.get_close_matches(word[:SHOWN_LENGTH].lower(), lower, n=1)
+    plain = word[:SHOWN_LENGTH].lower().translate(MICRO)
+    close = difflib.get_close_matches(plain, lower, n=1)
     return f"; did you mean '{lower[close[0]]}'?" if close else ""

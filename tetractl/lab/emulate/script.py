@@ -12,6 +12,7 @@ from tetractl.core.errors import SpecError
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.load import frozen
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.explain import words
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 from tetractl.lab.emulate.faults import Fault, Mark
 from tetractl.lab.emulate.kinds import ACTUATORS, CAMERAS
@@ -170,8 +171,5 @@ def _sides(info: ValidationInfo) -> Sides:
 
 def _problem(details: ErrorDetails, document: Document) -> SpecProblem:
     loc = tuple(details["loc"])
-    message = details["msg"].removeprefix("Value error, ").replace("Input should", "should")
-    if details["type"] == "extra_forbidden":
-        place = document.keys.get(loc) or document.place(loc)
-        return place.problem(loc, "unknown key")
-    return document.place(loc).problem(loc, message[:1].lower() + message[1:])
+    place = document.keys.get(loc) if details["type"] == "extra_forbidden" else None
+    return (place or document.place(loc)).problem(loc, words(details, details["input"]))

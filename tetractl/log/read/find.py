@@ -44,6 +44,14 @@ def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]
     return [log for real, log in found.items() if not _sources(real) & found.keys()]
 
 
+def find_log(path: Path | str) -> Path:
+    """Return the one log of a path, which is as in `find_logs`; UsageError where it has several."""
+    logs = find_logs([path])
+    if len(logs) > 1:
+        raise UsageError(f"{path}: {len(logs)} logs", f"name one of them, such as {logs[0]}")
+    return logs[0]
+
+
 def _sources(log: Path) -> set[Path]:
     """Return the possible sources of a recovered log, none for another log."""
     if not log.name.endswith(RECOVERED_SUFFIX):
@@ -57,8 +65,10 @@ def _expand(path: Path, attempts: bool) -> list[Path]:
         if logs := _in_folder(path, attempts):
             return logs
         raise UsageError(f"{path}: no logs (*{SUFFIX}) in this folder")
-    if path.exists():
+    if path.is_file():
         return [path]
+    if path.exists():  # a FIFO or a device may never end
+        raise UsageError(f"{path}: is no regular file")
     if not glob.has_magic(str(path)):
         raise UsageError(f"{path}: no such file or folder")
     pattern = glob.glob(str(path), recursive=True)  # noqa: PTH207, Path.glob refuses absolute ones

@@ -1,0 +1,90 @@
+"""One rule for the options of all commands (decision 0022)."""
+
+import json
+import os
+import subprocess
+
+import pytest
+import typer.main
+from support.running import PATIENCE_S, QUICK, TETRACTL, environment
+
+from tetractl.cli.app import app
+
+
+def commands(command=None, words=()):
+    """Yield every command with its words."""
+    command = command or typer.main.get_command(app)
+    inner = getattr(command, "commands", {})
+    if not inner:
+        yield words, command
+    for name, each in inner.items():
+        yield from commands(each, (*words, name))
+
+
+def tetractl(*words, cwd, **options):
+    done = subprocess.run(
+        [TETRACTL, *words],
+        cwd=cwd,
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        **options,
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    return done
+
+
+def test_options_of_one_meaning_have_one_name():
+    seen = set()
+    for words, command in commands():
+        options = {option for p in command.params for option in p.opts if option.startswith("-")}
+        seen |= options
+        assert ("--out" in options) == ("-o" in options), words
+        assert "--json" in options or "--format" not in options, words
+        takes_spec = any(p.name in ("spec", "specs") for p in command.params)
+        assert ("--set" in options) == takes_spec, words
+    assert {"--out", "--json", "--set", "--yes"} <= seen
+    assert "--output" not in seen
+
+
+@pytest.mark.parametrize("words", [(), ("lab",)])
+def test_without_a_command_the_help_is_printed_and_no_error(tmp_path, words):
+    done = tetractl(*words, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (2, "")
+    assert "Usage:" in done.stdout
+
+
+LOG_COMMANDS = ["replay", "plot", "info", "recover", "verify", "stats", "run --from"]
+SPEC_COMMANDS = ["validate", "run", "lab check", "lab stop", "lab calibrate", "lab emulate"]
+
+
+@pytest.mark.parametrize("command", LOG_COMMANDS + SPEC_COMMANDS)
+@pytest.mark.parametrize("made", ["missing", "fifo"])
+def test_a_file_that_is_missing_or_no_regular_one_is_bad_usage(tmp_path, command, made):
+    """Regression: a FIFO hung whoever opened it, and `replay missing.mcap` ended with 1."""
+    if made == "fifo":
+        os.mkfifo(tmp_path / "x")
+    done = tetractl(*command.split(), "x", cwd=tmp_path)
+    assert done.returncode == 2
+    said = done.stderr + done.stdout  # validate's problems are its results
+    assert said.startswith(("error: x: ", "x: ")), said
+    assert said.count("\n") == 1
+    assert ("no regular file" in said) == (made == "fifo")
+
+
+def test_json_is_format_json_and_a_folder_of_one_log_is_that_log(tmp_path):
+    (tmp_path / "spec.yaml").write_text(QUICK)
+    done = tetractl("run", "spec.yaml", "--trials", "1", "-o", "logs", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for words in (("stats", "logs", "--json"), ("stats", "logs", "--format", "json")):
+        assert tetractl(*words, cwd=tmp_path).stdout == done.stdout
+    found = json.loads(tetractl("info", "logs", "--json", cwd=tmp_path).stdout)
+    assert found["path"] == "logs/trial-000.mcap"
+    (tmp_path / "logs" / "trial-001.mcap").write_bytes(
+        (tmp_path / "logs" / "trial-000.mcap").read_bytes()
+    )
+    several = tetractl("info", "logs", cwd=tmp_path)
+    assert several.returncode == 2
+    assert "error: logs: 2 logs\nhint: name one of them" in several.stderr

@@ -19,7 +19,7 @@ from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.overrides import override
-from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.experiment.yaml.problems import InvalidSpecError, printable
 from tetractl.experiment.yaml.upgrade import upgrade
 
 
@@ -43,7 +43,7 @@ def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
     """
     text = read_text(path)
     experiment, notices = _experiment(text, str(path), sets)
-    return LoadedSpec(experiment, text, path.name, path, notices=notices)
+    return LoadedSpec(experiment, text, printable(path.name), path, notices=notices)
 
 
 def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:

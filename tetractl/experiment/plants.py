@@ -55,7 +55,7 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     path = (loaded.path.parent if loaded.path else Path()) / lab.calibration
     text = read_text(path)
     experiment = calibrated(loaded.experiment, text, str(path))
-    return replace(loaded, experiment=experiment, attached=((path.name, text),))
+    return replace(loaded, experiment=experiment, attached=((printable(path.name), text),))
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:

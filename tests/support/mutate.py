@@ -9,8 +9,8 @@ from typing import Any
 from google.protobuf.message import Message
 from mcap.records import Attachment, Metadata
 
-from tetractl.log.format.channels import CHANNELS, RESULT, Entry
-from tetractl.log.format.digest import CHECKSUM, DIGEST
+from tetractl.log.format.channels import CHANNELS, RESULT, TIMING, Entry
+from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST
 from tetractl.log.format.metadata import seal
 from tetractl.log.read.contents import Contents
 from tetractl.log.write.sink import Sink
@@ -70,17 +70,19 @@ def rewrite(
     facts: Callable[[str, dict[str, str]], dict[str, str]] = lambda name, facts: facts,
 ) -> Path:
     """Write a log again with some entries and facts replaced."""
-    sink = Sink(path)
+    sink, own = Sink(path), (CHECKSUM, DIGEST, HOST_DIGEST)
     for record in contents.records:
         if isinstance(record, Entry):
             sink.messages([entries.get(record, record)])
         elif isinstance(record, Attachment):
             sink.attachment(record.name, record.media_type, record.log_time, record.data)
         elif isinstance(record, Metadata):
-            plain = {k: v for k, v in record.metadata.items() if k not in (CHECKSUM, DIGEST)}
+            plain = {k: v for k, v in record.metadata.items() if k not in own}
             plain = facts(record.name, plain)
             if record.name == RESULT:
                 sink.last_metadata(record.name, plain)
+            elif record.name == TIMING and HOST_DIGEST in record.metadata:
+                sink.last_host_metadata(record.name, plain)
             else:
                 sink.copy_metadata(record.name, seal(plain))
     sink.close(complete=True)

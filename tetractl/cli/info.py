@@ -9,7 +9,7 @@ import typer
 
 from tetractl.core.errors import Exit
 
-SHOWN = 1000  # characters of a line
+SHOWN = 240  # characters of a line; --json has all
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

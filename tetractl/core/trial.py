@@ -98,6 +98,12 @@ class Result:
         )
 
     @property
+    def summary(self) -> str:
+        """The result in words, which end the messages of a log."""
+        reason = f" ({self.reason})" if self.reason else ""
+        return f"{self.outcome.value}{reason} after {self.steps} control steps"
+
+    @property
     def entered_obstacle(self) -> bool:
         """Whether the path of any robot touched an obstacle."""
         return any(self.verdict.entered)

@@ -14,6 +14,7 @@ from importlib import metadata
 from pathlib import Path
 
 from tetractl import __version__
+from tetractl.core.cache import compiler_settings
 from tetractl.core.cache import digest as cache_name
 
 PACKAGES = (
@@ -32,6 +33,9 @@ PACKAGES = (
 VERSION_KEYS = frozenset({"python", "tetractl", "code", "git_commit", "git_dirty", *PACKAGES})
 """The keys that `versions` may return."""
 
+LISTS = frozenset({"cpu_features", "numba_settings", "numpy_dispatch"})
+"""The facts of a host that are lists of words."""
+
 PLUGIN = "package."
 """Before the name of a package that provides a kind which the spec uses; the value is its version.
 """
@@ -48,12 +52,15 @@ def now() -> str:
 
 @cache
 def host() -> dict[str, str]:
-    """Return name, system and processor of this machine."""
+    """Return name, system and processor of this machine, and what chooses the code that runs."""
     return {
         "host": socket.gethostname(),
         "os": platform.platform(),
         "cpu": _cpu(),
         "cpu_target": _cpu_target(),
+        "cpu_features": _cpu_features(),
+        "numba_settings": compiler_settings(),
+        "numpy_dispatch": _numpy_dispatch(),
         "cpus": str(os.cpu_count() or 0),
     }
 
@@ -149,6 +156,23 @@ def _cpu_target() -> str:
     from llvmlite import binding  # slow to import, and needed by those who compute anyway
 
     return binding.get_host_cpu_name()
+
+
+def _cpu_features() -> str:
+    """Return what LLVM may use of the processor; one name of a processor covers several sets."""
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features()
+    return " ".join(sorted(name for name, present in features.items() if present))
+
+
+def _numpy_dispatch() -> str:
+    """Return the instruction sets that numpy found and was not told to leave."""
+    from numpy._core._multiarray_umath import (  # the only place that tells
+        __cpu_features__ as features,
+    )
+
+    return " ".join(sorted(name for name, present in features.items() if present))
 
 
 def _cpu() -> str:

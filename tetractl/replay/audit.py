@@ -8,7 +8,7 @@ import numpy as np
 from tetractl.core.clock import SECOND, milliseconds, seconds
 from tetractl.core.commands import HALTS, Command, Verdict
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Observation, Poses
+from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.standstill import REST_NS
@@ -20,6 +20,7 @@ from tetractl.log.read.trial_log import ALTERED, TrialLog
 from tetractl.replay.recompute import Difference
 
 REST = 1e-6  # relative to a coordinate: tolerance for the position of a robot at rest
+STOPPING_S = 1.0  # the longest time until a stop is sent, on a host under load
 LAST_FRAMES = 120  # of a lab trial, one of which shows the final poses
 SLACK = 2.0  # times the lab's limits: a few frames come between its last look and the log's end
 MM = 1e-3  # m
@@ -39,6 +40,9 @@ def audit(log: TrialLog) -> Audit:
     findings.problems += _run(log)
     if log.altered:
         findings.problems.append(Difference(None, "content_digest", ALTERED))
+    if log.host_altered and not log.damage:
+        text = "the records of the host do not match the digest that the log states"
+        findings.problems.append(Difference(None, "host_digest", text))
     findings.problems += _frames(log)
     findings.problems += _steps(log)
     findings.problems += _stamps(log)
@@ -222,27 +226,54 @@ def _result(log: TrialLog, result: Result) -> Iterator[Difference]:
 def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
     """The verdict follows from the path: what its samples show, the plant's samples show too.
 
-    Only the lab's plant judges the logged frames themselves. A simulation judges more samples, so
-    its clearance may be less; and a straight line between two of its frames may cut a corner that
-    the true path goes round, so that only its samples count.
+    Only the lab's plant judges the logged frames themselves, from the first step on. A simulation
+    judges more samples, so its clearance may be less; and a straight line between two of its frames
+    may cut a corner that the true path goes round, so that only its samples count: `resimulate`
+    checks the rest.
     """
     path, known = trial_path(log)
     entered, clearance = judged(log, path, known)
     for i, (stated, least) in enumerate(zip(verdict.clearance, clearance, strict=True)):
-        if log.start.plant.simulated and stated > least + REST * max(1.0, abs(least)):
+        room = REST * max(1.0, abs(least))
+        if log.start.plant.simulated and stated > least + room:
             text = f"states {stated}, a frame shows {least}"
+            yield Difference(None, f"result.clearance.{i}", text)
+        if not log.start.plant.simulated and not log.damage and stated < least - room:
+            text = f"states {stated}, the nearest frame shows {least}"
             yield Difference(None, f"result.clearance.{i}", text)
     for i, (stated, least) in enumerate(zip(verdict.entered, verdict.clearance, strict=True)):
         if least < 0 and not stated:
             yield Difference(None, f"result.entered.{i}", f"false, with clearance {least}")
         elif entered[i] and not stated and not log.start.plant.simulated:
             yield Difference(None, f"result.entered.{i}", "false, but the path touches an obstacle")
+        elif stated and not (entered[i] or log.start.plant.simulated or log.damage):
+            yield Difference(None, f"result.entered.{i}", "true, but the path touches no obstacle")
+    if not (log.start.plant.simulated or log.damage or log.stop is None):
+        yield from _driven(log, verdict, path, known, log.stop)
+
+
+def _driven(
+    log: TrialLog, verdict: Verdict, path: Floats, known: Bools, stop: Command
+) -> Iterator[Difference]:
+    """The lab's plant judges at least the frames between the first step and the stop."""
+    since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
+    between = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)
+    _, clearance = judged(log, path[between], known[between])
+    for i, (stated, least) in enumerate(zip(verdict.clearance, clearance, strict=True)):
+        if stated > least + REST * max(1.0, abs(least)):
+            text = f"states {stated}, a frame shows {least}"
+            yield Difference(None, f"result.clearance.{i}", text)
 
 
 def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
     stop = log.stop
+    said = [note.text for note in log.notes]
+    if said and result.summary not in said and not log.damage:
+        yield Difference(None, "result.outcome", f"nothing on /log says {result.summary!r}")
     if stop is None:
         return
+    if not log.start.plant.simulated and not log.damage:
+        yield from _lasted(log, result, stop)
     if log.steps and stop.sent_ns < log.steps[-1].command.sent_ns:
         yield Difference(None, "stop.sent_ns", "the stop comes before the last step")
     if log.start.plant.simulated and result.duration_s != (took_s := log.elapsed_s(stop.sent_ns)):
@@ -272,6 +303,16 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
         if halts and gone_mm > SLACK * lab.limits.standstill_mm * span_s:
             text = f"complete, but {name} moved by {gone_mm:.0f} mm in the last {span_s:.2f} s"
             yield Difference(None, "result.outcome", text)
+
+
+def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
+    """The duration in the lab begins after the first frame and before the first command."""
+    first = min((command.sent_ns for command in log.commands), default=stop.sent_ns)
+    opened = int(log.received_ns[0]) if len(log.received_ns) else 0
+    least, most = seconds(stop.sent_ns - first), seconds(stop.sent_ns - min(opened, first))
+    if not least - 1e-6 <= result.duration_s <= most + STOPPING_S:
+        text = f"states {result.duration_s} s, the commands make it {least} to {most} s"
+        yield Difference(None, "result.duration_s", text)
 
 
 def _stands(log: TrialLog, final: Poses) -> bool:

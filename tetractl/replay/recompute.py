@@ -21,7 +21,7 @@ from tetractl.core.plan import Limits, Outcome, Plan, Search, StopReason, never
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
-from tetractl.core.trial import Step
+from tetractl.core.trial import Result, Step
 from tetractl.experiment.controller import OptimizerSection
 from tetractl.log.read import bounds
 from tetractl.log.read.trial_log import TrialLog
@@ -216,9 +216,7 @@ def recompute(
             if rerun.expired():
                 raise _TooLongError
         except (_TooLongError, MemoryError):
-            text = (
-                f"not decided again: from here on it takes more than {limit_s:g} s or much memory"
-            )
+            text = f"not decided again: from here on it takes over {limit_s:g} s or much memory"
             return Difference(step.k, "plan", f"{text}; {bounds.FACTOR}=2 allows twice as much")
         except _StopError:
             found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
@@ -250,7 +248,9 @@ def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference 
     in the lab one of the newest.
     """
     result, stop = log.result, log.stop
-    if result is None or stop is None or not result.outcome.complete:
+    if result is None or stop is None:
+        return None
+    if not result.outcome.complete and not _stopped_by_itself(log, result):
         return None
     since = log.steps[-1].observation.received_ns if log.steps else -1
     newest = np.flatnonzero((log.received_ns > since) & (log.received_ns <= stop.sent_ns))[::-1]
@@ -271,11 +271,26 @@ def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference 
         except _StopError:
             said.append("goes on")
             continue
+        except TetractlError:
+            said.append("cannot go on")
+            continue
         if decision is result.outcome:
             return None
         said.append(decision.value if isinstance(decision, Outcome) else "goes on")
-    why = f"the controller {said[0]}" if said else "there is no frame to decide it on"
+    if not result.outcome.complete and (not said or said[0] in ("goes on", "cannot go on")):
+        return None
+    why = f"the controller says {said[0]!r}" if said else "there is no frame to decide it on"
     return Difference(None, "outcome", f"logged {result.outcome.value!r}, but {why}")
+
+
+def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
+    """Return whether a trial that is said to be cut short may have ended by its controller.
+
+    In the lab a fault may come in the same instant; and robots that did not come to rest make a
+    trial aborted that had ended.
+    """
+    told = any(note.level == "error" and note.text == result.reason for note in log.notes)
+    return log.start.plant.simulated and not told
 
 
 def _extent(xy: Floats, targets: Floats) -> float:

@@ -1,4 +1,4 @@
-"""Verify a log: check it against itself, and compute every decision again."""
+"""Verify a log: check it against itself, simulate it again, and compute every decision again."""
 
 import time
 from dataclasses import dataclass
@@ -11,8 +11,20 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.audit import audit
 from tetractl.replay.recompute import TOLERANCE, Difference, first_steps, recompute
+from tetractl.replay.resimulate import resimulate
 
-DECIDES_BITS = ("cpu", "cpu_target", "code", "python", "numpy", "numba", "llvmlite")
+DECIDES_BITS = (
+    "cpu",
+    "cpu_target",
+    "cpu_features",
+    "numba_settings",
+    "numpy_dispatch",
+    "code",
+    "python",
+    "numpy",
+    "numba",
+    "llvmlite",
+)
 """What must be the same on two hosts for the same bits to come out."""
 
 
@@ -52,6 +64,9 @@ def verify(path: Path) -> Verification:
     log = read_trial(path)
     findings = audit(log)
     elsewhere = host_differences(log)
+    simulated = resimulate(log, exact=True)
+    if simulated and elsewhere:
+        simulated = resimulate(log, exact=False)
     method, found = Method.RECOMPUTED, recompute(log, again=True)
     if found and elsewhere:
         method, found = Method.REEVALUATED, recompute(log, again=False)
@@ -63,7 +78,7 @@ def verify(path: Path) -> Verification:
         checked=checked,
         method=method,
         elsewhere=elsewhere,
-        problems=(*((found,) if found else ()), *findings.problems),
+        problems=(*filter(None, (found, simulated)), *findings.problems),
         notes=tuple(findings.notes),
         seconds=time.perf_counter() - began,
     )
@@ -75,7 +90,16 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
     here = provenance.host() | provenance.versions() | used
     there = log.host | log.provenance
     return tuple(
-        f"{key}: {there.get(key, 'unknown')} there, {here.get(key, 'unknown')} here"
+        _difference(key, there.get(key), here.get(key))
         for key in (*DECIDES_BITS, *used)
         if here.get(key) != there.get(key)
     )
+
+
+def _difference(key: str, there: str | None, here: str | None) -> str:
+    """Return how a fact of two hosts differs; of lists of words, only the words that differ."""
+    if there is not None and here is not None and key in provenance.LISTS:
+        ours, theirs = set(here.split()), set(there.split())
+        only = (" ".join(sorted(words)) or "no more" for words in (theirs - ours, ours - theirs))
+        return "{}: {} there, {} here".format(key, *only)
+    return f"{key}: {there or 'unknown'} there, {here or 'unknown'} here"

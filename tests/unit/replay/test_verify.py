@@ -1,11 +1,17 @@
 """`verify`: every kind of run comes out with the same bits, and no change goes unnoticed."""
 
+import os
 import random
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from mcap.records import Attachment
+from numpy._core._multiarray_umath import __cpu_dispatch__
 from support import mutate, random_trials
 from support.mutate import places, rewrite, with_entry
 from support.paths import ROOT
@@ -16,11 +22,26 @@ from tetractl.core.plan import Outcome
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log import provenance
-from tetractl.log.format.channels import CHANNELS, ESTIMATE, HOST, RESULT, RUN, STEP
+from tetractl.log.format.channels import (
+    CHANNELS,
+    ESTIMATE,
+    HOST,
+    LOG,
+    MOCAP,
+    RESOLVED_SPEC,
+    RESULT,
+    RUN,
+    STEP,
+    TIMING,
+    TRUTH,
+    Entry,
+)
+from tetractl.log.format.metadata import seal
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.write.sink import Sink
 from tetractl.replay import verify as module
 from tetractl.replay.audit import audit
 from tetractl.replay.recompute import recompute
@@ -237,6 +258,16 @@ def test_on_another_processor_the_costs_have_to_agree(
         (RESULT, "clearance", "[1e9, 1e9]", "result.clearance.0"),
         (RESULT, "duration_s", "3.25", "result.duration_s"),
         (RESULT, "outcome", "arrived", "outcome"),
+        (RESULT, "outcome", "aborted", "outcome"),
+        (RESULT, "outcome", "interrupted", "outcome"),
+        (RESULT, "reason", "made up", "result.outcome"),
+        (RESULT, "entered", "[true, true]", "result.entered.0"),
+        (RESULT, "clearance", "[1.0, 1.0]", "result.clearance.0"),
+        (RESULT, "final_heading", "[0.0, 0.0]", "result.final"),
+        (RESULT, "unit", "um", "damage"),
+        (RUN, "unit", "um", "run.unit"),
+        (RUN, "mode", "lab", "run.mode"),
+        (RUN, "plant.true_a", "[6.5, 3.0]", "run.plant"),
     ],
 )
 def test_facts_that_do_not_fit_are_noticed(
@@ -247,6 +278,124 @@ def test_facts_that_do_not_fit_are_noticed(
 
     found = verify(rewrite(contents, tmp_path / "changed.mcap", {}, change))
     assert any(field in problem.field for problem in found.problems), found.problems
+
+
+@pytest.mark.parametrize("outcome", ["aborted", "interrupted"])
+def test_an_outcome_is_not_changed_with_all_that_says_it(
+    tmp_path: Path, contents: Contents, outcome: str
+) -> None:
+    """Regression: a bad trial could be taken out of the means so."""
+
+    def change(name: str, facts: dict[str, str]) -> dict[str, str]:
+        return facts | ({"outcome": outcome, "reason": "why"} if name == RESULT else {})
+
+    last = [entry for entry in contents.entries if entry.topic == LOG][-1]
+    note = Log.FromString(last.data)
+    note.message = note.message.replace("steps max", f"{outcome} (why)")
+    said = {last: last._replace(data=note.SerializeToString())}
+    found = verify(rewrite(contents, tmp_path / "changed.mcap", said, change))
+    assert [problem.field for problem in found.problems] == ["outcome"]
+    assert "the controller says 'steps max'" in found.problems[0].message
+
+
+@pytest.mark.parametrize("topic", [MOCAP, TRUTH])
+def test_a_frame_between_decisions_is_not_changed(
+    tmp_path: Path, contents: Contents, topic: str
+) -> None:
+    decided = {step.observation.frame for step in read_trial(contents.path).steps}
+    frames = [(i, e) for i, e in enumerate(contents.entries) if e.topic == topic]
+    index = next(
+        i for i, e in frames if CHANNELS[topic].FromString(e.data).frame not in decided | {0}
+    )
+    found = verify(with_entry(contents, tmp_path / "changed.mcap", index, ("x", 0)))
+    assert [problem.field.split(".")[0] for problem in found.problems] == [topic.strip("/")]
+
+
+def test_the_times_of_solving_are_bound_too(tmp_path: Path, contents: Contents) -> None:
+    log = read_trial(contents.path)
+    assert log.result
+    faster = {"solve_ns": str([1] * log.result.steps), "deadline_misses": "0"}
+    sink = Sink(tmp_path / "changed.mcap")
+    for record in contents.records:
+        if isinstance(record, Entry):
+            sink.messages([record])
+        elif isinstance(record, Attachment):
+            sink.attachment(record.name, record.media_type, record.log_time, record.data)
+        else:
+            put = faster if record.name == TIMING else {}
+            sink.copy_metadata(record.name, seal({**record.metadata, **put}))
+    sink.close(complete=True)
+    fields = {problem.field for problem in verify(tmp_path / "changed.mcap").problems}
+    assert "host_digest" in fields
+
+
+DIFFERENT = """
+import sys
+from pathlib import Path
+from tetractl.experiment.load import parse_spec
+from tetractl.run.batch import run_trial
+from tetractl.run.interrupt import Interrupt
+
+run_trial(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1, (), Interrupt())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        ({"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}, "numba_settings"),
+        ({"NPY_DISABLE_CPU_FEATURES": " ".join(__cpu_dispatch__)}, "numpy_dispatch"),
+    ],
+)
+def test_a_log_of_other_instruction_sets_is_honest(
+    tmp_path: Path, settings: dict[str, str], key: str
+) -> None:
+    """Regression: under one name of a processor it was said to be wrong."""
+    subprocess.run(
+        [sys.executable, "-c", DIFFERENT, SPEC, str(tmp_path)],
+        env=os.environ | settings | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"},
+        check=True,
+    )
+    found = verify(log_path(tmp_path, 1))
+    assert found.problems == ()
+    assert [line.split(":")[0] for line in found.elsewhere] == [key]
+
+
+def test_features_of_one_processor_may_differ(tmp_path: Path, contents: Contents) -> None:
+    def fewer(name: str, facts: dict[str, str]) -> dict[str, str]:
+        if name != HOST:
+            return facts
+        features = " ".join(facts["cpu_features"].split()[1:])
+        return facts | {"cpu_features": f"{features} made-up"}
+
+    found = verify(rewrite(contents, tmp_path / "there.mcap", {}, fewer))
+    first = provenance.host()["cpu_features"].split()[0]
+    assert found.elsewhere == (f"cpu_features: made-up there, {first} here",)
+    assert found.problems == ()
+
+
+def test_a_spec_that_asks_for_very_much_is_not_computed(tmp_path: Path, contents: Contents) -> None:
+    """Regression: `verify` went on for hours."""
+    records = []
+    for record in contents.records:
+        if isinstance(record, Attachment) and record.name == RESOLVED_SPEC:
+            text = record.data.replace(b"iterations: 14", b"iterations: 1000000")
+            text = text.replace(b"particles: 6", b"particles: 1000000")
+            assert text.count(b"1000000") == 2
+            record = replace(record, data=text)
+        records.append(record)
+    asking = Contents(contents.path, records=records, channels=contents.channels)
+    found = verify(rewrite(asking, tmp_path / "asking.mcap", {}))
+    assert not found.ok
+    assert found.seconds < 60
+
+
+def test_the_time_that_verifying_takes_is_bounded(log: Path) -> None:
+    ticks = iter(range(0, 100_000, 4))
+    found = recompute(read_trial(log), again=True, wall=lambda: next(ticks))
+    assert found is not None
+    assert "not decided again: from here on it takes over 15 s" in found.message
 
 
 def test_a_trial_number_that_cannot_be_is_told(tmp_path: Path, contents: Contents) -> None:

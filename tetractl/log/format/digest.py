@@ -3,40 +3,47 @@
 import hashlib
 from collections.abc import Mapping
 
-from tetractl.log.format.channels import HOST_RECORDS, Entry
+from tetractl.log.format.channels import HOST_RECORDS, RECOVERED, Entry
 
 CHECKSUM = "checksum"
 DIGEST = "content_digest"
+HOST_DIGEST = "host_digest"
 
 
 class ContentDigest:
     """SHA-256 over the records of a log, in file order, host records left out.
 
+    With `host` it is over the host records alone, but for the report of a recovery.
+
     A record is preceded by its number of fields and a field by its length in bytes, so that no two
     different logs give the same bytes to hash. The fields of a message are topic, both times and
-    data; of metadata, name and items by key without the checksum and the digest; of an attachment,
+    data; of metadata, name and items by key without the checksum and the digests; of an attachment,
     name, media type and data.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, host: bool = False) -> None:
         self._hash = hashlib.sha256()
+        self._host = host
+
+    def _covers(self, name: str) -> bool:
+        return (name in HOST_RECORDS) == self._host and name != RECOVERED
 
     def message(self, entry: Entry) -> None:
         """Add one message."""
-        if entry.topic not in HOST_RECORDS:
+        if self._covers(entry.topic):
             times = b"%d %d" % (entry.log_ns, entry.publish_ns)
             self._add(b"message", entry.topic.encode(), times, entry.data)
 
     def metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add one metadata record."""
-        if name not in HOST_RECORDS:
-            keys = sorted(items.keys() - {CHECKSUM, DIGEST})
+        if self._covers(name):
+            keys = sorted(items.keys() - {CHECKSUM, DIGEST, HOST_DIGEST})
             fields = [text.encode() for key in keys for text in (key, items[key])]
             self._add(b"metadata", name.encode(), *fields)
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Add one attachment."""
-        if name not in HOST_RECORDS:
+        if self._covers(name):
             self._add(b"attachment", name.encode(), media_type.encode(), data)
 
     def hexdigest(self) -> str:

@@ -73,6 +73,11 @@ def swarm_limit() -> float:
     return 2e8 * factor()
 
 
+def simulation_limit() -> float:
+    """Return the most positions times obstacles that a trial is simulated again with."""
+    return 5e7 * factor()
+
+
 def path_limit() -> float:
     """Return the most positions times obstacles that may be checked, some 20 ns each."""
     return 5e8 * factor()

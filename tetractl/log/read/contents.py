@@ -13,7 +13,7 @@ from tetractl.core.trial import Result
 from tetractl.log import provenance
 from tetractl.log.format import channels
 from tetractl.log.format.channels import FORMAT_VERSION, Entry
-from tetractl.log.format.digest import CHECKSUM, DIGEST, ContentDigest
+from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import WARNINGS, RunRecord, read_damage, read_result, read_run
 from tetractl.log.read.believe import believe_result
 from tetractl.log.read.bounds import Budget
@@ -105,6 +105,8 @@ class Contents:
         try:
             result = read_result(items, self.metadata.get(channels.TIMING), len(self.run.robots))
             believe_result(result)
+            if items["unit"] != self.run.items["unit"]:
+                raise ValueError(f"its unit is {items['unit']!r}, that of the run another")
         except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError) as error:
             return None, f"the result is not as tetractl writes it: {_reason(error)}"
         return result, ""
@@ -151,7 +153,18 @@ class Contents:
     @cached_property
     def digest(self) -> str:
         """The content digest, computed from the records."""
-        digest = ContentDigest()
+        return self._digest(ContentDigest())
+
+    @property
+    def host_altered(self) -> bool:
+        """Whether the host records differ from the digest of them that the last one states.
+
+        Logs of earlier versions state none.
+        """
+        stated = self.metadata.get(channels.TIMING, {}).get(HOST_DIGEST)
+        return stated is not None and stated != self._digest(ContentDigest(host=True))
+
+    def _digest(self, digest: ContentDigest) -> str:
         for record in self.records:
             if isinstance(record, Entry):
                 digest.message(record)

@@ -79,6 +79,7 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
         notes=tuple(decode.notes(contents, begin)),
         digest=contents.stated_digest,
         content_digest=contents.digest,
+        host_altered=contents.host_altered,
         run=contents.run.items,
         stamps={
             topic: [(entry.log_ns - begin, entry.publish_ns - begin) for entry in entries]

@@ -55,8 +55,9 @@ class TrialLog:
     the log is lost.
 
     `run` are the items of the run record as written and `digest` is the content digest that the
-    result record states. `content_digest` is computed from the file, and `stamps` are the log and
-    publish times of the messages by topic.
+    result record states. `content_digest` is computed from the file; `host_altered` is
+    True where the host records do not match the digest of them that the log states. `stamps` are
+    the log and publish times of the messages by topic.
     """
 
     path: str
@@ -78,6 +79,7 @@ class TrialLog:
     notes: tuple[Note, ...] = ()
     digest: str | None = None
     content_digest: str = ""
+    host_altered: bool = False
     run: dict[str, str] = field(default_factory=dict)
     stamps: dict[str, list[tuple[int, int]]] = field(default_factory=dict, repr=False)
 

@@ -99,12 +99,10 @@ class Encoder:
         warnings = self._warnings
         self._add(channels.COMMANDS, codec.encode_command(stop), stop.sent_ns)
         level = "error" if result.outcome is Outcome.ABORTED else "info"
-        reason = f" ({result.reason})" if result.reason else ""
-        text = f"{result.outcome.value}{reason} after {result.steps} control steps"
-        self._note(Note(stop.sent_ns, level, text))
+        self._note(Note(stop.sent_ns, level, result.summary))
         self._write()
         timing = timing_metadata(result) | {"ended": provenance.now()}
-        self._sink.metadata(channels.TIMING, timing)
+        self._sink.last_host_metadata(channels.TIMING, timing)
         self._sink.last_metadata(channels.RESULT, result_metadata(result, self._unit, warnings))
 
     def _add(

@@ -19,7 +19,7 @@ from mcap_protobuf.schema import register_schema
 from tetractl import __version__
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import CHANNELS, Entry
-from tetractl.log.format.digest import DIGEST, ContentDigest
+from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import seal
 
 CHUNK_S = 0.7
@@ -64,7 +64,7 @@ class Sink:
     def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
         self._path = path
         self._part = path.with_name(path.name + part)
-        self._digest = ContentDigest()
+        self._digest, self._host_digest = ContentDigest(), ContentDigest(host=True)
         self._file: BinaryIO | None = None
         self._chunk_since: float | None = None  # when the oldest message of the open chunk came
         self._dirty_since: float | None = None  # when something was written that is not synced
@@ -105,6 +105,7 @@ class Sink:
         self._chunk_since = self._chunk_since or time.monotonic()
         for entry in entries:
             self._digest.message(entry)
+            self._host_digest.message(entry)
             channel = self._channels[entry.topic]
             self._mcap.add_message(channel, entry.log_ns, entry.data, entry.publish_ns)
 
@@ -113,13 +114,22 @@ class Sink:
         """Add a metadata record with its checksum, after all messages so far."""
         self.flush()
         self._digest.metadata(name, items)
+        self._host_digest.metadata(name, items)
         self._mcap.add_metadata(name, seal(items))
+
+    @_while_open
+    def last_host_metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Add the host record that states the digest of all host records with this one."""
+        self.flush()
+        self._host_digest.metadata(name, items)
+        self._mcap.add_metadata(name, seal({**items, HOST_DIGEST: self._host_digest.hexdigest()}))
 
     @_while_open
     def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add the metadata record that states the content digest of the log with this record."""
         self.flush()
         self._digest.metadata(name, items)
+        self._host_digest.metadata(name, items)
         self._mcap.add_metadata(name, seal({**items, DIGEST: self._digest.hexdigest()}))
 
     @_while_open
@@ -127,6 +137,7 @@ class Sink:
         """Add a metadata record of another log unchanged, with its checksum and digest."""
         self.flush()
         self._digest.metadata(name, items)
+        self._host_digest.metadata(name, items)
         self._mcap.add_metadata(name, dict(items))
 
     @_while_open
@@ -134,6 +145,7 @@ class Sink:
         """Add an attachment after all messages so far."""
         self.flush()
         self._digest.attachment(name, media_type, data)
+        self._host_digest.attachment(name, media_type, data)
         self._mcap.add_attachment(0, unix_ns, name, media_type, data)
 
     @_while_open

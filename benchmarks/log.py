@@ -163,6 +163,9 @@ class Planning:
         self.ns.append(time.perf_counter_ns() - before)
         return decision
 
+    def sent(self, command):
+        self.controller.sent(command)
+
 
 def real_time(spec: LoadedSpec, observers: Sequence[Observer]) -> tuple[np.ndarray, int]:
     """Run a trial on the wall clock; ns the loop worked a step without planning, and its steps."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from tetractl.control.build import build_controller
 from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import PlantInfo
+from tetractl.core.commands import Command, PlantInfo
 from tetractl.core.operators import Operators
-from tetractl.core.plan import Limits, Outcome, Plan
+from tetractl.core.plan import End, Limits, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller
@@ -76,11 +76,14 @@ class _Timed:
     controller: Controller
     times: list[float]
 
-    def plan(self, observation: Observation) -> Plan | Outcome:
+    def plan(self, observation: Observation) -> Plan | Outcome | End:
         begin = time.thread_time()
         decision = self.controller.plan(observation)
         self.times.append(time.thread_time() - begin)
         return decision
+
+    def sent(self, command: Command) -> None:
+        self.controller.sent(command)
 
 
 def run(experiment: Experiment, trials: int, build: Build = build_controller) -> Batch:

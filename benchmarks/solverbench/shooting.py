@@ -10,8 +10,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from tetractl.control.algorithm_2 import Mpc
 from tetractl.control.cost import evaluate, predict
-from tetractl.control.mpc import Candidate, Mpc
+from tetractl.control.lengths import Candidate
 from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem

@@ -99,6 +99,9 @@ class FakeController:
         search = Search(2, signals, 1.0, np.array([1.0]), 5, "iterations")
         return Plan(signals, np.zeros((3, 3, 3)), 1.0, 1.0, 0.0, (search,), 0, 7)
 
+    def sent(self, command):
+        pass
+
 
 class FakeObserver:
     """Keeps what it is told."""

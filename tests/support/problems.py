@@ -44,7 +44,7 @@ def world(
     return World(found, things, model, period, float(rng.uniform(10, 2000)), swept)
 
 
-def problem(world: World) -> Problem:
+def problem(world: World, separation: float = 0.0) -> Problem:
     """The same as tetractl takes it."""
     robots = np.array(world.robots)
     return Problem(
@@ -58,6 +58,7 @@ def problem(world: World) -> Problem:
         obstacles=Obstacles.of(world.obstacles),
         obstacle_weight=world.weight,
         swept=world.swept,
+        separation=separation,
     )
 
 

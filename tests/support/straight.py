@@ -52,6 +52,9 @@ class _Straight:
         self.k += 1
         return Plan(signals, path, cost, cost, hits, (found,), 0, mix(self.key, self.k - 1))
 
+    def sent(self, command):
+        pass
+
 
 def install(monkeypatch):
     """Make `type: straight` known, as another package's entry point would."""

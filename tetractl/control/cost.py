@@ -8,7 +8,8 @@
 
 A sequence is counted here, as in Algorithm 2, by its length L in signals: u(k), ..., u(k+L-1). The
 paper's horizon in (7)-(12) is h = L - 1. The prediction s(k+j|k) comes from (4)-(6) or from one of
-the other motions in `tetractl.model.motion`.
+the other motions in `tetractl.model.motion`. Where robots are to keep a separation, beyond the
+paper, P also counts each pair of robots at each predicted position where they are nearer.
 """
 
 from dataclasses import dataclass
@@ -64,6 +65,10 @@ def costs_along(problem: Problem, path: Floats) -> Costs:
     else:
         hits = problem.obstacles.contain(x[1:], y[1:])
     obstacle = hits.sum(axis=(0, 2)).astype(np.float64)  # (9)
+    if problem.separation > 0:
+        one, other = np.triu_indices(x.shape[-1], 1)
+        dx, dy = x[1:, :, one] - x[1:, :, other], y[1:, :, one] - y[1:, :, other]
+        obstacle += (dx * dx + dy * dy <= problem.separation**2).sum(axis=(0, 2))
     total = target + problem.obstacle_weight * obstacle  # (7)
     require_finite(total)
     return Costs(total, target, obstacle)

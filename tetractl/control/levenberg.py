@@ -6,10 +6,13 @@ it. The quantity that is brought down is the merit of a sequence u of L signals,
     m(u) = sum_i |s_i - tar_i| + W sum_i sum_o max(0, max_j depth_o(s_i(j))),      W = DEPTH_WEIGHT,
 
 with the last predicted position s_i of robot i, (8), and how deep its deepest position lies inside
-each obstacle o; the count P of (9) has no slope. Its residuals r are, for each robot, the two
-coordinates of s_i - tar_i over sqrt(|s_i - tar_i|), so that their squares sum up to f (iteratively
-reweighted least squares), and W depth / sqrt(depth) for each robot and obstacle that it meets. With
-their Jacobian J (R, L) by the signals, the damped step is
+each obstacle o; the count P of (9) has no slope. Where robots are to keep a separation, W times how
+far each pair comes within it, where the two are nearest, is added.
+
+The residuals r are, for each robot, the two coordinates of s_i - tar_i over sqrt(|s_i - tar_i|), so
+that their squares sum up to f (iteratively reweighted least squares), and W depth / sqrt(depth) for
+each robot and obstacle that it meets. With their Jacobian J (R, L) by the signals, the damped step
+is
 
     du = -J' (J J' + lambda I)^-1 r:
 
@@ -21,6 +24,7 @@ Source: Marquardt, "An algorithm for least-squares estimation of nonlinear param
 (J J' + lambda I)^-1.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,7 +102,9 @@ def polish(
 
 
 def _rows_max(problem: Problem) -> int:
-    return len(problem.a) * (2 + len(problem.obstacles.shapes))
+    count = len(problem.a)
+    pairs = count * (count - 1) // 2 if problem.separation > 0 else 0
+    return count * (2 + len(problem.obstacles.shapes)) + pairs
 
 
 def _step(u: Floats, residual: Floats, jacobian: Floats, damped: Floats) -> Floats | None:
@@ -116,7 +122,18 @@ def _merit(problem: Problem, u: Floats) -> float:
     path = predict(problem, u)[1:, :, :2]  # (L, N, 2)
     misses = np.hypot(*(path[-1] - problem.targets).T)
     depths = _depths(problem, path)[0].max(axis=1, initial=0.0)  # (O, N)
-    return float(misses.sum() + DEPTH_WEIGHT * depths.sum())
+    nearer = sum(max(0.0, meeting) for _, _, _, meeting in _meetings(problem, path))
+    return float(misses.sum() + DEPTH_WEIGHT * (depths.sum() + nearer))
+
+
+def _meetings(problem: Problem, path: Floats) -> Iterator[tuple[int, int, int, float]]:
+    """Yield, for each pair of robots, the two, where they are nearest, and how far within."""
+    if problem.separation > 0:
+        for i in range(len(problem.a)):
+            for k in range(i):
+                apart = np.hypot(*(path[:, i] - path[:, k]).T)
+                at = int(np.argmin(apart))
+                yield i, k, at, problem.separation - float(apart[at])
 
 
 def _linearise(problem: Problem, u: Floats, floor: float, slack: float) -> tuple[Floats, Floats]:
@@ -137,6 +154,14 @@ def _linearise(problem: Problem, u: Floats, floor: float, slack: float) -> tuple
                 scale = DEPTH_WEIGHT / np.sqrt(max(grown, floor))
                 residuals.append(scale * grown)
                 rows.append(-scale * (outward[j] @ by_signal[j, i]))
+    for i, k, j, depth in _meetings(problem, path):
+        if depth + slack > 0:
+            gap = path[j, i] - path[j, k]
+            apart = float(np.hypot(*gap))
+            outward = gap / apart if apart > 0 else np.zeros(2)
+            scale = DEPTH_WEIGHT / np.sqrt(max(depth + slack, floor))
+            residuals.append(scale * (depth + slack))
+            rows.append(-scale * (outward @ (by_signal[j, i] - by_signal[j, k])))
     return np.array(residuals), np.array(rows)
 
 

@@ -8,10 +8,11 @@ from tetractl.core.poses import Floats
 
 
 class Outcome(StrEnum):
-    """How a trial ended; the first three are decided by the controller."""
+    """How a trial ended; the first four are decided by the controller."""
 
     ARRIVED = "arrived"  # every robot within the arrival tolerance
     SEQUENCE_COMPLETED = "sequence completed"  # every signal planned was exerted: a good end
+    NOTHING_BETTER = "nothing better"  # stopping is as good as any plan
     STEPS_MAX = "steps max"  # k_max control steps done
     INTERRUPTED = "interrupted"  # Ctrl-C or another signal
     ABORTED = "aborted"  # a fault or an error; the reason says which
@@ -25,6 +26,14 @@ class Outcome(StrEnum):
     def complete(self) -> bool:
         """Whether the trial ran to its own end, so that its error counts."""
         return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """The end of a trial by a stop that is to be sent `delay_ns` after it was decided."""
+
+    outcome: Outcome
+    delay_ns: int
 
 
 class StopReason(StrEnum):
@@ -90,8 +99,8 @@ class Estimate:
     """What a controller estimates of N robots while they move, with standard deviations `_std`.
 
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values that the plan is made with.
-    `heading_bias` (N,) [rad] is the heading of motion minus the measured one, and `dead_time` [s]
-    the time from a frame's exposure to the moment when a direction decided on it acts, shared by
+    `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent, and
+    `dead_time` [s] the time from the sending of a direction to the moment when it acts, shared by
     all robots; both are None where they are not estimated.
     """
 

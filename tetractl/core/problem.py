@@ -36,7 +36,8 @@ class Problem:
     targets (N, 2); a (N,) rad/s; speed (N,) length unit/s; `motion` names the model of the
     prediction. Signal j is held for `period` seconds, except the first, held for `first_period`.
     `obstacle_weight` is omega_p of (7). `swept` tests the segments between predicted positions
-    instead of the positions alone.
+    instead of the positions alone. Two robots are to keep `separation` between their centres at the
+    predicted positions; 0 for robots that may meet.
     """
 
     poses: Poses
@@ -49,3 +50,4 @@ class Problem:
     obstacles: Region
     obstacle_weight: float
     swept: bool
+    separation: float = 0.0

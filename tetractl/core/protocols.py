@@ -14,7 +14,7 @@ from tetractl.core.commands import (
     Transmission,
     Verdict,
 )
-from tetractl.core.plan import Limits, Outcome, Plan, Search
+from tetractl.core.plan import End, Limits, Outcome, Plan, Search
 from tetractl.core.poses import CameraFrame, Floats, Observation, Pose
 from tetractl.core.problem import Problem
 from tetractl.core.trial import Result, Start, Step
@@ -176,8 +176,12 @@ class Optimizer(Protocol):
 class Controller(Protocol):
     """Chooses the common direction at each control step; one object lasts one trial."""
 
-    def plan(self, observation: Observation) -> Plan | Outcome:
+    def plan(self, observation: Observation) -> Plan | Outcome | End:
         """Decide the next direction, `signals[0]` of the plan, or that the trial is over."""
+        ...
+
+    def sent(self, command: Command) -> None:
+        """Take note of the command by which the plan's direction was sent, and when."""
         ...
 
 

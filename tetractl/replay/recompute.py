@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from tetractl.control.cost import evaluate
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.core.plan import Limits, Outcome, Plan, Search, StopReason, never
+from tetractl.core.plan import End, Limits, Outcome, Plan, Search, StopReason, never
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
@@ -224,7 +225,7 @@ def recompute(
         except TetractlError as error:
             return Difference(step.k, "plan", str(error))
         if not isinstance(decision, Plan):
-            return Difference(step.k, "plan", f"the controller ends the trial: {decision.value}")
+            return Difference(step.k, "plan", f"the controller ends the trial: {_told(decision)}")
         if decision.generator != step.plan.generator:
             text = f"logged {step.plan.generator}, seed and trial make it {decision.generator}"
             return Difference(step.k, "generator", text)
@@ -233,6 +234,7 @@ def recompute(
         found = [*rerun.wrong, *_differences(decision, step.plan, "", room)]
         if found:
             return Difference(step.k, *found[0])
+        controller.sent(step.command)
     return _outcome(log, controller, rerun) if len(first_steps(log)) == len(log.steps) else None
 
 
@@ -244,8 +246,8 @@ def first_steps(log: TrialLog) -> list[Step]:
 def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference | None:
     """Check that the controller ends the trial as logged, on a frame of the last period.
 
-    The frame it ended on is not logged as such: in a simulation it is the newest before the stop,
-    in the lab one of the newest.
+    The frame it ended on is not logged as such: in a simulation it is the newest a control period
+    after the last command, in the lab one of the newest. The stop may have been sent later.
     """
     result, stop = log.result, log.stop
     if result is None or stop is None:
@@ -253,9 +255,11 @@ def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference 
     if not result.outcome.complete and not _stopped_by_itself(log, result):
         return None
     since = log.steps[-1].observation.received_ns if log.steps else -1
+    period = round(log.experiment.controller.period * SECOND)
     newest = np.flatnonzero((log.received_ns > since) & (log.received_ns <= stop.sent_ns))[::-1]
     if log.start.plant.simulated:
-        newest = newest[:1]
+        due = log.steps[-1].command.sent_ns + period if log.steps else stop.sent_ns
+        newest = newest[log.received_ns[newest] <= due][:1]
     said: list[str] = []
     rerun.begin(())
     for i in newest:
@@ -274,13 +278,18 @@ def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference 
         except TetractlError:
             said.append("cannot go on")
             continue
-        if decision is result.outcome:
+        outcome = decision.outcome if isinstance(decision, End) else decision
+        if outcome is result.outcome:
             return None
-        said.append(decision.value if isinstance(decision, Outcome) else "goes on")
+        said.append("goes on" if isinstance(decision, Plan) else _told(decision))
     if not result.outcome.complete and (not said or said[0] in ("goes on", "cannot go on")):
         return None
     why = f"the controller says {said[0]!r}" if said else "there is no frame to decide it on"
     return Difference(None, "outcome", f"logged {result.outcome.value!r}, but {why}")
+
+
+def _told(decision: Outcome | End) -> str:
+    return (decision.outcome if isinstance(decision, End) else decision).value
 
 
 def _stopped_by_itself(log: TrialLog, result: Result) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Note, PlantInfo
 from tetractl.core.errors import TetractlError
-from tetractl.core.plan import Outcome, Plan
+from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.trial import Result, Start, Step
@@ -17,7 +17,7 @@ from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.square import directions
 
-Decision = Plan | Outcome
+Decision = Plan | Outcome | End
 
 
 @dataclass(slots=True)
@@ -82,7 +82,11 @@ class Trial:
         for k in itertools.count():
             if isinstance(decision, Outcome):
                 return decision, ""
+            if isinstance(decision, End):
+                self._sleep_until(self.clock.now() + decision.delay_ns)
+                return decision.outcome, ""
             command = self._steer(float(decision.signals[0]))
+            self.controller.sent(command)
             self._solve_ns.append(self._solving_ns)
             missed = k > 0 and self._solving_ns > period
             self._misses += missed

@@ -106,3 +106,11 @@ def test_costs_that_are_not_finite_are_refused(bad):
         pytest.raises(ControlError, match="not finite for 2 of 2 sequences"),
     ):
         evaluate(problems.problem(world), np.zeros((2, 3)))
+
+
+def test_each_pair_counts_at_each_position_where_it_is_nearer_than_its_separation():
+    """Two robots side by side, 60 apart, and a third that stays away; the start is not counted."""
+    world = oracle.World([robot_at(0, 0), robot_at(0, 60), robot_at(0, 500)], [], weight=10.0)
+    apart = [evaluate(problems.problem(world, d), np.zeros((1, 4))) for d in (59.0, 60.0, 501.0)]
+    assert [costs.obstacle.tolist() for costs in apart] == [[0], [4], [12]]
+    assert apart[1].total - apart[0].total == pytest.approx(40)

@@ -7,7 +7,7 @@ from support.trials import experiment
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.rng import mix
 from tetractl.core.errors import ControlError
-from tetractl.core.plan import Outcome, Plan, Search, StopReason
+from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.controller import same
 
@@ -193,3 +193,99 @@ def test_a_pose_that_is_no_number_is_refused():
     poses[1, 2] = math.nan
     with pytest.raises(ControlError, match="not finite"):
         mpc(spec(), 99).plan(seen(poses))
+
+
+def spec_around(**fields):
+    return spec(accept=20, horizon_max=6, steps_max=60, **fields)
+
+
+def test_where_no_plan_ends_within_accept_longer_ones_are_searched_afresh():
+    search = Scripted({6: 0.0})
+    controller = mpc(spec_around(), 99, search)
+    controller.plan(seen())
+    search.forget()
+    search.costs = {4: 25.0, 5: 24.0, 6: 21.0, 9: 1.9}
+    plan = controller.plan(seen(now=200_000_000))
+    asked = [(length, start is None) for length, start, *_ in search.forget()]
+    assert asked == [(4, False), (5, False), (6, False), (7, True), (8, True), (9, True)]
+    assert plan.search.length == 9
+
+
+def test_a_plan_within_accept_is_followed():
+    search = Scripted({6: 0.0})
+    controller = mpc(spec_around(), 99, search)
+    controller.plan(seen())
+    search.forget()
+    search.costs = {5: 20.0}
+    controller.plan(seen(now=200_000_000))
+    assert [length for length, *_ in search.asked] == [4, 5, 6]
+
+
+def test_no_plan_is_longer_than_the_steps_that_are_left():
+    search = Scripted({6: 0.0})
+    controller = mpc(spec(accept=20, horizon_max=6, steps_max=9), 99, search)
+    controller.plan(seen())
+    search.forget()
+    search.costs = {}
+    controller.plan(seen(now=200_000_000))
+    assert [length for length, *_ in search.asked] == [4, 5, 6, 7, 8]
+
+
+def test_longer_plans_are_searched_on_where_the_deadline_came_between():
+    search, time = Scripted({6: 0.0}), 0
+
+    def timer():
+        nonlocal time
+        time += 10_000_000
+        return time
+
+    section = spec_around(deadline=0.075).controller
+    controller = section.build(spec_around().setup, 99, lambda _: search, timer)
+    controller.plan(seen())
+    search.forget()
+    search.costs = {}
+    controller.plan(seen(now=200_000_000))
+    first = [length for length, *_ in search.forget()]
+    controller.plan(seen(now=400_000_000))
+    second = [length for length, *_ in search.forget()]
+    assert first[:4] == [4, 5, 6, 7]
+    assert second[3] > first[-1]
+
+
+def near(total):
+    poses = TARGETS.copy()
+    poses[0, 0] -= total
+    return poses
+
+
+def test_the_trial_ends_where_stopping_is_as_good_as_the_plan():
+    """What is left of the plan, two signals, leads past the targets."""
+    search = Scripted({3: 0.0})
+    controller = mpc(spec_around(), 99, search)
+    controller.plan(seen())
+    assert controller.plan(seen(near(15), now=200_000_000)) is Outcome.NOTHING_BETTER
+
+
+def test_without_a_signal_left_only_an_accepted_error_ends_the_trial():
+    search = Scripted({1: 0.0})
+    controller = mpc(spec_around(), 99, search)
+    controller.plan(seen())
+    assert isinstance(controller.plan(seen(near(25), now=200_000_000)), Plan)
+    controller.warm = np.zeros(1)
+    assert controller.plan(seen(near(19), now=400_000_000)) is Outcome.SEQUENCE_COMPLETED
+
+
+def test_the_stop_comes_between_two_steps_where_that_is_best():
+    """All robots drive along +x; blue is 200 mm/s fast and 20 mm short: in 0.1 s it is there."""
+    poses = TARGETS.copy()
+    poses[:, 0] -= [18, 20, 15]
+    fields = {"dead_time": 0.05, "stop_between": True, "motion": "exact"}
+    controller = mpc(spec(**fields), 99, Scripted({1: 0.0}))
+    controller.plan(seen())
+    controller.knowledge.sent(0, 0.0)
+    controller.untold = None
+    poses[:, 0] -= 0.05 * np.array([180, 200, 150])  # on the way for the dead time
+    ended = controller.plan(seen(poses, now=200_000_000))
+    assert isinstance(ended, End)
+    assert ended.outcome is Outcome.SEQUENCE_COMPLETED
+    assert ended.delay_ns == pytest.approx(100_000_000, abs=3_000_000)

@@ -2,7 +2,8 @@
 
 The residuals are the 2N coordinates of the misses s_i - tar_i, each robot's scaled by the square
 root of its distance so that the sum of squares is f itself (iteratively reweighted least squares),
-and, for each robot and obstacle, how deep its deepest predicted position lies inside. L signals
+and, for each robot and obstacle, how deep its deepest predicted position lies inside; for each pair
+of robots, by how much they come nearer than their separation. L signals
 answer for few residuals R, so the damped step is taken in the small space of the residuals:
 
     du = -J' (J J' + lambda I)^-1 r,      J (R, L).
@@ -45,6 +46,10 @@ class Polish(NamedTuple):
     gradients: Floats  # (N, L, 5)
     depths: Floats  # (N, O) of the deepest position of each robot in each obstacle
     where: Integers  # (N, O) its index
+    separation: float  # of two robots, 0 for robots that may meet
+    meetings: Floats  # (M,) how far each pair of robots is within the separation at the nearest
+    nearest: Integers  # (M,) the index of the positions where they are nearest
+    other: Floats  # (L,) a row of the second robot of a pair
     rows: Floats  # (R, L) the Jacobian
     residual: Floats  # (R,)
     gram: Floats  # (R, R)
@@ -56,7 +61,8 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
     """Return the workspace for sequences of `length` signals."""
     count, packs = problem.a.size, problem.obstacles.packed()
     obstacles = sum(len(pack.rows) for pack in packs)
-    rows = 2 * count + count * obstacles
+    pairs = count * (count - 1) // 2 if problem.separation > 0 else 0
+    rows = 2 * count + count * obstacles + pairs
     constants = MOTIONS.load(problem.motion).lanes(problem.a, problem.period)
     return Polish(
         start=problem.poses.array(),
@@ -71,6 +77,10 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         gradients=np.empty((count, length, 5)),
         depths=np.empty((count, obstacles)),
         where=np.empty((count, obstacles), dtype=np.int64),
+        separation=float(problem.separation),
+        meetings=np.empty(pairs),
+        nearest=np.empty(pairs, dtype=np.int64),
+        other=np.empty(length),
         rows=np.empty((rows, length)),
         residual=np.empty(rows),
         gram=np.empty((rows, rows)),
@@ -91,7 +101,27 @@ def _merit(work):
         merit += math.sqrt(dx * dx + dy * dy)
         for o in range(work.depths.shape[1]):
             merit += DEPTH_WEIGHT * max(0.0, work.depths[i, o])
+    if work.meetings.size:
+        _find_meetings(work)
+        for m in range(work.meetings.size):
+            merit += DEPTH_WEIGHT * max(0.0, work.meetings[m])
     return merit
+
+
+@compiled(**PIECE)
+def _find_meetings(work):
+    """Find where each pair of robots is nearest, and how far within the separation."""
+    path, m = work.path, 0
+    for i in range(path.shape[0]):
+        for k in range(i):
+            least, at = math.inf, 0
+            for j in range(path.shape[1]):
+                dx, dy = path[i, j, 0] - path[k, j, 0], path[i, j, 1] - path[k, j, 1]
+                square = dx * dx + dy * dy
+                if square < least:
+                    least, at = square, j
+            work.meetings[m], work.nearest[m] = work.separation - math.sqrt(least), at
+            m += 1
 
 
 @compiled(**PIECE)
@@ -117,6 +147,30 @@ def _linearise(work, floor, slack):
                 scale = DEPTH_WEIGHT / math.sqrt(max(deepest + slack, floor))
                 residual[r] = scale * (deepest + slack)
                 backward(work.gradients, i, at, -scale * east, -scale * north, rows[r])
+                r += 1
+    if work.meetings.size:
+        r = _linearise_meetings(work, floor, slack, r)
+    return r
+
+
+@compiled(**PIECE)
+def _linearise_meetings(work, floor, slack, r):
+    """Add a residual and its row for each pair of robots within the separation; return the rows."""
+    path, m = work.path, 0
+    for i in range(path.shape[0]):
+        for k in range(i):
+            depth, at = work.meetings[m] + slack, work.nearest[m]
+            m += 1
+            if depth > 0:
+                dx, dy = path[i, at, 0] - path[k, at, 0], path[i, at, 1] - path[k, at, 1]
+                apart = math.sqrt(dx * dx + dy * dy)
+                scale = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
+                share = scale / apart if apart > 0 else 0.0
+                work.residual[r] = scale * depth
+                backward(work.gradients, i, at, -share * dx, -share * dy, work.rows[r])
+                backward(work.gradients, k, at, share * dx, share * dy, work.other)
+                for j in range(work.other.size):
+                    work.rows[r, j] += work.other[j]
                 r += 1
     return r
 

@@ -32,6 +32,7 @@ class Rollout(NamedTuple):
     obstacles: Any  # `Sole`, or a tuple of `PackedShapes`
     weight: float
     swept: bool
+    separation: float
     lanes: Floats  # (5, N, P): x, y, cos, sin, hits
     scratch: Floats  # (5, P): cos and sin of the direction; x, y before the step; gap
 
@@ -52,7 +53,7 @@ def lay_out(problem: Problem, particles: int) -> Rollout:
     packs = problem.obstacles.packed()
     filled = [pack for pack in packs if len(pack.rows)]
     sole = len(filled) == len(filled[0].rows) == 1 if filled else False
-    if sole and not problem.swept and hasattr(constants, "finish"):
+    if sole and not problem.swept and not problem.separation and hasattr(constants, "finish"):
         packs = Sole(filled[0])
     return Rollout(
         start=np.stack([p.x, p.y, np.cos(p.heading), np.sin(p.heading)]),
@@ -62,6 +63,7 @@ def lay_out(problem: Problem, particles: int) -> Rollout:
         obstacles=packs,
         weight=float(problem.obstacle_weight),
         swept=problem.swept,
+        separation=float(problem.separation),
         lanes=aligned((5, a.size, particles)),
         scratch=aligned((5, particles)),
     )
@@ -123,6 +125,8 @@ def _follow(rollout, lanes, scratch, signals, j):
                     x0[n], y0[n] = x[i, n], y[i, n]
             advance(constants, x, y, cos, sin, cos_u, sin_u, i)
             count_hits(rollout.obstacles, x0, y0, x, y, i, rollout.swept, gap, hits)
+        if rollout.separation > 0:
+            count_meetings(x, y, rollout.separation, hits)
 
     return follow
 
@@ -158,6 +162,17 @@ def _follow_past_sole(constants, obstacles):
                     hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
 
     return follow
+
+
+@compiled(**PIECE)
+def count_meetings(x, y, separation, hits):
+    """Add 1 to hits[i, n] for each robot before i that is within the separation of it."""
+    least = separation * separation
+    for i in range(x.shape[0]):
+        for k in range(i):
+            for n in range(x.shape[1]):
+                dx, dy = x[i, n] - x[k, n], y[i, n] - y[k, n]
+                hits[i, n] += 1.0 if dx * dx + dy * dy <= least else 0.0
 
 
 @compiled(**PIECE)

@@ -42,11 +42,12 @@ def random_start(seed, length):
     motion=MOTIONS,
     iterations=st.integers(1, 5),
     budget=st.none() | st.integers(1, 200),
+    separation=st.sampled_from([0.0, 90.0, 300.0]),
 )
 def test_the_compiled_twin_takes_the_same_steps(
-    seed, robots, obstacles, length, motion, iterations, budget
+    seed, robots, obstacles, length, motion, iterations, budget, separation
 ):
-    problem = problems.problem(problems.world(seed, robots, obstacles, motion))
+    problem = problems.problem(problems.world(seed, robots, obstacles, motion), separation)
     start = random_start(seed, length)
     slow = levenberg.polish(problem, start, TOLERANCE, SLACK, iterations, budget)
     fast = compiled(problem, start, iterations, 2**62 if budget is None else budget)
@@ -80,7 +81,7 @@ def test_a_polish_never_makes_it_worse_and_keeps_its_limits(
     assert found.merit == found.history[-1]
     assert len(found.history) <= 21
     assert found.evaluations <= budget
-    assert evaluate(problem, found.signals[None]).target[0] <= found.merit * (1 + 1e-9)
+    assert evaluate(problem, found.signals[None]).target[0] <= found.merit * (1 + 1e-9) + 1e-9
 
 
 @settings(max_examples=60, deadline=None)

@@ -43,11 +43,12 @@ def compiled_costs(problem, signals):
     model=MODELS,
     swept=st.booleans(),
     first=st.floats(0.01, 0.2),
+    apart=st.sampled_from([0.0, 50.0, 400.0]),
 )
-@example(167, 1, 0, 60, 34, "exact", False, 0.2)  # headings near -u again and again
-def test_costs_agree(seed, robots, obstacles, length, particles, model, swept, first):
+@example(167, 1, 0, 60, 34, "exact", False, 0.2, 0.0)  # headings near -u again and again
+def test_costs_agree(seed, robots, obstacles, length, particles, model, swept, first, apart):
     world = problems.world(seed, robots, obstacles, model, swept)
-    problem = replace(problems.problem(world), first_period=first)
+    problem = replace(problems.problem(world, apart), first_period=first)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (particles, length))
     reference = evaluate(problem, signals).total
     assert compiled_costs(problem, signals) == pytest.approx(reference, rel=1e-9)

@@ -1,3 +1,5 @@
+"""The state predicted over the dead time."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -5,7 +7,6 @@ import pytest
 from support.paths import ROOT
 
 from tetractl.control.delay import Predictor
-from tetractl.control.estimator import Estimator
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
@@ -37,13 +38,13 @@ def reference_problem():
 def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
     """What is predicted on a frame is what the cameras see one dead time later."""
     problem = reference_problem()
-    predictor = Predictor(dead_time)
+    predictor = Predictor(dead_time, 3)
     predicted, seen = [], []
 
     def after_step(k, plant, observation, direction):
-        here = replace(problem, poses=observation.poses)
-        predicted.append((observation.sampled_ns, predictor.ahead(here, observation.sampled_ns)))
-        predictor.sent(observation.sampled_ns, direction)
+        here, now = replace(problem, poses=observation.poses), observation.sampled_ns
+        predicted.append((now, predictor.ahead(here, now, now + predictor.delay_ns)))
+        predictor.sent(now, direction)
         seen.extend(plant.samples())
 
     drive([f"plant.dead_time={dead_time}"], 20, after_step)
@@ -61,47 +62,33 @@ def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
 
 def test_robots_stand_before_the_first_command_acts():
     problem = reference_problem()
-    predictor = Predictor(0.3)
-    assert np.array_equal(predictor.ahead(problem, 0).x, problem.poses.x)
+    predictor = Predictor(0.3, 3)
+    assert np.array_equal(predictor.ahead(problem, 0, SECOND).x, problem.poses.x)
     predictor.sent(0, 0.0)
-    assert np.array_equal(predictor.ahead(problem, 0).x, problem.poses.x)
-    moved = predictor.ahead(problem, SECOND // 10).x - problem.poses.x
+    assert np.array_equal(predictor.ahead(problem, 0, 3 * SECOND // 10).x, problem.poses.x)
+    moved = predictor.ahead(problem, 0, 4 * SECOND // 10).x - problem.poses.x
     assert moved == pytest.approx(0.1 * problem.speed, rel=1e-3)
 
 
+def test_a_robot_that_a_command_did_not_arrive_at_follows_the_one_before():
+    predictor = Predictor(0.1, 3)
+    for k, u in enumerate([1.0, 2.0, 3.0]):
+        predictor.sent(k * SECOND, u)
+    predictor.recent[1].arrived[0] = False
+    predictor.recent[2].arrived[:2] = False
+    (held,) = predictor.held(2 * SECOND + SECOND // 5, 3 * SECOND)
+    assert held[2].tolist() == [1.0, 2.0, 3.0]
+    predictor.forget(3 * SECOND)
+    assert [one.u for one in predictor.recent] == [3.0]
+    assert predictor.held(3 * SECOND, 4 * SECOND)[0][2].tolist() == [1.0, 2.0, 3.0]
+
+
 def test_what_acted_is_forgotten_and_what_acts_is_kept():
-    predictor = Predictor(0.1)
+    predictor = Predictor(0.1, 1)
     for k in range(100):
         predictor.forget(k * SECOND // 5)
         predictor.sent(k * SECOND // 5, float(k))
     now = 99 * SECOND // 5
-    assert predictor.held(now, now + SECOND // 10) == [(now, now + SECOND // 10, 98.0)]
-
-
-def estimate(settings, steps):
-    """Drive with an estimator watching; return what it found and the plant."""
-    estimator, predictor = Estimator(reference_problem()), Predictor(0.0)
-    last, seen = 0, {}
-
-    def after_step(k, plant, observation, direction):
-        nonlocal last
-        held = predictor.held(last, observation.sampled_ns)
-        seen["found"], seen["plant"] = estimator.update(observation, held), plant
-        predictor.sent(observation.sampled_ns, direction)
-        last = observation.sampled_ns
-
-    drive(settings, steps, after_step)
-    return seen["found"], seen["plant"]
-
-
-@pytest.mark.parametrize("error", [0.0, 0.1, 0.25])
-def test_a_and_speed_are_found_while_the_robots_move(error):
-    found, plant = estimate([f"plant.a_error={error}", f"plant.speed_error={error}"], 30)
-    assert found.a == pytest.approx(plant.a, rel=0.01)
-    assert found.speed == pytest.approx(plant.speed, rel=0.01)
-
-
-def test_lost_commands_do_not_lead_the_estimate_astray():
-    found, plant = estimate(["plant.lost_commands=0.1"], 60)
-    assert found.a == pytest.approx(plant.a, rel=0.1)
-    assert found.speed == pytest.approx(plant.speed, rel=0.02)
+    assert len(predictor.recent) == 2
+    ((since, until, u),) = predictor.held(now, now + SECOND // 10)
+    assert (since, until, u.tolist()) == (now, now + SECOND // 10, [98.0])

@@ -1,0 +1,96 @@
+"""Margins that follow what is known of the robots and the room there is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.trials import experiment
+
+from tetractl.control.margins import Margins, off_course
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Observation, Poses
+from tetractl.core.setup import Bounds
+from tetractl.model.shapes.circle import Circle
+from tetractl.model.shapes.rectangle import Rectangle
+
+BOX = Rectangle(type="rectangle", left=1000, bottom=1000, width=100, height=100)
+ROUND = Circle(type="circle", center=(3000, 3000), radius=50)
+FAR = np.array([[100.0, 100], [200, 2000]])
+ARENA = Bounds(0, 0, 4000, 4000)
+
+
+def at(*points):
+    x, y = np.array(points, dtype=float).T
+    return Poses(x, y, np.zeros(len(points)))
+
+
+@pytest.mark.parametrize("shape", [BOX, ROUND])
+def test_the_margin_is_kept_where_there_is_room(shape):
+    margins = Margins([shape], None, FAR)
+    (grown,) = margins.obstacles(at((500, 500), (600, 600)), 40).shapes
+    assert grown.row() == shape.grown(40).row()
+
+
+@pytest.mark.parametrize("away", [1.0, 15.0, 39.0])
+def test_it_shrinks_to_the_room_that_a_robot_leaves(away):
+    margins = Margins([BOX, ROUND], None, FAR)
+    near, other = margins.obstacles(at((1000 - away, 1050), (600, 600)), 40).shapes
+    assert not near.contain(np.array(1000 - away), np.array(1050.0))
+    assert near.contain(np.array(1000 - 0.9 * away), np.array(1050.0))
+    assert other.row() == ROUND.grown(40).row()
+
+
+def test_a_target_inside_the_margin_can_be_reached():
+    margins = Margins([], ARENA, np.array([[20.0, 500], [2000, 2000]]))
+    region = margins.obstacles(at((500, 500), (900, 900)), 40)
+    assert not region.contain(np.array([20.0]), np.array([500.0])).any()
+    assert region.contain(np.array([3980.0]), np.array([500.0])).all()
+
+
+def test_inside_an_obstacle_nothing_of_the_margin_is_left():
+    margins = Margins([BOX], None, FAR)
+    (shape,) = margins.obstacles(at((1050, 1050), (600, 600)), 40).shapes
+    assert shape.row() == pytest.approx(BOX.row(), abs=0.02)
+
+
+def test_robots_keep_the_separation_they_have():
+    margins = Margins([], None, FAR)
+    assert margins.separation(at((500, 500), (900, 500)), 100) == 100
+    assert margins.separation(at((500, 500), (550, 500)), 100) == pytest.approx(49)
+    assert margins.separation(at((500, 500), (500, 500)), 0) == 0
+    assert Margins([], None, FAR[:1]).separation(at((5, 5)), 100) == 0
+
+
+def test_what_is_uncertain_takes_more_room():
+    speed = np.array([180.0, 200, 150])
+    sure = Estimate(np.full(3, 4.0), np.zeros(3), speed, np.zeros(3), dead_time_std=0.0)
+    unsure = replace(sure, dead_time_std=0.1)
+    least = off_course(speed, 0.2, 0.1, sure)
+    assert least == off_course(speed, 0.2, 0.1, None) > 0
+    assert off_course(speed, 0.05, 0.1, sure) == pytest.approx(least / 4)
+    assert off_course(speed, 0.2, 0.1, unsure) == pytest.approx(least + 2 * 200 * 0.1)
+
+
+def test_a_robot_inside_the_margin_does_not_freeze_the_plan():
+    """The first predicted position is inside whatever the signal is: every plan costs the same."""
+    box = {"type": "rectangle", "left": 1200, "bottom": 1100, "width": 200, "height": 200}
+    control = {
+        "type": "mpc",
+        "motion": "exact",
+        "horizon_max": 30,
+        "obstacle_weight": 1e6,
+        "collision": {"check": "swept", "margin": 60, "adaptive": False},
+        "optimizer": {"type": "multistart"},
+    }
+    robot = {"name": "one", "start": [1180, 1150], "heading": 2, "target": [1100, 1500]}
+    robots = [robot | {"a": 4, "speed": 150}]
+
+    def cost(adaptive):
+        control["collision"]["adaptive"] = adaptive
+        spec = experiment(robots=robots, obstacles=[box], controller=control)
+        controller = spec.controller.build(spec.setup, 3)
+        seen = Observation(0, 0, 0, spec.setup.starts, np.ones(1, np.bool_))
+        return controller.plan(seen).cost
+
+    assert cost(False) > 1e5
+    assert cost(True) < 1

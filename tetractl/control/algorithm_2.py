@@ -1,0 +1,206 @@
+"""Model predictive control, Algorithm 2: choose the horizon, exert the first signal, warm start.
+
+Where each line of Algorithm 2 is:
+
+    2-4     for h = 1 ... h_max: u_(h) = pso(NULL)                        lengths.candidates
+    5, 23   u_(opt) = the u_(h) of the least J                            lengths.choose
+    6, 24   u_(warm) = u_(opt) without its first signal                   plan, at the next step
+    7, 25   exert u_(opt)(1)                                              run.trial, from plan
+    9, 26   for k = 1 ... k_max                                           plan, by run.trial
+    10      H = length of u_(warm)                                        lengths.candidates
+    11, 22  for h = H - 1, H, H + 1                                       lengths.candidates
+    12      feedback of the robots, once a step                           plan, _problem
+    13-15   break if the robots are close enough to their targets         _arrived
+    16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
+    18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
+    21      u_(h) = pso(u_gb^0), by any optimiser                         lengths.Searcher
+
+Beyond Algorithm 2, each by a field of its own: the plan's grid may be coarser than the control's
+(`hold`), the state may be predicted over the dead time, the motion identified while the robots
+drive (`estimate`) and lost commands believed in (`losses`), margins may follow the uncertainty
+(`collision.adaptive`), longer sequences be searched where no short one ends at the targets
+(`accept`), the stop come between two steps (`stop_between`), an optimiser may count costs as
+equally good, and the searches of a step may be limited.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tetractl.control.cost import costs_along, evaluate, predict
+from tetractl.control.go_around import ENOUGH, best_stop, longer
+from tetractl.control.knowledge import Knowledge
+from tetractl.control.lengths import Candidate, Searcher, affordable, candidates, choose
+from tetractl.control.margins import Margins, off_course
+from tetractl.control.rng import mix
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.plan import End, Outcome, Plan, Search, never
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.problem import Problem
+from tetractl.core.protocols import Optimizer
+from tetractl.core.setup import Setup
+
+if TYPE_CHECKING:
+    from tetractl.control.mpc import MpcSection
+
+
+class Mpc:
+    """The controller of one trial; `key` is the root of all its random draws.
+
+    `timer` [ns] is only looked at where the section sets a deadline.
+    """
+
+    def __init__(
+        self,
+        section: "MpcSection",
+        setup: Setup,
+        key: int,
+        optimizer: Optimizer,
+        timer: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        self.section = section
+        problem = section.problem(setup)
+        prior = section.prior.of(problem, section.dead_time) if section.estimate else None
+        self.knowledge = Knowledge(
+            problem, section.period, section.dead_time, prior, section.losses
+        )
+        walls = setup.arena if section.collision.walls else None
+        self.margins = Margins(setup.obstacles, walls, setup.targets)
+        self.key = key
+        self.optimizer = optimizer
+        self.timer = timer
+        self.k = 0
+        self.warm: Floats | None = None  # u_(warm), None before step 0
+        self.untold: tuple[int, float] | None = None  # a direction decided, not known to be sent
+        self.resume = 0  # length from which to go on where the time for longer ones was up
+
+    def plan(self, observation: Observation) -> Plan | Outcome | End:
+        """Do one control step: decide u_(opt), or that the trial is over."""
+        if self.untold:
+            self.knowledge.sent(*self.untold)
+        phase = self.k % self.section.hold  # control periods since the last knot of the plan
+        if self.warm is not None and phase == 0:
+            self.warm = self.warm[1:]  # lines 6, 24
+        problem = self._problem(observation, (self.section.hold - phase) * self.section.period)
+        if self._arrived(problem):  # lines 13-15
+            return Outcome.ARRIVED
+        if self.k > self.section.steps_max:  # line 9
+            return Outcome.STEPS_MAX
+        if ended := self._ended(problem, observation):
+            return ended
+        plan = self._decide(problem)
+        self.untold = observation.received_ns, float(plan.signals[0])
+        self.warm = plan.signals
+        self.k += 1
+        return plan
+
+    def sent(self, command: Command) -> None:
+        """Note when the direction decided last was sent."""
+        if command.direction is not None:
+            self.untold = None
+            self.knowledge.sent(command.sent_ns, command.direction)
+
+    def _problem(self, observation: Observation, first_period: float) -> Problem:
+        """Pose the problem where a direction decided now will act, for the robots as known."""
+        collision = self.section.collision
+        problem = replace(self.knowledge.seen(observation), first_period=first_period)
+        if not collision.adaptive:
+            return problem
+        dead_time = self.knowledge.predictor.dead_time_s
+        off = off_course(problem.speed, self.section.period, dead_time, self.knowledge.estimate)
+        margin = collision.margin + collision.radius + off
+        apart = collision.separation + 2 * off if collision.separation else 0.0
+        return replace(
+            problem,
+            obstacles=self.margins.obstacles(problem.poses, margin),
+            separation=self.margins.separation(problem.poses, apart),
+        )
+
+    def _arrived(self, problem: Problem) -> bool:
+        gaps = problem.poses.distances(problem.targets)
+        tolerance = self.section.arrival_tolerance
+        return tolerance > 0 and bool(np.all(gaps <= tolerance))
+
+    def _ended(self, problem: Problem, observation: Observation) -> Outcome | End | None:
+        """Return how the trial ends now: with its sequence, or where stopping is as good as that.
+
+        No search is done for it, so that a log tells all that the end depends on.
+        """
+        if self.warm is None or (len(self.warm) > 0 and self.section.accept == 0):
+            return None
+        direction, bias = self.knowledge.held_at_action(observation)
+        period = self.section.period if self.section.stop_between else 0.0
+        stopping = best_stop(problem, direction, bias, period)
+        outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
+        if 0 < self.section.accept < stopping.error:
+            return None
+        if len(self.warm) and float(evaluate(problem, self.warm[None]).total[0]) < stopping.error:
+            return None
+        return End(outcome, stopping.delay_ns) if stopping.delay_ns else outcome
+
+    def _decide(self, problem: Problem) -> Plan:
+        """Search every horizon that is a candidate now, longer ones where need be, and choose.
+
+        A limit of evaluations is shared equally. Where it is too small for all horizons of step 0,
+        fewer are tried, evenly spread, each with WORTHWHILE times the least of a search.
+        """
+        section, step_key = self.section, mix(self.key, self.k)
+        wanted, most = list(self._candidates()), section.evaluations_max
+        if most is not None:
+            wanted = affordable(wanted, self.warm, most // section.optimizer.evaluations_min)
+        searcher = Searcher(
+            self.optimizer, section.optimizer, problem, step_key, most, self._expired()
+        )
+        searcher.search_all(wanted, lambda _: False)
+        least = min(search.cost for search in searcher.found)
+        if self.warm is not None and least > section.accept > 0:
+            self._go_around(searcher)
+        count = 0 if self.warm is None else len(self.warm)
+        chosen = choose(searcher.found, section.optimizer.good_enough, count)
+        plan = make_plan(problem, searcher.found, chosen, step_key)
+        return replace(plan, estimate=self.knowledge.estimate)
+
+    def _candidates(self) -> Iterable[Candidate]:
+        return candidates(self.warm, self.section.horizon_max)
+
+    def _expired(self) -> Callable[[], bool]:
+        if self.section.deadline is None or self.warm is None:
+            return never
+        end = self.timer() + round(self.section.deadline * SECOND)
+        return lambda: self.timer() >= end
+
+    def _go_around(self, searcher: Searcher) -> None:
+        """Search longer sequences until one is good enough, within the steps that are left."""
+        assert self.warm is not None
+        section = self.section
+        most = (section.steps_max - self.k) // section.hold
+        lengths = [n for n in longer(len(self.warm), most) if n >= self.resume]
+        self.resume = 0
+        for length in lengths:
+            found = searcher.search(length, None)
+            if found is None:
+                self.resume = length
+                return
+            if found.cost <= ENOUGH * section.accept:
+                return
+
+
+def make_plan(problem: Problem, searches: list[Search], chosen: int, step_key: int) -> Plan:
+    """Assemble the decision from its searches, with the predicted path and the terms of (7)."""
+    best = searches[chosen]
+    path = predict(problem, best.signals)
+    costs = costs_along(problem, path[:, None])
+    return Plan(
+        signals=best.signals,
+        path=path,
+        cost=best.cost,
+        target_cost=float(costs.target[0]),
+        obstacle_cost=float(costs.obstacle[0]),
+        searches=tuple(searches),
+        chosen=chosen,
+        generator=step_key,
+    )

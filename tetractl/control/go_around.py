@@ -1,0 +1,58 @@
+"""What a controller does where its plan no longer ends at the targets: go round, or stop.
+
+Algorithm 2 shortens its sequence from step to step. With few signals left, a late disturbance
+cannot be corrected any more: three robots have six coordinates. Where no length of H - 1, H, H + 1
+ends within an accepted total error, longer sequences are searched afresh, which lead the robots
+round and back. The trial ends where stopping is as good as any plan, at the best moment of the
+coming control period.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
+from tetractl.experiment.kinds import MOTIONS
+
+ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
+GROWTH = 1.15  # of one length to the next, once they are long
+MOMENTS = 41  # of the coming control period that are looked at for the stop
+
+
+@dataclass(frozen=True, slots=True)
+class Stopping:
+    """A stop `delay_ns` from now, the sum of distances to the targets it is predicted to leave."""
+
+    delay_ns: int
+    error: float
+
+
+def longer(count: int, most: int) -> Iterator[int]:
+    """Yield lengths above that of the plan under way and one more, up to `most` signals."""
+    length = count + 2
+    while length <= most:
+        yield length
+        length = max(length + 1, round(GROWTH * length))
+
+
+def best_stop(
+    problem: Problem, direction: Floats, bias: Floats | float, period_s: float
+) -> Stopping:
+    """Return the best moment of the coming control period for a stop.
+
+    The robots are at the problem's poses when a stop sent now acts, and follow `direction` (N,)
+    [rad], NaN for a robot that stands, until a later one does.
+    """
+    step, stands = MOTIONS.load(problem.motion).step, np.isnan(direction)
+    delays = np.linspace(0.0, period_s, MOMENTS)[:-1]
+    seconds = np.where(stands, 0.0, delays[:, None])  # (M, N)
+    towards = np.where(stands, 0.0, direction) + bias
+    start = problem.poses
+    x, y, _ = step(start.x, start.y, start.heading, towards, problem.a, problem.speed, seconds)
+    targets = problem.targets
+    errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)
+    best = int(np.argmin(errors))
+    return Stopping(round(float(delays[best]) * SECOND), float(errors[best]))

@@ -1,0 +1,102 @@
+"""The searches of one control step: which lengths are tried, within which limits, and the choice.
+
+Lines 2-5 and 10-23 of Algorithm 2, and, beyond it, longer sequences (`tetractl.control.go_around`).
+"""
+
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from tetractl.control.rng import mix
+from tetractl.core.plan import Limits, Search, never
+from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
+from tetractl.core.protocols import Optimizer
+from tetractl.experiment.controller import OptimizerSection
+
+WORTHWHILE = 4
+"""How many times the least evaluations of a search each horizon of step 0 gets under a limit."""
+Candidate = tuple[int, Floats | None]
+"""A length to try, and the u_gb^0 to start from."""
+
+
+def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
+    """Yield each (length, u_gb^0): lines 2-4 at step 0, where `warm` is None, then lines 10-20."""
+    if warm is None:  # Part I
+        for length in range(1, horizon_max + 1):
+            yield length, None
+        return
+    count = len(warm)  # H; Part II. The paper indexes from 1
+    if count > 1:
+        yield count - 1, warm[1:]
+    if count > 0:
+        yield count, warm
+    yield count + 1, np.append(warm, 0.0)
+
+
+def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> list[Candidate]:
+    """Thin the candidates out: evenly at step 0, and to the plan as it is (H) after it."""
+    if warm is None:
+        stride = math.ceil(len(found) / max(1, searches // WORTHWHILE))
+        return found[::-stride][::-1]
+    count = len(warm)
+    kept = sorted(found, key=lambda one: abs(one[0] - count))[: max(1, searches)]
+    return sorted(kept, key=lambda one: one[0])
+
+
+def choose(searches: list[Search], good_enough: float | None, count: int) -> int:
+    """Return the index of the least cost, lines 5 and 23.
+
+    Among costs that the optimiser counts as equally good, the length nearest to that of the plan
+    under way, `count` (H), is chosen; at step 0, where it is 0, the shortest.
+    """
+    if good_enough is not None:
+        good = [i for i, search in enumerate(searches) if search.cost <= good_enough]
+        if good:
+            return min(good, key=lambda i: abs(searches[i].length - count))
+    return min(range(len(searches)), key=lambda i: searches[i].cost)
+
+
+class Searcher:
+    """Does the searches of one control step, within its limits, and keeps what they found.
+
+    `evaluations` bounds the cost evaluations of the step, None for no bound; once `expired()` is
+    true, only a first search is still done.
+    """
+
+    def __init__(
+        self,
+        optimizer: Optimizer,
+        section: OptimizerSection,
+        problem: Problem,
+        step_key: int,
+        evaluations: int | None = None,
+        expired: Callable[[], bool] = never,
+    ) -> None:
+        self._optimizer, self._least = optimizer, section.evaluations_min
+        self._problem, self._key = problem, step_key
+        self._left, self._expired = evaluations, expired
+        self.found: list[Search] = []
+
+    def search(self, length: int, start: Floats | None, among: int = 1) -> Search | None:
+        """Search one length; None where that is beyond the limits.
+
+        The evaluations left are shared equally `among` this search and those that are to follow.
+        """
+        share = None if self._left is None else self._left // among
+        if self.found and (self._expired() or (share is not None and share < self._least)):
+            return None
+        limits, key = Limits(share, self._expired), mix(self._key, length)
+        found = self._optimizer.search(self._problem, length, start, key, limits)  # lines 3, 21
+        self.found.append(found)
+        if self._left is not None:
+            self._left -= found.evaluations
+        return found
+
+    def search_all(self, wanted: list[Candidate], enough: Callable[[Search], bool]) -> None:
+        """Search every candidate, in order, until a search is enough or the limits are reached."""
+        for i, (length, start) in enumerate(wanted):
+            found = self.search(length, start, len(wanted) - i)
+            if found is None or enough(found):
+                break

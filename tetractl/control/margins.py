@@ -1,0 +1,75 @@
+"""How far the plan keeps from obstacles and walls, and the robots from each other.
+
+A robot follows its plan but for what is not known of it. The margin is its radius, the spec's
+margin and, where it follows the uncertainty, how far off course the fastest robot may come,
+
+    LOST v T + SIGMAS (v sigma_tau + v sigma_a/a tau + sigma_v tau),
+
+with its speed v, the control period T, the dead time tau and the deviations sigma of what is
+identified: a command that gets lost costs a period, and what is uncertain acts for a dead time. Two
+robots keep their separation and twice that much.
+
+Where a robot or a target is nearer to an obstacle already, the margin is what room there is: no
+plan could start or end inside a margin and keep it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.setup import Bounds, Shape
+from tetractl.model.obstacles import Obstacles
+
+LOST = 0.75  # share of a period's way by which a lost command takes a robot off its course
+SIGMAS = 2.0
+ROOM = 0.98  # share of the room there is that a margin takes
+BISECTIONS = 12
+
+
+def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estimate | None) -> float:
+    """Return how far off course a robot may come within a control period [length unit]."""
+    found = LOST * speed * period_s
+    if known is not None:
+        blind = dead_time_s + period_s
+        doubt = speed * known.a_std / known.a + known.speed_std
+        found = found + SIGMAS * (speed * (known.dead_time_std or 0.0) + doubt * blind)
+    return float(np.max(found))
+
+
+class Margins:
+    """The margins of a trial: `shapes` and, where given, the walls of an arena, and N targets."""
+
+    def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
+        self._bare = Obstacles.of(shapes, 0.0, walls).shapes
+        self._targets = targets
+
+    def obstacles(self, poses: Poses, margin: float) -> Obstacles:
+        """Return the obstacles grown by the margin, or by what room the robots leave."""
+        x = np.concatenate([poses.x, self._targets[:, 0]])
+        y = np.concatenate([poses.y, self._targets[:, 1]])
+        return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare))
+
+    def separation(self, poses: Poses, wanted: float) -> float:
+        """Return the separation to keep: what is wanted, or the room there is between robots."""
+        one, other = np.triu_indices(len(self._targets), 1)
+        if not one.size or wanted <= 0:
+            return 0.0
+        between = [np.hypot(*(xy[one] - xy[other]).T) for xy in (poses.xy, self._targets)]
+        return float(min(wanted, ROOM * np.min(between)))
+
+
+def _grown(shape: Shape, x: Floats, y: Floats, margin: float) -> Shape:
+    """Return the shape grown by the largest margin that no point (x, y) lies within."""
+    grown = shape.grown(margin)
+    if not grown.contain(x, y).any():
+        return grown
+    free, taken = 0.0, margin
+    for _ in range(BISECTIONS):
+        middle = (free + taken) / 2
+        if shape.grown(middle).contain(x, y).any():
+            taken = middle
+        else:
+            free = middle
+    return shape.grown(ROOM * free)

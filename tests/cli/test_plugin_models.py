@@ -37,7 +37,7 @@ start = np.zeros(24)
 slow = levenberg.polish(problem, start, 1e-3, 0.5, 5)
 work, found = lay_out_polish(problem, 24), start.copy()
 rows, history = len(work.residual), np.empty(6)
-_, z, _ = polish(work, found, 1e-3, 0.5, 5, 2**62, np.empty((rows, rows)), history)
+_, z, _ = polish(work, found, 1e-3, 0.5, 5, 6, 2**62, np.empty((rows, rows)), history)
 search = spec.controller.optimizer.search(problem, 24, None, 1, Limits())
 x, y = predict(problem, search.signals)[..., :2].T
 print(json.dumps({

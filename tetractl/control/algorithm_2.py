@@ -33,7 +33,14 @@ import numpy as np
 from tetractl.control.cost import costs_along, evaluate, predict
 from tetractl.control.go_around import ENOUGH, best_stop, longer
 from tetractl.control.knowledge import Knowledge
-from tetractl.control.lengths import Candidate, Searcher, affordable, candidates, choose
+from tetractl.control.lengths import (
+    Candidate,
+    Searcher,
+    affordable,
+    candidates,
+    choose,
+    least_length,
+)
 from tetractl.control.margins import Margins, off_course
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
@@ -155,12 +162,16 @@ class Mpc:
         searcher = Searcher(
             self.optimizer, section.optimizer, problem, step_key, most, self._expired()
         )
-        searcher.search_all(wanted, lambda _: False)
+        good_enough = section.optimizer.good_enough
+        if self.warm is None and section.first_lengths == "spread" and good_enough is not None:
+            searcher.search_spread(least_length(problem), section.horizon_max, good_enough)
+        else:
+            searcher.search_all(wanted)
         least = min(search.cost for search in searcher.found)
         if self.warm is not None and least > section.accept > 0:
             self._go_around(searcher)
         count = 0 if self.warm is None else len(self.warm)
-        chosen = choose(searcher.found, section.optimizer.good_enough, count)
+        chosen = choose(searcher.found, good_enough, count)
         plan = make_plan(problem, searcher.found, chosen, step_key)
         return replace(plan, estimate=self.knowledge.estimate)
 
@@ -174,10 +185,10 @@ class Mpc:
         return lambda: self.timer() >= end
 
     def _go_around(self, searcher: Searcher) -> None:
-        """Search longer sequences until one is good enough, within the steps that are left."""
+        """Search longer sequences until one is good enough, as far as horizon and steps allow."""
         assert self.warm is not None
         section = self.section
-        most = (section.steps_max - self.k) // section.hold
+        most = min((section.steps_max - self.k) // section.hold, section.horizon_max)
         lengths = [n for n in longer(len(self.warm), most) if n >= self.resume]
         self.resume = 0
         for length in lengths:

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.control.lengths import GROWTH
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
-GROWTH = 1.15  # of one length to the next, once they are long
 MOMENTS = 41  # of the coming control period that are looked at for the stop
 
 

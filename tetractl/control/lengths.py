@@ -17,6 +17,8 @@ from tetractl.experiment.controller import OptimizerSection
 
 WORTHWHILE = 4
 """How many times the least evaluations of a search each horizon of step 0 gets under a limit."""
+FINE = 0.05  # share of a length to which the shortest one is looked for
+GROWTH = 1.2  # of one length to the next, where they are spread
 Candidate = tuple[int, Floats | None]
 """A length to try, and the u_gb^0 to start from."""
 
@@ -58,6 +60,16 @@ def choose(searches: list[Search], good_enough: float | None, count: int) -> int
     return min(range(len(searches)), key=lambda i: searches[i].cost)
 
 
+def least_length(problem: Problem) -> int:
+    """Return the fewest signals in which every robot can reach its target on a straight line."""
+    gaps = problem.poses.distances(problem.targets)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        seconds = float(np.max(np.where(gaps > 0, gaps / problem.speed, 0.0)))
+    if not math.isfinite(seconds):
+        return 1
+    return 1 + max(0, math.ceil((seconds - problem.first_period) / problem.period))
+
+
 class Searcher:
     """Does the searches of one control step, within its limits, and keeps what they found.
 
@@ -94,9 +106,31 @@ class Searcher:
             self._left -= found.evaluations
         return found
 
-    def search_all(self, wanted: list[Candidate], enough: Callable[[Search], bool]) -> None:
-        """Search every candidate, in order, until a search is enough or the limits are reached."""
+    def search_all(self, wanted: list[Candidate]) -> None:
+        """Search every candidate, in order, until the limits are reached."""
         for i, (length, start) in enumerate(wanted):
-            found = self.search(length, start, len(wanted) - i)
-            if found is None or enough(found):
+            if self.search(length, start, len(wanted) - i) is None:
                 break
+
+    def search_spread(self, least: int, most: int, good_enough: float) -> None:
+        """Search from `least` on, ever wider apart, until a cost is good enough; then between.
+
+        Between that length and the one before, halves are taken until FINE of it is left.
+        """
+        length, failed = min(least, most), 0
+        while True:
+            found = self.search(length, None)
+            if found is None or (found.cost > good_enough and length == most):
+                return
+            if found.cost <= good_enough:
+                break
+            length, failed = min(most, max(length + 1, round(GROWTH * length))), length
+        while failed > 0 and length - failed > max(1, FINE * length):
+            middle = (length + failed) // 2
+            found = self.search(middle, None)
+            if found is None:
+                return
+            if found.cost <= good_enough:
+                length = middle
+            else:
+                failed = middle

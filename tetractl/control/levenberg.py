@@ -3,16 +3,19 @@
 This is the reference of the compiled `tetractl.control.kernels.levenberg`, which must agree with
 it. The quantity that is brought down is the merit of a sequence u of L signals,
 
-    m(u) = sum_i |s_i - tar_i| + W sum_i sum_o max(0, max_j depth_o(s_i(j))),      W = DEPTH_WEIGHT,
+    m(u) = sqrt(N sum_i |s_i - tar_i|^2) + W sum_i sum_o max(0, max_j depth_o(s_i(j))),
 
-with the last predicted position s_i of robot i, (8), and how deep its deepest position lies inside
-each obstacle o; the count P of (9) has no slope. Where robots are to keep a separation, W times how
-far each pair comes within it, where the two are nearest, is added.
+with W = DEPTH_WEIGHT, the last predicted position s_i of robot i, (8), of N, and how deep its
+deepest position lies inside each obstacle o; the count P of (9) has no slope. The first term is
+never less than f, and equal to it where all robots miss by as much. A sum of distances gives up the
+robots that miss by most, and ends in a local minimum where many robots are to be led. Where robots
+are to keep a separation, W times how far each pair comes within it, where the two are nearest, is
+added.
 
-The residuals r are, for each robot, the two coordinates of s_i - tar_i over sqrt(|s_i - tar_i|), so
-that their squares sum up to f (iteratively reweighted least squares), and W depth / sqrt(depth) for
-each robot and obstacle that it meets. With their Jacobian J (R, L) by the signals, the damped step
-is
+The residuals r are, for each robot, the two coordinates of s_i - tar_i over the square root of
+their root mean square, so that their squares sum up to the first term (iteratively reweighted least
+squares), and W depth / sqrt(depth) for each robot and obstacle that it meets. With their Jacobian J
+(R, L) by the signals, the damped step is
 
     du = -J' (J J' + lambda I)^-1 r:
 
@@ -36,8 +39,7 @@ from tetractl.experiment.kinds import MOTIONS
 
 LARGEST_STEP = 1.0  # of any signal in one iteration [rad]
 DEPTH_WEIGHT = 3.0  # W, of a depth against a miss
-PATIENCE = 6  # iterations over which the merit ...
-PROGRESS = 0.8  # ... has to fall below this share of itself
+PROGRESS = 0.8  # share of itself that the merit has to fall below in `patience` iterations
 NUDGE = 0.02  # rad, for derivatives
 CENTRAL = {1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Weights of the six-point central difference; its error is of order NUDGE^6."""
@@ -60,13 +62,14 @@ def polish(
     slack: float,
     iterations: int,
     budget: int | None = None,
+    patience: int = 6,
 ) -> Polished:
     """Improve a sequence (L,).
 
     The search ends when the merit is at most `tolerance`, when no step helps, when it has not
-    fallen to PROGRESS of itself over PATIENCE iterations, after `iterations`, or before it exceeds
-    `budget` evaluations; a Jacobian counts as one for each of its rows. Obstacles are grown by
-    `slack` [length unit] in the residuals, so that what ends on their edge ends outside.
+    fallen to PROGRESS of itself over `patience` iterations, after `iterations`, or before it
+    exceeds `budget` evaluations; a Jacobian counts as one for each of its rows. Obstacles are grown
+    by `slack` [length unit] in the residuals, so that what ends on their edge ends outside.
     """
     u, merit = start.copy(), _merit(problem, start)
     history, evaluations, damping = [merit], 1, 1e-2
@@ -96,7 +99,7 @@ def polish(
             damping = max(0.2 * damping, 1e-10) if better else 5 * damping
             history.append(merit)
         z = len(history) - 1
-        if not better or (z >= PATIENCE and merit > PROGRESS * history[z - PATIENCE]):
+        if not better or (z >= patience and merit > PROGRESS * history[z - patience]):
             break
     return Polished(u, merit, np.array(history), evaluations)
 
@@ -120,10 +123,10 @@ def _step(u: Floats, residual: Floats, jacobian: Floats, damped: Floats) -> Floa
 
 def _merit(problem: Problem, u: Floats) -> float:
     path = predict(problem, u)[1:, :, :2]  # (L, N, 2)
-    misses = np.hypot(*(path[-1] - problem.targets).T)
+    squares = float(((path[-1] - problem.targets) ** 2).sum())
     depths = _depths(problem, path)[0].max(axis=1, initial=0.0)  # (O, N)
     nearer = sum(max(0.0, meeting) for _, _, _, meeting in _meetings(problem, path))
-    return float(misses.sum() + DEPTH_WEIGHT * (depths.sum() + nearer))
+    return float(np.sqrt(len(problem.a) * squares) + DEPTH_WEIGHT * (depths.sum() + nearer))
 
 
 def _meetings(problem: Problem, path: Floats) -> Iterator[tuple[int, int, int, float]]:
@@ -140,9 +143,10 @@ def _linearise(problem: Problem, u: Floats, floor: float, slack: float) -> tuple
     """Return the residuals (R,) and their Jacobian (R, L)."""
     path, by_signal = positions(problem, u)
     residuals, rows = [], []
-    for i in range(len(problem.a)):
-        gap = path[-1, i] - problem.targets[i]
-        scale = 1 / np.sqrt(max(float(np.hypot(*gap)), floor))
+    gaps = path[-1] - problem.targets
+    typical = float(np.sqrt((gaps**2).sum() / len(gaps)))
+    scale = 1 / np.sqrt(max(typical, floor))
+    for i, gap in enumerate(gaps):
         residuals += [*(scale * gap)]
         rows += [*(scale * by_signal[-1, i])]
     depths, outwards = _depths(problem, path)

@@ -97,6 +97,10 @@ class MpcSection(ControllerSection):
     horizon_max: int = Field(default=51, ge=1, le=2000)
     """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
     horizon h = length - 1."""
+    first_lengths: Literal["all", "spread"] = "all"
+    """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2, or `spread`,
+    with an optimiser that knows when a sequence is good enough: ever wider apart from the shortest
+    that could reach the targets, until one is good enough, and then by halves."""
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in (7) [length unit]."""
     collision: Collision = Collision()

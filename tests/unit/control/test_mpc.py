@@ -196,7 +196,7 @@ def test_a_pose_that_is_no_number_is_refused():
 
 
 def spec_around(**fields):
-    return spec(accept=20, horizon_max=6, steps_max=60, **fields)
+    return spec(accept=20, horizon_max=30, steps_max=60, **fields)
 
 
 def test_where_no_plan_ends_within_accept_longer_ones_are_searched_afresh():
@@ -204,11 +204,11 @@ def test_where_no_plan_ends_within_accept_longer_ones_are_searched_afresh():
     controller = mpc(spec_around(), 99, search)
     controller.plan(seen())
     search.forget()
-    search.costs = {4: 25.0, 5: 24.0, 6: 21.0, 9: 1.9}
+    search.costs = {4: 25.0, 5: 24.0, 6: 21.0, 8: 1.9}
     plan = controller.plan(seen(now=200_000_000))
     asked = [(length, start is None) for length, start, *_ in search.forget()]
-    assert asked == [(4, False), (5, False), (6, False), (7, True), (8, True), (9, True)]
-    assert plan.search.length == 9
+    assert asked == [(4, False), (5, False), (6, False), (7, True), (8, True)]
+    assert plan.search.length == 8
 
 
 def test_a_plan_within_accept_is_followed():
@@ -223,7 +223,7 @@ def test_a_plan_within_accept_is_followed():
 
 def test_no_plan_is_longer_than_the_steps_that_are_left():
     search = Scripted({6: 0.0})
-    controller = mpc(spec(accept=20, horizon_max=6, steps_max=9), 99, search)
+    controller = mpc(spec(accept=20, horizon_max=30, steps_max=9), 99, search)
     controller.plan(seen())
     search.forget()
     search.costs = {}
@@ -289,3 +289,25 @@ def test_the_stop_comes_between_two_steps_where_that_is_best():
     assert isinstance(ended, End)
     assert ended.outcome is Outcome.SEQUENCE_COMPLETED
     assert ended.delay_ns == pytest.approx(100_000_000, abs=3_000_000)
+
+
+def spread(**fields):
+    return spec(first_lengths="spread", optimizer={"type": "multistart", "tolerance": 1}, **fields)
+
+
+@pytest.mark.parametrize("shortest", [26, 27, 33, 41, 60])
+def test_spread_lengths_come_near_the_shortest_that_is_good_enough(shortest):
+    """At 180 mm/s green is the slowest of all: 854 mm are 4.75 s, 24 signals; red's are 896 mm."""
+    search = Scripted(dict.fromkeys(range(shortest, 200), 0.5))
+    experiment = spread(horizon_max=100)
+    plan = mpc(experiment, 99, search).plan(seen())
+    asked = [length for length, *_ in search.asked]
+    assert asked[0] == 30  # 896 mm at 150 mm/s
+    assert max(30, shortest) <= plan.search.length <= max(31, 1.06 * shortest + 1)
+    assert len(asked) <= 9
+
+
+def test_spread_lengths_end_with_the_horizon():
+    search = Scripted()
+    mpc(spread(horizon_max=40), 99, search).plan(seen())
+    assert [length for length, *_ in search.asked] == [30, 36, 40]

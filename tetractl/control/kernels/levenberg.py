@@ -1,10 +1,10 @@
 """Levenberg-Marquardt on one sequence: drives f(u) of (8) to zero and the path out of obstacles.
 
-The residuals are the 2N coordinates of the misses s_i - tar_i, each robot's scaled by the square
-root of its distance so that the sum of squares is f itself (iteratively reweighted least squares),
-and, for each robot and obstacle, how deep its deepest predicted position lies inside; for each pair
-of robots, by how much they come nearer than their separation. L signals
-answer for few residuals R, so the damped step is taken in the small space of the residuals:
+The residuals are the 2N coordinates of the misses s_i - tar_i, scaled by one factor so that the sum
+of their squares is sqrt(N sum_i |s_i - tar_i|^2), which f never exceeds, and, for each robot and
+obstacle, how deep its deepest predicted position lies inside; for each pair of robots, by how much
+they come nearer than their separation. L signals answer for few residuals R, so the damped step is
+taken in the small space of the residuals:
 
     du = -J' (J J' + lambda I)^-1 r,      J (R, L).
 """
@@ -27,8 +27,7 @@ Integers = NDArray[np.int64]
 
 LARGEST_STEP = 1.0  # of any signal in one iteration [rad]
 DEPTH_WEIGHT = 3.0  # of a depth against a miss
-PATIENCE = 6  # iterations over which a hopeful search must ...
-PROGRESS = 0.8  # ... bring its cost below this share
+PROGRESS = 0.8  # share of itself that the merit has to fall below in `patience` iterations
 
 
 class Polish(NamedTuple):
@@ -91,14 +90,16 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
 
 @compiled(**PIECE)
 def _merit(work):
-    """f(u) + DEPTH_WEIGHT times the depth of the deepest position of each robot and obstacle."""
+    """The bound of f(u) + DEPTH_WEIGHT times the depth of each robot and obstacle, and meeting."""
     count_deepest(work.obstacles, work.path, work.depths, work.where)
     merit = 0.0
     last = work.path.shape[1] - 1
     for i in range(work.a.size):
         dx = work.path[i, last, 0] - work.target[i, 0]
         dy = work.path[i, last, 1] - work.target[i, 1]
-        merit += math.sqrt(dx * dx + dy * dy)
+        merit += dx * dx + dy * dy
+    merit = math.sqrt(work.a.size * merit)
+    for i in range(work.a.size):
         for o in range(work.depths.shape[1]):
             merit += DEPTH_WEIGHT * max(0.0, work.depths[i, o])
     if work.meetings.size:
@@ -132,9 +133,13 @@ def _linearise(work, floor, slack):
     """
     rows, residual, path = work.rows, work.residual, work.path
     last, r = path.shape[1] - 1, 0
+    squares = 0.0
     for i in range(work.a.size):
         dx, dy = path[i, last, 0] - work.target[i, 0], path[i, last, 1] - work.target[i, 1]
-        scale = 1 / math.sqrt(max(math.sqrt(dx * dx + dy * dy), floor))
+        squares += dx * dx + dy * dy
+    scale = 1 / math.sqrt(max(math.sqrt(squares / work.a.size), floor))
+    for i in range(work.a.size):
+        dx, dy = path[i, last, 0] - work.target[i, 0], path[i, last, 1] - work.target[i, 1]
         residual[r], residual[r + 1] = scale * dx, scale * dy
         backward(work.gradients, i, last, scale, 0.0, rows[r])
         backward(work.gradients, i, last, 0.0, scale, rows[r + 1])
@@ -230,12 +235,13 @@ def _propose(work, u, r):
 
 
 @compiled(**KERNEL)
-def polish(work, u, tolerance, slack, iterations, budget, factor, history):
+def polish(work, u, tolerance, slack, iterations, patience, budget, factor, history):
     """Improve u (L,) in place; returns (merit, iterations used, evaluations).
 
-    Ends when the merit is at most `tolerance`, when no step helps, when PATIENCE is at its end,
-    after `iterations`, or before `budget` evaluations are exceeded. history[z] is the merit after z
-    iterations, (iterations + 1,). A Jacobian counts as one evaluation for each of its rows.
+    Ends when the merit is at most `tolerance`, when no step helps, when it has not fallen to
+    PROGRESS of itself over `patience` iterations, after `iterations`, or before `budget`
+    evaluations are exceeded. history[z] is the merit after z iterations, (iterations + 1,). A
+    Jacobian counts as one evaluation for each of its rows.
     """
     start, a, v, t0, t = work.start, work.a, work.v, work.first_period, work.period
     trace(u, start, a, v, t0, t, work.motion, work.path, work.gradients)
@@ -269,6 +275,6 @@ def polish(work, u, tolerance, slack, iterations, budget, factor, history):
                     damping = max(0.2 * damping, 1e-10)
                     break
             damping *= 5
-        if not better or (z >= PATIENCE and merit > PROGRESS * history[z - PATIENCE]):
+        if not better or (z >= patience and merit > PROGRESS * history[z - patience]):
             break
     return merit, z, evaluations

@@ -42,10 +42,15 @@ class Multistart(OptimizerSection):
     """Random directions that each of them passes through, evenly spread over its length."""
     polished: int = Field(default=4, ge=1, le=10_000)
     """The best of a round that are polished."""
+    patience: int = Field(default=6, ge=1, le=10_000)
+    """Iterations in which a start has to get nearer by a fifth, or is given up."""
     polish_steps: int = Field(default=40, ge=1, le=10_000)
     """Levenberg-Marquardt iterations spent on each at most."""
     rounds: int = Field(default=8, ge=1, le=10_000)
     """Rounds of one search without a warm start; with one that cannot be polished, a single one."""
+    grows: bool = True
+    """Whether `knots`, `patience` and `polish_steps` are those of three robots, and grow with the
+    square of the number of robots."""
     tolerance: Positive = 0.001
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
@@ -63,6 +68,10 @@ class Multistart(OptimizerSection):
     def good_enough(self) -> float:
         """The tolerance."""
         return self.tolerance
+
+    def growth(self, problem: Problem) -> float:
+        """Return how many times as many knots and iterations a problem needs as for 3 robots."""
+        return max(1.0, (len(problem.a) / 3) ** 2) if self.grows else 1.0
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
@@ -102,7 +111,7 @@ class Multistart(OptimizerSection):
         bearing of the targets; with a warm start, every other one is the warm start plus such a
         curve of up to half a radian.
         """
-        knots = min(self.knots, length)
+        knots = min(round(self.knots * self.growth(problem)), length)
         draws = uniform(key, 0, knots * self.particles).reshape(knots, self.particles) * 2 - 1
         curve = interpolate(draws, length)
         starts = bearing(problem) + np.pi * curve
@@ -125,7 +134,10 @@ class _PolishedProgress(Progress):
         self.slack = SLACK * float(problem.speed.max()) * problem.period
         rows = len(self.work.residual)
         self.factor = np.empty((rows, rows))
-        self.trace = np.empty(section.polish_steps + 1)
+        growth = section.growth(problem)
+        self.patience = round(section.patience * growth)
+        self.steps = round(section.polish_steps * growth)
+        self.trace = np.empty(self.steps + 1)
 
     def select(self, starts: Floats) -> list[Floats]:
         """Evaluate a round, (length, particles), and return its best sequences, best first."""
@@ -148,7 +160,8 @@ class _PolishedProgress(Progress):
             signals,
             self.section.tolerance,
             self.slack,
-            self.section.polish_steps,
+            self.steps,
+            self.patience,
             most - self.evaluations - 1,
             self.factor,
             self.trace,

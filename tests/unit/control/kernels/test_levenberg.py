@@ -14,7 +14,7 @@ from tetractl.control.kernels.levenberg import lay_out_polish
 from tetractl.control.kernels.levenberg import polish as compiled_polish
 
 MOTIONS = st.sampled_from(["euler", "arc", "exact"])
-TOLERANCE, SLACK = 1e-3, 0.5
+TOLERANCE, SLACK, PATIENCE = 1e-3, 0.5, 6
 
 
 def compiled(problem, start, iterations, budget=2**62):
@@ -22,7 +22,15 @@ def compiled(problem, start, iterations, budget=2**62):
     rows, signals = len(work.residual), start.copy()
     history = np.empty(iterations + 1)
     merit, z, evaluations = compiled_polish(
-        work, signals, TOLERANCE, SLACK, iterations, budget, np.empty((rows, rows)), history
+        work,
+        signals,
+        TOLERANCE,
+        SLACK,
+        iterations,
+        PATIENCE,
+        budget,
+        np.empty((rows, rows)),
+        history,
     )
     return levenberg.Polished(signals, merit, history[: z + 1].copy(), evaluations)
 
@@ -49,7 +57,7 @@ def test_the_compiled_twin_takes_the_same_steps(
 ):
     problem = problems.problem(problems.world(seed, robots, obstacles, motion), separation)
     start = random_start(seed, length)
-    slow = levenberg.polish(problem, start, TOLERANCE, SLACK, iterations, budget)
+    slow = levenberg.polish(problem, start, TOLERANCE, SLACK, iterations, budget, PATIENCE)
     fast = compiled(problem, start, iterations, 2**62 if budget is None else budget)
     assert fast.history == pytest.approx(slow.history, rel=1e-6, abs=1e-6)
     assert fast.evaluations == slow.evaluations
@@ -75,7 +83,7 @@ def test_a_polish_never_makes_it_worse_and_keeps_its_limits(
     if twin:
         found = compiled(problem, start, 20, budget)
     else:
-        found = levenberg.polish(problem, start, TOLERANCE, SLACK, 20, budget)
+        found = levenberg.polish(problem, start, TOLERANCE, SLACK, 20, budget, PATIENCE)
     assert np.array_equal(start, kept)
     assert np.all(np.diff(found.history) <= 0)
     assert found.merit == found.history[-1]
@@ -108,6 +116,6 @@ def test_one_robot_in_the_open_is_brought_to_its_target(twin):
     found = (
         compiled(problem, start, 60)
         if twin
-        else levenberg.polish(problem, start, TOLERANCE, SLACK, 60)
+        else levenberg.polish(problem, start, TOLERANCE, SLACK, 60, None, PATIENCE)
     )
     assert found.merit <= TOLERANCE

@@ -79,7 +79,7 @@ def test_the_polish_takes_the_same_steps(seed, polygons, others, motion, iterati
     work, signals = lay_out_polish(problem, 20), start.copy()
     rows, history = len(work.residual), np.empty(iterations + 1)
     _, z, evaluations = compiled_polish(
-        work, signals, TOLERANCE, SLACK, iterations, 2**62, np.empty((rows, rows)), history
+        work, signals, TOLERANCE, SLACK, iterations, 6, 2**62, np.empty((rows, rows)), history
     )
     assert history[: z + 1] == pytest.approx(slow.history, rel=1e-6, abs=1e-6)
     assert evaluations == slow.evaluations

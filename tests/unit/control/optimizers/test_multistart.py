@@ -13,15 +13,18 @@ from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits
 from tetractl.core.poses import Poses, wrap
+from tetractl.core.problem import Problem
 from tetractl.experiment.load import load_spec
+from tetractl.model.obstacles import Obstacles
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
+NEAR = ["controller.collision.radius=20", "controller.collision.separation=0"]
 SMALL = Multistart(particles=20, polished=2, rounds=2, polish_steps=15)
 MODELS = st.sampled_from(["euler", "arc", "exact"])
 
 
 def reference_problem():
-    experiment = load_spec(EXPERIMENT).experiment
+    experiment = load_spec(EXPERIMENT, NEAR).experiment
     return experiment.controller.problem(experiment.setup)
 
 
@@ -124,3 +127,31 @@ def test_wrapping_keeps_the_direction(angle):
     wrapped = wrap(np.array([angle]))[0]
     assert abs(wrapped) <= math.pi + 1e-9
     assert math.cos(wrapped - angle) == pytest.approx(1, abs=1e-9)
+
+
+def test_knots_and_iterations_grow_with_the_square_of_the_robots():
+    few, many = (problems.problem(problems.world(1, n, 0, "exact")) for n in (2, 12))
+    assert (Multistart().growth(few), Multistart().growth(many)) == (1, 16)
+    assert Multistart(grows=False).growth(many) == 1
+
+
+def test_eight_robots_are_led_to_their_targets():
+    """1 m in one direction, and each by another 0.2 m or so: 12 knots never do it."""
+    rng = np.random.default_rng(1)
+    starts = rng.uniform(0, 2000, (8, 2))
+    problem = Problem(
+        poses=Poses(*starts.T.copy(), np.zeros(8)),
+        targets=starts + [1000, 0] + 200 * rng.standard_normal((8, 2)),
+        a=np.linspace(2, 6, 8),
+        speed=rng.uniform(150, 200, 8),
+        motion="exact",
+        period=0.2,
+        first_period=0.2,
+        obstacles=Obstacles(()),
+        obstacle_weight=1000.0,
+        swept=False,
+    )
+    found = [
+        Multistart(grows=grows).search(problem, 120, None, 1, Limits()) for grows in (False, True)
+    ]
+    assert [search.cost <= 1 for search in found] == [False, True]

@@ -35,6 +35,14 @@ class Bounds:
         """Return whether a point lies in the rectangle."""
         return self.left <= x <= self.right and self.bottom <= y <= self.top
 
+    def inside(self, x: Floats, y: Floats) -> Floats:
+        """Return how far inside each point lies from the nearest edge, or its line if outside.
+
+        The value is negative outside [length unit].
+        """
+        across = np.minimum(x - self.left, self.right - x)
+        return np.minimum(across, np.minimum(y - self.bottom, self.top - y))
+
 
 class Shape(Protocol):
     """The shape of an obstacle in the plane; its edge belongs to it. Lengths in the spec's unit."""

@@ -15,12 +15,16 @@ from tetractl.experiment.base import Model
 class Order:
     """A command on its way to N robots: it acts from `due_ns` on those `reached` (N,).
 
-    `direction` is u [rad], None for a stop.
+    `direction` is u [rad], None for a stop. `headings` (N,) are those that the host had measured
+    when it sent the command [rad]; `wheels` are the left and right wheel speeds (N,) [length
+    unit/s] in it, None where robots are sent the direction itself.
     """
 
     due_ns: int
     direction: float | None
     reached: Bools
+    headings: Floats | None = None
+    wheels: tuple[Floats, Floats] | None = None
 
 
 class Disturbance:
@@ -33,8 +37,18 @@ class Disturbance:
         """Return the true a [rad/s] and speed [length unit/s], (N,) each; called once, first."""
         return a, speed
 
+    def placed(self, poses: Poses) -> Poses:
+        """Return the true poses before the first command, from those of the spec; called once."""
+        return poses
+
+    def planning_s(self) -> float:
+        """Return the time from a frame's being given to the controller to the sending of its
+        command, or of the stop, in addition to that of the other disturbances [s].
+        """
+        return 0.0
+
     def sent(self, order: Order) -> Order:
-        """Return what becomes of a command; stops are not disturbed.
+        """Return what becomes of a command or of one of the repeated stops.
 
         Where it would act before one that was sent earlier, it acts together with that.
         """
@@ -53,6 +67,14 @@ class Disturbance:
         `time_s` is the time of exposure. The pose of a robot that is not tracked is not used.
         """
         return poses, valid
+
+    def received(self, exposed_ns: int, received_ns: int) -> int | None:
+        """Return when a frame exposed at `exposed_ns` reaches the host [ns]; None where it is lost.
+
+        `received_ns` is the time after the disturbances before this one. Frames arrive in order:
+        one that would overtake another arrives together with that.
+        """
+        return received_ns
 
 
 class DisturbanceSection(Model):

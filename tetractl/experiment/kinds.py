@@ -74,7 +74,17 @@ ACTUATORS = Registry(
 DISTURBANCES = Registry(
     "tetractl.disturbances",
     "disturbance",
-    {"tracking-loss": "tetractl.plant.disturbances.tracking_loss:TrackingLossSection"},
+    {
+        "camera-latency": "tetractl.plant.disturbances.camera_latency:CameraLatencySection",
+        "flow": "tetractl.plant.disturbances.flow:FlowSection",
+        "frame-loss": "tetractl.plant.disturbances.frame_loss:FrameLossSection",
+        "heading-drift": "tetractl.plant.disturbances.heading_drift:HeadingDriftSection",
+        "planning-time": "tetractl.plant.disturbances.planning_time:PlanningTimeSection",
+        "radio": "tetractl.plant.disturbances.radio:RadioSection",
+        "start-error": "tetractl.plant.disturbances.start_error:StartErrorSection",
+        "tracking-loss": "tetractl.plant.disturbances.tracking_loss:TrackingLossSection",
+        "wobble": "tetractl.plant.disturbances.wobble:WobbleSection",
+    },
     "tetractl.experiment.disturbance:DisturbanceSection",
 )
 SEAMS = (

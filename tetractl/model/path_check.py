@@ -1,8 +1,15 @@
-"""Checks a path against the obstacles: which robots entered one, and how near each robot came."""
+"""Checks a path: which robots entered an obstacle, how near to one, the edge or another they came.
+
+All of it is of the robots' centres.
+"""
+
+from typing import Self
 
 import numpy as np
 
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.commands import Verdict
+from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.setup import Bounds, Setup
 from tetractl.model.obstacles import Obstacles
 
 BLOCK = 10_000  # samples of a recorded path that are checked at a time
@@ -13,13 +20,22 @@ class PathCheck:
 
     `entered` (N,) is True for robots whose path touched an obstacle; `clearance` (N,) is the least
     signed distance of each robot's samples to an obstacle [length unit], inf without obstacles.
+    `edge` (N,) is the least signed distance of each to the edge of the arena, negative outside, and
+    `apart` (N,) to the nearest other robot, inf for one alone.
     """
 
-    def __init__(self, obstacles: Obstacles, count: int) -> None:
-        self.obstacles = obstacles
+    def __init__(self, obstacles: Obstacles, arena: Bounds, count: int) -> None:
+        self.obstacles, self.arena = obstacles, arena
         self.entered = np.zeros(count, dtype=np.bool_)
         self.clearance = np.full(count, np.inf)
+        self.edge = np.full(count, np.inf)
+        self.apart = np.full(count, np.inf)
         self._last: tuple[Floats, Floats] | None = None
+
+    @classmethod
+    def of(cls, setup: Setup) -> Self:
+        """Return the check of an experiment's robots, before the first sample."""
+        return cls(Obstacles.of(setup.obstacles), setup.arena, len(setup.names))
 
     def add(self, x: Floats, y: Floats) -> None:
         """Add M further samples in time order; x, y of shape (M, N)."""
@@ -29,21 +45,51 @@ class PathCheck:
         self.entered |= self.obstacles.contain(x, y).any(axis=0)
         self.entered |= self.obstacles.cross(x[:-1], y[:-1], x[1:], y[1:]).any(axis=0)
         self.clearance = np.minimum(self.clearance, self.obstacles.distance(x, y).min(axis=0))
+        self.edge = np.minimum(self.edge, self.arena.inside(x, y).min(axis=0))
+        self.apart = np.minimum(self.apart, separations(x, y))
+
+    def verdict(self, final: Poses, unrest: str = "") -> Verdict:
+        """Return the verdict on the path so far, which ended in `final`."""
+        return Verdict(
+            final,
+            tuple(bool(entered) for entered in self.entered),
+            tuple(self.clearance.tolist()),
+            unrest,
+            tuple(self.edge.tolist()),
+            tuple(self.apart.tolist()),
+        )
 
 
-def check_path(obstacles: Obstacles, path: Floats, known: Bools) -> tuple[Bools, Floats]:
-    """Return `entered` (N,) and `clearance` (N,) of `PathCheck` for a recorded path.
+def separations(x: Floats, y: Floats) -> Floats:
+    """Return the least distance of each of N robots to another over M samples, (N,).
+
+    x, y are (M, N) [length unit]; samples that are nan are left out.
+    """
+    count = x.shape[1]
+    apart = np.full(count, np.inf)
+    for i in range(count - 1):
+        squared = (x[:, i + 1 :] - x[:, i : i + 1]) ** 2 + (y[:, i + 1 :] - y[:, i : i + 1]) ** 2
+        nearest = np.sqrt(np.fmin.reduce(squared, axis=0, initial=np.inf))
+        apart[i + 1 :] = np.minimum(apart[i + 1 :], nearest)
+        apart[i] = min(apart[i], nearest.min())
+    return apart
+
+
+def check_path(setup: Setup, path: Floats, known: Bools, final: Poses) -> Verdict:
+    """Return the verdict of `PathCheck` on a recorded path which ended in `final`.
 
     `path` (M, N, 2 or more) begins with x and y; samples that are not `known` (M, N) are left out.
     """
-    count = path.shape[1]
-    entered, clearance = np.zeros(count, dtype=np.bool_), np.full(count, np.inf)
-    for robot in range(count):
+    whole = PathCheck.of(setup)
+    for robot in range(path.shape[1]):
         samples = path[known[:, robot], robot]
         if len(samples):
-            check = PathCheck(obstacles, 1)
+            check = PathCheck(whole.obstacles, setup.arena, 1)
             for begin in range(0, len(samples), BLOCK):
                 block = samples[begin : begin + BLOCK]
                 check.add(block[:, :1], block[:, 1:2])
-            entered[robot], clearance[robot] = check.entered[0], check.clearance[0]
-    return entered, clearance
+            whole.entered[robot], whole.clearance[robot] = check.entered[0], check.clearance[0]
+            whole.edge[robot] = check.edge[0]
+    seen = np.where(known[..., None], path[..., :2], np.nan)
+    whole.apart = separations(seen[..., 0], seen[..., 1])
+    return whole.verdict(final)

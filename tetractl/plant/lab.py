@@ -18,7 +18,6 @@ from tetractl.lab.placing import wait_until_ready
 from tetractl.lab.preflight import Preflight, dropped
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.lab.standstill import unrest, unseen
-from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
@@ -49,7 +48,7 @@ class LabPlant:
         self._operators = operators
         rig.on_frame = self._see
         self._heading = self.setup.starts.heading
-        self._path_check = PathCheck(Obstacles.of(self.setup.obstacles), len(self.setup.names))
+        self._path_check = PathCheck.of(self.setup)
         self._judging = False
         self._newest: Observation | None = None
         self._fresh: deque[Sample] = deque(maxlen=KEPT)
@@ -135,8 +134,7 @@ class LabPlant:
             self._news.append(Note(self.clock.now(), "warning", dropped(outdated)))
         self._judging = False
         final = self._newest.poses if self._newest is not None else self.setup.starts
-        entered = tuple(bool(e) for e in self._path_check.entered)
-        return Verdict(final, entered, tuple(self._path_check.clearance.tolist()), restless)
+        return self._path_check.verdict(final, restless)
 
     def close(self) -> None:
         """Release camera and actuator."""

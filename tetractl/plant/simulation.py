@@ -1,11 +1,8 @@
-"""The simulated plant: true motion in continuous virtual time, a camera, and disturbances.
-
-Between two commands the motion is known in closed form, so the true path is sampled, not
-integrated: its error does not depend on the sampling rate.
-"""
+"""The simulated plant: true motion in continuous virtual time, a camera, and disturbances."""
 
 import json
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -14,27 +11,27 @@ from pydantic import Field, model_validator
 
 from tetractl.core.clock import SECOND, Clock, VirtualClock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
+from tetractl.core.errors import AbortError
 from tetractl.core.operators import Operators
-from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Fraction, Model, NonNegative, inconsistent
+from tetractl.experiment.base import Fraction, NonNegative, inconsistent
 from tetractl.experiment.choice import Choice, OneOf
-from tetractl.experiment.disturbance import DisturbanceSection, Order
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection, Order
 from tetractl.experiment.kinds import DISTURBANCES, MOTIONS
+from tetractl.experiment.lab import STOP_GAP_NS, STOPS
 from tetractl.experiment.plant import PlantSection
-from tetractl.model.motion.base import Held, Motion
-from tetractl.model.obstacles import Obstacles
+from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
+from tetractl.plant.direct import DirectDrive
+from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
+from tetractl.plant.wheels import WheelDrive, WheelDriveSection
 
-
-class MeasurementNoise(Model):
-    """Standard deviations of what the camera measures, drawn anew in every frame."""
-
-    position: NonNegative = 0.0
-    """Of x and of y [length unit]."""
-    heading: NonNegative = 0.0
-    """Of the heading [rad]."""
+NO_FRAME_S = 60
+UNJUDGED = 200  # stretches of the path that are judged together
+WHEELS_KEY = 2**32 - 1
+"""Spawn key of the wheels' draws; disturbances have those from 4 on."""
 
 
 class SimSection(PlantSection):
@@ -44,8 +41,12 @@ class SimSection(PlantSection):
     simulated: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
     motion: Annotated[str, OneOf(MOTIONS)] = "exact"
-    """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25) between two commands;
-    `euler` moves by (4)-(6) themselves, on straight chords."""
+    """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25), computed from the newest
+    frame, between two commands; `euler` moves by (4)-(6) themselves, on straight chords. Robots on
+    `drive` ignore it."""
+    drive: WheelDriveSection | None = None
+    """Wheels between the direction and the robots; by default robots turn to the direction by
+    themselves. Needs `wheels`."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Measurements a second [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
@@ -54,11 +55,13 @@ class SimSection(PlantSection):
     measurement_noise: MeasurementNoise = MeasurementNoise()
     """What the camera adds to the true poses."""
     heading_noise: NonNegative = 0.0
-    """Random walk of the true heading [rad/sqrt(s)]."""
+    """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """From measurement to actuation [s]; a stop takes as long."""
+    """From the exposure of the frame that a command answers, the newest when it is sent, to the
+    robots' acting on it [s], as `controller.dead_time`; a command older than that acts when it is
+    sent. A stop takes as long. What `drive` and `disturbances` delay comes on top."""
     lost_commands: Fraction = 0.0
-    """Probability that a command never arrives and the one before it stays in force."""
+    """Probability that a command never arrives at a robot and the one before it stays in force."""
     a_error: Fraction = 0.0
     """The true a is the spec's times 1 + e, with e uniform in [-a_error, a_error], drawn once a
     trial and robot."""
@@ -84,6 +87,11 @@ class SimSection(PlantSection):
         chances = (self.lost_commands, self.a_error, self.speed_error)
         return any((*sizes, *chances, *self.disturbances))
 
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield where wheels are to be driven that the experiment does not have."""
+        if self.drive is not None and setup.wheel_radius is None:
+            yield ("drive",), "needs 'wheels: {radius: ..}' of the experiment"
+
     def clock(self) -> Clock:
         """Return virtual time."""
         return VirtualClock()
@@ -101,36 +109,50 @@ class SimPlant:
     def __init__(
         self, section: SimSection, setup: Setup, clock: Clock, seed: np.random.SeedSequence
     ) -> None:
-        self.spec = section
-        self.wheel_radius = setup.wheel_radius
-        self._motion: Motion = MOTIONS.load(section.motion)
-        self.clock = clock
+        self.spec, self.setup, self.clock = section, setup, clock
         streams = (np.random.default_rng(child) for child in seed.spawn(4))
-        self._measuring, self._swerving, self._losing, erring = streams
+        measuring, swerving, self._losing, erring = streams
+        self._swerving = swerving
         count = len(setup.names)
-        self.nominal_a, self.nominal_speed = setup.a, setup.speed
-        self.a = self.nominal_a * (1 + self.spec.a_error * erring.uniform(-1, 1, count))
-        self.speed = self.nominal_speed * (1 + self.spec.speed_error * erring.uniform(-1, 1, count))
-        self._disturbances = [
+        self.a = setup.a * (1 + section.a_error * erring.uniform(-1, 1, count))
+        self.speed = setup.speed * (1 + section.speed_error * erring.uniform(-1, 1, count))
+        disturbances = [
             disturbance.build(setup, np.random.default_rng(*seed.spawn(1)))
             for disturbance in section.disturbances
         ]
-        for disturbance in self._disturbances:
+        self._disturbances = disturbances
+        starts = setup.starts
+        for disturbance in disturbances:
             self.a, self.speed = disturbance.parameters(self.a, self.speed)
-        self.poses = setup.starts
-        self._held = Held(*(np.zeros(count) for _ in range(4)))
+            starts = disturbance.placed(starts)
+        self._moving = [d for d in disturbances if type(d).moved is not Disturbance.moved]
+        self._camera = SimCamera(
+            section.camera_rate, section.measurement_noise, measuring, disturbances
+        )
+        self._drive = self._driven(starts, seed)
+        self._by_frame = bool(self._moving) or (
+            section.heading_noise > 0 and isinstance(self._drive, DirectDrive)
+        )
         self._orders: deque[Order] = deque()
-        self._path_check = PathCheck(Obstacles.of(setup.obstacles), count)
+        self._path_check = PathCheck.of(setup)
         self._time = 0
-        self._frames = 0  # frames exposed so far
-        self._ticks = 0  # true samples judged so far
-        self._fresh: list[Sample] = []
-        self._newest: Observation | None = None
+        self._ticks = 0  # true samples taken so far
+        self._path: list[tuple[Floats, Floats]] = []  # x, y of the samples not judged yet
+        self._news: list[Command | Note] = []
         self._stop: Command | None = None
+        self._repeats_stops = section.drive is not None or any(
+            type(d).sent is not Disturbance.sent for d in disturbances
+        )
+
+    @property
+    def poses(self) -> Poses:
+        """The true poses now."""
+        return self._drive.poses
 
     def open(self) -> PlantInfo:
-        """Expose the first frame."""
+        """Expose the first frame and wait until the host has it."""
         self._advance(self.clock.now())
+        self._await_frame(0)
         facts = {
             "true_a": json.dumps(self.a.tolist()),
             "true_speed": json.dumps(self.speed.tolist()),
@@ -138,157 +160,207 @@ class SimPlant:
         return PlantInfo("sim", True, self.spec.camera_rate, facts)
 
     def observe(self) -> Observation:
-        """Return the newest camera frame."""
+        """Return the newest camera frame that the host has received."""
         self._advance(self.clock.now())
-        assert self._newest is not None, "open() exposes the first frame"
-        return self._newest
+        newest = self._camera.newest
+        assert newest is not None, "open() waits for the first frame"
+        return newest
 
     def steer(self, direction: float) -> Command:
-        """Send u to every robot; each loses the command with probability `lost_commands`."""
-        now = self.clock.now()
+        """Send u to every robot, after the time that planning takes."""
+        answered = self.observe()
+        now = self._plan()
+        if isinstance(self._drive, WheelDrive):
+            self._drive.direct(direction, now)
+            command = self._transmit(now)
+        else:
+            command = self._send_direction(direction, now, answered)
         self._advance(now)
-        count = self.a.size
-        reached = self._losing.uniform(size=count) >= self.spec.lost_commands
-        order = Order(now + self._delay(), direction, reached)
-        for disturbance in self._disturbances:
-            order = disturbance.sent(order)
-        self._send(order)
-        left = right = None
-        if self.wheel_radius is not None and self._newest:
-            heading = self._newest.poses.heading
-            left, right = wheel_speeds(
-                heading, direction, self.nominal_a, self.nominal_speed, self.wheel_radius
-            )
-        return Command(direction, now, tuple(order.reached.tolist()), left, right)
+        return command
 
     def samples(self) -> list[Sample]:
-        """Return, once, every camera frame since the last call, oldest first."""
+        """Return, once, every camera frame received since the last call, oldest first."""
         self._advance(self.clock.now())
-        fresh, self._fresh = self._fresh, []
-        return fresh
+        return self._camera.samples()
 
     def news(self) -> list[Command | Note]:
-        """Nothing is sent or noted but what `steer` returns."""
-        return []
+        """Return, once, what was sent under a held direction since `steer` returned."""
+        news, self._news = self._news, []
+        return news
 
     def stop(self) -> Command:
-        """Stop every robot after the dead time; a stop is repeated, so it is never lost."""
+        """Stop every robot, after the time that planning takes.
+
+        The stop is repeated, so that it is not among the commands that are lost.
+        """
         if self._stop is None:
-            now = self.clock.now()
-            self._advance(now)
+            seen = self.observe()
+            now = self._plan()
             count = self.a.size
-            still = None if self.wheel_radius is None else np.zeros(count)
-            self._stop = Command(None, now, (True,) * count, still, still)
-            self._send(Order(now + self._delay(), None, np.ones(count, dtype=np.bool_)))
+            zeros = np.zeros(count)
+            if isinstance(self._drive, WheelDrive):
+                self._drive.halt()
+            heard = np.zeros(count, dtype=np.bool_)
+            for i in range(STOPS if self._repeats_stops else 1):
+                sent = now + i * STOP_GAP_NS
+                every = np.ones(count, dtype=np.bool_)
+                due, headings = self._due_ns(seen, sent), seen.poses.heading
+                heard |= self._dispatch(Order(due, None, every, headings, (zeros, zeros))).reached
+            still = None if self.setup.wheel_radius is None else zeros
+            self._stop = Command(None, now, tuple(heard.tolist()), still, still)
+            self._advance(now)
         return self._stop
 
     def settle(self) -> Verdict:
-        """Wait for the stop to act and for one more camera frame, and judge the true path."""
+        """Wait until the robots stand and for a camera frame of it, and judge the true path."""
         stopped = self._orders[-1].due_ns if self._orders else self.clock.now()
-        self.clock.sleep_until(stopped + round(2 * SECOND / self.spec.camera_rate))
+        stand = stopped + round(self._drive.rest_s * SECOND)
+        self.clock.sleep_until(stand + round(2 * SECOND / self.spec.camera_rate))
         self._advance(self.clock.now())
-        entered = tuple(bool(e) for e in self._path_check.entered)
-        return Verdict(self.poses, entered, tuple(self._path_check.clearance.tolist()))
+        self._await_frame(stand)
+        self._judge()
+        return self._path_check.verdict(self.poses)
 
     def close(self) -> None:
         """Nothing to release."""
 
-    def _delay(self) -> int:
-        return round(self.spec.dead_time * SECOND)
+    def _driven(self, starts: Poses, seed: np.random.SeedSequence) -> DirectDrive | WheelDrive:
+        section, setup = self.spec, self.setup
+        if section.drive is None:
+            return DirectDrive(MOTIONS.load(section.motion), self.a, self.speed, starts)
+        key = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, WHEELS_KEY))
+        return WheelDrive(
+            section.drive,
+            setup,
+            self.a,
+            self.speed,
+            starts,
+            section.heading_noise,
+            section.truth_rate,
+            self._swerving,
+            np.random.default_rng(key),
+        )
 
-    def _send(self, order: Order) -> None:
+    def _await_frame(self, since: int) -> None:
+        """Wait until the host has a frame exposed at `since` or later [ns]."""
+        patience = self.clock.now() + NO_FRAME_S * SECOND
+        while self._camera.newest is None or self._camera.newest.sampled_ns < since:
+            arriving = self._camera.arriving_ns
+            self.clock.sleep_until(self._camera.next_ns if arriving is None else arriving)
+            if self.clock.now() > patience:
+                raise AbortError(f"no camera frame came for {NO_FRAME_S} s")
+            self._advance(self.clock.now())
+
+    def _plan(self) -> int:
+        """Let the time of planning pass, and return the time then [ns]."""
+        seconds = sum(disturbance.planning_s() for disturbance in self._disturbances)
+        if seconds > 0:
+            self.clock.sleep_until(self.clock.now() + round(seconds * SECOND))
+        self._advance(self.clock.now())
+        return self.clock.now()
+
+    def _due_ns(self, answered: Observation, now: int) -> int:
+        """Return when a command sent `now` in answer to a frame acts, by `dead_time` alone [ns]."""
+        return max(now, answered.sampled_ns + round(self.spec.dead_time * SECOND))
+
+    def _heard(self) -> Bools:
+        """Draw which robots a command reaches."""
+        return self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
+
+    def _send_direction(self, direction: float, now: int, answered: Observation) -> Command:
+        headings = answered.poses.heading
+        due = self._due_ns(answered, now)
+        order = self._dispatch(Order(due, direction, self._heard(), headings))
+        left = right = None
+        setup = self.setup
+        if setup.wheel_radius is not None:
+            left, right = wheel_speeds(
+                headings, direction, setup.a, setup.speed, setup.wheel_radius
+            )
+        return Command(direction, now, tuple(order.reached.tolist()), left, right)
+
+    def _transmit(self, now: int) -> Command:
+        """Send wheel speeds computed from the newest frame that the host has."""
+        drive, seen = self._drive, self._camera.newest
+        assert isinstance(drive, WheelDrive), "only wheels are sent more than the direction"
+        assert seen is not None, "open() waits for the first frame"
+        sent, made = drive.speeds(now, seen)
+        due = self._due_ns(seen, now)
+        order = Order(due, drive.direction, self._heard(), seen.poses.heading, made)
+        order = self._dispatch(order)
+        return Command(drive.direction, now, tuple(order.reached.tolist()), *sent)
+
+    def _dispatch(self, order: Order) -> Order:
+        """Put an order on its way, and return what becomes of it."""
+        for disturbance in self._disturbances:
+            order = disturbance.sent(order)
         earliest = self._orders[-1].due_ns if self._orders else self._time
         self._orders.append(replace(order, due_ns=max(order.due_ns, earliest)))
-        self._advance(self.clock.now())
+        return order
 
     def _advance(self, until: int) -> None:
         """Move the robots on, block by block; nothing changes what is held inside a block."""
-        noisy = self.spec.heading_noise > 0 or bool(self._disturbances)
         while True:
-            frame = self._next_frame()
-            end = min(until, frame) if noisy else until
+            frame = self._camera.next_ns
+            end = min(until, frame) if self._by_frame else until
+            end = min(end, self._drive.repeats_ns)
             order = (
                 self._orders.popleft() if self._orders and self._orders[0].due_ns <= end else None
             )
             reached = order.due_ns if order else end
-            self._glide(reached)
-            if noisy and reached == frame:
+            disturbed = self._by_frame and reached == frame
+            repeats = order is None and reached == self._drive.repeats_ns
+            self._glide(reached, order is not None or disturbed or repeats)
+            self._camera.receive(reached)
+            if disturbed:
                 self._disturb()
             if order:
-                self._take(order)
+                self._drive.take(order)
+            elif repeats:
+                self._news.append(self._transmit(reached))
             elif reached == until:
                 return
 
-    def _next_frame(self) -> int:
-        return round(self._frames * SECOND / self.spec.camera_rate)
-
-    def _take(self, order: Order) -> None:
-        """Let an order act on the robots that received it."""
-        got = order.reached
-        held, heading = self._held, self.poses.heading
-        if order.direction is None:
-            held.moving = np.where(got, 0.0, held.moving)
-            return
-        held.direction = np.where(got, order.direction, held.direction)
-        turning = self.a * np.sin(order.direction - heading)
-        held.turning = np.where(got, turning, held.turning)
-        held.course = np.where(got, heading, held.course)
-        held.moving = np.where(got, 1.0, held.moving)
-
     def _disturb(self) -> None:
         """Add the random walk that the heading took since the last frame, and disturb the poses."""
-        if self.spec.heading_noise > 0:
-            self._swerve()
-        seconds, moving = 1 / self.spec.camera_rate, self._held.moving
-        for disturbance in self._disturbances:
-            self.poses = disturbance.moved(self.poses, moving, seconds)
+        drive, seconds = self._drive, 1 / self.spec.camera_rate
+        moving = drive.moving
+        if self.spec.heading_noise > 0 and isinstance(drive, DirectDrive):
+            step = self.spec.heading_noise / np.sqrt(self.spec.camera_rate)
+            walk = step * self._swerving.standard_normal(self.a.size)
+            p = drive.poses
+            drive.poses = Poses(p.x, p.y, p.heading + walk * moving)
+        for disturbance in self._moving:
+            drive.poses = disturbance.moved(drive.poses, moving, seconds)
 
-    def _swerve(self) -> None:
-        step = self.spec.heading_noise / np.sqrt(self.spec.camera_rate)
-        walk = step * self._swerving.standard_normal(self.a.size)
-        self.poses = Poses(
-            self.poses.x, self.poses.y, self.poses.heading + walk * self._held.moving
-        )
+    def _glide(self, end: int, event: bool) -> None:
+        """Move to `end` with everything held, exposing and judging what is due on the way.
 
-    def _glide(self, end: int) -> None:
-        """Move to `end` with everything held, exposing and judging what is due on the way."""
-        frames, ticks = [], []
-        while (due := self._next_frame()) <= end:
-            frames.append((self._frames, due))
-            self._frames += 1
+        Wheels, whose path is a sum, stop at the last sample before `end` unless something happens
+        there: so it makes no difference how often they are looked at.
+        """
+        frames, ticks = self._camera.due(end), []
         while (due := round(self._ticks * SECOND / self.spec.truth_rate)) <= end:
             ticks.append(due)
             self._ticks += 1
-        times = np.unique(np.array([*(due for _, due in frames), *ticks, end], dtype=np.int64))
-        x, y, heading = self._at((times - self._time)[:, None] / SECOND)
-        self._path_check.add(x, y)
-        for number, due in frames:
+        ends = [end] if event or isinstance(self._drive, DirectDrive) else []
+        times = np.array(sorted({*frames, *ticks, *ends}), dtype=np.int64)
+        if not len(times):
+            return
+        is_tick = np.zeros(len(times))
+        is_tick[np.searchsorted(times, ticks)] = 1.0
+        x, y, heading = self._drive.glide((times - self._time) / SECOND, is_tick)
+        self._time = int(times[-1])
+        self._path.append((x, y))
+        if len(self._path) > UNJUDGED:
+            self._judge()
+        for due in frames:
             i = np.searchsorted(times, due)
-            self._expose(number, due, Poses(x[i], y[i], heading[i]))
-        self._time, self.poses = end, Poses(x[-1], y[-1], heading[-1])
+            self._camera.expose(due, Poses(x[i], y[i], heading[i]))
 
-    def _at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Poses (M, N) after times t (M, 1) [s] from now, in closed form."""
-        p, held = self.poses, self._held
-        t = t * held.moving
-        return self._motion.hold(p.x, p.y, p.heading, held, self.a, self.speed, t)
-
-    def _expose(self, number: int, when: int, truth: Poses) -> None:
-        """Take one camera frame."""
-        noise = self.spec.measurement_noise
-        measured = truth
-        if noise.position > 0 or noise.heading > 0:
-            x, y, heading = self._measuring.standard_normal((3, self.a.size))
-            measured = Poses(
-                truth.x + noise.position * x,
-                truth.y + noise.position * y,
-                truth.heading + noise.heading * heading,
-            )
-        valid = np.ones(self.a.size, dtype=np.bool_)
-        for disturbance in self._disturbances:
-            measured, valid = disturbance.measured(measured, valid, when / SECOND)
-        if self._newest is not None and not valid.all():  # who is not tracked keeps the last pose
-            last, now = self._newest.poses.array(), measured.array()
-            measured = Poses.of(np.where(valid[:, None], now, last))
-        self._newest = Observation(number, when, when, measured, valid)
-        self._fresh.append(Sample(self._newest, truth))
+    def _judge(self) -> None:
+        """Judge the true path since the last call."""
+        if self._path:
+            x, y = (np.vstack(column) for column in zip(*self._path, strict=True))
+            self._path_check.add(x, y)
+            self._path = []

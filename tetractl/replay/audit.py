@@ -232,21 +232,23 @@ def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
     checks the rest.
     """
     path, known = trial_path(log)
-    entered, clearance = judged(log, path, known)
-    for i, (stated, least) in enumerate(zip(verdict.clearance, clearance, strict=True)):
-        room = REST * max(1.0, abs(least))
-        if log.start.plant.simulated and stated > least + room:
-            text = f"states {stated}, a frame shows {least}"
-            yield Difference(None, f"result.clearance.{i}", text)
-        if not log.start.plant.simulated and not log.damage and stated < least - room:
-            text = f"states {stated}, the nearest frame shows {least}"
-            yield Difference(None, f"result.clearance.{i}", text)
+    shown = judged(log, path, known, verdict.final)
+    for name in ("clearance", "edge", "apart"):
+        pairs = zip(getattr(verdict, name), getattr(shown, name), strict=False)
+        for i, (stated, least) in enumerate(pairs):
+            room = REST * max(1.0, abs(least))
+            if log.start.plant.simulated and stated > least + room:
+                text = f"states {stated}, a frame shows {least}"
+                yield Difference(None, f"result.{name}.{i}", text)
+            if not log.start.plant.simulated and not log.damage and stated < least - room:
+                text = f"states {stated}, the nearest frame shows {least}"
+                yield Difference(None, f"result.{name}.{i}", text)
     for i, (stated, least) in enumerate(zip(verdict.entered, verdict.clearance, strict=True)):
         if least < 0 and not stated:
             yield Difference(None, f"result.entered.{i}", f"false, with clearance {least}")
-        elif entered[i] and not stated and not log.start.plant.simulated:
+        elif shown.entered[i] and not stated and not log.start.plant.simulated:
             yield Difference(None, f"result.entered.{i}", "false, but the path touches an obstacle")
-        elif stated and not (entered[i] or log.start.plant.simulated or log.damage):
+        elif stated and not (shown.entered[i] or log.start.plant.simulated or log.damage):
             yield Difference(None, f"result.entered.{i}", "true, but the path touches no obstacle")
     if not (log.start.plant.simulated or log.damage or log.stop is None):
         yield from _driven(log, verdict, path, known, log.stop)
@@ -258,8 +260,8 @@ def _driven(
     """The lab's plant judges at least the frames between the first step and the stop."""
     since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
     between = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)
-    _, clearance = judged(log, path[between], known[between])
-    for i, (stated, least) in enumerate(zip(verdict.clearance, clearance, strict=True)):
+    shown = judged(log, path[between], known[between], verdict.final)
+    for i, (stated, least) in enumerate(zip(verdict.clearance, shown.clearance, strict=True)):
         if stated > least + REST * max(1.0, abs(least)):
             text = f"states {stated}, a frame shows {least}"
             yield Difference(None, f"result.clearance.{i}", text)

@@ -115,6 +115,8 @@ def result_metadata(result: Result, unit: str, warnings: int = 0) -> dict[str, s
         "robot_errors": _numbers(result.robot_errors),
         "entered": json.dumps([bool(entered) for entered in result.verdict.entered]),
         "clearance": _numbers(result.verdict.clearance),
+        "edge": _numbers(result.verdict.edge),
+        "apart": _numbers(result.verdict.apart),
         "final_x": _numbers(final.x.tolist()),
         "final_y": _numbers(final.y.tolist()),
         "final_heading": _numbers(final.heading.tolist()),
@@ -161,7 +163,9 @@ def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robo
     final = [_floats(items[key]) for key in ("final_x", "final_y", "final_heading")]
     entered = tuple(bool(entered) for entered in json.loads(items["entered"]))
     errors, clearance = _floats(items["robot_errors"]), _floats(items["clearance"])
-    if any(len(column) != robots for column in (*final, entered, errors, clearance)):
+    edge, apart = (_floats(items.get(key, "[]")) for key in ("edge", "apart"))
+    kept = [column for column in (edge, apart) if column]  # older logs have neither
+    if any(len(column) != robots for column in (*final, entered, errors, clearance, *kept)):
         raise ValueError("the result is not of as many robots as the run")
     return Result(
         outcome=Outcome(items["outcome"]),
@@ -174,6 +178,8 @@ def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robo
             final=Poses(*(np.array(column, dtype=np.float64) for column in final)),
             entered=entered,
             clearance=clearance,
+            edge=edge,
+            apart=apart,
         ),
         solve_ns=tuple(int(ns) for ns in json.loads(timing["solve_ns"])) if timing else (),
         deadline_misses=int(timing["deadline_misses"]) if timing else 0,

@@ -24,7 +24,6 @@ from tetractl.log.read.contents import Contents
 from tetractl.log.read.origin import Origin
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
-from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import check_path
 
 _OWN = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT}
@@ -140,10 +139,9 @@ def recompute(trial: TrialLog) -> Result:
         raise LogError(f"{trial.path}: holds no result, and no poses to compute it from")
     last = len(path) - 1 - known[::-1].argmax(axis=0)
     final = Poses.of(path[last, np.arange(path.shape[1])])
-    entered, clearance = judged(trial, path, known)
     return Result.of(
         trial.start.setup,
-        Verdict(final, tuple(entered.tolist()), tuple(clearance.tolist())),
+        judged(trial, path, known, final),
         outcome=Outcome.ABORTED,
         reason="the log ends before its result",
         duration_s=trial.elapsed_s(int(trial.mocap_ns[-1])),
@@ -152,12 +150,13 @@ def recompute(trial: TrialLog) -> Result:
     )
 
 
-def judged(trial: TrialLog, path: Floats, known: Bools) -> tuple[Bools, Floats]:
-    """Return `entered` and `clearance` of a path by `check_path`; LogError for too long a one."""
-    obstacles = trial.start.setup.obstacles
-    if path.shape[0] * path.shape[1] * len(obstacles) > bounds.path_limit():
+def judged(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> Verdict:
+    """Return the verdict of `check_path` on a path; LogError for too long a one."""
+    setup = trial.start.setup
+    samples, robots = path.shape[:2]
+    if samples * robots * (len(setup.obstacles) + robots) > bounds.path_limit():
         raise LogError(f"{trial.path}: {TooMuchError('it holds very many poses and obstacles')}")
-    return check_path(Obstacles.of(obstacles), path, known)
+    return check_path(setup, path, known, final)
 
 
 def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:

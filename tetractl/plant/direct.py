@@ -1,0 +1,61 @@
+"""Robots that are sent the direction itself and turn towards it, as cells do in a field, (3)."""
+
+import numpy as np
+
+from tetractl.core.poses import Floats, Poses
+from tetractl.experiment.disturbance import Order
+from tetractl.model.motion.base import Held, Motion
+
+NEVER = 2**62
+"""A time after the end of every trial [ns]."""
+
+
+class DirectDrive:
+    """N robots with turning rates a [rad/s] and speeds [length unit/s], both (N,).
+
+    Between two commands the motion is known in closed form, so that the path is sampled, not
+    integrated.
+    """
+
+    repeats_ns = NEVER  # a direction holds until the next: nothing is sent again
+    rest_s = 0.0  # from a stop until the robots stand [s]
+
+    def __init__(self, motion: Motion, a: Floats, speed: Floats, starts: Poses) -> None:
+        self.poses = starts
+        self._motion, self._a, self._speed = motion, a, speed
+        self._held = Held(*(np.zeros(a.size) for _ in range(4)))
+
+    @property
+    def moving(self) -> Floats:
+        """1 for robots that move, 0 for those that stand, (N,)."""
+        return self._held.moving
+
+    def glide(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
+        """Move on, and return x, y and heading (M, N) after each of the times (M,) from now [s].
+
+        `ticks` tells which of the times are those of true samples; here they make no difference.
+        """
+        p, held = self.poses, self._held
+        t = seconds[:, None] * held.moving
+        x, y, heading = self._motion.hold(p.x, p.y, p.heading, held, self._a, self._speed, t)
+        self.poses = Poses(x[-1], y[-1], heading[-1])
+        return x, y, heading
+
+    def take(self, order: Order) -> None:
+        """Let a command act on the robots that received it.
+
+        The wheel speeds of `arc` are those of the headings measured when the command was sent; the
+        chords of `euler` begin at the true headings.
+        """
+        got, held = order.reached, self._held
+        heading = self.poses.heading
+        if order.direction is None:
+            held.moving = np.where(got, 0.0, held.moving)
+            return
+        by_wheels = self._motion.name == "arc" and order.headings is not None
+        answered = order.headings if by_wheels else heading
+        turning = self._a * np.sin(order.direction - answered)
+        held.direction = np.where(got, order.direction, held.direction)
+        held.turning = np.where(got, turning, held.turning)
+        held.course = np.where(got, heading, held.course)
+        held.moving = np.where(got, 1.0, held.moving)

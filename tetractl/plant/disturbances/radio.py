@@ -1,0 +1,42 @@
+"""`{type: radio}`: a transmission takes time on the way to the robots, and not all hear it."""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.core.clock import SECOND
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Fraction
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection, Order
+
+
+class RadioSection(DisturbanceSection):
+    """A broadcast to all robots; each hears it or not, independently of the others."""
+
+    type: Literal["radio"]
+    delay: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
+    """From sending until the robots have received it [s]."""
+    jitter: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
+    """A transmission takes up to this much longer, uniformly distributed [s]."""
+    loss: Fraction = 0.0
+    """Probability that a robot does not hear a transmission."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "Radio":
+        """Return the radio of one trial."""
+        return Radio(self, rng)
+
+
+class Radio(Disturbance):
+    """Delays each transmission, and takes robots out of those that it reaches."""
+
+    def __init__(self, section: RadioSection, rng: np.random.Generator) -> None:
+        self._section, self._rng = section, rng
+
+    def sent(self, order: Order) -> Order:
+        """Return the transmission as it is received."""
+        section, rng = self._section, self._rng
+        delay_ns = round((section.delay + section.jitter * rng.random()) * SECOND)
+        heard = rng.random(order.reached.size) >= section.loss
+        return replace(order, due_ns=order.due_ns + delay_ns, reached=order.reached & heard)

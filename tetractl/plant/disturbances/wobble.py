@@ -1,0 +1,54 @@
+"""`{type: wobble}`: cells swim on a helix, seen from above as a path that weaves."""
+
+from typing import Literal
+
+import numpy as np
+
+from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import NonNegative, Positive
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+
+
+class WobbleSection(DisturbanceSection):
+    """A cell circles about the axis of its helix, which is what the field turns.
+
+    Seen from above it weaves across the axis, and its body points along its path.
+    """
+
+    type: Literal["wobble"]
+    radius: NonNegative
+    """Of the helix [length unit]."""
+    frequency: Positive
+    """Turns of the helix a second [Hz]."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "Wobble":
+        """Return the wobble of one trial; each cell starts at a phase of its own."""
+        return Wobble(self, setup.speed, rng.uniform(-np.pi, np.pi, len(setup.names)))
+
+
+class Wobble(Disturbance):
+    """Moves cells of given speeds (N,) [length unit/s] across their headings; phases (N,) [rad].
+
+    The true heading stays that of the axis; the camera measures that of the body.
+    """
+
+    def __init__(self, section: WobbleSection, speed: Floats, phase: Floats) -> None:
+        self._radius, self._rate = section.radius, 2 * np.pi * section.frequency
+        self._speed, self._phase = speed, phase
+        self._moving = np.zeros_like(phase)
+
+    def moved(self, poses: Poses, moving: Floats, seconds: float) -> Poses:
+        """Return the poses after the helices of the cells that swim turned on."""
+        before, self._moving = self._phase, moving
+        self._phase = before + self._rate * seconds * moving
+        across = self._radius * (np.sin(self._phase) - np.sin(before))
+        x = poses.x - across * np.sin(poses.heading)
+        y = poses.y + across * np.cos(poses.heading)
+        return Poses(x, y, poses.heading)
+
+    def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
+        """Return the poses with the headings of the bodies."""
+        sideways = self._radius * self._rate * np.cos(self._phase) * self._moving
+        tilt = np.arctan2(sideways, np.maximum(self._speed, 1e-300))
+        return Poses(poses.x, poses.y, poses.heading + tilt), valid

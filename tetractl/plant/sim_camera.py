@@ -1,0 +1,106 @@
+"""The camera of a simulation: when it exposes, what it measures, and when the host has a frame."""
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Sample
+from tetractl.core.poses import Observation, Poses
+from tetractl.experiment.base import Model, NonNegative
+from tetractl.experiment.disturbance import Disturbance
+
+
+class MeasurementNoise(Model):
+    """Standard deviations of what the camera measures, drawn anew in every frame."""
+
+    position: NonNegative = 0.0
+    """Of x and of y [length unit]."""
+    heading: NonNegative = 0.0
+    """Of the heading [rad]."""
+
+
+class SimCamera:
+    """Exposes frames at a steady rate [Hz]; `disturbances` change, delay and lose them."""
+
+    def __init__(
+        self,
+        rate_hz: float,
+        noise: MeasurementNoise,
+        rng: np.random.Generator,
+        disturbances: Sequence[Disturbance],
+    ) -> None:
+        self._rate_hz, self._noise, self._rng = rate_hz, noise, rng
+        overriding = [d for d in disturbances if type(d).measured is not Disturbance.measured]
+        self._measured = overriding
+        self._received = [d for d in disturbances if type(d).received is not Disturbance.received]
+        self._exposed = 0  # frames so far
+        self._shown: Poses | None = None  # what the last frame measured
+        self._under_way: deque[Sample] = deque()
+        self._fresh: list[Sample] = []
+        self.newest: Observation | None = None
+        """The newest frame that the host has received."""
+
+    @property
+    def next_ns(self) -> int:
+        """When the next frame is exposed [ns]."""
+        return round(self._exposed * SECOND / self._rate_hz)
+
+    @property
+    def arriving_ns(self) -> int | None:
+        """When the next frame under way reaches the host [ns], None where none is under way."""
+        return self._under_way[0].observation.received_ns if self._under_way else None
+
+    def due(self, until: int) -> list[int]:
+        """Return the times up to `until` at which frames have to be exposed, oldest first [ns]."""
+        found = []
+        number = self._exposed
+        while (time := round(number * SECOND / self._rate_hz)) <= until:
+            found.append(time)
+            number += 1
+        return found
+
+    def expose(self, when: int, truth: Poses) -> None:
+        """Expose the next frame at `when` [ns] with the robots at their true poses."""
+        number = self._exposed
+        self._exposed += 1
+        measured = truth
+        if self._noise.position > 0 or self._noise.heading > 0:
+            x, y, heading = self._rng.standard_normal((3, truth.x.size))
+            measured = Poses(
+                truth.x + self._noise.position * x,
+                truth.y + self._noise.position * y,
+                truth.heading + self._noise.heading * heading,
+            )
+        valid = np.ones(truth.x.size, dtype=np.bool_)
+        for disturbance in self._measured:
+            measured, valid = disturbance.measured(measured, valid, when / SECOND)
+        if self._shown is not None and not valid.all():  # who is not tracked keeps the last pose
+            last, now = self._shown.array(), measured.array()
+            measured = Poses.of(np.where(valid[:, None], now, last))
+        received: int | None = when
+        for disturbance in self._received:
+            if received is not None:
+                received = disturbance.received(when, received)
+        if received is None:
+            return
+        self._shown = measured
+        if self._under_way:
+            received = max(received, self._under_way[-1].observation.received_ns)
+        elif self.newest is not None:
+            received = max(received, self.newest.received_ns)
+        seen = Observation(number, when, received, measured, valid)
+        self._under_way.append(Sample(seen, truth))
+
+    def receive(self, until: int) -> None:
+        """Let the host have every frame that reaches it up to `until` [ns]."""
+        while self._under_way and self._under_way[0].observation.received_ns <= until:
+            sample = self._under_way.popleft()
+            self.newest = sample.observation
+            self._fresh.append(sample)
+
+    def samples(self) -> list[Sample]:
+        """Return, once, every frame received since the last call, oldest first."""
+        fresh, self._fresh = self._fresh, []
+        return fresh

@@ -82,6 +82,16 @@ class DisturbanceSection(Model):
 
     type: Any  # each section's own name, as a Literal
 
+    @property
+    def loses_frames(self) -> bool:
+        """Whether `Disturbance.received` may lose a frame."""
+        return False
+
+    @property
+    def planning_max_s(self) -> float:
+        """Upper bound of `Disturbance.planning_s` [s]."""
+        return 0.0
+
     @abstractmethod
     def build(self, setup: Setup, rng: np.random.Generator) -> Disturbance:
         """Return the disturbance of one trial; `rng` feeds it and nothing else."""

@@ -21,6 +21,16 @@ class PlantSection(Model):
     simulated: ClassVar[bool]
     """Whether the plant repeats itself from its seed, in virtual time."""
 
+    @property
+    def loses_frames(self) -> bool:
+        """Whether camera frames may be lost on the way, so that gaps in a log are no damage."""
+        return not self.simulated
+
+    @property
+    def planning_max_s(self) -> float:
+        """Longest time from a simulated control step's frame to its command [s]."""
+        return 0.0
+
     @abstractmethod
     def clock(self) -> Clock:
         """Return a new clock of the kind that the plant runs on."""

@@ -52,8 +52,9 @@ class DirectDrive:
         if order.direction is None:
             held.moving = np.where(got, 0.0, held.moving)
             return
-        by_wheels = self._motion.name == "arc" and order.headings is not None
-        answered = order.headings if by_wheels else heading
+        answered = heading
+        if self._motion.name == "arc" and order.headings is not None:
+            answered = order.headings
         turning = self._a * np.sin(order.direction - answered)
         held.direction = np.where(got, order.direction, held.direction)
         held.turning = np.where(got, turning, held.turning)

@@ -80,7 +80,8 @@ class SimCamera:
             last, now = self._shown.array(), measured.array()
             measured = Poses.of(np.where(valid[:, None], now, last))
         received: int | None = when
-        for disturbance in self._received:
+        # The robots stand before the trial and the camera has shown them: the host has frame 0.
+        for disturbance in self._received if number else ():
             if received is not None:
                 received = disturbance.received(when, received)
         if received is None:

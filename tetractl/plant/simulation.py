@@ -92,6 +92,16 @@ class SimSection(PlantSection):
         if self.drive is not None and setup.wheel_radius is None:
             yield ("drive",), "needs 'wheels: {radius: ..}' of the experiment"
 
+    @property
+    def loses_frames(self) -> bool:
+        """Whether any disturbance loses frames."""
+        return any(disturbance.loses_frames for disturbance in self.disturbances)
+
+    @property
+    def planning_max_s(self) -> float:
+        """Longest time from a control step's frame to its command [s]."""
+        return sum(disturbance.planning_max_s for disturbance in self.disturbances)
+
     def clock(self) -> Clock:
         """Return virtual time."""
         return VirtualClock()
@@ -150,9 +160,8 @@ class SimPlant:
         return self._drive.poses
 
     def open(self) -> PlantInfo:
-        """Expose the first frame and wait until the host has it."""
+        """Expose the first frame."""
         self._advance(self.clock.now())
-        self._await_frame(0)
         facts = {
             "true_a": json.dumps(self.a.tolist()),
             "true_speed": json.dumps(self.speed.tolist()),

@@ -108,10 +108,11 @@ class WheelDrive:
             step = section.count
             known = Wheel(step, section.dead_zone)
             self._told = [Drivetrain(known, known)] * count
-            self._true = [
-                Drivetrain(*(Wheel(step * gains[i, j], max(0, int(zones[i, j]))) for i in (0, 1)))
+            wheels = [
+                [Wheel(step * float(gains[i, j]), max(0, int(zones[i, j]))) for i in (0, 1)]
                 for j in range(count)
             ]
+            self._true = [Drivetrain(left, right) for left, right in wheels]
         self._residues = [Residue()] * count
         self._targets: Speeds = np.zeros(count), np.zeros(count)  # what the wheels follow
         self._wheels: Speeds = np.zeros(count), np.zeros(count)
@@ -166,10 +167,10 @@ class WheelDrive:
             steps[ticks > 0] = walked * self.moving
             walks = np.vstack([np.zeros(left.size), np.cumsum(steps, axis=0)])
         else:
-            walks = 0.0
+            walks = np.zeros((1, left.size))
         p = self.poses
         half = np.diff(turned, axis=0) / 2
-        middle = p.heading + turned[:-1] + half + (walks[:-1] if self._walk > 0 else 0.0)
+        middle = p.heading + turned[:-1] + half + (walks[:-1] if self._walk > 0 else walks)
         chord = way * np.sinc(half / np.pi)
         x = p.x + np.cumsum(chord * np.cos(middle), axis=0)
         y = p.y + np.cumsum(chord * np.sin(middle), axis=0)

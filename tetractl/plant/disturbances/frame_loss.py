@@ -18,6 +18,11 @@ class FrameLossSection(DisturbanceSection):
     burst: Annotated[float, Field(ge=1, le=1000, allow_inf_nan=False)] = 1.0
     """Mean number of frames lost in a row."""
 
+    @property
+    def loses_frames(self) -> bool:
+        """Whether there is anything to lose."""
+        return self.share > 0
+
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrameLoss":
         """Return the losses of one trial."""
         return FrameLoss(self, rng)

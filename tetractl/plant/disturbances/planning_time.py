@@ -18,6 +18,11 @@ class PlanningTimeSection(DisturbanceSection):
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """A control step takes up to this much longer, uniformly distributed [s]."""
 
+    @property
+    def planning_max_s(self) -> float:
+        """Longest time of a control step [s]."""
+        return self.least + self.spread
+
     def build(self, setup: Setup, rng: np.random.Generator) -> "PlanningTime":
         """Return the times of one trial."""
         return PlanningTime(self, rng)

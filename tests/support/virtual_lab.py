@@ -1,0 +1,233 @@
+"""The emulated m3pi lab in virtual time: its radio, its robots with their firmware, our whole side.
+
+Everything of the lab's side that is not a wire is the real code: plant, guard, inner loop, actuator
+and XBee frames on ours; module, air, loss, firmware, wheels on the other. Virtual time and the
+serial port in memory are what differs from `tetractl lab emulate`, so that a loaded host changes
+nothing.
+"""
+
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from support.labs import CAMERA_HZ
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Health
+from tetractl.core.operators import Operators
+from tetractl.core.plan import Outcome, Plan
+from tetractl.core.poses import CameraFrame, Observation, Pose
+from tetractl.core.protocols import Controller
+from tetractl.experiment.experiment import Experiment
+from tetractl.lab.actuators.m3pi.actuator import M3piActuator
+from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.emulate.loop import Timeline
+from tetractl.lab.emulate.m3pi.module import ModuleSettings
+from tetractl.lab.emulate.m3pi.radio import EmulatedRadio
+from tetractl.lab.emulate.m3pi.robot import EmulatedRobot
+from tetractl.lab.emulate.m3pi.side import EmulatedM3pi, M3piSettings
+from tetractl.lab.emulate.optitrack.streaming import Streaming
+from tetractl.lab.emulate.sides import Options, Stage
+from tetractl.lab.rig import Rig
+from tetractl.plant.lab import LabPlant
+
+STEP_NS = SECOND // 1000
+
+
+class LabClock(VirtualClock):
+    """Virtual time in steps of a millisecond: the timeline first, then `steps`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.timeline: Timeline
+        self.steps: list[Callable[[], None]] = []
+
+    def sleep_until(self, when: int) -> None:
+        while self._now < when:
+            self._now = min(when, self._now + STEP_NS)
+            self.timeline.run_to(self._now)
+            for step in self.steps:
+                step()
+
+
+class MemoryPort:
+    """The serial port between our link and the emulated module: bytes in memory."""
+
+    failure: str | None = None
+
+    def __init__(self, clock: LabClock, baud: int) -> None:
+        self._clock, self._baud = clock, baud
+        self._written = b""
+        self.readable: Callable[[], None] = lambda: None
+        self.take: Callable[[bytes, int], None] = lambda data, now: None
+
+    def open(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def set_baud(self, baud: int) -> None:
+        self._baud = baud
+
+    def baud(self) -> int:
+        return self._baud
+
+    def read(self) -> bytes:
+        data, self._written = self._written, b""
+        return data
+
+    def write(self, data: bytes) -> int:
+        """From our side."""
+        self._written += data
+        self.readable()
+        return self._clock.now()
+
+
+class ModuleEnd:
+    """The emulated module's end of the port."""
+
+    def __init__(self, port: MemoryPort, clock: LabClock) -> None:
+        self._port, self._clock = port, clock
+
+    def read(self) -> bytes:
+        return self._port.read()
+
+    def baud(self) -> int:
+        return self._port.baud()
+
+    def write(self, data: bytes) -> None:
+        self._port.take(data, self._clock.now())
+
+
+class MemoryLink(Link):
+    """Our link on a port in memory; waiting for an answer lets virtual time go on."""
+
+    def __init__(self, section, clock: LabClock, port: MemoryPort) -> None:
+        super().__init__(section, clock)
+        self._port = port
+        self._clock = clock
+        port.take = self._take
+
+    def open(self, checked: bool = True) -> None:
+        pass
+
+    def wait(self, timeout_s: float) -> None:
+        end = self._clock.now() + round(timeout_s * SECOND)
+        while not self._fresh and self._clock.now() < end:
+            self._clock.sleep_until(self._clock.now() + STEP_NS)
+
+
+class EmulatedEye:
+    """A camera at 120 Hz that sees the emulated robots exactly, with the emulated Motive's delay."""
+
+    def __init__(self, clock: LabClock, robots: Sequence[EmulatedRobot], seed: int) -> None:
+        self.clock, self.robots = clock, robots
+        self.newest: CameraFrame | None = None
+        self.damaged = 0
+        self._streaming = Streaming(rate_hz=CAMERA_HZ)
+        self._random = random.Random(seed)
+        self._fresh: list[CameraFrame] = []
+        self._count = 0
+
+    def __enter__(self):
+        self._start_ns = self.clock.now()
+        self._expose()
+        while self.newest is None:
+            self.clock.sleep_until(self.clock.now() + STEP_NS)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def check(self) -> Health:
+        return Health(facts={"camera": "emulated"})
+
+    def frames(self) -> list[CameraFrame]:
+        fresh, self._fresh = self._fresh, []
+        return fresh
+
+    def _expose(self) -> None:
+        now, s, draw = self.clock.timeline.now_ns, self._streaming, self._random
+        delay = s.latency + min(max(draw.gauss(0, s.jitter), -4 * s.jitter), 4 * s.jitter)
+        if draw.random() < 1 / 250:
+            delay += draw.uniform(0, 0.45 / s.rate_hz)
+        poses = tuple(Pose(robot.x, robot.y, robot.heading) for robot in self.robots)
+        arrives = now + round(delay * SECOND)
+        self._count += 1
+        frame = CameraFrame(self._count, now, arrives, poses)
+        self.clock.timeline.at(arrives, lambda: self._arrive(frame))
+        due = self._start_ns + round(self._count * SECOND / s.rate_hz)
+        self.clock.timeline.at(due, self._expose)
+
+    def _arrive(self, frame: CameraFrame) -> None:
+        self.newest = frame
+        self._fresh.append(frame)
+
+
+class Busy:
+    """A controller that takes virtual time: uniform from `least` to `least + spread` [s]."""
+
+    def __init__(
+        self, controller: Controller, clock: VirtualClock, rng, least: float, spread: float
+    ) -> None:
+        self._controller, self._clock, self._rng = controller, clock, rng
+        self._least, self._spread, self._planned = least, spread, False
+
+    def plan(self, observation: Observation) -> Plan | Outcome:
+        decided = self._controller.plan(observation)
+        if self._planned:  # the first plan is computed while the robots stand
+            seconds = self._least + self._spread * self._rng.random()
+            self._clock.sleep_until(self._clock.now() + round(seconds * SECOND))
+        self._planned = True
+        return decided
+
+
+@dataclass
+class VirtualLab:
+    plant: LabPlant
+    clock: LabClock
+    robots: Sequence[EmulatedRobot]
+
+
+def virtual_lab(experiment: Experiment, settings: M3piSettings, starts, seed: int) -> VirtualLab:
+    """Return the lab of a spec with a `lab` section; `starts` (N, 3) is where robots truly stand.
+
+    Lengths are mm, as in the emulated lab.
+    """
+    setup, lab = experiment.setup, experiment.lab
+    assert lab is not None
+    clock = LabClock()
+    robots: list[EmulatedRobot] = []
+    clock.timeline = Timeline(lambda until: [robot.advance(until) for robot in robots])
+
+    def ignore(*_: object, **__: object) -> None:
+        pass
+
+    stage = Stage(lab, setup, clock.timeline, Options(), ignore, ignore, ignore, ignore)
+    robots += EmulatedM3pi(stage, settings).robots
+    for robot, (x, y, heading) in zip(robots, np.asarray(starts), strict=True):
+        robot.place(float(x), float(y), float(heading))
+    section = lab.actuator
+    port = MemoryPort(clock, section.baud)
+    addresses = [section.index(name) + 1 for name in setup.names]
+    radio = EmulatedRadio(
+        clock.timeline,
+        ModuleEnd(port, clock),
+        ModuleSettings(section.baud),
+        robots,
+        addresses,
+        settings.loss,
+        seed,
+        ignore,
+        ignore,
+    )
+    port.readable = radio.readable
+    actuator = M3piActuator(section, setup, clock)
+    actuator.link = MemoryLink(section, clock, port)
+    actuator._protocol._link = actuator.link
+    eye, operators = EmulatedEye(clock, robots, seed), Operators()
+    rig = Rig(eye, actuator, lab.limits, setup, clock, operators.emergency, threaded=False)
+    clock.steps += [radio.poll_answers, rig.loop.step]
+    return VirtualLab(LabPlant(rig, operators), clock, robots)

@@ -43,7 +43,7 @@ DISTURBED = (
     "plant.dead_time=0.14",
     "plant.a_error=0.1",
     "plant.speed_error=0.1",
-    "plant.heading_noise=0.1",
+    "plant.heading_noise=0.05",
     "plant.lost_commands=0.05",
 )
 COMPENSATED = "controller.dead_time=0.14"

@@ -39,6 +39,7 @@ def sim_rig(seed: int, **plant: Any) -> Rig:
     clock = VirtualClock()
     noise = plant.get("measurement_noise", {}).get("position", 0.0)
     disturbed = bool(plant.keys() - {"motion", "camera_rate", "truth_rate", "dead_time"})
+    disturbed &= plant != WHEELS
     rate = plant.get("camera_rate", 120.0)
     return Rig(sim(spec, seed, clock), clock, spec, 8 * noise, "sim", rate, disturbed)
 
@@ -70,6 +71,39 @@ DISTURBANCES: dict[str, dict[str, Any]] = {
         "speed_error": 0.2,
     },
 }
+
+WHEELS: dict[str, Any] = {"drive": {"rate": 40}}
+WIRES: dict[str, Any] = {
+    "camera_rate": 100.0,
+    "measurement_noise": {"position": 1.0, "heading": 0.01},
+    "heading_noise": 0.05,
+    "a_error": 0.1,
+    "drive": {
+        "rate": 40,
+        "lead": 0.007,
+        "count": 7.874,
+        "dead_zone": 6,
+        "dead_zone_error": 1,
+        "gain_error": 0.02,
+        "radius_error": 0.02,
+        "lag": 0.04,
+    },
+    "disturbances": [
+        {"type": "camera-latency", "mean": 0.006, "deviation": 0.001, "late_share": 0.01},
+        {"type": "planning-time", "least": 0.002, "spread": 0.004},
+        {"type": "radio", "delay": 0.007, "jitter": 0.001, "loss": 0.1},
+    ],
+}
+DISHES: dict[str, Any] = {
+    "camera_rate": 30.0,
+    "heading_noise": 0.05,
+    "disturbances": [
+        {"type": "wobble", "radius": 8, "frequency": 1.5},
+        {"type": "flow", "speed": 10},
+        {"type": "heading-drift", "rate": 0.1},
+    ],
+}
+DISTURBANCES |= {"wheels": WHEELS, "wheels, radio and camera": WIRES, "dish": DISHES}
 
 RIGS: dict[str, Callable[[int], Rig]] = {
     f"sim, {name}": lambda seed, plant=plant: sim_rig(seed, **plant)

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
 from support.labs import CAMERA_HZ
+
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Health
 from tetractl.core.operators import Operators
@@ -120,7 +120,7 @@ class MemoryLink(Link):
 
 
 class EmulatedEye:
-    """A camera at 120 Hz that sees the emulated robots exactly, with the emulated Motive's delay."""
+    """A camera at 120 Hz that sees the robots exactly, with the emulated Motive's delays."""
 
     def __init__(self, clock: LabClock, robots: Sequence[EmulatedRobot], seed: int) -> None:
         self.clock, self.robots = clock, robots

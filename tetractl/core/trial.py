@@ -107,3 +107,8 @@ class Result:
     def entered_obstacle(self) -> bool:
         """Whether the path of any robot touched an obstacle."""
         return any(self.verdict.entered)
+
+    @property
+    def left_arena(self) -> bool:
+        """Whether the path of any robot left the arena, as far as the log tells."""
+        return any(edge < 0 for edge in self.verdict.edge)

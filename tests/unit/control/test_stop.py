@@ -2,7 +2,9 @@ import math
 
 import numpy as np
 import pytest
+from support.paths import ROOT
 
+from tetractl.control.build import build_controller
 from tetractl.control.stop import (
     BudgetStop,
     PaperStop,
@@ -11,6 +13,9 @@ from tetractl.control.stop import (
     paper_criterion,
     stopped,
 )
+from tetractl.core.plan import Plan, StopReason
+from tetractl.core.poses import Observation
+from tetractl.experiment.load import load_spec
 
 PAPER = PaperStop(type="paper")
 
@@ -69,6 +74,18 @@ def test_a_cost_of_zero_is_minus_infinity_on_both_sides_and_no_stop():
 def test_20_asks_only_after_iteration_10(z):
     assert not paper_criterion(np.full(z + 1, 5.0))
     assert paper_criterion(np.full(12, 5.0))
+
+
+def test_20_as_printed_is_a_budget_of_11_iterations_in_the_reference_experiment():
+    """Figure 3 of the paper stops at step 20: the formula as printed cannot have made it."""
+    spec = load_spec(ROOT / "experiments" / "three_m3pi_paper.yaml").experiment
+    tracked = np.ones(3, dtype=bool)
+    plan = build_controller(spec, 1).plan(Observation(0, 0, 0, spec.setup.starts, tracked))
+    assert isinstance(plan, Plan)
+    assert len(plan.searches) == 51
+    for search in plan.searches:
+        assert len(search.history) == 1 + 11  # the swarm as it is drawn, and its iterations
+        assert search.stopped is StopReason.CRITERION
 
 
 def test_20_depends_on_the_unit_of_length():

@@ -275,3 +275,58 @@ def test_what_a_robot_does_before_it_stands_counts():
     assert verdict.final.x[0] == pytest.approx(940, abs=1e-6)
     assert verdict.entered == (True,)
     assert verdict.clearance[0] == pytest.approx(-15, abs=1e-6)
+
+
+@pytest.mark.parametrize("camera_rate", [120, 60, 50, 30, 25])
+def test_the_dead_time_counts_from_the_exposure_of_the_frame_answered(camera_rate):
+    """Regression: it counted from `steer`, so the controller, which counts from the frame, was off
+    by the frame's age wherever the camera's rate is no multiple of the control rate."""
+    simulated = plant(STRAIGHT, dead_time=0.14, camera_rate=camera_rate, truth_rate=1000)
+    simulated.open()
+    simulated.clock.sleep_until(SECOND // 20)
+    exposed = simulated.observe().sampled_ns / SECOND
+    simulated.steer(0.0)
+    simulated.clock.sleep_until(SECOND)
+    simulated.observe()
+    travelled = simulated.poses.x[0] - 900
+    assert travelled == pytest.approx(100 * (1 - exposed - 0.14), abs=1e-6)
+
+
+def test_a_frame_older_than_the_dead_time_delays_nothing_further():
+    simulated = plant(STRAIGHT, dead_time=0.05, camera_rate=5, truth_rate=1000)
+    simulated.open()
+    simulated.clock.sleep_until(round(0.19 * SECOND))  # the frame is of 0 s
+    simulated.steer(0.0)
+    simulated.clock.sleep_until(SECOND)
+    simulated.observe()
+    assert simulated.poses.x[0] - 900 == pytest.approx(100 * 0.81, abs=1e-6)
+
+
+def test_arcs_are_those_of_the_wheel_speeds_in_the_log():
+    """Regression: robots turned by their true headings, the log had the measured ones."""
+    noisy = plant(
+        motion="arc", wheels={"radius": 40}, measurement_noise={"heading": 0.2}, a_error=0.3
+    )
+    a = np.array([robot.a for robot in experiment().robots])
+    noisy.open()
+    for k, direction in enumerate(DIRECTIONS):
+        before = noisy.poses.heading
+        command = noisy.steer(direction)
+        noisy.clock.sleep_until((k + 1) * PERIOD)
+        noisy.observe()
+        _, turning = body_velocity(command.left, command.right, 40)
+        turned = (noisy.poses.heading - before) / 0.2
+        assert turned == pytest.approx(turning * noisy.a / a, abs=1e-9)
+
+
+def test_the_verdict_tells_who_left_the_arena_and_how_near_robots_came():
+    robots = [
+        STRAIGHT[0] | {"start": [2000, 800]},  # the edge is at 2200
+        STRAIGHT[0] | {"name": "slow", "start": [2000, 900], "speed": 50},
+    ]
+    simulated = plant(robots)
+    steered(simulated, [0.0] * 15)
+    simulated.stop()
+    verdict = simulated.settle()
+    assert verdict.edge == pytest.approx((-100, 50), abs=1e-6)
+    assert verdict.apart == pytest.approx((100, 100), abs=1e-6)

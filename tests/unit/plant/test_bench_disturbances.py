@@ -1,0 +1,166 @@
+"""The disturbances of the bench, one by one: as large and as often as the spec says."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from support.paths import ROOT
+from support.plants import sim
+from support.trials import experiment
+
+from tetractl.core.clock import SECOND
+from tetractl.experiment.load import load_spec
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.replay.verify import verify
+from tetractl.run.batch import run_trial
+from tetractl.run.interrupt import Interrupt
+
+PERIOD = SECOND // 5
+ROBOTS = [  # two that hardly turn, along +x
+    {"name": "one", "start": [900, 800], "target": [1700, 500], "a": 1e-9, "speed": 100},
+    {"name": "two", "start": [900, 900], "target": [1700, 900], "a": 1e-9, "speed": 50},
+]
+
+
+def plant(*disturbances, seed=1, robots=ROBOTS, **fields):
+    spec = experiment(
+        robots=robots, obstacles=[], plant={"disturbances": list(disturbances), **fields}
+    )
+    return sim(spec, seed)
+
+
+def driven(simulated, seconds, direction=0.0):
+    """Hold a direction; return every sample."""
+    simulated.open()
+    simulated.steer(direction)
+    simulated.clock.sleep_until(round(seconds * SECOND))
+    return simulated.samples()
+
+
+def test_frames_reach_the_host_as_late_as_the_spec_says():
+    section = {"type": "camera-latency", "mean": 0.02, "deviation": 0.001}
+    samples = driven(plant(section), 20)
+    latency = np.array([s.observation.received_ns - s.observation.sampled_ns for s in samples[1:]])
+    assert latency.mean() / SECOND == pytest.approx(0.02, abs=1e-4)
+    assert latency.std() / SECOND == pytest.approx(0.001, rel=0.1)
+    received = [s.observation.received_ns for s in samples]
+    assert received == sorted(received)
+    assert received[-1] <= 20 * SECOND < received[-1] + SECOND / 50
+
+
+def test_some_frames_are_late():
+    section = {"type": "camera-latency", "mean": 0.001, "late_share": 0.1, "late_by": 0.004}
+    samples = driven(plant(section), 60)
+    latency = np.array([s.observation.received_ns - s.observation.sampled_ns for s in samples[1:]])
+    late = latency > 0.001 * SECOND
+    assert stats.binomtest(int(late.sum()), late.size, 0.1).pvalue > 1e-4
+    assert stats.kstest(latency[late] / SECOND - 0.001, "uniform", (0, 0.004)).pvalue > 1e-4
+
+
+@pytest.mark.parametrize("burst", [1.0, 4.0])
+def test_frames_are_lost_as_often_and_as_many_in_a_row_as_the_spec_says(burst):
+    samples = driven(plant({"type": "frame-loss", "share": 0.1, "burst": burst}), 200)
+    numbers = np.array([s.observation.frame for s in samples])
+    assert numbers[0] == 0
+    gaps = np.diff(numbers) - 1
+    assert gaps.sum() / numbers[-1] == pytest.approx(0.1, rel=0.15)
+    assert gaps[gaps > 0].mean() == pytest.approx(burst, rel=0.2)
+
+
+def test_planning_takes_time_before_a_command_and_before_the_stop():
+    simulated = plant({"type": "planning-time", "least": 0.01, "spread": 0.02})
+    simulated.open()
+    taken = []
+    for k in range(200):
+        simulated.clock.sleep_until(k * PERIOD)
+        taken.append(simulated.steer(0.0).sent_ns - k * PERIOD)
+    assert stats.kstest(np.array(taken) / SECOND, "uniform", (0.01, 0.02)).pvalue > 1e-4
+    now = simulated.clock.now()
+    assert 0.01 <= (simulated.stop().sent_ns - now) / SECOND <= 0.03
+
+
+def test_the_radio_delays_and_loses_for_each_robot_alone():
+    simulated = plant({"type": "radio", "delay": 0.05, "loss": 0.3})
+    simulated.open()
+    delivered = np.array([simulated.steer(0.0).delivered for _ in range(2000)])
+    assert stats.binomtest(int((~delivered).sum()), delivered.size, 0.3).pvalue > 1e-4
+    assert abs(np.corrcoef(delivered.T)[0, 1]) < 0.08
+    late = plant({"type": "radio", "delay": 0.05})
+    assert driven(late, 1)[-1].truth.x - 900 == pytest.approx([94, 47], abs=1.0)
+
+
+def test_a_stop_is_repeated_until_it_is_heard():
+    for seed in range(20):
+        simulated = plant({"type": "radio", "loss": 0.5}, seed=seed)
+        driven(simulated, 1)
+        simulated.stop()
+        final = simulated.settle().final.x
+        simulated.clock.sleep_until(simulated.clock.now() + SECOND)
+        assert simulated.observe().poses.x == pytest.approx(final)
+        assert final[0] <= 900 + 100 * 1.2
+
+
+def test_robots_are_put_down_near_their_starts():
+    section = {"type": "start-error", "position": 10, "heading": 0.1}
+    off = []
+    for seed in range(300):
+        pose = plant(section, seed=seed).poses
+        off.append([pose.x - 900, pose.y - [800, 900], pose.heading * 100])
+    values = np.array(off).ravel()
+    assert stats.kstest(values, "uniform", (-10, 20)).pvalue > 1e-4
+    assert abs(np.corrcoef(np.array(off)[:, 0].T)[0, 1]) < 0.2
+
+
+def test_each_robot_drifts_always_to_its_own_side():
+    rates = []
+    for seed in range(100):
+        path = driven(plant({"type": "heading-drift", "rate": 0.2}, seed=seed), 1)
+        rates.append(path[-1].truth.heading / (len(path) - 1) * 120)
+    assert stats.kstest(np.array(rates).ravel(), "uniform", (-0.2, 0.4)).pvalue > 1e-4
+
+
+def test_a_flow_carries_all_who_swim_alike():
+    simulated = plant({"type": "flow", "speed": 10, "direction": math.pi / 2})
+    standing = simulated.poses.y
+    simulated.open()
+    simulated.clock.sleep_until(SECOND)
+    assert simulated.observe().poses.y == pytest.approx(standing)
+    samples = driven(plant({"type": "flow", "speed": 10, "direction": math.pi / 2}), 2)
+    assert samples[-1].truth.y - standing == pytest.approx([20, 20], abs=0.2)
+    angles = []
+    for seed in range(200):
+        gone = driven(plant({"type": "flow", "speed": 100}, seed=seed), 0.1)[-1].truth
+        angles.append(math.atan2(gone.y[1] - 900, gone.x[1] - 900 - 50 * 0.1))
+    assert stats.kstest(angles, "uniform", (-math.pi, 2 * math.pi)).pvalue > 1e-4
+
+
+def test_cells_weave_and_their_bodies_point_along_their_paths():
+    section = {"type": "wobble", "radius": 5, "frequency": 2}
+    samples = driven(plant(section, seed=4), 5)[2:]
+    across = np.array([sample.truth.y for sample in samples]) - [800, 900]
+    assert np.ptp(across, axis=0) == pytest.approx([10, 10], rel=0.02)
+    turns = (np.diff(np.sign(across - across.mean(axis=0)), axis=0) != 0).sum(axis=0)
+    assert turns == pytest.approx([20, 20], abs=1)
+    path = np.array([sample.truth.xy for sample in samples])
+    along = np.diff(path, axis=0)
+    course = np.arctan2(along[..., 1], along[..., 0])
+    body = np.array([sample.observation.poses.heading for sample in samples])
+    middle = (body[1:] + body[:-1]) / 2
+    assert middle == pytest.approx(course, abs=0.12)
+    assert np.ptp(middle[:, 1]) > 1.5  # the slower one weaves more steeply
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["three_m3pi_bench", "tetrahymena_bench"])
+def test_trials_on_a_bench_repeat_themselves_and_can_be_verified(name, tmp_path):
+    cut = ["controller.steps_max=6", "controller.deadline=null"]
+    spec = load_spec(ROOT / "experiments" / f"{name}.yaml", cut)
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        run_trial(spec, tmp_path / folder, 1, (), Interrupt())
+    one, two = (tmp_path / folder / "trial-001.mcap" for folder in ("one", "two"))
+    assert read_result(one).digest == read_result(two).digest
+    assert verify(one).ok
+    trial = read_trial(one)
+    assert np.abs(trial.truth[0, :, :2] - spec.experiment.setup.starts.xy).max() > 0.1

@@ -1,0 +1,189 @@
+"""Robots on wheels in a simulation, against the emulated robots of the lab and against formulas."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from support.plants import sim
+from support.trials import experiment
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import TetractlError
+from tetractl.experiment.load import parse_spec
+from tetractl.lab.actuators.m3pi.command import Drivetrain, Wheel
+from tetractl.lab.emulate.m3pi.robot import EmulatedRobot
+from tetractl.model.wheels import body_velocity
+
+PERIOD = SECOND // 5
+DIRECTIONS = np.random.default_rng(5).uniform(-math.pi, math.pi, 12).tolist()
+COUNT = 1000 / 127
+
+
+def plant(seed=1, drive=None, **fields):
+    spec = experiment(plant={"drive": drive or {}, **fields}, wheels={"radius": 40}, obstacles=[])
+    return sim(spec, seed)
+
+
+def driven(simulated, directions=DIRECTIONS, period=PERIOD):
+    """Steer once a period; return all commands and samples."""
+    simulated.open()
+    commands, samples = [], []
+    for k, direction in enumerate(directions):
+        commands.append(simulated.steer(direction))
+        simulated.clock.sleep_until((k + 1) * period)
+        samples += simulated.samples()
+        commands += simulated.news()
+    return commands, samples
+
+
+def truths(samples):
+    return np.array([sample.truth.array() for sample in samples])
+
+
+class Counts:
+    """A robot's program that holds counts, and nothing else."""
+
+    def __init__(self):
+        self.held = (0, 0)
+
+    def counts(self, now_ms):
+        return self.held
+
+
+def test_wheels_that_lag_drive_as_the_emulated_robots_do():
+    """The same commands at the same times, integrated at 1 kHz there and in closed form here."""
+    drive = {"rate": 40, "count": COUNT, "dead_zone": 6, "lag": 0.04}
+    simulated = plant(drive=drive)
+    commands, samples = driven(simulated)
+    assert len(commands) > 90
+    wheel = Wheel(COUNT, 6)
+    for i, robot in enumerate(experiment().robots):
+        twin = EmulatedRobot(
+            robot.name, Counts, Drivetrain(wheel, wheel), 40, *robot.start, robot.heading, 0.04
+        )
+        sent = iter(commands)
+        nearest = next(sent)
+        for sample in samples:
+            seen = sample.observation
+            while nearest is not None and nearest.sent_ns <= seen.sampled_ns:
+                twin.advance(nearest.sent_ns)
+                speeds = nearest.left[i], nearest.right[i]
+                twin.program.held = tuple(
+                    round(abs(speed) / COUNT + 6) * int(math.copysign(1, speed)) if speed else 0
+                    for speed in speeds
+                )
+                nearest = next(sent, None)
+            twin.advance(seen.sampled_ns)
+            at = (sample.truth.x[i], sample.truth.y[i])
+            assert at == pytest.approx((twin.x, twin.y), abs=0.05)
+            assert sample.truth.heading[i] == pytest.approx(twin.heading, abs=1e-3)
+
+
+def test_ideal_wheels_at_a_high_rate_follow_1_to_3():
+    fast = plant(drive={"rate": 1000}, camera_rate=1000, truth_rate=1000)
+    _, samples = driven(fast)
+    spec = experiment(plant={}, obstacles=[])
+    _, exact = driven(sim(spec, 1))
+    assert truths(samples)[-1] == pytest.approx(truths(exact)[-1], abs=2.0)
+
+
+def test_wheels_sent_once_a_control_step_hold_an_arc():
+    _, samples = driven(plant())
+    arc = experiment(plant={"motion": "arc"}, obstacles=[])
+    _, expected = driven(sim(arc, 1))
+    assert truths(samples) == pytest.approx(truths(expected), abs=1e-6)
+
+
+def test_what_is_sent_is_computed_from_the_newest_frame_received():
+    late = {"type": "camera-latency", "mean": 0.03}
+    simulated = plant(drive={"rate": 40}, disturbances=[late], measurement_noise={"heading": 0.05})
+    commands, samples = driven(simulated)
+    received = np.array([sample.observation.received_ns for sample in samples])
+    a = np.array([robot.a for robot in experiment().robots])
+    for command in commands[5:]:
+        newest = samples[int(np.searchsorted(received, command.sent_ns, side="right")) - 1]
+        _, turning = body_velocity(command.left, command.right, 40)
+        seen = newest.observation.poses.heading
+        assert turning == pytest.approx(a * np.sin(command.direction - seen), abs=1e-9)
+
+
+def test_speeds_may_be_repeated_rather_than_computed_anew():
+    commands, _ = driven(plant(drive={"rate": 40, "recompute": False}))
+    for one, two in itertools.pairwise(commands):
+        if one.direction == two.direction:
+            assert one.left.tolist() == two.left.tolist()
+
+
+def test_transmissions_come_at_once_with_a_direction_and_then_at_the_rate():
+    commands, _ = driven(plant(drive={"rate": 40}), DIRECTIONS[:3])
+    times = np.array([command.sent_ns for command in commands]) / SECOND
+    assert {0.0, 0.2, 0.4} <= set(times.tolist())
+    assert len(times) == pytest.approx(24 + 3, abs=1)
+    assert np.diff(times).max() <= 1 / 40 + 1e-9
+
+
+def test_counts_are_whole_and_their_mean_is_what_was_wished():
+    commands, _ = driven(plant(drive={"rate": 40, "count": COUNT}), [0.0] * 40)
+    left = np.array([command.left for command in commands])
+    assert left / COUNT == pytest.approx(np.round(left / COUNT), abs=1e-9)
+    assert left.mean(axis=0) == pytest.approx([180, 200, 150], abs=COUNT / 4)
+
+
+@pytest.mark.parametrize("part", ["gain_error", "radius_error"])
+def test_gains_and_radii_err_within_their_bounds_and_are_not_what_is_logged(part):
+    turned = []
+    for seed in range(40):
+        simulated = plant(seed, {part: 0.1})
+        commands, samples = driven(simulated, [math.pi / 2])
+        _, sent = body_velocity(commands[0].left, commands[0].right, 40)
+        path = truths(samples)
+        rate = (path[-1] - path[0])[:, 2] / (len(path) - 1) * 120
+        turned.append(rate / sent)
+        if part == "radius_error":
+            assert sent == pytest.approx([6, 4, 3])
+    ratio = np.array(turned)
+    assert ratio.std() > 0.01
+    assert np.abs(ratio - 1).max() < (0.12 if part == "radius_error" else 0.6)
+
+
+def test_dead_zones_that_the_host_does_not_know_turn_robots():
+    known = plant(drive={"count": COUNT, "dead_zone": 6})
+    wrong = plant(drive={"count": COUNT, "dead_zone": 6, "dead_zone_error": 2})
+    straight = truths(driven(known, [0.0] * 5)[1])[-1]
+    bent = truths(driven(wrong, [0.0] * 5)[1])[-1]
+    assert straight[:, 2] == pytest.approx(0, abs=1e-9)
+    assert np.abs(bent[:, 2]).max() > 0.05
+
+
+def test_a_radio_that_loses_packets_costs_less_at_a_higher_rate():
+    def miss(rate):
+        radio = {"type": "radio", "loss": 0.3}
+        gaps = []
+        for seed in range(6):
+            lossy = plant(seed, {"rate": rate}, disturbances=[radio])
+            clean = plant(seed, {"rate": rate})
+            gaps.append(truths(driven(lossy)[1])[-1] - truths(driven(clean)[1])[-1])
+        return float(np.hypot(*np.array(gaps)[..., :2].T).mean())
+
+    assert miss(100.0) < miss(10.0) / 2
+
+
+def test_robots_coast_to_a_stand():
+    simulated = plant(drive={"rate": 40, "lag": 0.1})
+    driven(simulated, [0.0] * 5)
+    before = simulated.observe().poses.x
+    simulated.stop()
+    final = simulated.settle().final
+    assert final.x - before == pytest.approx(0.1 * np.array([180, 200, 150]), rel=1e-3)
+
+
+def test_wheels_are_needed():
+    text = """
+    name: no-wheels
+    arena: {left: 0, bottom: 0, width: 2000, height: 2000}
+    robots: [{name: one, start: [500, 500], target: [900, 500], a: 4, speed: 100}]
+    plant: {type: sim, drive: {rate: 40}}
+    """
+    with pytest.raises(TetractlError, match="wheels"):
+        parse_spec(text, "spec.yaml")

@@ -180,7 +180,7 @@ class SimPlant:
         answered = self.observe()
         now = self._plan()
         if isinstance(self._drive, WheelDrive):
-            self._drive.direct(direction, now)
+            self._drive.direct(direction)
             command = self._transmit(now)
         else:
             command = self._send_direction(direction, now, answered)

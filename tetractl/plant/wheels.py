@@ -42,8 +42,8 @@ class WheelDriveSection(Model):
     """Wheels between the direction and the robots. Every value left out is that of ideal wheels."""
 
     rate: Positive | None = None
-    """Transmissions a second under a held direction [Hz], besides one at once with each new
-    direction; by default there is only that one."""
+    """Transmissions a second under a held direction [Hz]. One is sent at once with each new
+    direction, and by default only that; with a rate, it takes the place of the next one due."""
     recompute: bool = True
     """Whether each transmission computes the wheel speeds anew from the newest frame; else it
     repeats those of the control step."""
@@ -125,10 +125,9 @@ class WheelDrive:
         """1 for robots told to move, 0 for those told to stand, (N,)."""
         return np.asarray((self._targets[0] != 0) | (self._targets[1] != 0), dtype=np.float64)
 
-    def direct(self, direction: float, now: int) -> None:
-        """Hold a direction u [rad] from `now` on [ns]: it is due at once."""
+    def direct(self, direction: float) -> None:
+        """Hold a direction u [rad] from now on; wheel speeds for it have to be sent at once."""
         self.direction, self._last = direction, None
-        self.repeats_ns = now
 
     def halt(self) -> None:
         """Hold no direction any more."""
@@ -144,7 +143,8 @@ class WheelDrive:
             self.repeats_ns = NEVER
         else:  # as the lab's inner loop does
             period = round(SECOND / section.rate)
-            self.repeats_ns = max(self.repeats_ns + period, now + period // 2)
+            before = 0 if self.repeats_ns == NEVER else self.repeats_ns
+            self.repeats_ns = max(before + period, now + period // 2)
         if self._last is None or section.recompute:
             self._last = self._computed(now, seen)
         return self._last

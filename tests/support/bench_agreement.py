@@ -1,0 +1,141 @@
+"""The same trials on the simulated bench and in the emulated lab, to be compared.
+
+Both have the controller of `experiments/three_m3pi_lab.yaml` without a deadline, and what the
+emulated lab has of the bench: its latencies, radio, packet loss, counts, lag, gains, radii, start
+errors and planning times, each trial's drawn from the same distributions. The emulated camera errs
+in nothing and loses nothing and the emulated wheels do not slip, so the bench's do not either.
+"""
+
+import json
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+from support.paths import ROOT
+from support.virtual_lab import Busy, virtual_lab
+
+from tetractl.control.build import build_controller
+from tetractl.core.commands import PlantInfo
+from tetractl.core.operators import Operators
+from tetractl.core.trial import Result
+from tetractl.experiment.load import LoadedSpec, load_spec, start_of
+from tetractl.lab.emulate.m3pi.side import M3piSettings
+from tetractl.plant.disturbances.planning_time import PlanningTimeSection
+from tetractl.plant.disturbances.radio import RadioSection
+from tetractl.plant.disturbances.start_error import StartErrorSection
+from tetractl.plant.simulation import SimSection
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.seeds import trial_seeds
+from tetractl.run.trial import Trial
+
+LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
+BENCH = ROOT / "experiments" / "three_m3pi_bench.yaml"
+
+
+@dataclass
+class Path:
+    """An observer that keeps the frames and what was sent in answer to which."""
+
+    samples: list = field(default_factory=list)
+    steps: list = field(default_factory=list)
+    result: Result | None = None
+
+    def on_start(self, start):
+        pass
+
+    def on_samples(self, samples):
+        self.samples += samples
+
+    def on_command(self, command):
+        pass
+
+    def on_note(self, note):
+        pass
+
+    def on_step(self, step):
+        self.steps.append(step)
+
+    def on_stop(self, command, result):
+        pass
+
+
+@cache
+def bench() -> SimSection:
+    """The bench's plant."""
+    plant = load_spec(BENCH).experiment.plant
+    assert isinstance(plant, SimSection)
+    return plant
+
+
+def part(kind):
+    """Return the bench's disturbance of a kind."""
+    return next(one for one in bench().disturbances if isinstance(one, kind))
+
+
+def lab_spec(*sets: str) -> LoadedSpec:
+    return load_spec(LAB, ["controller.deadline=null", *sets])
+
+
+def bench_spec(*sets: str) -> LoadedSpec:
+    """The lab's spec on the bench, as far as the emulated lab is one."""
+    plant = bench().model_dump(mode="json")
+    plant["drive"]["dead_zone"] = 0  # the lab's spec has none; known exactly, it changes nothing
+    plant |= {"measurement_noise": {}, "heading_noise": 0.0}
+    plant["disturbances"] = [d for d in plant["disturbances"] if d["type"] != "frame-loss"]
+    return lab_spec(f"plant={json.dumps(plant)}", *sets)
+
+
+def _run(spec: LoadedSpec, trial: int, plant, controller, clock, simulated: bool) -> Path:
+    path = Path()
+    path.result = Trial(
+        start=start_of(spec, trial, PlantInfo("", simulated, 0.0, {}), 0),
+        plant=plant,
+        controller=controller,
+        first_plan=spec.experiment.controller.first_plan,
+        clock=clock,
+        observers=[path],
+        interrupt=Interrupt(),
+    ).run()
+    assert isinstance(path.result, Result)
+    return path
+
+
+def bench_trial(spec: LoadedSpec, trial: int) -> Path:
+    """Run one trial of `bench_spec`."""
+    experiment = spec.experiment
+    clock = experiment.plant.clock()
+    key, seed = trial_seeds(experiment.trials.seed, trial)
+    plant = experiment.plant.build(experiment.setup, clock, seed, Operators())
+    return _run(spec, trial, plant, build_controller(experiment, key), clock, True)
+
+
+def lab_trial(spec: LoadedSpec, trial: int) -> Path:
+    """Run one trial of `lab_spec` in the emulated lab, in virtual time."""
+    experiment = spec.experiment
+    setup, drive = experiment.setup, bench().drive
+    planning, put = part(PlanningTimeSection), part(StartErrorSection)
+    assert drive is not None
+    key, _ = trial_seeds(experiment.trials.seed, trial)
+    rng = np.random.default_rng([experiment.trials.seed, trial])
+
+    def wheel() -> dict[str, float]:
+        return {"gain_mm": drive.count * (1 + drive.gain_error * rng.uniform(-1, 1))}
+
+    robots = [
+        {
+            "name": name,
+            "left": wheel(),
+            "right": wheel(),
+            "radius_mm": setup.wheel_radius * (1 + drive.radius_error * rng.uniform(-1, 1)),
+            "lag": drive.lag,
+        }
+        for name in setup.names
+    ]
+    off = rng.uniform(-1, 1, (3, len(robots))) * [[put.position], [put.position], [put.heading]]
+    settings = M3piSettings.model_validate(
+        {"loss": part(RadioSection).loss, "robots": tuple(robots)}
+    )
+    lab = virtual_lab(experiment, settings, setup.starts.array() + off.T, int(key % 2**31))
+    inner = build_controller(experiment, key)
+    busy = Busy(inner, lab.clock, rng, planning.least, planning.spread)
+    return _run(spec, trial, lab.plant, busy, lab.clock, False)

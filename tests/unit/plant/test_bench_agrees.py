@@ -1,0 +1,68 @@
+"""The simulated bench and the emulated lab: the same trials, alike in distribution."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.optimize import least_squares
+from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
+
+from tetractl.core.clock import SECOND
+from tetractl.model.motion.exact import step as exact
+
+TRIALS = 20
+LOSSES = 1e-3  # p of a two-sample test at which the two differ: one false alarm in a thousand
+
+
+@pytest.mark.slow
+def test_total_errors_agree_in_distribution():
+    labs = [lab_trial(lab_spec(), trial).result for trial in range(TRIALS)]
+    sims = [bench_trial(bench_spec(), trial).result for trial in range(TRIALS)]
+    assert all(result.outcome.complete for result in (*labs, *sims))
+    ours, theirs = ([result.total_error for result in results] for results in (labs, sims))
+    assert stats.ks_2samp(ours, theirs).pvalue > LOSSES
+    means = stats.permutation_test(
+        (np.log(ours), np.log(theirs)), lambda a, b: a.mean() - b.mean(), rng=1
+    )
+    assert means.pvalue > LOSSES
+
+
+def dead_time_s(path, setup):
+    """The dead time, a and bias with which (1)-(3) predict a path best over 0.2 s [s]."""
+    sent = [(s.observation.sampled_ns, s.command.direction) for s in path.steps]
+    times = np.array([sample.observation.sampled_ns for sample in path.samples])
+    poses = np.array([sample.observation.poses.array() for sample in path.samples])
+    span = 24
+    first, last = np.searchsorted(times, [sent[0][0] + SECOND // 4, sent[-1][0] - SECOND // 5])
+    starts = range(first, last, 12)
+
+    def misses(q):
+        acting = [(when + q[0] * SECOND, u) for when, u in sent]
+        a, bias = setup.a * q[1:4], q[4:7] / setup.a
+        found = []
+        for i in starts:
+            now, end = times[i], times[i + span]
+            x, y, heading = poses[i].T
+            u = next(u for when, u in reversed(acting) if when <= now)
+            for when, new in [*((w, n) for w, n in acting if now < w < end), (end, u)]:
+                x, y, heading = exact(
+                    x, y, heading, np.array(u) + bias, a, setup.speed, (when - now) / SECOND
+                )
+                now, u = when, new
+            found.append(np.remainder(heading - poses[i + span, :, 2] + np.pi, 2 * np.pi) - np.pi)
+        return np.concatenate(found)
+
+    guess = [0.05, *([1.0] * 3), *([0.0] * 3)]
+    return least_squares(misses, guess, diff_step=1e-3, loss="soft_l1", f_scale=0.05).x[0]
+
+
+@pytest.mark.slow
+def test_the_labs_dead_time_is_what_its_parts_add_up_to():
+    """Regression: 0.05 s left no time for frames to be waited for and plans to be computed."""
+    spec = lab_spec()
+    setup = spec.experiment.setup
+    found = [dead_time_s(lab_trial(spec, trial), setup) for trial in range(6)]
+    stated = spec.experiment.controller.dead_time
+    assert np.median(found) == pytest.approx(stated, abs=0.006)
+    assert np.median([dead_time_s(bench_trial(bench_spec(), t), setup) for t in range(6)]) == (
+        pytest.approx(stated, abs=0.008)
+    )

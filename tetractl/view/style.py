@@ -1,6 +1,7 @@
 """The style of every figure: colours, type sizes, sizes on paper; and saving a figure."""
 
 import io
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from tetractl.core.errors import UsageError
 
@@ -17,6 +19,7 @@ OBSTACLE, OBSTACLE_EDGE = "#F6DF8B", "#B8960C"
 ALARM = "#B00020"
 
 COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of one and two columns of an IEEE page
+CHARACTERS_PER_IN = 17  # of a headline, at least
 FORMATS = ("png", "svg", "pdf")
 
 RC: dict[str, Any] = {
@@ -73,10 +76,37 @@ def figure(width_in: float, height_in: float) -> Figure:
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
-def headline(drawing: Figure, text: str) -> None:
-    """Write a line above everything else in a figure."""
-    with styled():
-        drawing.suptitle(text, x=0.01, ha="left", fontsize=7, color=GREY)
+def headline(drawing: Figure, text: str, alarm: str = "") -> None:
+    """Write a line above everything else in a figure, and below it an alarm, if there is one.
+
+    The figure grows by as much, and what is in it keeps its size.
+    """
+    wrapped = textwrap.wrap(alarm, int(CHARACTERS_PER_IN * drawing.get_figwidth()))
+    old_in, line_in = drawing.get_figheight(), 0.135
+    new_in = old_in + line_in * (1 + len(wrapped)) + 0.03
+    above_in = _lower_legends(drawing, old_in / new_in)
+    drawing.set_figheight(new_in)
+    if isinstance(engine := drawing.get_layout_engine(), ConstrainedLayoutEngine):
+        engine.set(rect=(0.0, 0.0, 1.0, (old_in - above_in) / new_in))
+    for row, (line, color) in enumerate([(text, GREY), *((line, ALARM) for line in wrapped)]):
+        top = 1 - (0.03 + row * line_in) / new_in
+        with styled():
+            drawing.text(0.01, top, line, va="top", ha="left", fontsize=7, color=color)
+
+
+def _lower_legends(drawing: Figure, share: float) -> float:
+    """Lower the legends above the axes below the top `share` of a figure; return their height [in].
+
+    The layout leaves space for a legend beside a headline, not below it.
+    """
+    drawing.draw_without_rendering()
+    above_in = 0.0
+    for legend in drawing.legends:
+        box = legend.get_window_extent()
+        if box.y0 > drawing.bbox.height / 2:
+            above_in = max(above_in, box.height / drawing.dpi + 0.06)
+            legend.set_bbox_to_anchor((0.0, 0.0, 1.0, share), transform=drawing.transFigure)
+    return above_in
 
 
 def panel(axes: Axes, letter: str, title: str) -> None:

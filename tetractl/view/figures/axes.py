@@ -1,17 +1,14 @@
 """What several figures share: one trial of the logs given, and logarithmic axes."""
 
-import textwrap
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.view import style
 
 NUMBERED = 8  # from so many robots on they are told apart by numbers: there are no more colours
 NAME_LENGTH = 16  # of a robot in a figure [characters]
@@ -44,12 +41,15 @@ def unfinished(log: TrialLog) -> str:
     return f"{log.result.outcome.value}: {log.result.reason}"
 
 
-def state_unfinished(figure: Figure, log: TrialLog) -> None:
-    """Write above a figure as wide as a page that its trial did not run to its own end."""
-    if text := unfinished(log):
-        figure.suptitle(
-            textwrap.fill(text, 120), x=0.01, ha="left", fontsize=7.5, color=style.ALARM
-        )
+def broken_off(logs: Sequence[TrialLog]) -> str:
+    """Return what a figure says of trials that did not run to their own end, "" for none."""
+    if len(logs) == 1:
+        return unfinished(logs[0])
+    cut = sum(1 for log in logs if unfinished(log))
+    if not cut:
+        return ""
+    counted = "" if cut == len(logs) else ", not in the means"
+    return f"{cut} of {len(logs)} trials did not run to their end{counted}"
 
 
 def need_steps(log: TrialLog) -> None:

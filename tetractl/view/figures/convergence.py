@@ -18,7 +18,6 @@ from tetractl.view.figures.axes import (
     plain_log,
     positive,
     span,
-    state_unfinished,
 )
 
 
@@ -37,7 +36,6 @@ def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
         _later_plans(gain, log.steps, unit)
         _iterations(count, log.steps, log.start.setup.iterations_max)
         gain.tick_params(labelbottom=False)
-        state_unfinished(figure, log)
     return figure
 
 

@@ -13,7 +13,7 @@ from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
 from tetractl.view import style
-from tetractl.view.figures.axes import one_trial, robot_labels, state_unfinished
+from tetractl.view.figures.axes import one_trial, robot_labels
 from tetractl.view.figures.labels import end_labels
 
 LINE_IN = 0.1  # height of a robot's label
@@ -49,7 +49,6 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
         style.panel(total, "a", "total error")
         style.panel(each, "b", "distance of each robot to its target")
         figure.legend(loc="outside lower center", ncols=3)
-        state_unfinished(figure, log)
         _ends(total, each, log, gaps, colors)
     return figure
 

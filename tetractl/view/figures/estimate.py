@@ -20,7 +20,6 @@ from tetractl.view.figures.axes import (
     NUMBERED,
     one_trial,
     robot_labels,
-    state_unfinished,
 )
 from tetractl.view.figures.labels import end_labels
 
@@ -70,7 +69,6 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
             axes.set_xlabel("time since the first command [s]")
             axes.set_xlim(0, max(float(time_s[-1]), 1e-9))
         figure.legend(handles=_key(log), loc="outside lower center", ncols=3)
-        state_unfinished(figure, log)
         names = robot_labels(setup.names)
         for axes, values in ((panels[0], known[-1].a), (panels[1], known[-1].speed)):
             texts = [f"{name} {value:.3g}" for name, value in zip(names, values, strict=True)]

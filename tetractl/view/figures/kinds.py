@@ -31,11 +31,14 @@ def check_kind(kind: str) -> None:
 
 
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
-    """Draw the figure of a kind, headed by what was steered; only a trajectory shows several
-    trials."""
+    """Draw the figure of a kind, headed by what was steered and by what broke a trial off.
+
+    Only a trajectory shows several trials.
+    """
+    from tetractl.view.figures.axes import broken_off
     from tetractl.view.style import headline
 
     check_kind(kind)
     figure = FIGURES.load(kind)(logs)
-    headline(figure, ", ".join(sorted({log.origin.value for log in logs})))
+    headline(figure, ", ".join(sorted({log.origin.value for log in logs})), broken_off(logs))
     return figure

@@ -18,7 +18,6 @@ from tetractl.view.figures.axes import (
     plain_log,
     positive,
     span,
-    state_unfinished,
 )
 
 
@@ -59,7 +58,6 @@ def timing_figure(logs: Sequence[TrialLog]) -> Figure:
                 va="center", fontsize=6.5,
             )  # fmt: skip
         _distribution(shares, solve_ms)
-        state_unfinished(figure, log)
     return figure
 
 

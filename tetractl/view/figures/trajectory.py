@@ -1,6 +1,5 @@
 """The paper's Figure 5: the paths of the robots in one trial or in several."""
 
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -43,13 +42,10 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         colors = robot_colors(setup.names, setup.colors)
         ends = np.array([_final(log)[:, :2] for log in logs])
         key = _errors(logs, colors, setup.distances(ends))
-        alarm = _alarm(logs)
         width = style.COLUMN_IN
         shape = min(max(setup.arena.height / setup.arena.width, 0.3), 2.0)
-        lines = key.rows + alarm.count("\n") + bool(alarm)
-        figure = style.figure(width, (width - 0.55) * shape + 0.5 + LINE_IN * lines)
+        figure = style.figure(width, (width - 0.55) * shape + 0.5 + LINE_IN * key.rows)
         axes = figure.subplots()
-        axes.set_title(alarm, fontsize=7, color=style.ALARM)
         key.draw(figure)
         _scene(axes, setup, colors)
         if len(logs) == 1:
@@ -242,17 +238,6 @@ def _legend_pt(widths: Sequence[float], columns: int) -> float:
     handle, space, edge_pt = 1.7 * 7, 1.2 * 7, 7.0
     columns_pt = [max(part) + handle for part in np.array_split(widths, columns)]
     return sum(columns_pt) + space * (columns - 1) + edge_pt
-
-
-def _alarm(logs: Sequence[TrialLog]) -> str:
-    """Return the lines that tell of trials that did not run to their own end, "" for none."""
-    if len(logs) == 1:
-        return textwrap.fill(unfinished(logs[0]), 62)
-    cut = sum(1 for log in logs if unfinished(log))
-    if not cut:
-        return ""
-    counted = "" if cut == len(logs) else ", not in the means"
-    return f"{cut} of {len(logs)} trials did not run to their end{counted}"
 
 
 def _spread(errors: Floats) -> str:

@@ -60,6 +60,6 @@ def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path):
 def test_a_headline_says_what_was_steered():
     ours = summarise(batch(ERRORS.tolist(), experiment(plant=DISTURBED)))
     theirs = summarise(batch(ERRORS.tolist()))
-    assert batch_figure(ours).get_suptitle() == "disturbed simulation"
-    both = batch_figure(ours, compare(ours, theirs)).get_suptitle()
+    assert batch_figure(ours).texts[0].get_text() == "disturbed simulation"
+    both = batch_figure(ours, compare(ours, theirs)).texts[0].get_text()
     assert both == "this batch: disturbed simulation; against: undisturbed simulation"

@@ -326,7 +326,7 @@ def test_aborted_trials_are_not_in_the_means(log):
     logs = [three_robots(seed) for seed in (1, 2, 3)]
     assert logs[2].result
     logs[2] = replace(logs[2], result=replace(logs[2].result, outcome=Outcome.ABORTED))
-    text = words(trajectory_figure(logs))
+    text = words(draw("trajectory", logs))
     totals = [trial.result.total_error for trial in logs[:2] if trial.result]
     assert f"3 trials, error at the end [mm], total {np.mean(totals):.0f}" in text
     assert "1 of 3 trials did not run to their end, not in the means" in text

@@ -142,8 +142,8 @@ def read_batch(*paths: str | Path) -> Batch:
 class TrialArrays:
     """A trial of M camera frames, K control steps and N robots.
 
-    Lengths are in `unit`, angles in radians, times from the trial's start. The last axis of poses
-    is x, y, heading. `truth` is NaN where the true poses are not known, as in a lab.
+    Lengths are in `unit`, angles in radians, times from the first direction sent. The last axis of
+    poses is x, y, heading. `truth` is NaN where the true poses are not known, as in a lab.
     """
 
     unit: str
@@ -169,13 +169,15 @@ def to_arrays(trial: TrialLog) -> TrialArrays:
     return TrialArrays(
         unit=setup.unit,
         robots=np.array(setup.names),
-        time_s=trial.mocap_ns / SECOND,
+        time_s=(trial.mocap_ns - trial.began_ns) / SECOND,
         frame=trial.frames,
         poses=trial.mocap,
         valid=trial.valid,
         truth=unknown if trial.truth is None else trial.truth,
         distance=setup.distances(trial.mocap[..., :2]),
-        step_time_s=np.array([step.command.sent_ns for step in steps], dtype=float) / SECOND,
+        step_time_s=np.array(
+            [trial.elapsed_s(step.command.sent_ns) for step in steps], dtype=float
+        ),
         direction=np.array([step.plan.signals[0] for step in steps], dtype=float),
         cost=np.array([step.plan.cost for step in steps], dtype=float),
         length=np.array([len(step.plan.signals) for step in steps], dtype=np.int64),

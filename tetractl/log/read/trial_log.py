@@ -1,5 +1,6 @@
 """What reading a log returns: a whole trial, or only its result."""
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -90,7 +91,8 @@ class TrialLog:
         In the lab the trial's clock starts earlier, while the robots are placed. A log that lost
         its first steps gives the time by the control period; one without any direction, 0.
         """
-        sent = [command.sent_ns for command in self.commands if command.direction is not None]
+        directed = (one.sent_ns for one in self.commands if one.direction is not None)
+        sent = [*itertools.islice(directed, 1)]  # commands are in the order of sending
         if self.steps:
             first = self.steps[0]
             before = round(first.k * self.start.setup.period_s * SECOND)

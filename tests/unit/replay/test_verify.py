@@ -451,6 +451,7 @@ def lab_log(tmp_path: Path, valid: np.ndarray, speed_mm: float, halts: str) -> T
         ),
         stamps=log.stamps | {"/mocap": [(10_000_000 * k + 1, 10_000_000 * k) for k in range(100)]},
         result=replace(log.result, outcome=Outcome.ARRIVED),
+        notes=(),
         damage=None,
         mocap=poses,
         valid=valid,

@@ -82,7 +82,7 @@ class ParquetFile:
             self._writer.close()
 
 
-_TEXT = ("log", "robot", "level", "text", "stopped", "outcome", "reason")
+_TEXT = ("log", "robot", "level", "text", "stopped", "outcome", "origin", "reason")
 
 
 def _typed(name: str, values: list[Any]) -> Any:

@@ -151,7 +151,7 @@ def of_log(path: Path, names: Container[str]) -> dict[str, tuple[int, Columns]]:
 
 
 def trials(result: ResultSummary) -> Columns:
-    """Return the one row of a trial: its errors, outcome and statistics."""
+    """Return the one row of a trial: what was steered, its errors, outcome and statistics."""
     (values,) = rows([result])
     return {name: [value] for name, value in values.items() if name != "path"}
 

@@ -117,7 +117,7 @@ def _header(title: str, batches: Sequence[Batch]) -> str:
         name = f"{escape(batch.name)}: " if len(batches) > 1 else ""
         cards += [
             f"<div>{name}mean total error<b>{show(total.mean)} {unit}</b>"
-            f'<span class="quiet">{interval}n {total.n}</span></div>',
+            f'<span class="quiet">{interval}n {total.n}, {summary.origin}</span></div>',
             f"<div>entered an obstacle<b>{entered} of {len(summary.trials)}</b>"
             '<span class="quiet">trials</span></div>',
         ]

@@ -12,6 +12,7 @@ from support.trials import THREE_M3PI, cut_short, experiment, three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import BLUE, GREEN, RED, robot_colors
+from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
@@ -419,3 +420,15 @@ def test_a_figure_of_another_name_is_one_function_and_one_line(log, monkeypatch)
     with pytest.raises(UsageError, match="no figure is called 'pie'") as refused:
         draw("pie", [log])
     assert "robots" in str(refused.value.hint)
+
+
+@pytest.mark.parametrize("kind", FIGURES.names())
+def test_every_figure_says_what_was_steered_without_printing_over_it(log, kind):
+    info = PlantInfo("lab", False, 120.0, {"emulated": "camera"})
+    emulated = replace(log, start=replace(log.start, plant=info))
+    figure = draw(kind, [emulated])
+    assert "emulated lab" in words(figure)
+    boxes = [legend.get_window_extent() for legend in figure.legends]
+    title = figure._suptitle
+    if title is not None:
+        assert not any(title.get_window_extent().overlaps(box) for box in boxes)

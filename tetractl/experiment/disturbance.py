@@ -16,15 +16,15 @@ class Order:
     """A command on its way to N robots: it acts from `due_ns` on those `reached` (N,).
 
     `direction` is u [rad], None for a stop. `headings` (N,) are those that the host had measured
-    when it sent the command [rad]; `wheels` are the left and right wheel speeds (N,) [length
-    unit/s] in it, None where robots are sent the direction itself.
+    when it sent the command [rad]; `wheels` (2, N) are the left and right wheel speeds that the
+    command makes [length unit/s], None where robots are sent the direction itself.
     """
 
     due_ns: int
     direction: float | None
     reached: Bools
     headings: Floats | None = None
-    wheels: tuple[Floats, Floats] | None = None
+    wheels: Floats | None = None
 
 
 class Disturbance:

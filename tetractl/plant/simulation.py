@@ -26,7 +26,8 @@ from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
-from tetractl.plant.wheels import WheelDrive, WheelDriveSection
+from tetractl.plant.wheel_host import WheelDriveSection
+from tetractl.plant.wheels import WheelDrive
 
 NO_FRAME_S = 60
 UNJUDGED = 200  # stretches of the path that are judged together
@@ -79,14 +80,6 @@ class SimSection(PlantSection):
             raise inconsistent("truth_rate", message)
         return self
 
-    @property
-    def disturbed(self) -> bool:
-        """Whether any disturbance is on."""
-        noise = self.measurement_noise
-        sizes = (noise.position, noise.heading, self.heading_noise, self.dead_time)
-        chances = (self.lost_commands, self.a_error, self.speed_error)
-        return any((*sizes, *chances, *self.disturbances))
-
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield where wheels are to be driven that the experiment does not have."""
         if self.drive is not None and setup.wheel_radius is None:
@@ -101,6 +94,14 @@ class SimSection(PlantSection):
     def planning_max_s(self) -> float:
         """Longest time from a control step's frame to its command [s]."""
         return sum(disturbance.planning_max_s for disturbance in self.disturbances)
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether any disturbance is on."""
+        noise = self.measurement_noise
+        sizes = (noise.position, noise.heading, self.heading_noise, self.dead_time)
+        chances = (self.lost_commands, self.a_error, self.speed_error)
+        return self.drive is not None or any((*sizes, *chances, *self.disturbances))
 
     def clock(self) -> Clock:
         """Return virtual time."""
@@ -180,7 +181,7 @@ class SimPlant:
         answered = self.observe()
         now = self._plan()
         if isinstance(self._drive, WheelDrive):
-            self._drive.direct(direction)
+            self._drive.host.direct(direction)
             command = self._transmit(now)
         else:
             command = self._send_direction(direction, now, answered)
@@ -208,13 +209,13 @@ class SimPlant:
             count = self.a.size
             zeros = np.zeros(count)
             if isinstance(self._drive, WheelDrive):
-                self._drive.halt()
+                self._drive.host.halt()
             heard = np.zeros(count, dtype=np.bool_)
             for i in range(STOPS if self._repeats_stops else 1):
                 sent = now + i * STOP_GAP_NS
-                every = np.ones(count, dtype=np.bool_)
-                due, headings = self._due_ns(seen, sent), seen.poses.heading
-                heard |= self._dispatch(Order(due, None, every, headings, (zeros, zeros))).reached
+                every, due = np.ones(count, dtype=np.bool_), self._due_ns(seen, sent)
+                order = Order(due, None, every, seen.poses.heading, np.zeros((2, count)))
+                heard |= self._dispatch(order).reached
             still = None if self.setup.wheel_radius is None else zeros
             self._stop = Command(None, now, tuple(heard.tolist()), still, still)
             self._advance(now)
@@ -293,11 +294,11 @@ class SimPlant:
         drive, seen = self._drive, self._camera.newest
         assert isinstance(drive, WheelDrive), "only wheels are sent more than the direction"
         assert seen is not None, "open() waits for the first frame"
-        sent, made = drive.speeds(now, seen)
+        sent, made = drive.host.speeds(now, seen)
         due = self._due_ns(seen, now)
-        order = Order(due, drive.direction, self._heard(), seen.poses.heading, made)
+        order = Order(due, drive.host.direction, self._heard(), seen.poses.heading, made)
         order = self._dispatch(order)
-        return Command(drive.direction, now, tuple(order.reached.tolist()), *sent)
+        return Command(drive.host.direction, now, tuple(order.reached.tolist()), sent[0], sent[1])
 
     def _dispatch(self, order: Order) -> Order:
         """Put an order on its way, and return what becomes of it."""

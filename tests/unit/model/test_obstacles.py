@@ -1,16 +1,21 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from support import batches
 from support.geometry import gap, meets
 
+from tetractl.core.poses import Poses
+from tetractl.core.setup import Bounds
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import PathCheck, check_path
 from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.rectangle import Rectangle
 
+ARENA = Bounds(0, 0, 3000, 3000)
 BOX = Rectangle(type="rectangle", left=1200, bottom=1100, width=200, height=200)
 DISC = Circle(type="circle", center=(750, 900), radius=120)
 COORDINATES = st.integers(-6, 6)  # a grid: touching, sliding along an edge and corners all occur
@@ -126,7 +131,7 @@ def test_obstacles_broadcast():
 
 
 def test_a_path_check_sees_what_happens_between_samples_and_between_calls():
-    check = PathCheck(Obstacles.of([BOX]), 3)
+    check = PathCheck(Obstacles.of([BOX]), ARENA, 3)
     # robot 0 stays clear, 1 jumps over the box between two calls, 2 between two samples of a call
     check.add(np.array([[0.0, 1300.0, 1100.0]]), np.array([[0.0, 1000.0, 1200.0]]))
     assert check.entered.tolist() == [False, False, False]
@@ -139,7 +144,7 @@ def test_a_path_check_sees_what_happens_between_samples_and_between_calls():
 
 
 def test_a_path_check_keeps_the_deepest_visit():
-    check = PathCheck(Obstacles.of([BOX]), 1)
+    check = PathCheck(Obstacles.of([BOX]), ARENA, 1)
     for x in (1300.0, 1900.0):
         check.add(np.array([[x]]), np.array([[1150.0]]))
     assert check.entered.tolist() == [True]
@@ -147,7 +152,7 @@ def test_a_path_check_keeps_the_deepest_visit():
 
 
 def test_without_obstacles_nothing_is_entered():
-    check = PathCheck(Obstacles.of([]), 2)
+    check = PathCheck(Obstacles.of([]), ARENA, 2)
     check.add(np.zeros((4, 2)), np.zeros((4, 2)))
     assert check.entered.tolist() == [False, False]
     assert check.clearance.tolist() == [math.inf, math.inf]
@@ -159,6 +164,20 @@ def test_a_recorded_path_is_checked_between_the_samples_that_are_known():
     path[:, 1, :2] = [[0, 0], [1300, 1200], [0, 0], [0, 0]]
     known = np.isfinite(path[..., 0])
     known[1, 1] = False  # a reflection in the box, not believed
-    entered, clearance = check_path(Obstacles.of([BOX]), path, known)
-    assert entered.tolist() == [True, False]
-    assert clearance.tolist() == [100, pytest.approx(math.hypot(1200, 1100))]
+    setup = replace(batches.experiment(2).setup, obstacles=(BOX,), arena=ARENA)
+    final = Poses.of(np.zeros((2, 3)))
+    verdict = check_path(setup, path, known, final)
+    assert verdict.final is final
+    assert verdict.entered == (True, False)
+    assert verdict.clearance == (100, pytest.approx(math.hypot(1200, 1100)))
+    assert verdict.edge == (1100, 0)
+    assert verdict.apart == (pytest.approx(math.hypot(1100, 1200)),) * 2
+
+
+def test_a_path_check_keeps_how_far_out_and_how_near_one_another_robots_came():
+    check = PathCheck(Obstacles.of([]), ARENA, 3)
+    check.add(np.array([[100.0, 0.0, 5.0]]), np.array([[100.0, 100.0, 5.0]]))
+    check.add(np.array([[100.0, 90.0, -3.0]]), np.array([[100.0, 100.0, 7.0]]))
+    assert check.edge.tolist() == [100, 0, -3]
+    assert check.apart == pytest.approx([10, 10, math.hypot(5, 95)])
+    assert check.verdict(Poses.of(np.zeros((3, 3)))).edge == (100, 0, -3)

@@ -123,7 +123,7 @@ def test_values_that_may_be_negative_get_students_t():
 @pytest.mark.parametrize(("n", "least"), [(5, 0.93), (8, 0.93), (20, 0.93)])
 @pytest.mark.parametrize("name", ["normal", "gamma", "lognormal"])
 def test_the_interval_covers_as_often_as_it_says(name, n, least):
-    """BCa covers 0.80 to 0.90 of these at n = 8; benchmarks/coverage.py has the whole table."""
+    """BCa covers 0.80 to 0.90 of these at n = 8; benchmarks/intervals.py has the whole table."""
     rng = np.random.default_rng([n, 3])
     draws = {
         "normal": (rng.normal(1, 0.35, (2000, n)).clip(0), 1.0),

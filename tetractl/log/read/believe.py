@@ -126,7 +126,8 @@ def believe_result(result: Result) -> None:
         headings = [value for value in headings if not math.isnan(value)]
     _within("a length", lengths, -LENGTH_MAX, LENGTH_MAX)
     _within("a heading", headings, -ANGLE_MAX, ANGLE_MAX)
-    near = [value for value in verdict.clearance if value != math.inf]  # without obstacles
+    distances = (*verdict.clearance, *verdict.edge, *verdict.apart)
+    near = [value for value in distances if value != math.inf]  # without obstacles or others
     _within("a clearance", near, -LENGTH_MAX, LENGTH_MAX)
     _within("duration_s", [result.duration_s], 0, TIME_MAX_NS / 1e9)
     _counts("steps", [result.steps, result.deadline_misses])

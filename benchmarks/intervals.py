@@ -1,7 +1,7 @@
 """Measure how often the 95 % intervals of `tetractl stats` hold what they should hold.
 
-    python benchmarks/coverage.py                half a minute
-    python benchmarks/coverage.py --sets 500
+    python benchmarks/intervals.py                half a minute
+    python benchmarks/intervals.py --sets 500
 
 Draws many sets of n errors from distributions whose mean is known, and prints as Markdown, in
 percent, how many intervals hold it: for one mean, beside Student's t and the BCa bootstrap; and for

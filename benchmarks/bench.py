@@ -1,0 +1,61 @@
+"""The simulated bench beside the emulated lab: the same trials, and whether they differ.
+
+    python benchmarks/bench.py [--trials N]
+
+The emulated lab's radio, robots, firmware and our side of it run in virtual time here, so that a
+loaded host changes nothing; see tests/support/bench_agreement.py for what both have alike. Prints
+Markdown.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
+
+from tetractl.core.trial import Result
+
+
+def row(name: str, results: Sequence[Result]) -> str:
+    """One line of the table."""
+    e = np.array([result.total_error for result in results])
+    steps = np.array([result.steps for result in results])
+    complete = sum(result.outcome.complete for result in results)
+    return (
+        f"| {name} | {complete} of {len(e)} | {e.mean():.1f} +- {e.std(ddof=1):.1f} | "
+        f"{np.median(e):.1f} | {e.min():.1f} to {e.max():.1f} | {steps.mean():.0f} |"
+    )
+
+
+def main() -> None:
+    """Run both and compare."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--trials", type=int, default=20, metavar="N")
+    count = parser.parse_args().trials
+    sims = [bench_trial(bench_spec(), trial).result for trial in range(count)]
+    labs = [lab_trial(lab_spec(), trial).result for trial in range(count)]
+    print("| | complete | total error [mm] | median | from, to | steps |")
+    print("|---|--:|--:|--:|--:|--:|")
+    print(row("simulated bench", sims))
+    print(row("emulated lab", labs))
+    one, two = (np.array([r.total_error for r in results]) for results in (sims, labs))
+    ks = stats.ks_2samp(one, two)
+
+    def difference(a: np.ndarray, b: np.ndarray) -> float:
+        return float(np.log(a).mean() - np.log(b).mean())
+
+    permuted = stats.permutation_test((one, two), difference, rng=1)
+    print(f"\nKolmogorov-Smirnov: D = {ks.statistic:.2f}, p = {ks.pvalue:.2f}. ", end="")
+    ratio = float(np.exp(difference(one, two)))
+    print(f"Geometric mean of the bench over the lab's: {ratio:.2f}, permutation ", end="")
+    print(f"p = {permuted.pvalue:.2f}.")
+
+
+if __name__ == "__main__":
+    main()

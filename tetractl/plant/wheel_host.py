@@ -1,0 +1,133 @@
+"""The host's side of two-wheeled robots in a simulation: wheel speeds, computed and sent.
+
+They are (24)-(25) at the headings of the newest frame received, rounded to wheel counts, and sent
+anew at the radio's rate or once a control step.
+"""
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Fraction, Model, NonNegative, Positive
+from tetractl.lab.actuators.m3pi.command import (
+    Drivetrain,
+    Residue,
+    Wheel,
+    speeds_of_counts,
+    wheel_counts,
+)
+from tetractl.model.motion.exact import step as exact
+from tetractl.model.wheels import wheel_speeds
+from tetractl.plant.direct import NEVER
+
+
+class WheelDriveSection(Model):
+    """Wheels between the direction and the robots. Every value left out is that of ideal wheels."""
+
+    rate: Positive | None = None
+    """Transmissions a second under a held direction [Hz]. One is sent at once with each new
+    direction, and by default only that; with a rate, it takes the place of the next one due."""
+    recompute: bool = True
+    """Whether each transmission computes the wheel speeds anew from the newest frame; else it
+    repeats those of the control step."""
+    lead: NonNegative | None = None
+    """The host predicts the headings over the age of the frame and this much more [s]; by default
+    it takes them as measured."""
+    count: Positive | None = None
+    """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and what
+    rounding owes is carried to the next transmission. Not rounded by default."""
+    dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
+    """Counts that do not move a wheel, as the host knows them; needs `count`."""
+    dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
+    """Each wheel's true dead zone is that plus a whole number, uniform up to this either way."""
+    gain_error: Fraction = 0.0
+    """Each wheel's true speed is the one sent times 1 + e, e uniform in [-gain_error,
+    gain_error], drawn once a trial."""
+    radius_error: Fraction = 0.0
+    """Each robot's true distance from wheel to centre is the spec's times 1 + e, likewise."""
+    lag: NonNegative = 0.0
+    """Time constant with which wheels follow what was heard [s]."""
+
+
+class WheelHost:
+    """Computes what N robots are sent, and what their wheels make of it.
+
+    `repeats_ns` is when the next transmission is due [ns], `direction` the one held [rad]. `erring`
+    feeds gains and dead zones, drawn once a trial.
+    """
+
+    def __init__(
+        self, section: WheelDriveSection, setup: Setup, erring: np.random.Generator
+    ) -> None:
+        assert setup.wheel_radius is not None, "the section's check asks for it"
+        count = setup.a.size
+        self.repeats_ns = NEVER
+        self.direction = 0.0
+        self._section = section
+        self._a, self._speed, self._radius = setup.a, setup.speed, setup.wheel_radius
+        self._gains = 1 + section.gain_error * erring.uniform(-1, 1, (2, count))
+        more = section.dead_zone_error
+        zones = section.dead_zone + erring.integers(-more, more + 1, (2, count))
+        self._trains: list[tuple[Drivetrain, Drivetrain]] = []  # as known, and as they are
+        if section.count is not None:
+            known = Wheel(section.count, section.dead_zone)
+            true = [
+                [
+                    Wheel(section.count * float(self._gains[i, j]), max(0, int(zones[i, j])))
+                    for i in (0, 1)
+                ]
+                for j in range(count)
+            ]
+            self._trains = [
+                (Drivetrain(known, known), Drivetrain(left, right)) for left, right in true
+            ]
+        self._residues = [Residue()] * count
+        self._last: tuple[Floats, Floats] | None = None
+
+    def direct(self, direction: float) -> None:
+        """Hold a direction u [rad] from now on; wheel speeds for it have to be sent at once."""
+        self.direction, self._last = direction, None
+
+    def halt(self) -> None:
+        """Hold no direction any more."""
+        self.repeats_ns = NEVER
+
+    def speeds(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
+        """Return the wheel speeds to send `now` [ns], and those that they truly make.
+
+        Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received. The
+        next transmission is planned, as by the lab's inner loop.
+        """
+        rate = self._section.rate
+        if rate is not None:
+            period = round(SECOND / rate)
+            before = 0 if self.repeats_ns == NEVER else self.repeats_ns
+            self.repeats_ns = max(before + period, now + period // 2)
+        if self._last is None or self._section.recompute:
+            self._last = self._computed(now, seen)
+        return self._last
+
+    def _computed(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
+        """Return the wheel speeds of (24)-(25) as sent, and as the wheels truly make them."""
+        u, heading = self.direction, seen.poses.heading
+        if self._section.lead is not None:
+            ahead = (now - seen.sampled_ns) / SECOND + self._section.lead
+            nowhere = np.zeros_like(heading)
+            _, _, heading = exact(
+                nowhere, nowhere, heading, np.array(u), self._a, self._speed, ahead
+            )
+        wished = np.array(wheel_speeds(heading, u, self._a, self._speed, self._radius))
+        if not self._trains:
+            return wished, wished * self._gains
+        sent, made = [], []
+        for i, ((left, right), (told, true)) in enumerate(
+            zip(wished.T.tolist(), self._trains, strict=True)
+        ):
+            counts, self._residues[i] = wheel_counts(left, right, told, self._residues[i])
+            sent.append(speeds_of_counts(counts, told))
+            made.append(speeds_of_counts(counts, true))
+        return np.array(sent).T, np.array(made).T

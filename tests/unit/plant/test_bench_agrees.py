@@ -5,11 +5,19 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
+from support.virtual_lab import virtual_lab
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.lab.emulate.m3pi.side import M3piSettings
 from tetractl.model.motion.exact import step as exact
+from tetractl.plant.simulation import SimPlant
 
 TRIALS = 20
+EVEN = (  # the bench of robots that are all as the spec says
+    "plant.drive.gain_error=0",
+    "plant.drive.radius_error=0",
+    "plant.disturbances=[{type: camera-latency, mean: 0.0054}, {type: radio, delay: 0.00785}]",
+)
 LOSSES = 1e-3  # p of a two-sample test at which the two differ: one false alarm in a thousand
 
 
@@ -53,6 +61,44 @@ def dead_time_s(path, setup):
 
     guess = [0.05, *([1.0] * 3), *([0.0] * 3)]
     return least_squares(misses, guess, diff_step=1e-3, loss="soft_l1", f_scale=0.05).x[0]
+
+
+def headings(plant, clock, directions, period_ns):
+    """Steer from a whole period on; return the times since then [s] and headings (M, N)."""
+    plant.open()
+    began = (clock.now() // period_ns + 1) * period_ns
+    clock.sleep_until(began)
+    samples = []
+    for k, direction in enumerate(directions):
+        plant.observe()
+        plant.steer(direction)
+        clock.sleep_until(began + (k + 1) * period_ns)
+        samples += plant.samples()
+    times = [sample.observation.sampled_ns - began for sample in samples]
+    return np.array(times) / SECOND, np.array([s.observation.poses.heading for s in samples])
+
+
+@pytest.mark.parametrize(("period", "step"), [(0.2, 3.0), (0.05, 0.6)])
+def test_one_sequence_of_directions_turns_robots_of_both_alike(period, step):
+    directions = np.cumsum(np.random.default_rng(3).uniform(-step, step, round(4 / period)))
+    lab = lab_spec().experiment
+    emulated = virtual_lab(lab, M3piSettings(), lab.setup.starts.array(), 3)
+    bench = bench_spec(*EVEN).experiment
+    clock = VirtualClock()
+    simulated = SimPlant(bench.plant, bench.setup, clock, np.random.SeedSequence(1))
+    period_ns = round(period * SECOND)
+    theirs = headings(emulated.plant, emulated.clock, directions, period_ns)
+    ours = headings(simulated, clock, directions, period_ns)
+    at = np.arange(0.3, 3.8, 0.01)
+
+    def gap(shift):
+        pairs = zip(ours[1].T, theirs[1].T, strict=True)
+        return [np.interp(at - shift, ours[0], o) - np.interp(at, theirs[0], t) for o, t in pairs]
+
+    assert np.abs(gap(0.0)).max() < 0.02
+    shifts = np.arange(-0.02, 0.02, 0.0005)
+    best = shifts[np.argmin([np.square(gap(shift)).sum() for shift in shifts])]
+    assert abs(best) < 0.003
 
 
 @pytest.mark.slow

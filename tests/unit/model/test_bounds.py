@@ -75,7 +75,7 @@ def test_the_bound_of_two_robots_alike_is_reached():
     experiment = spec(rng, robots=2, signals=30, kind="equal")
     least = least_total_error(experiment.setup, seconds_of(experiment))
     assert least > 50
-    assert best_plan(experiment) < 1.01 * least
+    assert best_plan(experiment) < 1.03 * least
 
 
 def test_three_robots_alike_are_bounded_by_their_pairs_together():

@@ -74,7 +74,7 @@ def test_the_shipped_experiments_have_none(path):
         ),
         (
             THREE,
-            ["controller.horizon_max=102"],
+            ["controller.steps_max=100", "controller.horizon_max=102"],
             "controller.horizon_max",
             "plans of 20.4 s outlast the trial, .* 20.2 s",
             "horizon_max to 101",
@@ -84,14 +84,14 @@ def test_the_shipped_experiments_have_none(path):
             THREE,
             [f"obstacles=[{GAP}]"],
             "robots.1.target",
-            "no way to it that keeps 20 mm .* within 51\\d",
+            "no way to it that keeps 47 mm .* within \\d",
             "margin",
         ),
         (
             THREE,
             ["robots.blue.target=[1420, 1200]", "controller.collision.margin=25"],
             "robots.1.target",
-            "is 20 mm from the nearest obstacle or wall; the plans keep 25",
+            "is 20 mm from the nearest obstacle or wall; the plans keep 72",
             "margin",
         ),
         (

@@ -47,7 +47,7 @@ class Case:
             signal_s=getattr(control, "hold", 1) * control.period,
             signals_max=getattr(control, "horizon_max", None),
             motion=getattr(control, "motion", ""),
-            margin=collision.margin if collision else 0.0,
+            margin=collision.margin + collision.radius if collision else 0.0,
             walls=collision.walls if collision else False,
             tolerance=control.arrival_tolerance,
         )

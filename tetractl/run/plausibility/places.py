@@ -30,7 +30,7 @@ def walled_off(case: Case) -> Iterator[Doubt]:
                 ("robots", int(i), "target"),
                 f"has no way to it that keeps {case.margin:.4g} {case.unit} from the obstacles: "
                 f"the robot comes within {squeezed[i]:.4g} {case.unit}",
-                "lower controller.collision.margin, or widen the gap",
+                "lower controller.collision.margin or radius, or widen the gap",
             )
 
 
@@ -45,7 +45,7 @@ def inside_margin(case: Case) -> Iterator[Doubt]:
                 ("robots", int(i), field),
                 f"is {gaps[i]:.4g} {case.unit} from the nearest obstacle or wall; the plans keep "
                 f"{case.margin:.4g}",
-                "move it, or lower controller.collision.margin",
+                "move it, or lower controller.collision.margin or radius",
             )
 
 

@@ -392,7 +392,7 @@ def test_colours_follow_own_choice_then_name_then_palette():
         robots[0],
         replace_robot(robots[1], name="r1", color="black"),
         replace_robot(robots[2], name="r2"),
-        replace_robot(robots[2], name="r3", color="notacolour"),
+        replace_robot(robots[2], name="r3"),
     ]
     colors = robot_colors([r.name for r in made], [r.color for r in made])
     assert colors[:2] == [GREEN, "#000000"]

@@ -18,7 +18,7 @@ def export(
         Path,
         typer.Option(
             "-o",
-            "--output",
+            "--out",
             metavar="DIR|FILE",
             help="Folder for all tables, or one file, .csv or .parquet, for the --table named.",
         ),

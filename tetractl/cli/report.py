@@ -15,7 +15,7 @@ def report(
         typer.Argument(metavar="LOG|FOLDER...", help="Logs of trials, folders of them, patterns."),
     ],
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="Page to write, overwritten.")
+        Path, typer.Option("-o", "--out", metavar="FILE", help="Page to write, overwritten.")
     ] = Path("report.html"),
     title: Annotated[
         str | None, typer.Option(metavar="TEXT", help="Title of the page.  \\[experiment's name]")

@@ -85,7 +85,7 @@ def run_trial(
     """
     experiment = spec.experiment
     plant, real_time = experiment.plant, not experiment.plant.simulated
-    clock, start_unix_ns = plant.clock(), time.time_ns() if real_time else EPOCH_NS
+    clock, start_unix_ns = plant.clock(), _unix_ns() if real_time else EPOCH_NS
     key, seed = trial_seeds(experiment.trials.seed, trial)
     with ExitStack() as stack:
         log = stack.enter_context(LogWriter(log_path(folder, trial), real_time))
@@ -100,6 +100,13 @@ def run_trial(
             observers=[log, *observers],
             interrupt=interrupt,
         ).run()
+
+
+def _unix_ns() -> int:
+    """Return the hour [ns since 1970]; a log holds none before."""
+    if (now := time.time_ns()) < 0:
+        raise TetractlError("this computer's clock is before 1970", "set its date, then run again")
+    return now
 
 
 def _nobody(trial: int) -> AbstractContextManager[Operators | None]:

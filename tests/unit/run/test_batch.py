@@ -2,10 +2,13 @@ from dataclasses import replace
 
 import pytest
 from support import random_trials as made
+from support.paths import ROOT
 
 from tetractl.control.rng import mix
+from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
-from tetractl.experiment.load import parse_spec
+from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.run import batch
 from tetractl.run.batch import log_path, run_batch, run_trial
@@ -122,3 +125,11 @@ def test_a_trial_repeats_itself_whatever_ran_before(tmp_path):
 def test_logs_are_numbered_with_three_digits_or_more(tmp_path):
     assert log_path(tmp_path, 7).name == "trial-007.mcap"
     assert log_path(tmp_path, 12345).name == "trial-12345.mcap"
+
+
+def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, tmp_path):
+    lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab")
+    monkeypatch.setattr(batch.time, "time_ns", lambda: -1)
+    with pytest.raises(TetractlError, match="this computer's clock is before 1970"):
+        run_trial(lab, tmp_path, 0, (), Interrupt())
+    assert list(tmp_path.iterdir()) == []

@@ -70,6 +70,7 @@ def emulate(
     from tetractl.lab.emulate.lab import EmulatedLab
     from tetractl.lab.emulate.script import NOTHING, load_script
     from tetractl.lab.emulate.sides import Options
+    from tetractl.run.interrupt import SIGNALS
 
     loaded = load(spec, sets or [])
     lab = lab_of(loaded.experiment, loaded.name)
@@ -81,7 +82,7 @@ def emulate(
     def end(number: int, frame: object) -> None:
         emulation.loop.end()
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in SIGNALS:
         signal.signal(number, end)
     with emulation:
         gc.freeze()  # what was loaded stays; so that no long collection delays a frame

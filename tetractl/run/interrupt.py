@@ -125,11 +125,17 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
 
 
 def _install(handlers: dict[int, Handler]) -> dict[int, Handler]:
-    """Set handlers of signals and return those before; `nohup` still means no SIGHUP."""
+    """Set handlers of signals and return those before.
+
+    `nohup` still means no SIGHUP. A program that uses tetractl keeps the handlers it has set, other
+    than those of Ctrl-C and SIGTERM.
+    """
     before: dict[int, Handler] = {}
     for number, handler in handlers.items():
         now = signal.getsignal(number)
-        kept = now is None or (number == signal.SIGHUP and now == signal.SIG_IGN)
-        if handler is not None and not kept:
+        kept = number == signal.SIGHUP and now == signal.SIG_IGN
+        if number not in (signal.SIGINT, signal.SIGTERM):
+            kept |= callable(now) and now.__module__ != __name__
+        if not kept and now is not None and handler is not None:
             before[number] = signal.signal(number, handler)
     return before

@@ -96,3 +96,15 @@ def test_signals_are_requests_while_watched_and_handlers_are_put_back(number):
         os.kill(os.getpid(), number)
         assert interrupt.count == 2
     assert signal.getsignal(number) is before
+
+
+def test_handlers_of_the_program_around_are_left_alone():
+    rung = []
+    before = signal.signal(signal.SIGUSR1, lambda number, frame: rung.append(number))
+    try:
+        interrupt = Interrupt()
+        with interrupt.watch():
+            signal.raise_signal(signal.SIGUSR1)
+        assert (interrupt.count, rung) == (0, [signal.SIGUSR1])
+    finally:
+        signal.signal(signal.SIGUSR1, before)

@@ -11,12 +11,14 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the process without a word
 
+    import atexit
     import sys
 
     from tetractl.cli.streams import open_streams
     from tetractl.core.errors import Exit
-    from tetractl.run.interrupt import leave_on_signals
+    from tetractl.run.interrupt import ignore_signals, leave_on_signals
 
+    atexit.register(ignore_signals)
     messages = open_streams()
 
     def say() -> None:

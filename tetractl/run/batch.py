@@ -4,6 +4,7 @@ import gc
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -236,6 +237,7 @@ def _start_worker(ending: Event) -> None:
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
+    sys.unraisablehook = interrupt.on_unraisable
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers what came before
     threading.Thread(target=_outlive_nobody, name="parent", daemon=True).start()
 

@@ -54,7 +54,7 @@ class Interrupt:
         more = {signal.SIGTSTP: self._on_signal} if robots else {}
         deaf = {signal.SIGTTIN: signal.SIG_IGN, signal.SIGTTOU: signal.SIG_IGN} if robots else {}
         before = _install({**dict.fromkeys(SIGNALS, self._on_signal), **more, **deaf})
-        unraisable, sys.unraisablehook = sys.unraisablehook, self._on_unraisable
+        unraisable, sys.unraisablehook = sys.unraisablehook, self.on_unraisable
         try:
             yield
         finally:
@@ -81,9 +81,11 @@ class Interrupt:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.request()
 
-    def _on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
-        """Print nothing on a KeyboardInterrupt lost in a finaliser: `count` remembers it."""
-        if not issubclass(lost.exc_type, KeyboardInterrupt):
+    def on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
+        """As `sys.unraisablehook`: let the next request raise what was lost in a finaliser."""
+        if issubclass(lost.exc_type, KeyboardInterrupt):
+            self._breakable = True
+        else:
             sys.__unraisablehook__(lost)
 
 
@@ -93,9 +95,9 @@ class _OneInterrupt(Interrupt):
         if self.count == 1:
             raise KeyboardInterrupt
 
-    def _on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
-        super()._on_unraisable(lost)
-        self.count = 0  # the next signal raises again
+    def on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
+        super().on_unraisable(lost)
+        self.count = 0
 
 
 @contextmanager
@@ -117,11 +119,16 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
     """
 
     def leave(number: int, frame: FrameType | None) -> None:
-        _install(dict.fromkeys(SIGNALS, signal.SIG_IGN))
+        ignore_signals()
         say()
         os._exit(code)
 
     _install(dict.fromkeys(SIGNALS, leave))
+
+
+def ignore_signals() -> None:
+    """Ignore all signals: for the end of the interpreter, which gives up every other handler."""
+    _install(dict.fromkeys(SIGNALS, signal.SIG_IGN))
 
 
 def _install(handlers: dict[int, Handler]) -> dict[int, Handler]:

@@ -108,3 +108,18 @@ def test_handlers_of_the_program_around_are_left_alone():
         assert (interrupt.count, rung) == (0, [signal.SIGUSR1])
     finally:
         signal.signal(signal.SIGUSR1, before)
+
+
+def test_an_interruption_lost_in_a_finaliser_is_silent_and_raised_at_the_next(capsys):
+    class Finalised:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    interrupt = Interrupt()
+    with interrupt.watch():
+        interrupt.request()
+        with pytest.raises(KeyboardInterrupt), interrupt.breakable():
+            Finalised()
+            assert interrupt.count == 2
+            signal.raise_signal(signal.SIGINT)
+    assert capsys.readouterr().err == ""

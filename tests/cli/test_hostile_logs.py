@@ -11,19 +11,20 @@ from pathlib import Path
 
 import pytest
 import zstandard
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel
 from support.mutate import rewrite
 from support.paths import ROOT
 from support.random_trials import trial, write
 
-from tetractl.log.format.channels import MOCAP, RESOLVED_SPEC, RUN, STEP, Entry
+from tetractl.log.format.channels import HOST, LOG, MOCAP, RESOLVED_SPEC, RESULT, RUN, STEP, Entry
 from tetractl.log.format.tetractl_pb2 import ControllerStep, MocapSample, Search
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.salvage import scan
 
 SECONDS, MEMORY_MB = 30, 1000
-COMMANDS = ("info", "replay", "plot", "stats", "verify", "recover")
+COMMANDS = ("info", "info --json", "replay", "plot", "stats", "stats --csv", "verify", "recover")
 
 
 def chunk(data: bytes) -> bytes:
@@ -128,6 +129,32 @@ def many_records(contents: Contents, path: Path) -> Path:
     return before_the_end(contents, path, [empty * 5_000_000])
 
 
+EVIL = "\x1b]0;owned\x07\x9b2J\u202e=cmd\r\n"
+
+
+def escapes(contents: Contents, path: Path) -> Path:
+    """Escape sequences in every text that a log has."""
+    entries = {}
+    for entry in contents.entries:
+        if entry.topic == LOG:
+            note = Log.FromString(entry.data)
+            note.message += EVIL
+            entries[entry] = entry._replace(data=note.SerializeToString())
+        elif entry.topic == STEP:
+            step = ControllerStep.FromString(entry.data)
+            step.searches[step.chosen].stopped = EVIL
+            entries[entry] = entry._replace(data=step.SerializeToString())
+
+    def add(name: str, facts: dict[str, str]) -> dict[str, str]:
+        if name == RUN:
+            return facts | {"spec_name": EVIL, "plant.fact": EVIL, f"plant.{EVIL}": "1"}
+        if name == RESULT:
+            return facts | {"reason": f"=cmd{EVIL}"}
+        return facts | {"host": EVIL, EVIL: EVIL} if name == HOST else facts
+
+    return rewrite(contents, path, entries, add)
+
+
 def zeros_behind(contents: Contents, path: Path) -> Path:
     """What a power cut leaves on some file systems, 2 GB of it."""
     data = contents.path.read_bytes()
@@ -190,6 +217,7 @@ BUILDERS = [
     large_spec,
     nested_spec,
     far_pose,
+    escapes,
     long_key,
     long_value,
     many_records,

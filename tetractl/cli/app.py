@@ -28,6 +28,7 @@ from tetractl.cli import (
     verify,
 )
 from tetractl.core.errors import Exit, TetractlError
+from tetractl.core.text import printable
 
 app = typer.Typer(
     name="tetractl",
@@ -111,6 +112,6 @@ def _usage_hint(error: TyperException) -> str | None:
 
 def complain(message: str, hint: str | None = None) -> None:
     """Print an error to stderr: `error:` and its line or lines, then the hint."""
-    print(f"error: {message}", file=sys.stderr)
-    if hint:
-        print(f"hint: {hint}", file=sys.stderr)
+    lines = [f"error: {message}", *([f"hint: {hint}"] if hint else [])]
+    for line in "\n".join(lines).split("\n"):
+        print(printable(line), file=sys.stderr)

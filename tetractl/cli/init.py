@@ -27,8 +27,8 @@ def init(
 
     Example: tetractl init first
     """
+    from tetractl.core.text import printable
     from tetractl.experiment.templates import template
-    from tetractl.experiment.yaml.problems import printable
 
     if lab and cells:
         raise UsageError("--lab and --cells: the lab is one of robots", "give one of the two")

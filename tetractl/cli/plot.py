@@ -38,6 +38,7 @@ def plot(
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
     """
+    from tetractl.core.text import printable
     from tetractl.log.read.find import find_logs
     from tetractl.log.read.reader import read_trial
     from tetractl.view.figures.kinds import check_kind, draw
@@ -52,7 +53,7 @@ def plot(
     for trial in trials:
         warn_of_damage(trial)
     save(draw(kind, trials), path)
-    print(path)
+    print(printable(str(path)))
     return Exit.FAILED if any(trial.damage for trial in trials) else Exit.DONE
 
 

@@ -25,7 +25,7 @@ def recover(
 
     Example: tetractl recover logs/batch/trial-003.mcap.part
     """
-    from tetractl.experiment.yaml.problems import printable
+    from tetractl.core.text import printable
     from tetractl.log.read.find import find_log
     from tetractl.log.read.recover import recover as save
 

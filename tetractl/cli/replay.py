@@ -113,6 +113,7 @@ def _as_text(
     rate: float | None,
     loop: bool,
 ) -> int:
+    from tetractl.core.text import printable
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.player import span
     from tetractl.replay.recording import Recording
@@ -125,7 +126,7 @@ def _as_text(
         warn_of_damage(recording.log)
         damaged |= recording.log.damage is not None
         if len(paths) > 1:
-            print(f"{path}:")
+            print(printable(f"{path}:"))
         print_lines(recording, wall, span(recording, *seconds), rate=rate, loop=loop)
     return Exit.FAILED if damaged else Exit.DONE
 

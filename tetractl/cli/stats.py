@@ -66,7 +66,7 @@ def stats(
 
 def _summary(paths: list[str]) -> "Summary":
     from tetractl.core.errors import LogError
-    from tetractl.experiment.yaml.problems import printable
+    from tetractl.core.text import printable
     from tetractl.stats.summary import summarise
     from tetractl.stats.trials import load_trials, split_attempts
 

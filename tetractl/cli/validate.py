@@ -38,8 +38,9 @@ def validate(
 
 
 def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
+    from tetractl.core.text import printable
     from tetractl.experiment.load import spec_hash
-    from tetractl.experiment.yaml.problems import InvalidSpecError, printable
+    from tetractl.experiment.yaml.problems import InvalidSpecError
     from tetractl.run.plausibility.case import Case
 
     shown = printable(str(path))

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from tetractl.core.errors import SpecError
+from tetractl.core.text import printable
 from tetractl.experiment.base import Model
 from tetractl.experiment.choice import STRICT, Choice
 from tetractl.experiment.consistency import plant_contradictions
@@ -18,7 +19,7 @@ from tetractl.experiment.load import LoadedSpec, frozen
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted, printable
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
 from tetractl.experiment.yaml.upgrade_lab import is_old_calibration, upgrade_calibration
 
 PlantKind = Literal["sim", "lab"]

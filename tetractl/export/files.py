@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 from tetractl.core.errors import LogError, UsageError
+from tetractl.core.text import cell
 from tetractl.export.tables import Columns
 
 PART = ".part"
@@ -54,7 +55,7 @@ def _cells(values: list[Any]) -> list[Any]:
     if any(isinstance(value, bool) for value in values):
         return [names.get(value, value) for value in values]
     if any(isinstance(value, str) for value in values):
-        return [f"'{v}" if isinstance(v, str) and v[:1] in "=+-@\t" and v else v for v in values]
+        return [cell(v) if isinstance(v, str) else v for v in values]
     return values
 
 

@@ -240,11 +240,12 @@ def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
     for name in ("clearance", "edge", "apart"):
         pairs = zip(getattr(verdict, name), getattr(shown, name), strict=False)
         for i, (stated, least) in enumerate(pairs):
-            room = REST * max(1.0, abs(least))
+            room = REST * max(1.0, abs(least)) if np.isfinite(least) else 0.0
             if log.start.plant.simulated and stated > least + room:
                 text = f"states {stated}, a frame shows {least}"
                 yield Difference(None, f"result.{name}.{i}", text)
-            if not log.start.plant.simulated and not log.damage and stated < least - room:
+            seen = not log.start.plant.simulated and not log.damage and np.isfinite(least)
+            if seen and stated < least - room:
                 text = f"states {stated}, the nearest frame shows {least}"
                 yield Difference(None, f"result.{name}.{i}", text)
     for i, (stated, least) in enumerate(zip(verdict.entered, verdict.clearance, strict=True)):
@@ -275,7 +276,7 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
     stop = log.stop
     said = [note.text for note in log.notes]
     if said and result.summary not in said and not log.damage:
-        yield Difference(None, "result.outcome", f"nothing on /log says {result.summary!r}")
+        yield Difference(None, "log", f"nothing on /log says {result.summary!r}")
     if stop is None:
         return
     if not log.start.plant.simulated and not log.damage:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tetractl.core.errors import Exit
+from tetractl.core.text import printable
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
@@ -52,5 +53,5 @@ def compare(log: Path, again: Path) -> int:
     if read_trial(log).start.resolved != read_trial(again).start.resolved:
         print("  its spec is written with an earlier tetractl's names or fields", file=sys.stderr)
     for line in host_differences(read_trial(log)):
-        print(f"  {line}", file=sys.stderr)
+        print(printable(f"  {line}"), file=sys.stderr)
     return Exit.FAILED

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from tetractl.core.text import cell
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.stats.comparison import Comparison
 from tetractl.stats.difference import MeanDifference
@@ -151,7 +152,8 @@ def as_csv(summary: Summary, comparison: Comparison | None = None) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(table)
+    for row in table:
+        writer.writerow({k: cell(v) if isinstance(v, str) else v for k, v in row.items()})
     return text.getvalue()
 
 

@@ -2,7 +2,7 @@
 
 import re
 
-from tetractl.experiment.yaml.problems import printable
+from tetractl.core.text import printable
 from tetractl.stats.comparison import Comparison
 from tetractl.stats.rows import Grid, grids
 from tetractl.stats.summary import Summary

@@ -5,7 +5,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from tetractl.experiment.yaml.problems import printable
+from tetractl.core.text import printable
 from tetractl.stats.comparison import Comparison
 from tetractl.stats.rows import grids
 from tetractl.stats.summary import Summary

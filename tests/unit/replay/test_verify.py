@@ -260,7 +260,7 @@ def test_on_another_processor_the_costs_have_to_agree(
         (RESULT, "outcome", "arrived", "outcome"),
         (RESULT, "outcome", "aborted", "outcome"),
         (RESULT, "outcome", "interrupted", "outcome"),
-        (RESULT, "reason", "made up", "result.outcome"),
+        (RESULT, "reason", "made up", "log"),
         (RESULT, "entered", "[true, true]", "result.entered.0"),
         (RESULT, "clearance", "[1.0, 1.0]", "result.clearance.0"),
         (RESULT, "final_heading", "[0.0, 0.0]", "result.final"),

@@ -7,6 +7,7 @@ from typing import Any
 
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
+from tetractl.core.text import printable
 from tetractl.experiment.yaml.core_yaml import (
     CORE,
     STR,
@@ -22,7 +23,6 @@ from tetractl.experiment.yaml.problems import (
     Loc,
     SpecProblem,
     dotted,
-    printable,
 )
 
 MAX_BYTES = 1 << 20

@@ -2,9 +2,10 @@
 
 from typing import Any
 
+from tetractl.core.text import printable
 from tetractl.experiment.yaml.core_yaml import MAX_DEPTH
 from tetractl.experiment.yaml.document import Document, Place, parse_value
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, printable
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
 from tetractl.experiment.yaml.upgrade import upgrade, upgraded_path
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from tetractl.core.commands import Command
 from tetractl.core.plan import Estimate, Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.text import printable
 from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
 
@@ -191,7 +192,7 @@ def _decode_search(message: pb.Search) -> Search:
         cost=message.cost,
         history=_floats(message.history),
         evaluations=message.evaluations,
-        stopped=StopReason.read(message.stopped),
+        stopped=StopReason.read(printable(message.stopped, 60)),
     )
 
 

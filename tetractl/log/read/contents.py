@@ -1,7 +1,7 @@
 """The records found in a log file, and its metadata decoded once."""
 
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from tetractl.log.format.channels import FORMAT_VERSION, Entry
 from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import WARNINGS, RunRecord, read_damage, read_result, read_run
 from tetractl.log.read.believe import believe_result
-from tetractl.log.read.bounds import Budget
+from tetractl.log.read.bounds import TEXT, Budget
 from tetractl.log.read.trial_log import Damage
 
 
@@ -109,7 +109,7 @@ class Contents:
                 raise ValueError(f"its unit is {items['unit']!r}, that of the run another")
         except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError) as error:
             return None, f"the result is not as tetractl writes it: {_reason(error)}"
-        return result, ""
+        return replace(result, reason=printable(result.reason, TEXT)), ""
 
     @property
     def warnings(self) -> int:
@@ -129,9 +129,12 @@ class Contents:
         if items is None:
             return None
         try:
-            return read_damage(items)
+            found = read_damage(items)
         except (KeyError, RecursionError, TypeError, ValueError):
             return Damage(("recovered from a damaged log",), ())
+        if found is None:
+            return None
+        return Damage(*(tuple(map(printable, told)) for told in (found.problems, found.lost)))
 
     @cached_property
     def host(self) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Decodes the messages of a log: each is charged to its budget first, and checked afterwards."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tetractl.core.commands import Command, Note
 from tetractl.core.poses import Bools, Floats
+from tetractl.core.text import printable
 from tetractl.core.trial import Step
 from tetractl.log.format import channels, codec
 from tetractl.log.format import tetractl_pb2 as pb
@@ -99,11 +101,11 @@ def steps(contents: Contents, robots: int) -> Iterator[Step]:
 
 
 def notes(contents: Contents, start_unix_ns: int) -> Iterator[Note]:
-    """Decode the messages for people."""
+    """Decode the messages for people, as text that a terminal can show."""
     for data in _messages(contents, channels.LOG):
         note = decode_note(Log.FromString(data), start_unix_ns)
         believe_note(note)
-        yield note
+        yield replace(note, text=printable(note.text, bounds.TEXT))
 
 
 def _messages(contents: Contents, topic: str) -> list[bytes]:

@@ -55,7 +55,7 @@ class Overview:
 
     def as_json(self) -> str:
         """Return the overview as a JSON object; a number that is not finite is null."""
-        return json.dumps(_plain(asdict(self)), indent=2, ensure_ascii=False)
+        return json.dumps(_plain(asdict(self)), indent=2)
 
 
 def overview(path: Path) -> Overview:

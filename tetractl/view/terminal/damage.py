@@ -2,6 +2,7 @@
 
 import sys
 
+from tetractl.core.text import printable
 from tetractl.log.read.trial_log import TrialLog
 
 
@@ -10,6 +11,6 @@ def warn_of_damage(log: TrialLog) -> None:
     if log.damage is None:
         return
     for problem in log.damage.problems:
-        print(f"damaged: {log.path}: {problem}", file=sys.stderr)
+        print(printable(f"damaged: {log.path}: {problem}"), file=sys.stderr)
     for lost in log.damage.lost:
-        print(f"lost: {log.path}: {lost}", file=sys.stderr)
+        print(printable(f"lost: {log.path}: {lost}"), file=sys.stderr)

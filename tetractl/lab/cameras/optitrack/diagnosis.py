@@ -1,7 +1,8 @@
 """Why robots are not seen: what came from the camera server, and the setting that mends it."""
 
 from tetractl.core.errors import AbortError
-from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean, printable
+from tetractl.core.text import printable
+from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
 from tetractl.lab.cameras.optitrack.messages import NEWEST, TELLS_TRACKING, ModelDef, Version
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders

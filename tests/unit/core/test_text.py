@@ -1,0 +1,33 @@
+"""Text of others on a terminal and in a spreadsheet."""
+
+import pytest
+
+from tetractl.core.text import cell, printable
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("plain, with ü and µ", "plain, with ü and µ"),
+        ("\x1b[2J", "\\x1b[2J"),
+        ("\x9b2J", "\\x9b2J"),  # C1: one byte that begins a sequence
+        ("a\r\nb\t\x07\x7f", "a\\r\\nb\\t\\x07\\x7f"),
+        ("\u202etxt.exe", "\\u202etxt.exe"),
+        ("\u2028", "\\u2028"),
+        ("caf\udce9", "caf\\udce9"),  # of a file name that is not UTF-8
+    ],
+)
+def test_nothing_is_left_that_a_terminal_obeys(text: str, shown: str) -> None:
+    assert printable(text) == shown
+    assert printable(text).isprintable()
+    printable(text).encode()
+
+
+def test_long_text_is_cut() -> None:
+    assert printable("x" * 50, 10) == "xxxxxxx..."
+
+
+@pytest.mark.parametrize("text", ["=cmd()", "+1", "-1", "@sum", "\tx", "\rx"])
+def test_a_spreadsheet_computes_nothing(text: str) -> None:
+    assert cell(text).startswith("'")
+    assert cell("arrived") == "arrived"

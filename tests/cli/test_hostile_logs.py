@@ -176,6 +176,7 @@ def only_in_the_summary(contents: Contents, path: Path) -> Path:
     extra = Entry("/only", 1, 1, b"data")
     first = contents.records.index(contents.entries[0])
     records = [*contents.records[:first], extra, *contents.records[first:]]
+    records.insert(first + 40, extra)  # the first takes the record of the channel with it
     more = {"/only": (Channel(77, "/only", "none", {}, 0), None)}
     changed = Contents(contents.path, records=records, channels=contents.channels | more)
     whole = path.with_suffix(".whole")

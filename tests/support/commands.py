@@ -4,13 +4,14 @@ import contextlib
 import io
 import os
 import resource
+import shutil
 import sys
 import time
 from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
-from tetractl import cli
+from tetractl.cli.app import run_app
 
 COMMANDS = {
     "info": "info {log}",
@@ -24,6 +25,8 @@ COMMANDS = {
     "stats --json": "stats {log} --format json",
     "stats --csv": "stats {log} --format csv",
     "verify": "verify {log}",
+    "export": "export {log} -o {out}/tables",
+    "report": "report {log} -o {out}/report.html",
     "recover": "recover {log} -o {out}/r.mcap",
 }
 
@@ -40,8 +43,8 @@ class Cost(NamedTuple):
 
 def call(command: str, log: Path, out: Path) -> Cost:
     """Run a command in this process; a bug of it is raised."""
-    for left in out.glob("*"):
-        left.unlink()
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir()
     words = [word.format(log=log, out=out) for word in COMMANDS[command].split()]
     stdout, stderr = io.StringIO(), io.StringIO()
     began = time.perf_counter()
@@ -50,7 +53,7 @@ def call(command: str, log: Path, out: Path) -> Cost:
         contextlib.redirect_stdout(stdout),
         contextlib.redirect_stderr(stderr),
     ):
-        code = cli._run()
+        code = run_app()
     seconds = time.perf_counter() - began
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     return Cost(stdout.getvalue(), stderr.getvalue(), code, seconds, memory)

@@ -6,6 +6,7 @@ The same functions are fuzzed by hypothesis in the tests and by atheris in bench
 import contextlib
 import math
 import tempfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from itertools import pairwise
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mcap.records import Metadata
-from support import seeds
+from support import commands, seeds
 from support.mutate import rewrite
 from support.seeds import MS, ROOT, VERSIONS
 
@@ -44,6 +45,7 @@ from tetractl.log.read.salvage import scan
 
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
+SELDOM = 10  # one input in so many is drawn
 
 
 class Target(NamedTuple):
@@ -190,6 +192,13 @@ def inside(data: bytes) -> None:
 
     Two bytes for which message; or, the second being 255, which fact.
     """
+    path = _spoilt(data)
+    for read in (read_trial, read_result, overview):
+        with only(LogError):
+            read(path)
+
+
+def _spoilt(data: bytes) -> Path:
     which, stuff = int.from_bytes(data[:2], "little"), data[2:]
     contents, entries, facts = _whole()
     path = scratch() / "inside.mcap"
@@ -201,9 +210,28 @@ def inside(data: bytes) -> None:
     else:
         entry = entries[which % len(entries)]
         rewrite(contents, path, {entry: entry._replace(data=stuff)})
-    for read in (read_trial, read_result, overview):
-        with only(LogError):
-            read(path)
+    return path
+
+
+def every_command(data: bytes) -> None:
+    """A file, through every command that reads logs."""
+    _through(written(data, "any.mcap"), data)
+
+
+def inside_every_command(data: bytes) -> None:
+    """A log spoilt as by `inside`, through every command."""
+    _through(_spoilt(data), data)
+
+
+def _through(path: Path, data: bytes) -> None:
+    """Run the commands, of those that draw one now and then."""
+    slow = [name for name in commands.COMMANDS if name.startswith(("plot", "report"))]
+    for name in commands.COMMANDS:
+        if name not in slow:
+            commands.check(name, path, scratch() / "out")
+    which = zlib.crc32(data) % (SELDOM * len(slow))
+    if which < len(slow):
+        commands.check(slow[which], path, scratch() / "out")
 
 
 @cache
@@ -235,6 +263,8 @@ TARGETS = {
     "calibration": Target(calibration, seeds.calibrations),
     "log": Target(log, seeds.logs),
     "inside": Target(inside, insides),
+    "log, every command": Target(every_command, seeds.logs),
+    "inside, every command": Target(inside_every_command, insides),
     "natnet": Target(natnet, seeds.datagrams),
     "serial": Target(serial, seeds.serial_bytes),
     "wire": Target(wire, seeds.wires),

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from tetractl.core.commands import PlantInfo
+from tetractl.core.text import printable
 from tetractl.core.trial import Start
 from tetractl.experiment.choice import STRICT
 from tetractl.experiment.consistency import contradictions, plant_contradictions
@@ -19,7 +20,7 @@ from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.overrides import override
-from tetractl.experiment.yaml.problems import InvalidSpecError, printable
+from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.experiment.yaml.upgrade import upgrade
 
 

@@ -45,7 +45,7 @@ class Difference:
     message: str
 
 
-class _StopError(Exception):
+class NoSearchError(Exception):
     """The controller wants to search where the log has no search."""
 
 
@@ -98,7 +98,7 @@ class Rerun:
     def next(self) -> tuple[int, Search]:
         """Return the next logged search and its index in its step."""
         if self._done >= len(self._logged):
-            raise _StopError
+            raise NoSearchError
         self._done += 1
         return self._done - 1, self._logged[self._done - 1]
 
@@ -159,7 +159,7 @@ class _Repeated:
         name, wrong = f"searches.{index}", self._rerun.wrong
         if logged.length != length or len(logged.signals) != length:
             wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
-            raise _StopError
+            raise NoSearchError
         cost = float(evaluate(problem, logged.signals[None]).total[0])
         if not _near(cost, logged.cost, ROUNDING * _extent(problem.poses.xy, problem.targets)):
             wrong.append((f"{name}.cost", f"logged {logged.cost!r}, J is {cost!r}"))
@@ -219,7 +219,7 @@ def recompute(
         except (_TooLongError, MemoryError):
             text = f"not decided again: from here on it takes over {limit_s:g} s or much memory"
             return Difference(step.k, "plan", f"{text}; {bounds.FACTOR}=2 allows twice as much")
-        except _StopError:
+        except NoSearchError:
             found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
             return Difference(step.k, *found)
         except TetractlError as error:
@@ -272,7 +272,7 @@ def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference 
         )
         try:
             decision = copy.deepcopy(controller).plan(seen)
-        except _StopError:
+        except NoSearchError:
             said.append("goes on")
             continue
         except TetractlError:

@@ -19,7 +19,7 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
     if len(logs) > 1:
         raise UsageError(
             f"this figure shows one trial, not {len(logs)}",
-            "give one log, or use --kind trajectory",
+            "give one log, or use --kind trajectory, errors or scatter",
         )
     return logs[0]
 
@@ -50,6 +50,35 @@ def broken_off(logs: Sequence[TrialLog]) -> str:
         return ""
     counted = "" if cut == len(logs) else ", not in the means"
     return f"{cut} of {len(logs)} trials did not run to their end{counted}"
+
+
+def check_alike(logs: Sequence[TrialLog]) -> None:
+    """Raise UsageError for logs of different robots, arenas, obstacles or units."""
+    first = logs[0].experiment
+    for log in logs[1:]:
+        other = log.experiment
+        if (first.robots, first.arena, first.obstacles, first.units) != (
+            other.robots,
+            other.arena,
+            other.obstacles,
+            other.units,
+        ):
+            raise UsageError(
+                f"{logs[0].path} and {log.path} are of different experiments",
+                "plot together only trials with the same robots, arena and obstacles",
+            )
+
+
+def final_poses(log: TrialLog) -> Floats:
+    """Return the final poses (N, 3) of the result, else the last measured ones."""
+    if log.result is not None:
+        return log.result.verdict.final.array()
+    poses = log.start.setup.starts.array()
+    for robot in range(len(poses)):
+        seen = np.flatnonzero(log.valid[:, robot])
+        if len(seen):
+            poses[robot] = log.mocap[seen[-1], robot]
+    return poses
 
 
 def need_steps(log: TrialLog) -> None:

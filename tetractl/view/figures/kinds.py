@@ -18,6 +18,9 @@ FIGURES = Registry(
         "trajectory": "tetractl.view.figures.trajectory:trajectory_figure",
         "convergence": "tetractl.view.figures.convergence:convergence_figure",
         "error": "tetractl.view.figures.error:error_figure",
+        "errors": "tetractl.view.figures.errors:errors_figure",
+        "scatter": "tetractl.view.figures.scatter:scatter_figure",
+        "swarm": "tetractl.view.figures.swarm:swarm_figure",
         "estimate": "tetractl.view.figures.estimate:estimate_figure",
         "timing": "tetractl.view.figures.timing:timing_figure",
     },
@@ -33,7 +36,7 @@ def check_kind(kind: str) -> None:
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
     """Draw the figure of a kind, headed by what was steered and by what broke a trial off.
 
-    Only a trajectory shows several trials.
+    Only `trajectory`, `errors` and `scatter` show several trials.
     """
     from tetractl.view.figures.axes import broken_off
     from tetractl.view.style import headline

@@ -25,7 +25,7 @@ def end_labels(
     assert figure is not None
     figure.draw_without_rendering()  # only then the height of the axes is known
     low, high = axes.get_ylim()
-    line = 1.25 * size / (72 * axes.get_window_extent().height / figure.dpi)
+    line = 1.3 * size / (72 * axes.get_window_extent().height / figure.dpi)
     order = np.argsort(ends, kind="stable")
     wanted = np.clip((np.asarray(ends)[order] - low) / (high - low), 0.0, 1.0)
     for label, height, place in zip(order, wanted, apart(wanted, line), strict=True):

@@ -14,13 +14,18 @@ from matplotlib.ticker import MultipleLocator
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
 from tetractl.view import style
-from tetractl.view.figures.axes import NUMBERED, robot_labels, unfinished
+from tetractl.view.figures.axes import (
+    NUMBERED,
+    check_alike,
+    final_poses,
+    robot_labels,
+    unfinished,
+)
 from tetractl.view.figures.labels import HALO, Labels, edge
 
 FAR = 2.0  # arena sizes beyond the arena that a figure may show
@@ -36,11 +41,10 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     of different robots, arenas or obstacles.
     """
     setup = logs[0].start.setup
-    for log in logs[1:]:
-        _check_alike(logs[0], log)
+    check_alike(logs)
     with style.styled():
         colors = robot_colors(setup.names, setup.colors)
-        ends = np.array([_final(log)[:, :2] for log in logs])
+        ends = np.array([final_poses(log)[:, :2] for log in logs])
         key = _errors(logs, colors, setup.distances(ends))
         width = style.COLUMN_IN
         shape = min(max(setup.arena.height / setup.arena.width, 0.3), 2.0)
@@ -58,15 +62,6 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         beyond = _limits(axes, setup.arena, [ends, *trails])
         _signs(figure, logs, beyond)
     return figure
-
-
-def _check_alike(first: TrialLog, other: TrialLog) -> None:
-    a, b = first.experiment, other.experiment
-    if (a.robots, a.arena, a.obstacles, a.units) != (b.robots, b.arena, b.obstacles, b.units):
-        raise UsageError(
-            f"{first.path} and {other.path} are of different experiments",
-            "plot together only trials with the same robots, arena and obstacles",
-        )
 
 
 def _scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
@@ -106,7 +101,7 @@ def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
     trail = tracked(log.mocap, log.valid)
     truth = _visible_truth(log)
     times = _marked_times(log)
-    final, setup = _final(log)[:, :2], log.start.setup
+    final, setup = final_poses(log)[:, :2], log.start.setup
     ahead = 0.028 * max(setup.arena.width, setup.arena.height)
     point = setup.arena.width / (72 * (style.COLUMN_IN - 0.65))
     ring = 4 * point * np.exp(1j * np.arange(0, 2 * np.pi, np.pi / 4))
@@ -259,6 +254,8 @@ def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
         Line2D([], [], marker="s", markerfacecolor="none", markersize=5, label="target", **grey),
         Line2D([], [], marker="D", markersize=4, label="end", **grey),
     ]
+    if len(logs) == 1:
+        signs.append(Line2D([], [], color=style.GREY, lw=0.6, ls=":", label="error"))
     if logs[0].start.setup.obstacles:
         signs.append(
             Patch(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, lw=0.6, label="obstacle")
@@ -280,18 +277,6 @@ def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
         fontsize=6,
         columnspacing=1.2,
     )
-
-
-def _final(log: TrialLog) -> Floats:
-    """Return the final poses (N, 3) of the result, else the last measured ones."""
-    if log.result is not None:
-        return log.result.verdict.final.array()
-    poses = log.start.setup.starts.array()
-    for robot in range(len(poses)):
-        seen = np.flatnonzero(log.valid[:, robot])
-        if len(seen):
-            poses[robot] = log.mocap[seen[-1], robot]
-    return poses
 
 
 def _visible_truth(log: TrialLog) -> Floats | None:

@@ -22,6 +22,10 @@ from tetractl.view.figures.kinds import FIGURES, draw
 from tetractl.view.figures.labels import apart
 from tetractl.view.figures.trajectory import trajectory_figure
 
+SEVERAL = ("trajectory", "errors", "scatter")  # kinds that show several trials
+ALONE = tuple(kind for kind in FIGURES.names() if kind not in SEVERAL)
+SHOWS_ROBOTS = tuple(kind for kind in FIGURES.names() if kind != "swarm")
+
 
 @pytest.fixture
 def log() -> TrialLog:
@@ -299,10 +303,19 @@ def test_one_wild_estimate_does_not_squash_the_others(log):
     assert high - low < 60
 
 
-@pytest.mark.parametrize("kind", FIGURES.names())
+@pytest.mark.parametrize("kind", SHOWS_ROBOTS)
 @pytest.mark.parametrize("count", [3, 8, 14])
 def test_no_text_hides_another_however_many_the_robots(log, kind, count):
     assert overlapping(draw(kind, [many(log, count)])) == []
+
+
+@pytest.mark.parametrize("kind", SEVERAL)
+def test_no_text_hides_another_in_a_batch_of_many_robots(log, kind):
+    assert overlapping(draw(kind, [many(three_robots(seed), 14) for seed in (1, 2, 3)])) == []
+
+
+def test_no_text_hides_another_in_the_swarm(log):
+    assert overlapping(draw("swarm", [log])) == []
 
 
 def test_from_eight_robots_on_they_have_numbers(log):
@@ -364,7 +377,7 @@ def test_a_cut_log_is_drawn_as_far_as_it_goes(log, kind):
     assert words(draw(kind, [cut_short(log, 3)]))
 
 
-@pytest.mark.parametrize("kind", FIGURES.names()[1:])
+@pytest.mark.parametrize("kind", [kind for kind in FIGURES.names() if kind != "trajectory"])
 def test_an_empty_log_says_so(log, kind):
     with pytest.raises(LogError, match="holds no"):
         draw(kind, [cut_short(log, 0)])
@@ -374,8 +387,8 @@ def test_an_empty_log_still_shows_the_scene(log):
     assert "target" in words(draw("trajectory", [cut_short(log, 0)]))
 
 
-@pytest.mark.parametrize("kind", FIGURES.names()[1:])
-def test_one_trial_a_figure_but_for_trajectories(log, kind):
+@pytest.mark.parametrize("kind", ALONE)
+def test_most_figures_show_one_trial(log, kind):
     with pytest.raises(UsageError, match="one trial"):
         draw(kind, [log, log])
 
@@ -432,3 +445,97 @@ def test_every_figure_says_what_was_steered_without_printing_over_it(log, kind):
     title = figure._suptitle
     if title is not None:
         assert not any(title.get_window_extent().overlaps(box) for box in boxes)
+
+
+@pytest.mark.parametrize("kind", SEVERAL)
+def test_a_batch_of_different_experiments_is_refused(log, kind):
+    with pytest.raises(UsageError, match="different experiments"):
+        draw(kind, [log, replace(log, experiment=experiment(obstacles=[]))])
+
+
+def test_the_swarm_is_that_of_the_logged_search(log):
+    figure = draw("swarm", [log])
+    search = log.steps[0].plan.search
+    assert f"first plan, {search.length} signals; J as logged" in words(figure)
+    panels = [axes for axes in figure.axes if axes.get_xlabel()]
+    assert len(panels) == 3
+    titles = [axes.get_title(loc="left") for axes in panels]
+    assert f"(a) iteration 0, J {search.history[0]:.3g} mm" == titles[0]
+    assert f"(c) iteration {len(search.history) - 1}, J {search.cost:.3g} mm" == titles[2]
+    dots = {line.get_gid(): line.get_xydata() for line in panels[2].lines}
+    assert dots["best"].tolist() == [search.signals[:2].tolist()]
+    assert len(dots["swarm"]) == log.experiment.controller.optimizer.particles
+    assert len(dots["course"]) == len(search.history)
+    assert np.isclose(dots["course"][-1], dots["swarm"]).all(axis=1).any()
+
+
+def test_no_swarm_without_particles(log):
+    other = experiment(controller={"optimizer": {"type": "multistart"}})
+    with pytest.raises(LogError, match="its optimiser, multistart, has no swarm"):
+        draw("swarm", [replace(log, experiment=other)])
+
+
+def test_a_swarm_that_does_not_follow_from_the_log_is_no_traceback(log):
+    late = replace(log.steps[0], k=3)
+    with pytest.raises(LogError, match="cannot be run again"):
+        draw("swarm", [replace(log, steps=(late, *log.steps[1:]))])
+
+
+def test_the_errors_of_a_batch_end_as_the_results_say(log):
+    logs = [three_robots(seed) for seed in (1, 2, 3)]
+    total, each = draw("errors", logs).axes
+    trials = [line for line in total.lines if line.get_gid() == "trial"]
+    ends = [float(np.asarray(line.get_ydata())[-1]) for line in trials]
+    assert ends == pytest.approx([trial.result.total_error for trial in logs if trial.result])
+    (median,) = [line for line in total.lines if line.get_gid() == "median"]
+    assert np.asarray(median.get_ydata())[-1] == pytest.approx(np.median(ends))
+    assert len(total.collections) == 1
+    assert len(each.collections) == 3  # a band a robot
+    starts = [float(np.asarray(line.get_ydata())[0]) for line in trials]
+    assert starts == pytest.approx([sum(np.hypot([800] * 3, [300, 300, 400]))] * 3, rel=0.01)
+
+
+def test_aborted_trials_are_not_in_the_band(log):
+    logs = [three_robots(seed) for seed in (1, 2, 3)]
+    assert logs[2].result
+    logs[2] = replace(logs[2], result=replace(logs[2].result, outcome=Outcome.ABORTED))
+    figure = draw("errors", logs)
+    assert "1 of 3 did not run to their end" in words(figure)
+    (median,) = [line for line in figure.axes[0].lines if line.get_gid() == "median"]
+    totals = [trial.result.total_error for trial in logs[:2] if trial.result]
+    assert np.asarray(median.get_ydata())[-1] == pytest.approx(np.mean(totals))
+
+
+def test_the_scatter_shows_mean_and_covariance_of_each_robot(log):
+    logs = [three_robots(seed) for seed in (1, 2, 3)]
+    figure = draw("scatter", logs)
+    setup = log.start.setup
+    gaps = np.array([t.result.verdict.final.xy - setup.targets for t in logs if t.result])
+    for robot, axes in enumerate(figure.axes):
+        marks = {line.get_gid(): line.get_xydata() for line in axes.lines}
+        assert np.allclose(marks["ends"], gaps[:, robot])
+        assert np.allclose(marks["mean"], gaps[:, robot].mean(axis=0))
+        (patch,) = axes.patches
+        edge = patch.get_path().vertices
+        edge = patch.get_patch_transform().transform(edge) - gaps[:, robot].mean(axis=0)
+        inverse = np.linalg.inv(np.cov(gaps[:, robot].T))
+        along = np.einsum("ni,ij,nj->n", edge, inverse, edge)[::3]  # between them: control points
+        assert along == pytest.approx(5.991, rel=0.01)
+    assert "covariance, 95 % of a normal distribution" in words(figure)
+
+
+def test_the_histogram_of_solve_times_counts_every_step(log):
+    shares = draw("timing", [log]).axes[1]
+    assert sum(patch.get_width() for patch in shares.patches) == len(log.steps)
+    median = np.percentile([s.solve_ns / 1e6 for s in log.steps], 50, method="inverted_cdf")
+    assert f"p50 {median:.3g} ms" in [text.get_text() for text in shares.texts]
+
+
+@pytest.mark.parametrize("kind", FIGURES.names())
+def test_every_dashed_line_is_in_a_legend(log, kind):
+    figure = draw(kind, [log])
+    dashed = [line for axes in figure.axes for line in axes.lines if line.is_dashed()]
+    legends = [*figure.legends, *(a.get_legend() for a in figure.axes if a.get_legend())]
+    keys = {line.get_linestyle() for legend in legends for line in legend.get_lines()}
+    for line in dashed:
+        assert line.get_linestyle() in keys, line

@@ -1,0 +1,181 @@
+"""The particle swarm of a logged search, which no log holds: the search is run again for it.
+
+The controller, rebuilt from the log, asks for the searches of a control step once more and gets the
+logged ones back; the problem, the warm start and the key that it asks with are all that the swarm
+came from.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.control.cost import evaluate
+from tetractl.control.optimizers.pso import LOWER, UPPER, Pso
+from tetractl.core.errors import LogError, TetractlError
+from tetractl.core.plan import Limits, Search
+from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
+from tetractl.core.protocols import Optimizer
+from tetractl.experiment.controller import OptimizerSection
+from tetractl.log.read import bounds
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.replay.recompute import NoSearchError, Rerun
+from tetractl.run.seeds import trial_seeds
+
+GRID = 61
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The swarm after iteration z in two dimensions: coordinates (np, 2) and u_gb (2,) [rad]."""
+
+    z: int
+    particles: Floats
+    best: Floats
+    cost: float
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmHistory:
+    """A search by particle swarm, seen in two dimensions of its sequence.
+
+    `dimensions` index the signals. `path` (Z + 1, 2) is the course of one particle and `path_best`
+    (2,) its local best at the end. `costs` (GRID, GRID) is J on a grid over (12) in the two
+    dimensions, row by row upwards, the other signals being those of u_gb. `repeated` tells whether
+    J(u_gb) came out as logged in every iteration.
+    """
+
+    dimensions: tuple[int, int]
+    frames: tuple[Frame, ...]
+    path: Floats
+    path_best: Floats
+    costs: Floats
+    repeated: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    optimizer: OptimizerSection
+    problem: Problem
+    length: int
+    warm: Floats | None
+    key: int
+
+
+class _Witness:
+    """An `Optimizer` that notes what it is asked and answers as another one."""
+
+    def __init__(self, section: OptimizerSection, answers: Optimizer, asked: list[_Asked]) -> None:
+        self._section, self._answers, self._asked = section, answers, asked
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Note the search and return the logged one."""
+        kept = None if warm is None else warm.copy()
+        self._asked.append(_Asked(self._section, problem, length, kept, key))
+        return self._answers.search(problem, length, warm, key, limits)
+
+
+def first_swarm(
+    log: TrialLog,
+    shown: Sequence[float],
+    particle: int = 0,
+    wall: Callable[[], float] = time.perf_counter,
+) -> SwarmHistory:
+    """Run the chosen search of control step 0 again and return its swarm.
+
+    `shown` are the shares of its iterations, 0 to 1, of which there is to be a frame. Raises
+    LogError for a search that was not by a particle swarm, has a single signal, does not follow
+    from the log, or takes longer than `bounds` allows, as `wall` [s] tells it.
+    """
+    rerun = Rerun(False, wall, bounds.seconds_limit())
+    rerun.start()
+    asked = _chosen(log, rerun)
+    section, logged = asked.optimizer, log.steps[0].plan.search
+    if not isinstance(section, Pso):
+        raise LogError(
+            f"{log.path}: its optimiser, {section.type}, has no swarm",
+            "run it with --set controller.optimizer.type=pso",
+        )
+    if asked.length < 2:
+        raise LogError(f"{log.path}: a plan of one signal has no two dimensions")
+    rounds = section.particles * asked.length * asked.problem.a.size
+    if rounds * (1 + len(asked.problem.obstacles.shapes)) > bounds.swarm_limit():
+        raise LogError(f"{log.path}: a swarm this large takes too long to run again")
+    return _run(log, asked, section, logged, shown, particle, rerun)
+
+
+def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
+    """Return what the controller asked of its optimiser for the plan of step 0."""
+    step, asked = log.steps[0], list[_Asked]()
+    key, _ = trial_seeds(log.start.seed, log.start.trial)
+    controller = log.experiment.controller.build(
+        log.start.setup,
+        key,
+        lambda section: _Witness(section, rerun.wrap(section), asked),
+        rerun.timer,
+    )
+    rerun.begin(step.plan.searches)
+    with suppress(TetractlError, NoSearchError):  # what was asked by then is noted
+        controller.plan(step.observation)
+    if step.k != 0 or len(asked) <= step.plan.chosen:
+        raise LogError(
+            f"{log.path}: its first search cannot be run again",
+            "tetractl verify tells what differs",
+        )
+    return asked[step.plan.chosen]
+
+
+def _run(
+    log: TrialLog,
+    asked: _Asked,
+    section: Pso,
+    logged: Search,
+    shown: Sequence[float],
+    particle: int,
+    rerun: Rerun,
+) -> SwarmHistory:
+    from tetractl.control.kernels import pso as kernel
+    from tetractl.control.kernels.rollout import lay_out
+    from tetractl.control.optimizers.compiled_pso import make_rules, scatter
+
+    rollout = lay_out(asked.problem, section.particles)
+    swarm, spent = scatter(section, asked.problem, rollout, asked.length, asked.warm, asked.key)
+    rules = make_rules(section, asked.key, spent, Limits())
+    last = min(len(logged.history) - 1, section.iterations)
+    wanted = {round(share * last) for share in shown}
+    pair, frames, path = (0, 1), list[Frame](), []
+    for z in range(last + 1):
+        if z:
+            kernel.iterate(rollout, swarm, rules, z - 1, z)
+        if rerun.expired():
+            raise LogError(f"{log.path}: its search takes too long to run again")
+        seen = np.column_stack([swarm.u[d] for d in pair])
+        path.append(seen[particle])
+        if z in wanted:
+            frames.append(Frame(z, seen, swarm.u_gb[list(pair)].copy(), float(swarm.history[z])))
+    own = swarm.u if swarm.better[particle] > 0.5 else swarm.best
+    again = swarm.history[: last + 1]
+    return SwarmHistory(
+        pair,
+        tuple(frames),
+        np.array(path),
+        np.array([own[d, particle] for d in pair]),
+        _landscape(asked.problem, swarm.u_gb, pair),
+        bool(np.array_equal(again, logged.history)),
+    )
+
+
+def _landscape(problem: Problem, u_gb: Floats, pair: tuple[int, int]) -> Floats:
+    """Return J on a grid over two dimensions, the other signals as in u_gb."""
+    axis = np.linspace(LOWER, UPPER, GRID)
+    costs = np.empty((GRID, GRID))
+    for row, value in enumerate(axis):
+        signals = np.repeat(u_gb[None], GRID, axis=0)
+        signals[:, pair[0]], signals[:, pair[1]] = axis, value
+        costs[row] = evaluate(problem, signals).total
+    return costs

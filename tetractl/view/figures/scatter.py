@@ -1,0 +1,122 @@
+"""Where the robots of a batch ended round their targets, with the ellipse of the covariance."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse
+
+from tetractl.core.colors import robot_colors
+from tetractl.core.errors import LogError
+from tetractl.core.poses import Floats
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.view import style
+from tetractl.view.figures.axes import (
+    check_alike,
+    final_poses,
+    robot_labels,
+    unfinished,
+)
+
+COLUMNS = 4
+FEWEST = 3  # trials for an ellipse
+INSIDE = 0.95
+"""The share of a normal distribution that lies in the ellipse."""
+
+
+def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
+    """Draw each robot's final position less its target, (x, y), a dot for each trial.
+
+    The ellipse is centred on the mean and has the covariance (n - 1) of the trials that ran to
+    their own end; 95 % of a normal distribution would lie in it. All panels have the same scale.
+    """
+    check_alike(logs)
+    for log in logs:
+        if log.result is None and not len(log.mocap_ns):
+            raise LogError(f"{log.path}: holds no camera frames to plot")
+    setup = logs[0].start.setup
+    unit = style.unit_of(setup.unit)
+    gaps = np.array([final_poses(log)[:, :2] for log in logs]) - setup.targets
+    whole = np.array([not unfinished(log) for log in logs])
+    counted = gaps[whole] if whole.any() else gaps
+    colors = robot_colors(setup.names, setup.colors)
+    columns = min(len(colors), COLUMNS)
+    rows = -(-len(colors) // columns)
+    with style.styled():
+        side_in = style.PAGE_IN / max(columns, 3)
+        figure = style.figure(columns * side_in, rows * (side_in + 0.15) + 0.4)
+        panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        reach = 0.0
+        for robot, axes in enumerate(panels.ravel()):
+            if robot >= len(colors):
+                axes.set_visible(False)
+                continue
+            reach = max(reach, _panel(axes, counted[:, robot], gaps[~whole, robot], colors[robot]))
+            name = robot_labels(setup.names)[robot]
+            mean = float(np.linalg.norm(counted[:, robot], axis=1).mean())
+            title = f"{name}\nmean error {mean:.3g} {unit}"
+            axes.set_title(title, loc="left", color=colors[robot], fontsize=7)
+        limit = 1.08 * reach or 1.0
+        panels[0, 0].set_xlim(-limit, limit)
+        panels[0, 0].set_ylim(-limit, limit)
+        for column in range(columns):  # the lowest panel of each
+            axes = panels[(len(colors) - 1 - column) // columns, column]
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel(f"x less the target's [{unit}]")
+        for axes in panels[:, 0]:
+            axes.set_ylabel(f"y less the target's [{unit}]")
+        figure.legend(handles=_key(len(counted), bool((~whole).any())), loc="outside lower center",
+                      ncols=5)  # fmt: skip
+    return figure
+
+
+def _panel(axes: Axes, gaps: Floats, cut: Floats, color: str) -> float:
+    """Draw one robot's errors (n, 2); return how far from the target the drawing reaches."""
+    axes.set_aspect("equal")
+    for line in (axes.axhline, axes.axvline):
+        line(0, color=style.FAINT, lw=0.5, zorder=0)
+    axes.plot(0, 0, "s", ms=7, mfc="none", mec=color, zorder=3)
+    axes.plot(*gaps.T, "o", ms=3.5, color=color, alpha=0.6, mew=0, zorder=2, gid="ends")
+    axes.plot(*cut.T, "x", ms=4, color=style.ALARM, zorder=2)
+    mean = gaps.mean(axis=0)
+    axes.plot(*mean, "+", ms=8, mew=1.2, color=style.INK, zorder=4, gid="mean")
+    reach = float(np.abs(np.concatenate([gaps, cut])).max(initial=0))
+    if len(gaps) < FEWEST:
+        return reach
+    covariance = np.cov(gaps.T)
+    half, angle = ellipse(covariance)
+    axes.add_patch(
+        Ellipse(
+            (float(mean[0]), float(mean[1])), 2 * half[0], 2 * half[1], angle=math.degrees(angle),
+            fill=False, edgecolor=style.INK, lw=0.8, ls="--", zorder=3,
+        )
+    )  # fmt: skip
+    span = np.sqrt(-2 * math.log(1 - INSIDE) * np.diag(covariance))
+    return max(reach, float((np.abs(mean) + span).max()))
+
+
+def ellipse(covariance: Floats) -> tuple[Floats, float]:
+    """Return the half axes (2,), the longer first, and the angle of that one [rad]."""
+    values, vectors = np.linalg.eigh(covariance)
+    half = np.sqrt(-2 * math.log(1 - INSIDE) * np.maximum(values[::-1], 0))
+    return half, math.atan2(float(vectors[1, 1]), float(vectors[0, 1]))
+
+
+def _key(counted: int, cut: bool) -> list[Line2D]:
+    def key(label: str, **look: object) -> Line2D:
+        return Line2D([], [], **{"ls": "none", "color": style.GREY, "label": label, **look})  # pyright: ignore[reportArgumentType]
+
+    signs = [
+        key("target", marker="s", ms=6, mfc="none"),
+        key("one trial", marker="o", ms=4),
+        key(f"mean of {counted}", marker="+", ms=8, color=style.INK),
+    ]
+    if counted >= FEWEST:
+        label = f"covariance, {100 * INSIDE:g} % of a normal distribution"
+        signs.append(key(label, ls="--", lw=0.8, color=style.INK))
+    if cut:
+        signs.append(key("did not run to its end", marker="x", ms=4, color=style.ALARM))
+    return signs

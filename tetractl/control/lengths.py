@@ -17,8 +17,11 @@ from tetractl.experiment.controller import OptimizerSection
 
 WORTHWHILE = 4
 """How many times the least evaluations of a search each horizon of step 0 gets under a limit."""
+SPREAD = 1.3  # ... and at step 0
+GROWTH = 1.2  # of one length to the next, where they are spread: on the way ...
+SPREAD = 1.3  # ... and at step 0
 FINE = 0.05  # share of a length to which the shortest one is looked for
-GROWTH = 1.2  # of one length to the next, where they are spread
+SIGNALS = 6  # that several robots take at least, each: two coordinates are to be met, by turns
 Candidate = tuple[int, Floats | None]
 """A length to try, and the u_gb^0 to start from."""
 
@@ -61,13 +64,16 @@ def choose(searches: list[Search], good_enough: float | None, count: int) -> int
 
 
 def least_length(problem: Problem) -> int:
-    """Return the fewest signals in which every robot can reach its target on a straight line."""
+    """Return the fewest signals to try: in which every robot could drive straight to its target,
+    and SIGNALS a robot.
+    """
     gaps = problem.poses.distances(problem.targets)
     with np.errstate(divide="ignore", invalid="ignore"):
         seconds = float(np.max(np.where(gaps > 0, gaps / problem.speed, 0.0)))
     if not math.isfinite(seconds):
         return 1
-    return 1 + max(0, math.ceil((seconds - problem.first_period) / problem.period))
+    straight = 1 + max(0, math.ceil((seconds - problem.first_period) / problem.period))
+    return max(straight, SIGNALS * len(gaps) if len(gaps) > 1 else 1)
 
 
 class Searcher:
@@ -124,7 +130,7 @@ class Searcher:
                 return
             if found.cost <= good_enough:
                 break
-            length, failed = min(most, max(length + 1, round(GROWTH * length))), length
+            length, failed = min(most, max(length + 1, round(SPREAD * length))), length
         while failed > 0 and length - failed > max(1, FINE * length):
             middle = (length + failed) // 2
             found = self.search(middle, None)

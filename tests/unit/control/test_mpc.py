@@ -297,12 +297,12 @@ def spread(**fields):
 
 @pytest.mark.parametrize("shortest", [26, 27, 33, 41, 60])
 def test_spread_lengths_come_near_the_shortest_that_is_good_enough(shortest):
-    """At 180 mm/s green is the slowest of all: 854 mm are 4.75 s, 24 signals; red's are 896 mm."""
+    """Red has the longest way: 894 mm at 150 mm/s are 30 signals."""
     search = Scripted(dict.fromkeys(range(shortest, 200), 0.5))
     experiment = spread(horizon_max=100)
     plan = mpc(experiment, 99, search).plan(seen())
     asked = [length for length, *_ in search.asked]
-    assert asked[0] == 30  # 896 mm at 150 mm/s
+    assert asked[0] == 30
     assert max(30, shortest) <= plan.search.length <= max(31, 1.06 * shortest + 1)
     assert len(asked) <= 9
 
@@ -310,4 +310,4 @@ def test_spread_lengths_come_near_the_shortest_that_is_good_enough(shortest):
 def test_spread_lengths_end_with_the_horizon():
     search = Scripted()
     mpc(spread(horizon_max=40), 99, search).plan(seen())
-    assert [length for length, *_ in search.asked] == [30, 36, 40]
+    assert [length for length, *_ in search.asked] == [30, 39, 40]

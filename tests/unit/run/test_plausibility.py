@@ -16,6 +16,8 @@ EXPERIMENTS = sorted((ROOT / "experiments").glob("*.yaml"))
 THREE = ROOT / "experiments" / "three_m3pi.yaml"
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 WALL = "{type: rectangle, left: 1200, bottom: 0, width: 100, height: 3000}"
+NEAR = "controller.collision.radius=20"
+FIXED = "controller.collision.adaptive=false"
 GAP = (
     "{type: rectangle, left: 1200, bottom: 0, width: 100, height: 1380}, "
     "{type: rectangle, left: 1200, bottom: 1410, width: 100, height: 2000}"
@@ -74,7 +76,7 @@ def test_the_shipped_experiments_have_none(path):
         ),
         (
             THREE,
-            ["controller.steps_max=100", "controller.horizon_max=102"],
+            ["controller.horizon_max=102", "controller.steps_max=100"],
             "controller.horizon_max",
             "plans of 20.4 s outlast the trial, .* 20.2 s",
             "horizon_max to 101",
@@ -82,16 +84,16 @@ def test_the_shipped_experiments_have_none(path):
         (THREE, [f"obstacles=[{WALL}]"], "robots.1.target", "walled off: .* within 49\\d", "gap"),
         (
             THREE,
-            [f"obstacles=[{GAP}]"],
+            [f"obstacles=[{GAP}]", NEAR],
             "robots.1.target",
-            "no way to it that keeps 47 mm .* within \\d",
+            "no way to it that keeps 20 mm .* within 51\\d",
             "margin",
         ),
         (
             THREE,
-            ["robots.blue.target=[1420, 1200]", "controller.collision.margin=25"],
+            ["robots.blue.target=[1420, 1200]", NEAR, "controller.collision.margin=5", FIXED],
             "robots.1.target",
-            "is 20 mm from the nearest obstacle or wall; the plans keep 72",
+            "is 20 mm from the nearest obstacle or wall; the plans keep 25",
             "margin",
         ),
         (
@@ -117,7 +119,7 @@ def test_the_shipped_experiments_have_none(path):
         ),
         (
             THREE,
-            ["plant.dead_time=0.3"],
+            ["plant.dead_time=0.3", "controller.estimate=false"],
             "plant.dead_time",
             "is 0.3 s and the controller counts on 0 s: .* 1.5 control periods",
             "controller.dead_time to 0.3",

@@ -32,7 +32,8 @@ class Case:
     signal_s: float  # for how long one signal of a plan is held
     signals_max: int | None
     motion: str
-    margin: float
+    margin: float  # kept from obstacles, with the radius of a robot
+    yields: bool  # whether the margin shrinks at starts and targets
     walls: bool
     tolerance: float
 
@@ -48,6 +49,7 @@ class Case:
             signals_max=getattr(control, "horizon_max", None),
             motion=getattr(control, "motion", ""),
             margin=collision.margin + collision.radius if collision else 0.0,
+            yields=collision.adaptive if collision else False,
             walls=collision.walls if collision else False,
             tolerance=control.arrival_tolerance,
         )

@@ -36,7 +36,7 @@ def walled_off(case: Case) -> Iterator[Doubt]:
 
 def inside_margin(case: Case) -> Iterator[Doubt]:
     """Starts and targets nearer to an obstacle than the planner's paths may come."""
-    if case.margin == 0:
+    if case.margin == 0 or case.yields:
         return
     for field, points in (("start", case.setup.starts.xy), ("target", case.setup.targets)):
         gaps = _clearances(case, points)

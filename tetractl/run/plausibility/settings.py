@@ -79,11 +79,11 @@ def coarse_period(case: Case) -> Iterator[Doubt]:
 
 
 def unknown_dead_time(case: Case) -> Iterator[Doubt]:
-    """A dead time that the controller is wrong about by more than a control period."""
+    """A dead time that the controller is wrong about by over a control period, and not to find."""
     true = getattr(case.experiment.plant, "dead_time", None)
     believed = getattr(case.experiment.controller, "dead_time", 0.0)
-    period = case.setup.period_s
-    if true is not None and abs(true - believed) > period:
+    period, identified = case.setup.period_s, getattr(case.experiment.controller, "estimate", False)
+    if true is not None and not identified and abs(true - believed) > period:
         yield Doubt(
             ("plant", "dead_time"),
             f"is {true:.4g} s and the controller counts on {believed:.4g} s: every command acts "

@@ -1,0 +1,258 @@
+"""Measure the closed loop under disturbance: what each part of the controller brings.
+
+    python benchmarks/disturbed.py                          the ablation, 20 trials a row
+    python benchmarks/disturbed.py --trials 100 --rate 20   more trials, control at 20 Hz
+    python benchmarks/disturbed.py --part knowledge         what wrong beliefs cost
+    python benchmarks/disturbed.py --part accept            time against error
+    python benchmarks/disturbed.py --part crowd             many robots, undisturbed
+    python benchmarks/disturbed.py --bench three_m3pi_bench.yaml    another world: its `plant`
+
+All rows have the same seeds. Everything is simulated. The world without --bench: dead time 0.14 s,
+a and speed each +-10 %, heading walk 0.05 rad/sqrt(s), 5 % of the commands lost.
+"""
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from solverbench.problems import OURS, PAPER
+from solverbench.problems import experiment as load_experiment
+from solverbench.report import load, progress
+
+from tetractl.control.algorithm_2 import Mpc
+from tetractl.control.build import build_controller
+from tetractl.control.lengths import Searcher, choose, least_length
+from tetractl.control.optimizers.multistart import Multistart
+from tetractl.core.clock import VirtualClock
+from tetractl.core.commands import Command, PlantInfo
+from tetractl.core.operators import Operators
+from tetractl.core.plan import Limits
+from tetractl.core.poses import Poses
+from tetractl.core.problem import Problem
+from tetractl.core.protocols import Controller, Plant
+from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.model.obstacles import Obstacles
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.seeds import trial_seeds
+from tetractl.run.trial import Trial
+from tetractl.stats.estimate import describe
+
+DEAD_TIME_S = 0.14
+WORLD = (
+    f"plant.dead_time={DEAD_TIME_S}",
+    "plant.a_error=0.1",
+    "plant.speed_error=0.1",
+    "plant.heading_noise=0.05",
+    "plant.lost_commands=0.05",
+)
+FAST = ("controller.period=0.05", "controller.hold=4", "controller.steps_max=1600")
+PLAIN = (
+    "controller.estimate=false",
+    "controller.losses=false",
+    "controller.accept=0",
+    "controller.stop_between=false",
+    "controller.collision.adaptive=false",
+    "controller.collision.margin=20",
+    "controller.collision.radius=0",
+    "controller.collision.separation=0",
+)
+TOLD = f"controller.dead_time={DEAD_TIME_S}"
+NOT_KEPT = ("controller.collision.adaptive=false", "controller.collision.margin=20")
+Row = tuple[str, Sequence[str]]
+
+ABLATION: list[Row] = [
+    ("whole", ()),
+    ("without identification, dead time told", ("controller.estimate=false", TOLD)),
+    ("without identification, dead time not told", ("controller.estimate=false",)),
+    ("without belief about lost commands", ("controller.losses=false",)),
+    ("without going round", ("controller.accept=0",)),
+    ("without a stop between steps", ("controller.stop_between=false",)),
+    ("without margins that follow: 20 mm and the radius", NOT_KEPT),
+    ("all lengths at step 0", ("controller.first_lengths=all",)),
+    ("none of them, dead time told", (*PLAIN, TOLD)),
+    ("none of them, dead time not told", PLAIN),
+]
+KNOWLEDGE: list[Row] = [
+    ("dead time told", (TOLD,)),
+    ("dead time believed 0", ("controller.dead_time=0",)),
+    ("dead time believed 50 ms less", (f"controller.dead_time={DEAD_TIME_S - 0.05:g}",)),
+    ("dead time believed 50 ms more", (f"controller.dead_time={DEAD_TIME_S + 0.05:g}",)),
+    ("a up to 30 % off", ("plant.a_error=0.3",)),
+]
+ACCEPT: list[Row] = [
+    (f"accept {mm} mm", (f"controller.accept={mm}",)) for mm in (0, 40, 30, 20, 15, 12, 10, 8)
+]
+
+
+class Knowing(Mpc):
+    """The controller that is told which of its commands arrived."""
+
+    def sent(self, command: Command) -> None:
+        super().sent(command)
+        self.knowledge.predictor.recent[-1].arrived = np.array(command.delivered)
+
+
+def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
+    """The same controller with the true a, speed and dead time, told of every lost command."""
+    true = {"estimate": False, "losses": False, "dead_time": spec.plant.dead_time}
+    section = spec.controller.model_copy(update=true)
+    setup = replace(spec.setup, a=plant.a, speed=plant.speed)
+    return Knowing(section, setup, key, section.optimizer)
+
+
+def as_specified(spec: Experiment, key: int, plant: Plant) -> Controller:
+    return build_controller(spec, key)
+
+
+Build = Callable[[Experiment, int, Plant], Controller]
+
+
+def run(spec: Experiment, trials: int, build: Build = as_specified) -> list[Result]:
+    """Run trials in virtual time without any log."""
+    results = []
+    for trial in range(trials):
+        key, seed = trial_seeds(spec.trials.seed, trial)
+        clock, nowhere = VirtualClock(), PlantInfo("", True, 0.0, {})
+        plant = spec.plant.build(spec.setup, clock, seed, Operators())
+        results.append(
+            Trial(
+                start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
+                plant=plant,
+                controller=build(spec, key, plant),
+                first_plan=spec.controller.first_plan,
+                clock=clock,
+                observers=(),
+                interrupt=Interrupt(),
+            ).run()
+        )
+    return results
+
+
+HEAD = (
+    "controller",
+    "total error [mm], mean and 95 % interval",
+    "median",
+    "p95",
+    "worst",
+    "entered",
+    "trial [s]",
+    "step p50 / p99 / max [ms]",
+)
+
+
+def row(name: str, results: list[Result]) -> str:
+    """One line of a table in Markdown."""
+    errors = np.array([result.total_error for result in results])
+    (described,) = describe(errors[None])
+    steps = np.concatenate([result.solve_ns[1:] for result in results]) / 1e6
+    entered = sum(result.entered_obstacle for result in results)
+    cells = (
+        name,
+        f"{errors.mean():.1f} [{described.ci95.low:.1f}, {described.ci95.high:.1f}]",
+        f"{np.median(errors):.1f}",
+        f"{np.quantile(errors, 0.95):.1f}",
+        f"{errors.max():.1f}",
+        f"{entered} of {len(errors)}",
+        f"{np.mean([result.duration_s for result in results]):.1f}",
+        " / ".join(f"{x:.1f}" for x in (*np.quantile(steps, [0.5, 0.99]), steps.max())),
+    )
+    return f"| {' | '.join(cells)} |"
+
+
+def table(rows: list[Row], world: "World", trials: int, floor: bool) -> None:
+    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
+    for name, settings in rows:
+        progress(name)
+        print(row(name, run(world.spec(OURS, settings), trials)), flush=True)
+    if floor:
+        progress("floor")
+        spec = world.spec(OURS, ())
+        print(row("floor: told a, speed, dead time, losses", run(spec, trials, knowing)))
+        print(row("the paper's, 5 Hz", run(world.spec(PAPER, (), slow=True), trials)))
+        print(row("undisturbed", run(load_experiment(OURS, *world.fast), trials)), flush=True)
+
+
+class World:
+    """Where the trials take place: the disturbances above, or the plant of another spec."""
+
+    def __init__(self, bench: str | None, rate_hz: int) -> None:
+        self.bench, self.fast = bench, FAST if rate_hz == 20 else ()
+
+    def spec(self, file: str, settings: Sequence[str], slow: bool = False) -> Experiment:
+        fast = () if slow else self.fast
+        if self.bench is None:
+            return load_experiment(file, *WORLD, *fast, *settings)
+        own = [setting for setting in settings if setting.startswith("controller.")]
+        theirs = [setting for setting in settings if not setting.startswith("controller.")]
+        plant = load_experiment(self.bench, *theirs).plant
+        return load_experiment(file, *fast, *own).model_copy(update={"plant": plant})
+
+
+def crowd(robots: int, seed: int) -> Problem:
+    """Robots anywhere in 2 x 2 m; 1 m in one direction for all, and each 0.2 m or so by itself."""
+    rng = np.random.default_rng([robots, seed])
+    speed, starts = rng.uniform(150, 200, robots), rng.uniform(0, 2000, (robots, 2))
+    bearing = rng.uniform(-np.pi, np.pi)
+    shift = 1000 * np.array([np.cos(bearing), np.sin(bearing)])
+    return Problem(
+        poses=Poses(*starts.T.copy(), np.zeros(robots)),
+        targets=starts + shift + 200 * rng.standard_normal((robots, 2)),
+        a=np.linspace(2, 6, robots),
+        speed=speed,
+        motion="exact",
+        period=0.2,
+        first_period=0.2,
+        obstacles=Obstacles(()),
+        obstacle_weight=1000.0,
+        swept=False,
+    )
+
+
+def crowds(trials: int) -> None:
+    """First plans for many robots, each an instance of its own, up to 80 s long."""
+    print("| robots | optimiser | solved to 1 mm | signals, median | first plan [s], p50 / p95 |")
+    print("|---|---|---|---|---|")
+    for robots in (3, 5, 8, 12, 16):
+        for name, optimizer in (
+            ("grows", Multistart(rounds=2)),
+            ("does not", Multistart(rounds=2, grows=False)),
+        ):
+            optimizer.search(crowd(robots, trials), 10, None, 0, Limits())  # compile
+            solved, signals, seconds = 0, [], []
+            for seed in range(trials):
+                problem, begin = crowd(robots, seed), time.thread_time()
+                searcher = Searcher(optimizer, optimizer, problem, seed)
+                searcher.search_spread(least_length(problem), 400, optimizer.good_enough)
+                seconds.append(time.thread_time() - begin)
+                best = searcher.found[choose(searcher.found, optimizer.good_enough, 0)]
+                solved += best.cost <= 1
+                signals.append(best.length)
+            p50, p95 = np.quantile(seconds, [0.5, 0.95])
+            cells = robots, name, f"{solved} of {trials}", f"{np.median(signals):.0f}"
+            print(f"| {' | '.join(map(str, cells))} | {p50:.2f} / {p95:.2f} |", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parts = ("ablation", "knowledge", "accept", "crowd")
+    parser.add_argument("--part", choices=parts, default="ablation")
+    parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--rate", type=int, choices=(5, 20), default=5, help="of the control [Hz]")
+    parser.add_argument("--bench", help="the spec in experiments/ whose plant is the world")
+    chosen = parser.parse_args()
+    if chosen.part == "crowd":
+        crowds(chosen.trials)
+        return
+    world = World(chosen.bench, chosen.rate)
+    where = chosen.bench or ", ".join(f"`{setting}`" for setting in WORLD)
+    print(f"Simulated, {chosen.trials} trials a row, {chosen.rate} Hz, {where}. {load()}.\n")
+    rows = {"ablation": ABLATION, "knowledge": KNOWLEDGE, "accept": ACCEPT}[chosen.part]
+    table(rows, world, chosen.trials, floor=chosen.part == "ablation")
+
+
+if __name__ == "__main__":
+    main()

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import BLUE, RED, robot_colors
 from tetractl.core.errors import LogError
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
 from tetractl.view import style
@@ -105,7 +105,7 @@ def _robots(axes: Axes, time_s: Floats, counted: Floats, colors: list[str]) -> l
     return [float(end) for end in middle[-1]]
 
 
-def _key(logs: Sequence[TrialLog], whole: Floats) -> list[Line2D | Patch]:
+def _key(logs: Sequence[TrialLog], whole: Bools) -> list[Line2D | Patch]:
     signs: list[Line2D | Patch] = [
         Line2D([], [], color=style.GREY, lw=0.5, label="one trial"),
         Line2D([], [], color=BLUE, lw=1.5, label="median"),

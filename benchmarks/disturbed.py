@@ -41,9 +41,8 @@ from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
 from tetractl.stats.estimate import describe
 
-DEAD_TIME_S = 0.14
 WORLD = (
-    f"plant.dead_time={DEAD_TIME_S}",
+    "plant.dead_time=0.14",
     "plant.a_error=0.1",
     "plant.speed_error=0.1",
     "plant.heading_noise=0.05",
@@ -60,7 +59,7 @@ PLAIN = (
     "controller.collision.radius=0",
     "controller.collision.separation=0",
 )
-TOLD = f"controller.dead_time={DEAD_TIME_S}"
+TOLD = "controller.dead_time={}"
 NOT_KEPT = ("controller.collision.adaptive=false", "controller.collision.margin=20")
 Row = tuple[str, Sequence[str]]
 
@@ -78,11 +77,12 @@ ABLATION: list[Row] = [
 ]
 KNOWLEDGE: list[Row] = [
     ("dead time told", (TOLD,)),
-    ("dead time believed 0", ("controller.dead_time=0",)),
-    ("dead time believed 50 ms less", (f"controller.dead_time={DEAD_TIME_S - 0.05:g}",)),
-    ("dead time believed 50 ms more", (f"controller.dead_time={DEAD_TIME_S + 0.05:g}",)),
+    ("dead time believed 0", ()),
+    ("dead time believed 50 ms less", (f"{TOLD}-0.05",)),
+    ("dead time believed 50 ms more", (f"{TOLD}+0.05",)),
     ("a up to 30 % off", ("plant.a_error=0.3",)),
 ]
+"""The dead time of the world, {}, is filled in."""
 ACCEPT: list[Row] = [
     (f"accept {mm} mm", (f"controller.accept={mm}",)) for mm in (0, 40, 30, 20, 15, 12, 10, 8)
 ]
@@ -98,7 +98,7 @@ class Knowing(Mpc):
 
 def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
     """The same controller with the true a, speed and dead time, told of every lost command."""
-    true = {"estimate": False, "losses": False, "dead_time": spec.plant.dead_time}
+    true = {"estimate": False, "losses": False}
     section = spec.controller.model_copy(update=true)
     setup = replace(spec.setup, a=plant.a, speed=plant.speed)
     return Knowing(section, setup, key, section.optimizer)
@@ -170,7 +170,7 @@ def table(rows: list[Row], world: "World", trials: int, floor: bool) -> None:
         print(row(name, run(world.spec(OURS, settings), trials)), flush=True)
     if floor:
         progress("floor")
-        spec = world.spec(OURS, ())
+        spec = world.spec(OURS, (TOLD,))
         print(row("floor: told a, speed, dead time, losses", run(spec, trials, knowing)))
         print(row("the paper's, 5 Hz", run(world.spec(PAPER, (), slow=True), trials)))
         print(row("undisturbed", run(load_experiment(OURS, *world.fast), trials)), flush=True)
@@ -179,17 +179,22 @@ def table(rows: list[Row], world: "World", trials: int, floor: bool) -> None:
 class World:
     """Where the trials take place: the disturbances above, or the plant of another spec."""
 
-    def __init__(self, bench: str | None, rate_hz: int) -> None:
+    def __init__(self, bench: str | None, rate_hz: int, dead_time_s: float) -> None:
         self.bench, self.fast = bench, FAST if rate_hz == 20 else ()
+        self.dead_time_s = dead_time_s
 
     def spec(self, file: str, settings: Sequence[str], slow: bool = False) -> Experiment:
-        fast = () if slow else self.fast
+        fast, settings = () if slow else self.fast, [self._filled(one) for one in settings]
         if self.bench is None:
             return load_experiment(file, *WORLD, *fast, *settings)
         own = [setting for setting in settings if setting.startswith("controller.")]
         theirs = [setting for setting in settings if not setting.startswith("controller.")]
         plant = load_experiment(self.bench, *theirs).plant
         return load_experiment(file, *fast, *own).model_copy(update={"plant": plant})
+
+    def _filled(self, setting: str) -> str:
+        head, told, more = setting.partition("{}")
+        return f"{head}{self.dead_time_s + float(more or 0):.6g}" if told else setting
 
 
 def crowd(robots: int, seed: int) -> Problem:
@@ -243,11 +248,12 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--rate", type=int, choices=(5, 20), default=5, help="of the control [Hz]")
     parser.add_argument("--bench", help="the spec in experiments/ whose plant is the world")
+    parser.add_argument("--dead-time", type=float, default=0.14, help="of the world [s]")
     chosen = parser.parse_args()
     if chosen.part == "crowd":
         crowds(chosen.trials)
         return
-    world = World(chosen.bench, chosen.rate)
+    world = World(chosen.bench, chosen.rate, chosen.dead_time)
     where = chosen.bench or ", ".join(f"`{setting}`" for setting in WORLD)
     print(f"Simulated, {chosen.trials} trials a row, {chosen.rate} Hz, {where}. {load()}.\n")
     rows = {"ablation": ABLATION, "knowledge": KNOWLEDGE, "accept": ACCEPT}[chosen.part]

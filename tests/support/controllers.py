@@ -30,6 +30,16 @@ MPC: dict[str, dict[str, Any]] = {
         "estimate": True,
         "hold": 2,
     },
+    "multistart, whole": {
+        "optimizer": MULTISTART,
+        "motion": "exact",
+        "estimate": True,
+        "losses": True,
+        "first_lengths": "spread",
+        "accept": 40,
+        "stop_between": True,
+        "collision": {"check": "swept", "radius": 40, "separation": 80, "adaptive": True},
+    },
 }
 """Model predictive control, each optimiser and other variants: the controller's part of a spec."""
 CONTROLLERS: dict[str, dict[str, Any]] = {

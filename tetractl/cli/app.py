@@ -12,6 +12,7 @@ from typer.exceptions import TyperException
 from tetractl import __version__
 from tetractl.cli import (
     export,
+    identify,
     info,
     init,
     kinds,
@@ -71,6 +72,7 @@ app.command("export")(export.export)
 app.command("open")(open_log.open_logs)
 app.command("verify")(verify.verify)
 app.command("stats")(stats.stats)
+app.command("identify")(identify.identify)
 app.add_typer(lab.app, name="lab")
 
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tetractl.cli.caution import Yes
+from tetractl.cli.run import PlantChoice
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -32,6 +34,22 @@ def replay(
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     paused: Annotated[bool, typer.Option("--paused", help="Wait for a key at first.")] = False,
+    through: Annotated[
+        PlantChoice | None,
+        typer.Option(
+            help="Drive a simulation, or the robots of the log's lab, with the recorded commands "
+            "instead: open loop, in a trial of its own."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="DIR", help="With --through: folder for the new log."),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="FILE", help="With --through: draw both paths."),
+    ] = None,
+    yes: Yes = False,
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
@@ -43,11 +61,25 @@ def replay(
 
     Without a terminal it prints one line a control step and event.
 
+    With --through it prints how far the recorded and the new path of each robot go apart. In the
+    lab the robots have to stand on their starts, and all checks of a run apply.
+
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.find import find_logs
 
+    if through is not None:
+        from tetractl.cli.redrive import redrive
+        from tetractl.log.read.find import find_log
+
+        if (rate, start, until, loop, paused) != (None, 0.0, None, False, False):
+            raise UsageError("--through drives the whole trial in its own time")
+        if len(logs) > 1:
+            raise UsageError("--through takes one log")
+        return redrive(find_log(logs[0]), through.value, out, picture, yes)
+    if (out, picture, yes) != (None, None, False):
+        raise UsageError("--out, --plot and --yes belong to --through")
     if rate is not None and not 0 < rate < float("inf"):
         raise UsageError(f"--rate must be above 0, and is {rate:g}")
     paths, wall = find_logs(logs), MonotonicClock()

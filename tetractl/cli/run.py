@@ -151,7 +151,7 @@ def run(
         interrupt = Interrupt(hurrier(STOPPING))
         leave_on_signals(Exit.INTERRUPTED)  # again, once all is said
         with interrupt.watch(robots=not loaded.experiment.plant.simulated):
-            report = _run(loaded, folder, todo, jobs, console, interrupt, record_wire, yes)
+            report = run_todo(loaded, folder, todo, jobs, console, interrupt, record_wire, yes)
             code = _conclude(report, folder, json)
     if log is not None and number in report.results and code == Exit.DONE:
         return compare(log, log_path(folder, number))
@@ -183,7 +183,7 @@ def _check_lab_options(loaded: "LoadedSpec", jobs: int, record_wire: Path | None
         raise UsageError("--record-wire: a simulation has no wire", "add --plant lab")
 
 
-def _run(
+def run_todo(
     loaded: "LoadedSpec",
     folder: Path,
     todo: list[int],
@@ -193,6 +193,7 @@ def _run(
     record_wire: Path | None,
     yes: bool,
 ) -> "Report":
+    """Run trials with what shows them: in the lab with the operator's stop."""
     from tetractl.run.batch import run_batch
 
     live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not console.quiet

@@ -163,7 +163,7 @@ class _Turns:
         now = np.broadcast_to(headings, (len(tau), *headings.shape))
         a = (self.prior.a * np.exp(ln_a))[:, None, :]
         zero, one = np.zeros(()), np.ones(())
-        for u, seconds in _pieces(self.intervals, self.directions, tau):
+        for u, seconds in pieces(self.intervals, self.directions, tau):
             towards = u[..., None] + beta[:, None, :]
             now = self.step(zero, zero, now, towards, a, one, seconds[..., None])[2]
         missed = wrap(self.intervals.turned - (now - headings))
@@ -266,7 +266,7 @@ def _bounded(ln_a: Floats) -> Floats:
     return np.clip(ln_a, -np.log(FACTOR_MAX), np.log(FACTOR_MAX))
 
 
-def _pieces(
+def pieces(
     intervals: Intervals, directions: Directions, tau: Floats
 ) -> list[tuple[Floats, Floats]]:
     """Return the directions that act in each interval, oldest first, for T dead times.

@@ -140,6 +140,9 @@ class Experiment(Model):
     """What the direction steers; a simulation where no `type` is given."""
     lab: Annotated[LabSection, Choice(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
+    identified: str | None = Field(default=None, max_length=1000)
+    """File beside the spec, of `tetractl identify`: its a and speed of each robot and its dead time
+    take the places of the spec's own."""
     trials: Trials = Trials()
     """How often the experiment is repeated."""
     reference: Reference | None = None

@@ -22,7 +22,10 @@ OPTIMIZERS = Registry(
 CONTROLLERS = Registry(
     "tetractl.controllers",
     "controller",
-    {"mpc": "tetractl.control.mpc:MpcSection"},
+    {
+        "mpc": "tetractl.control.mpc:MpcSection",
+        "sequence": "tetractl.control.sequence:SequenceSection",
+    },
     SECTION,
 )
 MOTIONS = Registry(

@@ -15,10 +15,12 @@ from tetractl.core.trial import Start
 from tetractl.experiment.choice import STRICT
 from tetractl.experiment.consistency import contradictions, plant_contradictions
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
+from tetractl.experiment.identified import Identified, merge, read_identified
 from tetractl.experiment.kinds import packages
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
+from tetractl.experiment.yaml.frozen import frozen
 from tetractl.experiment.yaml.overrides import override
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.experiment.yaml.upgrade import upgrade
@@ -43,13 +45,16 @@ def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
     what would be right`.
     """
     text = read_text(path)
-    experiment, notices = _experiment(text, str(path), sets)
-    return LoadedSpec(experiment, text, printable(path.name), path, notices=notices)
+    experiment, notices, attached = _experiment(text, str(path), sets, path.parent)
+    return LoadedSpec(experiment, text, printable(path.name), path, attached, notices)
 
 
 def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:
-    """Check the text of a spec, as `load_spec` does; `name` is what problems call it."""
-    experiment, notices = _experiment(text, name, sets)
+    """Check the text of a spec, as `load_spec` does; `name` is what problems call it.
+
+    It may not name a file of identified values: there is no folder to look for it in.
+    """
+    experiment, notices, _ = _experiment(text, name, sets, None)
     return LoadedSpec(experiment, text, name, notices=notices)
 
 
@@ -84,21 +89,44 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
     )
 
 
-def document_of(text: str, origin: str, sets: Sequence[str]) -> Document:
+def document_of(
+    text: str,
+    origin: str,
+    sets: Sequence[str],
+    identified: tuple[Identified, str] | None = None,
+) -> Document:
     """Return the data of a spec with `sets` applied, names of today, and the place of each value.
 
-    What is wrong is among its problems; InvalidSpecError where nothing can be made of the text.
+    Values that were `identified`, of a file by its name, take the places of the text's own before
+    that. What is wrong is among its problems; InvalidSpecError where nothing can be made of the
+    text.
     """
     document = parse_document(text, origin)
     upgrade(document)
+    if identified is not None:
+        merge(document, *identified)
     for setting in sets:
         override(document, setting)
     return document
 
 
-def _experiment(text: str, origin: str, sets: Sequence[str]) -> tuple[Experiment, tuple[str, ...]]:
-    """Return the experiment and what names have changed."""
+def _experiment(
+    text: str, origin: str, sets: Sequence[str], folder: Path | None
+) -> tuple[Experiment, tuple[str, ...], tuple[tuple[str, str], ...]]:
+    """Return the experiment, what names have changed, and the files in `folder` it draws on."""
     document = document_of(text, origin, sets)
+    attached: tuple[tuple[str, str], ...] = ()
+    named = document.data.get("identified")
+    if isinstance(named, str) and folder is None:
+        place = document.place(("identified",))
+        message = "can only be named in a spec that is a file"
+        document.problems.append(place.problem(("identified",), message, place.text))
+    elif isinstance(named, str) and folder is not None:
+        path = folder / named
+        found, held = read_identified(path)
+        attached = ((printable(path.name), held),)
+        document = document_of(text, origin, sets, (found, str(path)))
+        del document.data["identified"]  # the spec has its values now
     experiment = None
     try:
         experiment = Experiment.model_validate(frozen(document.data), strict=True, context=STRICT)
@@ -112,7 +140,7 @@ def _experiment(text: str, origin: str, sets: Sequence[str]) -> tuple[Experiment
         document.problems.append(place.problem(loc, message, place.text))
     if document.found or experiment is None:
         raise InvalidSpecError(document.found)
-    return experiment, tuple(document.notices)
+    return experiment, tuple(document.notices), attached
 
 
 def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:
@@ -129,10 +157,3 @@ def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], 
     arena = dict(valid(Arena, [data.get("arena")])).get(0)
     robots = dict(valid(Robot, data.get("robots")))
     return arena, robots, dict(valid(Obstacle, data.get("obstacles")))
-
-
-def frozen(value: Any) -> Any:
-    """Return a document's data with tuples for lists, which is what strict validation wants."""
-    if isinstance(value, dict):
-        return {key: frozen(item) for key, item in value.items()}
-    return tuple(map(frozen, value)) if isinstance(value, list) else value

@@ -15,10 +15,11 @@ from tetractl.experiment.consistency import plant_contradictions
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.kinds import PLANTS
 from tetractl.experiment.lab import LabSection
-from tetractl.experiment.load import LoadedSpec, frozen
+from tetractl.experiment.load import LoadedSpec
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
+from tetractl.experiment.yaml.frozen import frozen
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
 from tetractl.experiment.yaml.upgrade_lab import is_old_calibration, upgrade_calibration
 
@@ -56,7 +57,8 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     path = (loaded.path.parent if loaded.path else Path()) / lab.calibration
     text = read_text(path)
     experiment = calibrated(loaded.experiment, text, str(path))
-    return replace(loaded, experiment=experiment, attached=((printable(path.name), text),))
+    attached = (*loaded.attached, (printable(path.name), text))
+    return replace(loaded, experiment=experiment, attached=attached)
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:

@@ -1,0 +1,60 @@
+"""`tetractl replay --through`: drive a plant again with recorded commands."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tetractl.core.errors import Exit
+
+ROWS = 12  # of the table of distances
+
+
+def redrive(log: Path, plant: str, out: Path | None, picture: Path | None, yes: bool) -> int:
+    """Drive a plant, "sim" or "lab", with a log's commands; print how far the paths go apart.
+
+    The new log goes into the folder `out`, a figure of both to `picture`.
+    """
+    import numpy as np
+
+    from tetractl.cli.drive import drive
+    from tetractl.log.read.reader import read_trial
+    from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
+    from tetractl.replay.rerun import recorded
+    from tetractl.run.folder import default_folder
+    from tetractl.view.style import file_format
+    from tetractl.view.terminal.damage import warn_of_damage
+
+    if picture is not None:
+        file_format(picture)
+    was = read_trial(log)
+    warn_of_damage(was)
+    spec, trial = recorded(log, "lab" if plant == "lab" else "sim")
+    spec = sequence_spec(spec, *recorded_directions(was))
+    folder = out or default_folder(f"{spec.experiment.name}-again", datetime.now(UTC))
+    path = drive(spec, folder, trial, yes)
+    again = read_trial(path)
+    apart = paths_apart(was, again)
+    print(f"{log} ({was.origin.value}) and {path} ({again.origin.value}), open loop")
+    print("the same directions at the same times; distance of the two paths of each robot")
+    unit = apart.unit
+    times = np.unique(np.linspace(0, max(len(apart.time_s) - 1, 0), ROWS).astype(int))
+    width = max(10, *(len(name) for name in apart.names))
+    print("  time [s] " + " ".join(f"{name:>{width}}" for name in apart.names) + f"  [{unit}]")
+    for i in times[: len(apart.time_s)]:
+        cells = " ".join(_cell(value, width) for value in apart.distance[i])
+        print(f"  {apart.time_s[i]:8.2f} {cells}")
+    known = np.nan_to_num(apart.distance, nan=-1.0)
+    most = known.max(axis=0, initial=0.0)
+    print("  at most  " + " ".join(_cell(value, width) for value in most))
+    print("  at last  " + " ".join(_cell(value, width) for value in apart.final))
+    print(f"log in {path}")
+    if picture is not None:
+        from tetractl.view.figures.redriven import redriven_figure
+        from tetractl.view.style import save
+
+        save(redriven_figure(was, again, apart), picture)
+        print(picture)
+    return Exit.FAILED if was.damage else Exit.DONE
+
+
+def _cell(value: float, width: int) -> str:
+    return f"{value:{width}.2f}" if value == value and value >= 0 else f"{'-':>{width}}"

@@ -1,0 +1,104 @@
+"""A controller that sends a given sequence of directions, whatever the robots do: open loop."""
+
+import time
+from collections.abc import Callable
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.control.algorithm_2 import make_plan
+from tetractl.control.cost import evaluate
+from tetractl.control.knowledge import Knowledge
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.plan import End, Outcome, Plan, Search
+from tetractl.core.poses import Observation
+from tetractl.core.problem import Problem
+from tetractl.core.protocols import Optimizer
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Finite, NonNegative
+from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
+from tetractl.model.obstacles import Obstacles
+
+GIVEN = "given"
+"""Why the search of such a step ended: there was none."""
+AHEAD = 50  # signals whose path a step predicts
+
+
+class SequenceSection(ControllerSection):
+    """A given sequence of directions, one a control step; nothing is searched."""
+
+    type: Literal["sequence"] = "sequence"
+    directions: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)]
+    """The direction of each control step [rad]; after the last the robots are stopped."""
+    remainder: NonNegative = 0.0
+    """How much longer than a control period the last one is held [s]."""
+
+    def bounds(self) -> dict[str, str]:
+        """Return how long the sequence is."""
+        return {"directions": f"{len(self.directions)}"}
+
+    def problem(self, setup: Setup) -> Problem:
+        """Return the problem whose cost the log states, for robots at their starts."""
+        return Problem(
+            poses=setup.starts,
+            targets=setup.targets,
+            a=setup.a,
+            speed=setup.speed,
+            motion="exact",
+            period=self.period,
+            first_period=self.period,
+            obstacles=Obstacles.of(setup.obstacles),
+            obstacle_weight=0.0,
+            swept=False,
+            separation=0.0,
+        )
+
+    def build(
+        self,
+        setup: Setup,
+        key: int,
+        wrap: Callable[[OptimizerSection], Optimizer] = same,
+        timer: Callable[[], int] = time.perf_counter_ns,
+    ) -> "Sequence":
+        """Return the controller of one trial."""
+        return Sequence(self, setup)
+
+    def warm_up(self, setup: Setup) -> None:
+        """Evaluate the cost once."""
+        evaluate(self.problem(setup), np.zeros((1, 1)))
+
+
+class Sequence:
+    """The controller of one trial."""
+
+    def __init__(self, section: SequenceSection, setup: Setup) -> None:
+        self.section = section
+        self._knowledge = Knowledge(
+            section.problem(setup), section.period, section.dead_time, None, losses=False
+        )
+        self._k = 0
+
+    def plan(self, observation: Observation) -> Plan | Outcome | End:
+        """Return the next direction, and where it and the following ones are predicted to lead."""
+        problem, section = self._knowledge.seen(observation), self.section
+        gaps = problem.poses.distances(problem.targets)
+        if section.arrival_tolerance > 0 and bool(np.all(gaps <= section.arrival_tolerance)):
+            return Outcome.ARRIVED
+        if self._k > section.steps_max:
+            return Outcome.STEPS_MAX
+        if self._k == len(section.directions):
+            delay_ns = round(section.remainder * SECOND)
+            done = Outcome.SEQUENCE_COMPLETED
+            return End(done, delay_ns) if delay_ns else done
+        signals = np.array(section.directions[self._k : self._k + AHEAD])
+        self._k += 1
+        cost = float(evaluate(problem, signals[None]).total[0])
+        search = Search(len(signals), signals, cost, np.array([cost]), 1, GIVEN)
+        return make_plan(problem, [search], 0, 0)
+
+    def sent(self, command: Command) -> None:
+        """Note when the direction decided last was sent."""
+        if command.direction is not None:
+            self._knowledge.sent(command.sent_ns, command.direction)

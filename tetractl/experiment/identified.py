@@ -1,0 +1,130 @@
+"""The file that `tetractl identify` writes, and what a spec that names it has from it."""
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
+from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
+from tetractl.experiment.yaml.explain import explain
+from tetractl.experiment.yaml.frozen import frozen
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
+
+
+class Value(Model):
+    """A value and its 95 % interval; an end that is not known is left out."""
+
+    value: Finite
+    """The most likely value."""
+    low: Finite | None = None
+    """Lower end of the 95 % interval."""
+    high: Finite | None = None
+    """Upper end of the 95 % interval."""
+
+
+class IdentifiedRobot(Model):
+    """One robot; lengths in the file's unit."""
+
+    a: Value
+    """Turning rate [rad/s]; takes the place of the spec's."""
+    speed: Value
+    """Speed [length unit/s]; takes the place of the spec's."""
+    heading_bias: Value
+    """Angle between the direction sent and the one the robot turns to [rad]."""
+    track_radius: Value | None = None
+    """Distance from a wheel to the robot's centre [length unit]."""
+    position_noise: Value
+    """Deviation of the camera's positions [length unit]."""
+    heading_noise: Value
+    """Deviation of the camera's headings [rad]."""
+    heading_walk: Value
+    """Random walk of the heading [rad/sqrt(s)]."""
+
+
+class Identified(Model):
+    """What was identified of robots and commands."""
+
+    identified: str = Field(max_length=100)
+    """When."""
+    origin: str = Field(max_length=1000)
+    """What the robots were, such as `disturbed simulation`, `emulated lab` or `lab`."""
+    sources: tuple[str, ...] = ()
+    """The logs."""
+    unit: str
+    """Length unit of the numbers here."""
+    dead_time: Value
+    """From the sending of a direction until it acts [s]."""
+    frame_age: NonNegative = 0.0
+    """From the exposure of the frame that a direction answers to its sending [s]."""
+    robots: dict[Name, IdentifiedRobot]
+    """By name."""
+
+
+class _PositiveValues(Model):
+    """What a spec asks of the values that it takes."""
+
+    a: Positive
+    speed: NonNegative
+
+
+def identified_yaml(found: Identified) -> str:
+    """Return the text of such a file."""
+    return dump(found.model_dump(mode="json", exclude_none=True))
+
+
+def read_identified(path: Path) -> tuple[Identified, str]:
+    """Return a file's values and its text; problems are told as a spec's are."""
+    text = read_text(path)
+    document = parse_document(text, str(path))
+    try:
+        found = Identified.model_validate(frozen(document.data), strict=True)
+        for robot in found.robots.values():
+            _PositiveValues(a=robot.a.value, speed=robot.speed.value)
+    except ValidationError as error:
+        raise InvalidSpecError([*document.found, *explain(error, document)]) from None
+    if document.found:
+        raise InvalidSpecError(document.found)
+    return found, text
+
+
+def merge(document: Document, found: Identified, origin: str) -> None:
+    """Put what was identified in the places of a spec's own values; problems join the document's.
+
+    Each robot's a and speed and the controller's dead time are replaced, the latter counted as the
+    controller counts it: from the sending of a command where it identifies while driving
+    (`estimate`), else from the exposure of the frame.
+    """
+    data = document.data
+    place = Place(origin)
+    units = data.get("units")
+    unit = units.get("length", "mm") if isinstance(units, dict) else "mm"
+    if unit != found.unit:
+        document.problems.append(
+            place.problem(("unit",), f"differs from the spec's, {unit}", found.unit)
+        )
+        return
+    robots = data.get("robots")
+    listed = [one for one in robots if isinstance(one, dict)] if isinstance(robots, list) else []
+    names = [one.get("name") for one in listed]
+    for name in found.robots.keys() - set(names):
+        document.problems.append(place.problem(("robots", name), "is no robot of the spec"))
+    for i, robot in enumerate(listed):
+        values = found.robots.get(str(robot.get("name")))
+        if values is not None:
+            _put(document, robot, ("robots", i), place, a=values.a.value, speed=values.speed.value)
+    controller = data.setdefault("controller", {})
+    if isinstance(controller, dict):
+        estimates = controller.get("estimate") is True
+        dead_time = found.dead_time.value + (0.0 if estimates else found.frame_age)
+        _put(document, controller, ("controller",), place, dead_time=dead_time)
+
+
+def _put(
+    document: Document, holder: dict[str, Any], loc: Loc, place: Place, **values: float
+) -> None:
+    for key, value in values.items():
+        holder[key] = value
+        document.refused.pop((*loc, key), None)
+        document.values[(*loc, key)] = document.keys[(*loc, key)] = place

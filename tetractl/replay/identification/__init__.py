@@ -1,0 +1,1 @@
+"""What recorded trials tell of robots and commands, with intervals."""

@@ -1,0 +1,136 @@
+"""The likelihood of differences of noisy measurements along a chain of intervals.
+
+A quantity is measured at the ends of K intervals with an error e of deviation s, and walks at
+random by w sqrt(t) in an interval of t seconds. What an interval misses the model by is then
+
+    r_k = e_(k+1) - F_k e_k + w sqrt(t_k) n_k,
+
+where F_k is the derivative of the model's end by its begin. The covariance A of r is tridiagonal:
+s^2 (1 + F_k^2) + w^2 t_k on the diagonal, -s^2 F_k beside it where interval k begins with the frame
+that interval k - 1 ended with. With A = L L^T, y = L^-1 r are independent and of deviation 1, and
+-2 ln likelihood = sum y^2 + 2 sum ln L_kk, but for a constant.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky_banded, solve_banded
+from scipy.optimize import minimize, minimize_scalar
+
+from tetractl.core.poses import Bools, Floats
+
+LIMIT = 3.841
+"""95 % quantile of chi-squared with one degree of freedom."""
+LEAST = 1e-7  # of a deviation, relative to the residuals' own
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A value and its 95 % interval; an end is infinite where the motion does not bound it."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The deviation `measured` of a measurement, and `walk` of a random walk a root second."""
+
+    measured: float
+    walk: float
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """The K intervals of one robot: their length `t` (K,) [s], `slope` F (K,), and which count.
+
+    `linked` (K,) tells which begin with the frame that the one before ended with.
+    """
+
+    t: Floats
+    slope: Floats
+    used: Bools
+    linked: Bools
+
+    def factor(self, noise: Noise) -> Floats:
+        """Return L as its diagonal and the one below, (2, K); an interval not used has L = 1."""
+        both = self.linked & self.used & np.append(False, self.used[:-1])
+        banded = np.zeros((2, self.t.size))
+        s2 = noise.measured**2
+        variance = s2 * (1 + self.slope**2) + noise.walk**2 * self.t + 1e-300
+        banded[0] = np.where(self.used, variance, 1.0)
+        banded[1, :-1] = np.where(both, -s2 * self.slope, 0.0)[1:]
+        return cholesky_banded(banded, lower=True, check_finite=False)
+
+    def whiten(self, factor: Floats, columns: Floats) -> Floats:
+        """Return L^-1 of columns (K, M), 0 where an interval is not used."""
+        columns = np.where(self.used[:, None], columns, 0.0)
+        found: Floats = solve_banded((1, 0), factor, columns, check_finite=False)
+        return found
+
+    def deviance(self, noise: Noise, r: Floats) -> float:
+        """Return -2 ln likelihood of residuals (K,)."""
+        factor = self.factor(noise)
+        y = self.whiten(factor, r[:, None])[:, 0]
+        return float(y @ y + 2 * np.log(factor[0]).sum())
+
+    def noise_of(self, r: Floats) -> Noise:
+        """Return the most likely noise of residuals (K,)."""
+        size = _size(r[self.used])
+        begin = np.log([0.5 * size, size])
+        best = minimize(
+            lambda p: self.deviance(_noise(p, size), r),
+            begin,
+            method="Nelder-Mead",
+            options={"xatol": 1e-3, "fatol": 1e-3, "maxfev": 200},
+        )
+        return _noise(best.x, size)
+
+    def noise_intervals(
+        self, r: Floats, best: Noise
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the 95 % profile intervals of both deviations: (low, high) of each."""
+        size = _size(r[self.used])
+        least = self.deviance(best, r)
+
+        def profile(which: int, value: float) -> float:
+            def of(other: float) -> float:
+                pair = (value, other) if which == 0 else (other, value)
+                return self.deviance(_noise(np.array(pair), size), r)
+
+            near = np.log(max((best.walk, best.measured)[which], LEAST * size))
+            wide = minimize_scalar(
+                of, bounds=(near - 8, near + 4), method="bounded", options={"xatol": 1e-2}
+            )
+            return min(float(wide.fun), of(np.log(LEAST * size))) - least
+
+        def limit(which: int, sign: int) -> float:
+            begin = np.log(max((best.measured, best.walk)[which], LEAST * size))
+            inside, step = begin, 0.05
+            while profile(which, inside + sign * step) < LIMIT:
+                inside += sign * step
+                step *= 2
+                if inside < np.log(LEAST * size):
+                    return 0.0
+                if inside > begin + 40:
+                    return np.inf
+            outside = inside + sign * step
+            for _ in range(9):
+                middle = (inside + outside) / 2
+                if profile(which, middle) < LIMIT:
+                    inside = middle
+                else:
+                    outside = middle
+            return float(np.exp((inside + outside) / 2))
+
+        return (limit(0, -1), limit(0, 1)), (limit(1, -1), limit(1, 1))
+
+
+def _size(r: Floats) -> float:
+    return float(np.std(r)) + 1e-12 if r.size else 1.0
+
+
+def _noise(logarithms: Floats, size: float) -> Noise:
+    measured, walk = np.exp(np.clip(logarithms, np.log(LEAST * size), np.log(size) + 20))
+    return Noise(float(measured), float(walk))

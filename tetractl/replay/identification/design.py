@@ -1,0 +1,219 @@
+"""An informative motion: a sequence of directions that tells much of the robots, inside the arena.
+
+Of many random sequences the one is kept of which a fit would tell most: the least of the sum of the
+logarithms of the predicted variances (a D-optimal design) of the dead time and of each robot's a
+and heading bias, among those on which no robot comes within `margin` of the arena's edge, of an
+obstacle, or of another robot. The best of them is then changed one direction at a time. Variances
+are predicted by the information of the turns of intervals of SHORTEST_S with the noise NOISE.
+
+Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and Data Analysis",
+Academic Press (1977), chapter 6.
+"""
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.experiment import Experiment
+from tetractl.model.motion.exact import step
+from tetractl.model.obstacles import Obstacles
+from tetractl.replay.identification.chain import Noise
+from tetractl.replay.identification.tracks import SHORTEST_S, Track, drives_of
+from tetractl.replay.identification.turning import Turning, Turns
+
+HOLD_S = 0.4  # for which a direction is held at least
+NOISE = Noise(0.01, 0.03)  # of headings [rad], and their random walk [rad/sqrt(s)]
+CANDIDATES, CHANGES = 60, 120
+TRIES, GIVE_UP, GIVEN_UP = (
+    60,
+    0.1,
+    3,
+)  # of random directions: how many a direction, and when to go back
+SAMPLE_S = 0.05
+WEAK = np.array([0.5, 2.0, 1.0])  # deviations of dead time, ln a and bias before the motion
+AWAY = 0.15  # margin, relative to the arena's shorter side, but for robots that start nearer
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A sequence of directions, one a control period, and what a fit to it is predicted to tell.
+
+    `directions` (C,) [rad]; `dead_time_std` [s], `a_std` (N,) relative, `heading_bias_std` (N,)
+    [rad]; `clearance` is the least distance kept to edge and obstacles [length unit].
+    """
+
+    directions: Floats
+    period_s: float
+    dead_time_std: float
+    a_std: Floats
+    heading_bias_std: Floats
+    clearance: float
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes [s]."""
+        return len(self.directions) * self.period_s
+
+
+def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
+    """Return a design of some seconds; UsageError where the robots have no room for one."""
+    setup, rng = experiment.setup, np.random.default_rng(seed)
+    period = setup.period_s
+    hold = max(1, round(HOLD_S / period))
+    count = max(2, round(seconds / (hold * period)))
+    dead_time = experiment.controller.dead_time
+    room = _Room(setup)
+    found: list[tuple[float, Floats]] = []
+    for _ in range(CANDIDATES):
+        knots = _random_sequence(rng, count, setup, room, hold * period)
+        if knots is not None:
+            found.append((_score(setup, np.repeat(knots, hold), dead_time), knots))
+    if not found:
+        raise UsageError(
+            "the robots have no room to drive for that long",
+            "shorten --seconds, or start them further from edges, obstacles and each other",
+        )
+    best, knots = min(found, key=lambda one: one[0])
+    for _ in range(CHANGES):
+        changed = knots.copy()
+        changed[rng.integers(count)] = rng.uniform(-np.pi, np.pi)
+        if room.clearance(np.repeat(changed, hold), period) < room.margin:
+            continue
+        score = _score(setup, np.repeat(changed, hold), dead_time)
+        if score < best:
+            best, knots = score, changed
+    directions = np.repeat(knots, hold)
+    deviations = _deviations(setup, directions, dead_time)
+    n = len(setup.names)
+    return Design(
+        directions=directions,
+        period_s=period,
+        dead_time_std=float(deviations[0]),
+        a_std=deviations[1 : 1 + n],
+        heading_bias_std=deviations[1 + n :],
+        clearance=room.clearance(directions, period),
+    )
+
+
+class _Room:
+    """Where robots may drive: away from the arena's edge, obstacles and each other."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+        self._obstacles = Obstacles.of(setup.obstacles)
+        side = min(setup.arena.width, setup.arena.height)
+        starts = setup.starts
+        here = self.distance(starts.x[None], starts.y[None])
+        self.margin = min(AWAY * side, 0.5 * here)
+
+    def clearance(self, directions: Floats, period: float) -> float:
+        """Return the least distance that a sequence keeps, half of it between two robots."""
+        x, y = _path(self.setup, directions, period)
+        return self.distance(x, y)
+
+    def distance(self, x: Floats, y: Floats) -> float:
+        """Return that of paths x, y (M, N)."""
+        least = float(self.setup.arena.inside(x, y).min())
+        for shape in self._obstacles.shapes:
+            least = min(least, float(shape.distance(x.ravel(), y.ravel()).min()))
+        for i, j in itertools.combinations(range(x.shape[1]), 2):
+            gap = np.hypot(x[:, i] - x[:, j], y[:, i] - y[:, j])
+            least = min(least, float(gap.min()) / 2)
+        return least
+
+
+def _random_sequence(
+    rng: np.random.Generator, count: int, setup: Setup, room: _Room, seconds: float
+) -> Floats | None:
+    """Return random directions, each held for `seconds`, that stay in the room; None for none.
+
+    Where no direction does, the last few are drawn once more.
+    """
+    knots: list[float] = []
+    states = [setup.starts]
+    for _ in range(TRIES * count):
+        u = float(rng.uniform(-np.pi, np.pi))
+        x, y, end = _drive(setup, states[-1], u, seconds)
+        if room.distance(x, y) >= room.margin:
+            knots.append(u)
+            states.append(end)
+            if len(knots) == count:
+                return np.array(knots)
+        elif rng.uniform() < GIVE_UP:
+            kept = max(0, len(knots) - GIVEN_UP)
+            del knots[kept:], states[kept + 1 :]
+    return None
+
+
+def _path(setup: Setup, directions: Floats, period: float) -> tuple[Floats, Floats]:
+    """Return x, y (M, N) of the robots under directions."""
+    poses, xs, ys = setup.starts, [], []
+    for u in directions:
+        x, y, poses = _drive(setup, poses, float(u), period)
+        xs.append(x)
+        ys.append(y)
+    return np.concatenate(xs), np.concatenate(ys)
+
+
+def _drive(setup: Setup, poses: Poses, u: float, seconds: float) -> tuple[Floats, Floats, Poses]:
+    """Return x, y (M, N) under a direction, every SAMPLE_S at least, and the poses at its end."""
+    t = np.linspace(0.0, seconds, 1 + max(1, round(seconds / SAMPLE_S)))[1:, None]
+    x, y, heading = step(poses.x, poses.y, poses.heading, np.array(u), setup.a, setup.speed, t)
+    return x, y, Poses(x[-1], y[-1], heading[-1])
+
+
+def _score(setup: Setup, directions: Floats, dead_time: float) -> float:
+    return float(np.log(_deviations(setup, directions, dead_time)).sum())
+
+
+def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
+    """Return the predicted deviations of dead time, ln a and heading biases, (1 + 2 N,)."""
+    n = len(setup.names)
+    drives = drives_of([_driven(setup, directions, dead_time)])
+    turns, p = Turns(drives), Turning(dead_time, np.log(setup.a), np.zeros(n))
+    by = turns.derivatives(p)
+    normal = np.diag(np.concatenate([[WEAK[0]], np.repeat(WEAK[1:], n)]) ** -2.0)
+    for i, chain in enumerate(turns.chains(p, drives.intervals.usable)):
+        columns = chain.whiten(chain.factor(NOISE), np.column_stack([one[:, i] for one in by]))
+        at = np.array([0, 1 + i, 1 + n + i])
+        normal[np.ix_(at, at)] += columns.T @ columns
+    return np.sqrt(np.diag(np.linalg.inv(normal)))
+
+
+def _driven(setup: Setup, directions: Floats, dead_time: float) -> Track:
+    """Return the track of robots that move as expected, frames SHORTEST_S apart."""
+    period, n = setup.period_s, len(setup.names)
+    sent: Floats = np.arange(len(directions)) * period
+    end = len(directions) * period
+    times = np.arange(0.0, end + dead_time, SHORTEST_S)
+    poses, rows = setup.starts, [setup.starts.array()]
+    changes = np.append(sent, np.inf) + dead_time
+    for since, until in itertools.pairwise(times):
+        x, y, heading = poses.x, poses.y, poses.heading
+        at = since
+        while at < until - 1e-12:
+            k = int(np.searchsorted(changes, at + 1e-12, "right")) - 1
+            to = min(until, float(changes[k + 1]) if k + 1 < len(changes) else until)
+            if k >= 0:
+                x, y, heading = step(x, y, heading, directions[k], setup.a, setup.speed, to - at)
+            at = to
+        poses = replace(poses, x=x, y=y, heading=heading)
+        rows.append(poses.array())
+    return Track(
+        "the design",
+        "predicted",
+        setup.unit,
+        setup.names,
+        times,
+        np.array(rows),
+        np.ones((len(times), n), dtype=np.bool_),
+        sent,
+        directions,
+        np.full((len(sent), n), np.nan),
+        np.full((len(sent), n), np.nan),
+        end,
+    )

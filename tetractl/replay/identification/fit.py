@@ -1,0 +1,208 @@
+"""A dead time shared by all robots, and each robot's a and heading bias, by maximum likelihood.
+
+The start is the robust fit by which the controller identifies the robots while they drive
+(`control.identify`), from each of RATES. From there on: commands that were lost are told by how the
+robots turn, intervals that miss the model by more than OUTLYING deviations are left out, the noise
+of the measurement and the random walk of the headings are fitted, and the parameters by Gauss-
+Newton steps on the whitened residuals; and that ROUNDS times. A parameter's 95 % interval holds the
+values for which the deviance, at its least over all other parameters, is within LIMIT of its least.
+
+Weak normal priors around the robust fit, WEAK, keep what the motion does not show from running off.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.control.identify import Prior
+from tetractl.control.identify import fit as robust_fit
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Bools, Floats
+from tetractl.model.motion.exact import step
+from tetractl.replay.identification.chain import LIMIT, Chain, Noise
+from tetractl.replay.identification.tracks import Drives
+from tetractl.replay.identification.turning import Turning, Turns
+
+OUTLYING = 4.0  # deviations
+ROUNDS = 5
+RATES = (1.0, 0.4, 2.5)  # times the a expected, from which the robust fit starts
+ROBUST_STEPS = 8
+WEAK = (0.5, 2.0, 1.0)  # deviations of tau [s], ln a and beta [rad]
+FAR = (1.0, 3.0, 1.5)  # from the estimate: no end of an interval is looked for beyond
+STEP = (0.03, 0.3, 0.3)  # the longest Gauss-Newton step
+NEWTON = 3  # steps at each point of a profile
+POINTS = 6  # of each side of a profile
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """The most likely parameters and the ends of their 95 % intervals, infinite where not found.
+
+    `chains` and `noises` are those of each robot's turns, `used` (K, N) the intervals that count.
+    """
+
+    best: Turning
+    low: Turning
+    high: Turning
+    turns: Turns
+    chains: list[Chain]
+    noises: list[Noise]
+    used: Bools
+
+
+def fit(drives: Drives, prior: Prior) -> Fitted:
+    """Return the fit; `prior` says where the robust fit starts and how far it looks."""
+    starts = [_robust(drives, prior, rate) for rate in RATES]
+    first = min((_Fit(drives, start) for start in starts), key=_Fit.misfit)
+    for _ in range(ROUNDS):
+        first.improve()
+    return first.result()
+
+
+def _robust(drives: Drives, prior: Prior, rate: float) -> Turning:
+    """Return the controller's fit with every a expected to be `rate` times the prior's."""
+    scaled = Prior(
+        prior.a * rate,
+        prior.speed,
+        prior.dead_time,
+        prior.a_std,
+        prior.speed_std,
+        prior.dead_time_std,
+        prior.heading_bias_std,
+    )
+    found: Estimate = robust_fit(
+        drives.intervals, drives.directions, scaled, scaled.estimate(), step, ROBUST_STEPS
+    )
+    assert found.dead_time is not None and found.heading_bias is not None
+    return Turning(found.dead_time, np.log(found.a), found.heading_bias)
+
+
+class _Fit:
+    """A fit under way."""
+
+    def __init__(self, drives: Drives, start: Turning) -> None:
+        self.turns, self.p = Turns(drives), start
+        self.used = drives.intervals.usable
+        each = np.ones(self.used.shape[1])
+        self._weak = np.concatenate([[WEAK[0]], WEAK[1] * each, WEAK[2] * each])
+        self._far = np.concatenate([[FAR[0]], FAR[1] * each, FAR[2] * each])
+        self._step = np.concatenate([[STEP[0]], STEP[1] * each, STEP[2] * each])
+        self._center = start.vector()
+        self._chains: list[Chain] = []
+        self._noises: list[Noise] = []
+        self._factors: list[Floats] = []
+
+    def misfit(self) -> float:
+        """Return a robust measure of how far the start misses the turns."""
+        r = np.abs(self.turns.missed(self.p))
+        return float(np.minimum(r, 0.2)[self.used].mean()) if self.used.any() else np.inf
+
+    def improve(self) -> None:
+        """Do one round: losses, outliers, noise, parameters."""
+        usable = self.turns.drives.intervals.usable
+        if not self._noises:
+            r = self.turns.missed(self.p)
+            spread = [_spread(r[usable[:, i], i]) for i in range(r.shape[1])]
+            self._chains = self.turns.chains(self.p, usable)
+            self._noises = [Noise(one / np.sqrt(2), one) for one in spread]
+        self.turns.believe(self.p, self._chains, self._noises)
+        r = self.turns.missed(self.p)
+        limits = [
+            OUTLYING * np.sqrt(n.measured**2 * (1 + c.slope**2) + n.walk**2 * c.t)
+            for c, n in zip(self._chains, self._noises, strict=True)
+        ]
+        self.used = usable & (np.abs(r) <= np.column_stack(limits))
+        self._chains = self.turns.chains(self.p, self.used)
+        self._noises = [c.noise_of(r[:, i]) for i, c in enumerate(self._chains)]
+        self._factors = [c.factor(n) for c, n in zip(self._chains, self._noises, strict=True)]
+        for _ in range(NEWTON):
+            self.p = self._newton(self.p, None)
+
+    def _whitened(self, p: Turning, derivatives: bool) -> tuple[Floats, Floats]:
+        """Return y (N K,) and, with `derivatives`, those of the prediction, (N K, 1 + 2 N)."""
+        r, count = self.turns.missed(p), self.used.shape[1]
+        by = self.turns.derivatives(p) if derivatives else ()
+        ys, rows = [], []
+        for i, (chain, factor) in enumerate(zip(self._chains, self._factors, strict=True)):
+            columns = np.column_stack([r[:, i], *(one[:, i] for one in by)])
+            y = chain.whiten(factor, columns)
+            ys.append(y[:, 0])
+            if derivatives:
+                row = np.zeros((len(r), 1 + 2 * count))
+                row[:, 0], row[:, 1 + i], row[:, 1 + count + i] = y[:, 1:].T
+                rows.append(row)
+        return np.concatenate(ys), np.concatenate(rows) if rows else np.empty((0, 0))
+
+    def _newton(self, p: Turning, fixed: int | None) -> Turning:
+        """Return the parameters after a Gauss-Newton step of all but the `fixed` one."""
+        y, by = self._whitened(p, True)
+        v = p.vector()
+        normal = by.T @ by + np.diag(self._weak**-2.0)
+        right = by.T @ y - (v - self._center) / self._weak**2
+        if fixed is not None:
+            normal[fixed], normal[:, fixed], right[fixed] = 0.0, 0.0, 0.0
+            normal[fixed, fixed] = 1.0
+        self._deviations = np.sqrt(np.diag(np.linalg.inv(normal)))
+        v = v + np.clip(np.linalg.solve(normal, right), -self._step, self._step)
+        v[0] = max(v[0], 0.0)
+        return Turning.of(v)
+
+    def _deviance(self, p: Turning) -> float:
+        y, _ = self._whitened(p, False)
+        return float(y @ y + (((p.vector() - self._center) / self._weak) ** 2).sum())
+
+    def _end(self, which: int, sign: int, deviation: float, least: float) -> float:
+        """Return an end of the interval of a parameter: where the profile reaches LIMIT."""
+        best = self.p.vector()
+        p, reach = self.p, 1.96 * deviation
+        inside, outside = 0.0, np.inf
+        for _ in range(POINTS):
+            if reach > self._far[which]:
+                return sign * np.inf
+            v = p.vector()
+            v[which] = best[which] + sign * reach
+            if which == 0 and v[0] <= 0:
+                if inside == outside:
+                    break
+                v[0] = 0.0
+            p = Turning.of(v)
+            for _ in range(NEWTON):
+                p = self._newton(p, which)
+            above = self._deviance(p) - least
+            if which == 0 and v[0] == 0.0 and above <= LIMIT:
+                return 0.0
+            if above <= LIMIT:
+                inside = reach
+            else:
+                outside = reach
+            if abs(above - LIMIT) < 0.02:
+                break
+            guess = reach * np.sqrt(LIMIT / max(above, LIMIT / 9))
+            if not inside < guess < outside:
+                guess = 2 * reach if np.isinf(outside) else (inside + outside) / 2
+            reach = float(guess)
+        return float(best[which] + sign * reach)
+
+    def result(self) -> Fitted:
+        """Return the fit with the intervals of its parameters."""
+        best = self.p.vector()
+        self._newton(self.p, None)
+        deviations, least = self._deviations, self._deviance(self.p)
+        low, high = (
+            np.array([self._end(j, sign, deviations[j], least) for j in range(len(best))])
+            for sign in (-1, 1)
+        )
+        return Fitted(
+            self.p,
+            Turning.of(low),
+            Turning.of(high),
+            self.turns,
+            self._chains,
+            self._noises,
+            self.used,
+        )
+
+
+def _spread(r: Floats) -> float:
+    """Return the deviation of residuals, from their median."""
+    return max(float(np.median(np.abs(r))) / 0.6745, 1e-6) if r.size else 1.0

@@ -1,0 +1,157 @@
+"""Identifies robots from tracks: each quantity of each robot with its 95 % interval."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.control.identify import Prior
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+from tetractl.replay.identification.chain import Chain, Interval, Noise
+from tetractl.replay.identification.fit import Fitted, fit
+from tetractl.replay.identification.tracks import Drives, Track, drives_of
+from tetractl.replay.identification.turning import Turning
+from tetractl.replay.identification.wheels import track_radii
+
+LEAST = 20  # intervals of a robot, below which nothing is fitted
+OUTLYING = 4.0  # deviations
+SPEED_ROUNDS = 3
+DEAD_TIME_STD = 0.1  # with which the robust fit looks for the dead time [s]
+A_STD, SPEED_STD, HEADING_BIAS_STD = 0.5, 0.5, 0.2  # likewise, the first two relative
+UNKNOWN_A = 3.0  # rad/s, where nothing is expected
+
+
+@dataclass(frozen=True, slots=True)
+class RobotFound:
+    """What was identified of one robot; lengths in the tracks' unit.
+
+    `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.plan.Estimate`;
+    `heading_noise` [rad] and `position_noise` [length unit] are the deviations of the camera, the
+    latter along the robot's way; `heading_walk` [rad/sqrt(s)] is the random walk of the heading and
+    `track_radius` [length unit] the distance from a wheel to the robot's centre, None where no
+    wheel speeds were logged or robots did not hold them. `lost` counts commands believed lost, and
+    `intervals` those between two frames that were used.
+    """
+
+    name: str
+    a: Interval
+    speed: Interval
+    heading_bias: Interval
+    track_radius: Interval | None
+    position_noise: Interval
+    heading_noise: Interval
+    heading_walk: Interval
+    lost: int
+    intervals: int
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What was identified from some tracks.
+
+    `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is how much earlier the
+    frame was exposed that the direction answers, None where it is not known.
+    """
+
+    origin: str
+    sources: tuple[str, ...]
+    unit: str
+    commands: int
+    dead_time: Interval
+    frame_age: float | None
+    robots: tuple[RobotFound, ...]
+
+
+def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> Found:
+    """Identify the robots of some tracks, all of the same robots.
+
+    `a` (N,) [rad/s] and the dead time [s] are what is expected, within a factor of some 5 and
+    0.3 s; None where nothing is. UsageError where the tracks show too little.
+    """
+    drives = drives_of(tracks)
+    counts = drives.intervals.usable.sum(axis=0)
+    for name, count in zip(tracks[0].names, counts, strict=True):
+        if count < LEAST:
+            raise UsageError(
+                f"robot {name}: it is seen to drive in {count} intervals between frames only",
+                f"{LEAST} are needed; `tetractl identify --design` proposes a motion",
+            )
+    fitted = fit(drives, _prior(drives, a, dead_time))
+    radii = track_radii(drives, fitted)
+    robots = []
+    for i, name in enumerate(tracks[0].names):
+        speed, position = _speed(drives, fitted, i)
+        r = fitted.turns.missed(fitted.best)[:, i]
+        of_heading, of_walk = fitted.chains[i].noise_intervals(r, fitted.noises[i])
+        robots.append(
+            RobotFound(
+                name=name,
+                a=Interval(*(float(np.exp(p.ln_a[i])) for p in _three(fitted))),
+                speed=speed,
+                heading_bias=Interval(*(float(p.beta[i]) for p in _three(fitted))),
+                track_radius=radii[i],
+                position_noise=position,
+                heading_noise=Interval(fitted.noises[i].measured, *of_heading),
+                heading_walk=Interval(fitted.noises[i].walk, *of_walk),
+                lost=round(float(fitted.turns.lost[:, i].sum())),
+                intervals=int(fitted.used[:, i].sum()),
+            )
+        )
+    ages = [track.frame_age for track in tracks if track.frame_age is not None]
+    return Found(
+        origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
+        sources=tuple(track.source for track in tracks),
+        unit=tracks[0].unit,
+        commands=len(drives.directions.u),
+        dead_time=Interval(*(p.tau for p in _three(fitted))),
+        frame_age=float(np.median(ages)) if ages else None,
+        robots=tuple(robots),
+    )
+
+
+def _three(fitted: Fitted) -> tuple[Turning, Turning, Turning]:
+    return fitted.best, fitted.low, fitted.high
+
+
+def _prior(drives: Drives, a: Floats | None, dead_time: float) -> Prior:
+    intervals = drives.intervals
+    pace = np.where(intervals.usable, intervals.travelled / drives.seconds[:, None], np.nan)
+    return Prior(
+        a=np.full(pace.shape[1], UNKNOWN_A) if a is None else a,
+        speed=np.nanmedian(pace, axis=0),
+        dead_time=dead_time,
+        a_std=A_STD,
+        speed_std=SPEED_STD,
+        dead_time_std=DEAD_TIME_STD,
+        heading_bias_std=HEADING_BIAS_STD,
+    )
+
+
+def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[Interval, Interval]:
+    """Return speed and position noise of a robot, from its displacements along the way predicted.
+
+    An interval's displacement along the predicted one is speed times the latter's length a unit of
+    speed, but for the camera's noise at its ends and a random walk of the way.
+    """
+    x, y, _ = (column[:, robot] for column in fitted.turns.motion(fitted.best))
+    length = np.hypot(x, y)
+    along = (drives.moved[:, robot, 0] * x + drives.moved[:, robot, 1] * y) / (length + 1e-300)
+    usable = drives.intervals.usable[:, robot] & (length > 0)
+    speed = float(np.median(along[usable] / length[usable]))
+    used, noise, chain, std = usable, Noise(0.0, 1.0), None, np.inf
+    for _ in range(SPEED_ROUNDS):
+        r = along - speed * length
+        if chain is None:
+            deviation = float(np.median(np.abs(r[used]))) / 0.6745 + 1e-9
+        else:
+            deviation = np.sqrt(2 * noise.measured**2 + noise.walk**2 * drives.seconds)
+        used = usable & (np.abs(r) <= OUTLYING * deviation + 1e-9)
+        chain = Chain(drives.seconds, np.ones_like(length), used, drives.after)
+        noise = chain.noise_of(r)
+        y, by = chain.whiten(chain.factor(noise), np.column_stack([along, length])).T
+        speed, std = float(by @ y / (by @ by)), float(1 / np.sqrt(by @ by))
+    assert chain is not None
+    of_position, _ = chain.noise_intervals(along - speed * length, noise)
+    # the deviance is a parabola in the speed: its profile is the normal interval
+    interval = Interval(speed, speed - 1.96 * std, speed + 1.96 * std)
+    return interval, Interval(noise.measured, *of_position)

@@ -1,0 +1,170 @@
+"""Tracked poses of robots, and the directions they were sent: what robots are identified from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.control.identify import Directions, Intervals
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Bools, Floats, wrap
+from tetractl.log.read.trial_log import TrialLog
+
+SHORTEST_S = 0.035  # of an interval: frames that come faster are left out
+DRIVING = 0.5  # share of the robot's usual travel from which on a robot drives
+APART_S = 1000.0  # between two tracks that are put one behind the other
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One trial of N robots: M camera frames and C commands, times in seconds of one clock.
+
+    `time` (M,) is when each frame was exposed, `poses` (M, N, 3) are x, y [length unit] and heading
+    [rad], `valid` (M, N) is False where a robot was not tracked. `sent` (C,) is when each command
+    was sent and `u` (C,) its direction [rad]; `left`, `right` (C, N) are the wheel speeds sent
+    [length unit/s], NaN where there are none. Nothing after `until` counts: the robots are told to
+    stop. `frame_age` is the median time from the exposure of the frame that a command answers to
+    its sending [s], None where that is not known.
+    """
+
+    source: str
+    origin: str
+    unit: str
+    names: tuple[str, ...]
+    time: Floats
+    poses: Floats
+    valid: Bools
+    sent: Floats
+    u: Floats
+    left: Floats
+    right: Floats
+    until: float
+    frame_age: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Drives:
+    """Tracks put one behind the other, APART_S apart: K intervals between frames of N robots.
+
+    `intervals` and `directions` are as in `control.identify`; `moved` (K, N, 2) is the displacement
+    of an interval [length unit]. `after` (K,) is True where an interval begins with the frame that
+    the one before ended with. `left`, `right` (C, N) are the wheel speeds of the directions' own
+    times, and `wheels_when` (C,) those times: also of commands that repeat a direction.
+    """
+
+    intervals: Intervals
+    directions: Directions
+    moved: Floats
+    after: Bools
+    wheels_when: Floats
+    left: Floats
+    right: Floats
+
+    @property
+    def seconds(self) -> Floats:
+        """The length of each interval [s], (K,)."""
+        return self.intervals.until - self.intervals.since
+
+
+def track_of(log: TrialLog) -> Track:
+    """Return the track of a log: what the camera saw and what was sent, never the truth."""
+    setup = log.start.setup
+    sent = [one for one in log.commands if one.direction is not None]
+    if not sent and log.steps:
+        sent = [step.command for step in log.steps]
+    nothing = np.full(len(setup.names), np.nan)
+    ages = [s.command.sent_ns - s.observation.sampled_ns for s in log.steps[1:]]
+    last = log.stop.sent_ns if log.stop else max((one.sent_ns for one in sent), default=0)
+    return Track(
+        source=log.path,
+        origin=log.origin.value,
+        unit=setup.unit,
+        names=setup.names,
+        time=log.mocap_ns / SECOND,
+        poses=log.mocap,
+        valid=log.valid,
+        sent=np.array([one.sent_ns for one in sent], dtype=float) / SECOND,
+        u=np.array([one.direction for one in sent], dtype=float),
+        left=np.array([nothing if one.left is None else one.left for one in sent]),
+        right=np.array([nothing if one.right is None else one.right for one in sent]),
+        until=last / SECOND,
+        frame_age=float(np.median(ages)) / SECOND if ages else None,
+    )
+
+
+def drives_of(tracks: list[Track]) -> Drives:
+    """Return several tracks of the same robots as one; UsageError where robots or units differ."""
+    first = tracks[0]
+    for other in tracks[1:]:
+        if (other.names, other.unit) != (first.names, first.unit):
+            raise UsageError(
+                f"{other.source}: other robots or another length unit than {first.source}",
+                "identify them one by one",
+            )
+    parts = [_drive(track, APART_S * (i + 1)) for i, track in enumerate(tracks)]
+    intervals = Intervals(
+        *(
+            np.concatenate([getattr(one.intervals, name) for one in parts])
+            for name in Intervals.__dataclass_fields__
+        )
+    )
+    directions = Directions(
+        np.concatenate([one.directions.when for one in parts]),
+        np.concatenate([one.directions.u for one in parts]),
+    )
+    others = ("moved", "after", "wheels_when", "left", "right")
+    return Drives(
+        intervals,
+        directions,
+        *(np.concatenate([getattr(one, name) for one in parts]) for name in others),
+    )
+
+
+def _drive(track: Track, begin: float) -> Drives:
+    """Return one track that begins at `begin` [s], counted from its first command."""
+    if not len(track.sent):
+        raise UsageError(f"{track.source}: no direction was sent in it")
+    origin = float(track.sent[0])
+    kept = _thinned(track.time)
+    time, poses, valid = track.time[kept], track.poses[kept], track.valid[kept]
+    moved = np.diff(poses[..., :2], axis=0)
+    travelled = np.hypot(moved[..., 0], moved[..., 1])
+    seen = valid[:-1] & valid[1:]
+    t = np.diff(time)[:, None]
+    told = (time[:-1] >= origin) & (time[1:] <= track.until)
+    pace = np.divide(travelled, t, out=np.zeros_like(travelled), where=t > 0)
+    usual = np.array(
+        [np.median(pace[told & seen[:, i], i]) if (told & seen[:, i]).any() else np.inf
+         for i in range(len(track.names))]
+    )  # fmt: skip
+    driving = np.logical_or.accumulate(seen & (pace >= DRIVING * usual) & told[:, None], axis=0)
+    began = np.vstack([np.zeros((1, len(track.names)), dtype=np.bool_), driving[:-1]])
+    usable = seen & began & told[:, None]
+    some = usable.any(axis=1)
+    index = np.flatnonzero(some)
+    changes = np.append(True, np.diff(track.u) != 0)  # what repeats a direction changes nothing
+    return Drives(
+        Intervals(
+            since=time[:-1][some] - origin + begin,
+            until=time[1:][some] - origin + begin,
+            heading=poses[:-1, :, 2][some],
+            turned=wrap(np.diff(poses[..., 2], axis=0))[some],
+            travelled=travelled[some],
+            usable=usable[some],
+        ),
+        Directions(track.sent[changes] - origin + begin, track.u[changes]),
+        moved=moved[some],
+        after=np.diff(index, prepend=-2) == 1,
+        wheels_when=track.sent - origin + begin,
+        left=track.left,
+        right=track.right,
+    )
+
+
+def _thinned(time: Floats) -> list[int]:
+    """Return the frames of a track, SHORTEST_S apart at least."""
+    kept: list[int] = []
+    for i, t in enumerate(time):
+        if not kept or t - time[kept[-1]] >= SHORTEST_S - 1e-9:
+            kept.append(i)
+    return kept

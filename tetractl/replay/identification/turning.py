@@ -1,0 +1,144 @@
+"""How robots turn under the directions they were sent: residuals of a model of N robots.
+
+A direction acts `tau` after it was sent, at a robot with turning rate a and heading bias beta as
+the closed form of (1)-(3) says. The model begins each interval at the heading measured. A robot
+that lost a direction follows the one before; how likely that is, is told by how the robot turns.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.control.identify import Directions, pieces
+from tetractl.core.poses import Bools, Floats, wrap
+from tetractl.model.motion.exact import step
+from tetractl.replay.identification.chain import Chain, Noise
+from tetractl.replay.identification.tracks import Drives
+
+NUDGE_S, NUDGE = 0.001, 1e-4  # of tau [s], and of ln a, beta and headings, for derivatives
+SURE = 0.01  # probability that counts as none
+FEW = 0.5  # lost commands, added to those found, in the share of commands that get lost
+LARGE = 100.0  # a squared deviation, at most: an interval that neither explains decides nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Turning:
+    """The parameters: dead time `tau` [s], `ln_a` (N,) of rad/s and `beta` (N,) [rad]."""
+
+    tau: float
+    ln_a: Floats
+    beta: Floats
+
+    def vector(self) -> Floats:
+        """Return tau, ln a and beta as one vector (1 + 2 N,)."""
+        return np.concatenate([[self.tau], self.ln_a, self.beta])
+
+    @classmethod
+    def of(cls, vector: Floats) -> "Turning":
+        """Return the parameters of such a vector."""
+        count = (len(vector) - 1) // 2
+        return cls(float(vector[0]), vector[1 : 1 + count], vector[1 + count :])
+
+
+class Turns:
+    """The turns of K intervals and what the model predicts of them.
+
+    `lost` (C, N) is the probability that a robot lost a direction, 0 to begin with.
+    """
+
+    def __init__(self, drives: Drives) -> None:
+        self.drives = drives
+        when, count = drives.directions.when, len(drives.directions.u)
+        self._numbers = Directions(when, np.arange(count, dtype=np.float64))
+        self.lost = np.zeros((count, drives.moved.shape[1]))
+        self._own = np.broadcast_to(np.arange(count)[:, None], self.lost.shape)
+        self._followed = self._own, self._own  # if those in doubt arrived, and if they did not
+
+    def motion(self, p: Turning, ahead: float = 0.0) -> tuple[Floats, Floats, Floats]:
+        """Return displacement x and y per unit of speed [s] and the turn [rad], each (K, N).
+
+        Where it is in doubt whether a direction arrived, the mean of both, by their probabilities.
+        `ahead` [rad] is added to the headings measured.
+        """
+        arrived, lost = self._followed
+        found = self._under(p, arrived, ahead)
+        if arrived is lost:
+            return found
+        share = self.lost[self._main(p)]
+        other = self._under(p, lost, ahead)
+        x, y, turn = (one + share * (two - one) for one, two in zip(found, other, strict=True))
+        return x, y, turn
+
+    def missed(self, p: Turning) -> Floats:
+        """Return the turns measured minus those predicted (K, N) [rad]."""
+        return wrap(self.drives.intervals.turned - self.motion(p)[2])
+
+    def derivatives(self, p: Turning) -> tuple[Floats, Floats, Floats]:
+        """Return those of the turn predicted by tau, ln a and beta, (K, N) each."""
+        low = max(0.0, p.tau - NUDGE_S)
+        pairs = (
+            (replace(p, tau=p.tau + NUDGE_S), replace(p, tau=low), p.tau + NUDGE_S - low),
+            (replace(p, ln_a=p.ln_a + NUDGE), replace(p, ln_a=p.ln_a - NUDGE), 2 * NUDGE),
+            (replace(p, beta=p.beta + NUDGE), replace(p, beta=p.beta - NUDGE), 2 * NUDGE),
+        )
+        by_tau, by_a, by_beta = (
+            (self.motion(more)[2] - self.motion(less)[2]) / by for more, less, by in pairs
+        )
+        return by_tau, by_a, by_beta
+
+    def chains(self, p: Turning, used: Bools) -> list[Chain]:
+        """Return the chain of each robot, of the intervals `used` (K, N)."""
+        more, less = self.motion(p, NUDGE)[2], self.motion(p, -NUDGE)[2]
+        slopes = 1 + (more - less) / (2 * NUDGE)
+        seconds, after = self.drives.seconds, self.drives.after
+        return [Chain(seconds, slopes[:, i], used[:, i], after) for i in range(used.shape[1])]
+
+    def believe(self, p: Turning, chains: list[Chain], noises: list[Noise]) -> None:
+        """Find how likely each robot lost each command, by its turns under it.
+
+        By Bayes: the likelihood of the turns under the direction, and under the one before, and the
+        share of commands that were lost so far.
+        """
+        hard = np.where(self.lost > 0.5, np.vstack([self._own[:1], self._own[:-1]]), self._own)
+        before = np.vstack([hard[:1], hard[:-1]])
+        turned, main = self.drives.intervals.turned, self._main(p)
+        first = np.diff(main, prepend=-1) != 0
+        gains = np.zeros(self.lost.shape)
+        for odd in (0, 1):  # an interval may begin under the direction before, whose fate is kept
+            asked = self._own % 2 == odd
+            residuals = [
+                wrap(turned - self._under(p, np.where(asked, one, hard))[2])
+                for one in (self._own, before)
+            ]
+            for i, (chain, noise) in enumerate(zip(chains, noises, strict=True)):
+                usable = self.drives.intervals.usable[:, i]
+                apart = Chain(chain.t, chain.slope, usable, chain.linked & ~first)
+                columns = np.column_stack([r[:, i] for r in residuals])
+                y = np.minimum(apart.whiten(apart.factor(noise), columns) ** 2, LARGE)
+                np.add.at(gains[:, i], main, np.where(main % 2 == odd, y[:, 0] - y[:, 1], 0.0))
+        share = (self.lost.sum(axis=0) + FEW) / (len(hard) + 2 * FEW)
+        odds = np.log(share / (1 - share)) + gains / 2
+        self.lost = 1 / (1 + np.exp(-np.clip(odds, -50, 50)))
+        self.lost[0] = 0.0
+        arrived = np.where(self.lost > 1 - SURE, before, self._own)
+        lost = np.where(self.lost < SURE, self._own, before)
+        self._followed = (arrived, arrived if (arrived == lost).all() else lost)
+
+    def _main(self, p: Turning) -> NDArray[np.int64]:
+        """Return the number of the direction that acts at the end of each interval, (K,)."""
+        acts = np.searchsorted(self._numbers.when + p.tau, self.drives.intervals.until, "left") - 1
+        return np.clip(acts, 0, len(self._numbers.when) - 1)
+
+    def _under(
+        self, p: Turning, followed: NDArray[np.int64], ahead: float = 0.0
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return the motion where each robot follows the directions numbered (C, N)."""
+        start = self.drives.intervals.heading + ahead
+        u = self.drives.directions.u[followed]
+        x, y, heading = np.zeros_like(start), np.zeros_like(start), start
+        a, one = np.exp(p.ln_a), np.ones(())
+        for number, seconds in pieces(self.drives.intervals, self._numbers, np.array([p.tau])):
+            towards = u[number[0].astype(np.int64)] + p.beta
+            x, y, heading = step(x, y, heading, towards, a, one, seconds[0][:, None])
+        return x, y, heading - start

@@ -1,0 +1,101 @@
+"""A plant driven again with the recorded commands of a trial, open loop, and how far apart they go.
+
+The directions are sent by a controller of kind `sequence` in a trial of its own, which is run,
+logged and, in the lab, guarded as any other.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tetractl.control.sequence import SequenceSection
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+from tetractl.experiment.load import LoadedSpec, parse_spec, resolved_yaml
+from tetractl.log.read.trial_log import TrialLog
+
+
+def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
+    """Return the direction in force in each control period of a log [rad], and a remainder [s].
+
+    Periods count from the first direction sent, that of a square too. A direction sent within the
+    first half of a period counts for all of it. The remainder is how much longer than a period the
+    last one was held. UsageError where none was sent.
+    """
+    sent = sorted(
+        (one for one in log.commands if one.direction is not None), key=lambda one: one.sent_ns
+    )
+    if not sent:
+        raise UsageError(f"{log.path}: no direction was sent in it")
+    period = round(log.experiment.controller.period * SECOND)
+    began = sent[0].sent_ns
+    end = log.stop.sent_ns if log.stop else sent[-1].sent_ns + period
+    times = np.array([one.sent_ns - began for one in sent])
+    count = max(1, (end - began) // period)
+    at = np.arange(count) * period + period // 2
+    index = np.searchsorted(times, at, side="right") - 1
+    directions = np.array([sent[i].direction for i in index], dtype=np.float64)
+    return directions, max(0, end - began - count * period) / SECOND
+
+
+def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> LoadedSpec:
+    """Return a spec whose controller sends given directions [rad], one a control period.
+
+    The robots stand until the first, and no arrival ends the trial.
+    """
+    controller = SequenceSection(
+        period=spec.experiment.controller.period,
+        dead_time=spec.experiment.controller.dead_time,
+        steps_max=len(directions),
+        directions=tuple(directions.tolist()),
+        remainder=remainder,
+    )
+    experiment = spec.experiment.model_copy(update={"controller": controller})
+    text = resolved_yaml(experiment)
+    made = parse_spec(text, spec.name)
+    return replace(spec, experiment=made.experiment, text=text, path=None)
+
+
+@dataclass(frozen=True, slots=True)
+class Apart:
+    """Two trials of N robots at M times: `time_s` (M,) from the first direction of each.
+
+    `distance` (M, N) is that of a robot's two measured positions [length unit], NaN where it was
+    not tracked in either.
+    """
+
+    names: tuple[str, ...]
+    unit: str
+    time_s: Floats
+    distance: Floats
+
+    @property
+    def final(self) -> Floats:
+        """The last known distance of each robot, (N,)."""
+        known = [column[np.isfinite(column)] for column in self.distance.T]
+        return np.array([one[-1] if one.size else np.nan for one in known])
+
+
+def paths_apart(recorded: TrialLog, again: TrialLog) -> Apart:
+    """Return how far two trials of the same robots go apart, at the recorded frames.
+
+    The positions of the trial driven again are interpolated between its frames. Times before the
+    first direction and after the end of either are left out.
+    """
+    names = recorded.start.setup.names
+    if names != again.start.setup.names:
+        raise UsageError(f"{again.path}: has other robots than {recorded.path}")
+    first, second = ((log.mocap_ns - log.began_ns) / SECOND for log in (recorded, again))
+    within = (first >= 0) & (first <= (second[-1] if len(second) else -1.0))
+    time = first[within]
+    distance = np.full((len(time), len(names)), np.nan)
+    for i in range(len(names)):
+        seen = again.valid[:, i]
+        if not seen.any():
+            continue
+        x, y = (np.interp(time, second[seen], again.mocap[seen, i, axis]) for axis in (0, 1))
+        was = recorded.mocap[within, i]
+        gap = np.hypot(was[:, 0] - x, was[:, 1] - y)
+        distance[:, i] = np.where(recorded.valid[within, i], gap, np.nan)
+    return Apart(names, recorded.start.setup.unit, time, distance)

@@ -1,0 +1,129 @@
+"""What another controller would have decided on the observations of a recorded trial.
+
+The other controller is given each recorded observation, and told of the directions that were sent,
+not of its own: so at every step it answers the situation that the robots were really in. That is a
+prediction. It is no closed loop: had it decided, the robots would have been elsewhere at the next
+step.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.errors import TetractlError, UsageError
+from tetractl.core.plan import End, Plan
+from tetractl.core.poses import Floats, wrap
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import parse_spec
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.replay.recompute import first_steps
+from tetractl.run.seeds import trial_seeds
+
+SAME = 1e-9
+"""Directions that differ by less are the same [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepPrediction:
+    """What was decided at control step k, and what the other controller would have.
+
+    `difference` [rad] is the other direction minus the one sent, in [-pi, pi]. `recorded_error` and
+    `other_error` are the sums of distances to the targets at the predicted ends of both plans, and
+    `apart` (N,) the distances of each robot's two predicted ends [length unit].
+    """
+
+    k: int
+    time_s: float
+    recorded: float
+    other: float
+    difference: float
+    recorded_length: int
+    other_length: int
+    recorded_error: float
+    other_error: float
+    apart: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class WhatIf:
+    """The predictions of a trial; `ended` says why later steps have none, "" where all have."""
+
+    unit: str
+    steps: tuple[StepPrediction, ...]
+    recorded_steps: int
+    ended: str
+
+    @property
+    def changed(self) -> int:
+        """How many steps would have sent another direction."""
+        return sum(abs(step.difference) > SAME for step in self.steps)
+
+
+def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
+    """Return the log's experiment with values of its controller replaced.
+
+    UsageError for a setting of anything else, and for another control period: the observations are
+    those of the recorded one. SpecError where the spec is not valid any more.
+    """
+    for setting in sets:
+        path = setting.partition("=")[0].strip()
+        if path.split(".")[0] != "controller":
+            raise UsageError(
+                f"--set {setting}: only what is under 'controller' can be replaced in a log",
+                "to change the plant or the robots, run the spec again",
+            )
+    other = parse_spec(log.start.resolved, "the log's spec", sets).experiment
+    period, recorded = other.controller.period, log.experiment.controller.period
+    if period != recorded:
+        raise UsageError(
+            f"controller.period: {period:g} is not the recorded one, {recorded:g}",
+            "there are no observations between the recorded ones",
+        )
+    return other
+
+
+def what_if(
+    log: TrialLog, other: Experiment, timer: Callable[[], int] = time.perf_counter_ns
+) -> WhatIf:
+    """Return what another experiment's controller would have decided at each step of a log.
+
+    `timer` [ns] is the clock of its deadline, where it has one. Steps behind a gap in the log are
+    left out.
+    """
+    key, _ = trial_seeds(log.start.seed, log.start.trial)
+    setup = other.setup
+    controller = other.controller.build(setup, key, timer=timer)
+    found, ended = [], ""
+    steps = first_steps(log)
+    for step in steps:
+        try:
+            decision = controller.plan(step.observation)
+        except TetractlError as error:
+            ended = f"at step {step.k} the other controller fails: {error}"
+            break
+        if not isinstance(decision, Plan):
+            outcome = decision.outcome if isinstance(decision, End) else decision
+            ended = f"at step {step.k} the other controller would have ended the trial: {outcome}"
+            break
+        u, sent = float(decision.signals[0]), float(step.plan.signals[0])
+        ends = [plan.path[-1, :, :2] for plan in (step.plan, decision)]
+        found.append(
+            StepPrediction(
+                k=step.k,
+                time_s=log.elapsed_s(step.command.sent_ns),
+                recorded=sent,
+                other=u,
+                difference=float(wrap(np.array(u - sent))),
+                recorded_length=len(step.plan.signals),
+                other_length=len(decision.signals),
+                recorded_error=float(setup.distances(ends[0]).sum()),
+                other_error=float(setup.distances(ends[1]).sum()),
+                apart=np.hypot(*(ends[1] - ends[0]).T),
+            )
+        )
+        controller.sent(step.command)
+    if not ended and len(steps) < len(log.steps):
+        ended = f"the log lacks step {len(steps)}"
+    return WhatIf(setup.unit, tuple(found), len(log.steps), ended)

@@ -10,7 +10,7 @@ from tetractl.core.errors import Exit
 
 def plot(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Log of a trial; several overlay trails.")
+        list[Path], typer.Argument(metavar="LOG...", help="Logs of trials, folders of them.")
     ],
     output: Annotated[
         Path | None,
@@ -27,9 +27,12 @@ def plot(
 ) -> int:
     """Draw a figure of a trial and print the name of its file.
 
-    trajectory: paths of the robots, the paper's Figure 5.
+    trajectory: paths in one trial or several, the paper's Figure 5.
     convergence: cost over the iterations, its Figure 3.
+    swarm: particles of the first search, its Figure 2.
     error: distances to the targets over time.
+    errors: those of several trials, with their median.
+    scatter: where the robots of several trials ended.
     estimate: the controller's estimates of a, speed and so on over time.
     timing: solve time of each control step.
     Other packages may add figures.

@@ -47,7 +47,7 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
     rows = -(-len(colors) // columns)
     with style.styled():
         side_in = style.PAGE_IN / max(columns, 3)
-        figure = style.figure(columns * side_in, rows * (side_in + 0.15) + 0.4)
+        figure = style.figure(columns * side_in, rows * (side_in + 0.2) + 0.6)
         panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         reach = 0.0
         for robot, axes in enumerate(panels.ravel()):

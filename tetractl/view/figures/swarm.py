@@ -34,14 +34,14 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
     with style.styled():
         figure = style.figure(style.PAGE_IN, 3.1)
         panels = figure.subplots(1, len(history.frames), sharex=True, sharey=True, squeeze=False)
+        shades = [_shades(axes, history) for axes in panels[0]]
         for axes, letter, frame in zip(panels[0], "abc", history.frames, strict=False):
-            shades = _shades(axes, history)
             _swarm(axes, frame)
             style.panel(axes, letter, f"iteration {frame.z}, J {frame.cost:.3g} {unit}")
             axes.set_xlabel("signal $u_1$ [rad]")
         panels[0, 0].set_ylabel("signal $u_2$ [rad]")
         _course(panels[0, -1], history)
-        bar = figure.colorbar(shades, ax=panels[0].tolist(), pad=0.01, aspect=30)
+        bar = figure.colorbar(shades[0], ax=panels[0].tolist(), pad=0.01, aspect=30)
         bar.set_label(f"$J$ over $u_1$ and $u_2$ [{unit}]")
         bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
         figure.legend(handles=_key(log, history), loc="outside lower center", ncols=3)

@@ -131,6 +131,14 @@ class MpcSection(ControllerSection):
             found["cost evaluations of a horizon"] = f"at most {most}"
         return found
 
+    def numbers_held(self, setup: Setup) -> int:
+        """Return the numbers of the longest search: positions, velocities, bests and poses of its
+        particles, and the Jacobian of a polish with a row a residual."""
+        robots, length = len(setup.names), self.horizon_max
+        swarm = 4 * self.optimizer.evaluations_min * (length + robots)
+        residuals = robots * (2 + robots // 2 + len(setup.obstacles))
+        return swarm + residuals * length
+
     def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
         """Return the problem with the robots at `poses`, or at their starts."""
         collision, walls = self.collision, setup.arena if self.collision.walls else None

@@ -10,6 +10,10 @@ from tetractl.experiment.shape import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
 
+MEMORY_MAX = 1_000_000_000
+"""What a control step may hold [bytes]."""
+
+
 def contradictions(
     arena: Arena | None, robots: Mapping[int, Robot], obstacles: Mapping[int, ShapeSection]
 ) -> Iterator[tuple[Loc, str]]:
@@ -35,6 +39,17 @@ def contradictions(
         if arena is not None and not _touches(arena, obstacle):
             message = f"is entirely outside the arena, which is {_extent(arena)}"
             yield ("obstacles", j), message
+
+
+def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
+    """Yield why a control step of the experiment would not fit into memory."""
+    held = 8 * experiment.controller.numbers_held(experiment.setup)
+    if held > MEMORY_MAX:
+        yield (
+            ("controller",),
+            f"a control step would hold some {held / 1e9:.3g} GB, at most {MEMORY_MAX / 1e9:g} are"
+            " allowed; take fewer particles, robots or signals",
+        )
 
 
 def plant_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:

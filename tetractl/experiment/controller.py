@@ -118,6 +118,10 @@ class ControllerSection(Model):
         """Return what else bounds a trial, as a name and words for people."""
         return {}
 
+    def numbers_held(self, setup: Setup) -> int:
+        """Return about how many numbers of 8 bytes a control step holds in memory at most."""
+        return 0
+
     @abstractmethod
     def build(
         self,

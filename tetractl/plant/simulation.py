@@ -30,6 +30,7 @@ from tetractl.plant.wheel_host import WheelDriveSection
 from tetractl.plant.wheels import WheelDrive
 
 NO_FRAME_S = 60
+POSES_MAX = 2_000_000  # of one control period, which are simulated together
 UNJUDGED = 200  # stretches of the path that are judged together
 WHEELS_KEY = 2**32 - 1
 """Spawn key of the wheels' draws; disturbances have those from 4 on."""
@@ -81,7 +82,11 @@ class SimSection(PlantSection):
         return self
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where wheels are to be driven that the experiment does not have."""
+        """Yield wheels that the experiment does not have, and periods of too many samples."""
+        poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
+        if poses > POSES_MAX:
+            message = f"a control period of {setup.period_s:g} s has {poses:.3g} poses to simulate"
+            yield ("truth_rate",), f"{message}, at most {POSES_MAX:g} are done at a time; lower it"
         if self.drive is not None and setup.wheel_radius is None:
             yield ("drive",), "needs 'wheels: {radius: ..}' of the experiment"
 

@@ -234,6 +234,7 @@ def test_control_characters_are_not_printed():
         ("name.x=5", "name: has no 'x'; it is a single value"),
         ("robots", "must be PATH=VALUE"),
         ("=5", "must be PATH=VALUE"),
+        ("controller.evaluations_max=1e22", "1e22: must be a whole number"),
         (".".join("a" * 40) + "=1", "the path has more than 32 steps"),
         ("controller..period=5", "controller: a step of the path is empty"),
         ("trials={count: 1", "not valid YAML"),
@@ -250,6 +251,24 @@ def test_problems_of_settings_name_the_setting(setting, line):
     (found,) = problems(GOOD, setting)
     assert found.startswith(f"--set {setting}: ")
     assert line in found
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        (
+            "controller.period=1e6",
+            "has 1.92e+09 poses to simulate, at most 2e+06 are done at a time",
+        ),
+        (
+            "controller.optimizer={type: pso, particles: 1000000}",
+            "controller: a control step would hold some 1.7 GB, at most 1 are allowed",
+        ),
+    ],
+)
+def test_what_would_not_fit_into_memory_is_refused(setting, message):
+    (found,) = problems(GOOD, setting)
+    assert message in found
 
 
 def test_settings_replace_values():

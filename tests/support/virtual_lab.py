@@ -14,7 +14,7 @@ import numpy as np
 from support.labs import CAMERA_HZ
 
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Health
+from tetractl.core.commands import Command, Health
 from tetractl.core.operators import Operators
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import CameraFrame, Observation, Pose
@@ -182,6 +182,9 @@ class Busy:
             self._clock.sleep_until(self._clock.now() + round(seconds * SECOND))
         self._planned = True
         return decided
+
+    def sent(self, command: Command) -> None:
+        self._controller.sent(command)
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
     python benchmarks/postmortem.py --trials 10000 --out postmortem.csv   run, or go on
     python benchmarks/postmortem.py --out postmortem.csv --report         print the tables
+    python benchmarks/postmortem.py --out postmortem.csv --check 5        try accepted worlds
 
 Every trial is one of `experiments/three_m3pi_paper.yaml` in a world of its own, drawn uniformly
 from the ranges of `CAUSES` (docs/explanation/bench.md defends them). A row of the CSV is a world
@@ -43,6 +44,8 @@ WORLDS = 200_000  # drawn for the posterior
 BOOTSTRAPS = 200
 COUNT_MM_S = 1000 / 127  # of a wheel count
 DEAD_ZONE = 6  # counts
+
+DELAYS = ("latency", "planning", "radio", "lag")
 
 Floats = np.ndarray
 
@@ -197,18 +200,30 @@ def coefficients(terms: Floats, y: Floats) -> Floats:
     return np.linalg.solve(terms.T @ terms + ridge, terms.T @ y)
 
 
-def shares(coefs: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return first-order, total and Shapley shares of the causes in the variance of the mean."""
+def chance(terms: Floats, y: Floats, coefs: Floats) -> Floats:
+    """Return the variance of each coefficient, for residuals of any spread (White's estimate)."""
+    inverse = np.linalg.inv(terms.T @ terms)
+    weighted = terms * ((y - terms @ coefs) ** 2)[:, None]
+    return np.diag(inverse @ (terms.T @ weighted) @ inverse)
+
+
+def shares(coefs: Floats, noise: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return first-order, total and Shapley shares of the causes in the variance of the mean.
+
+    `noise` is what chance adds to the squares of the coefficients on the mean; without taking it
+    away, many small terms would share in a variance that they do not have.
+    """
     count = len(CAUSES)
     first, total, shapley = (np.zeros(count) for _ in range(3))
-    for term, c in zip(BASIS.terms, coefs, strict=True):
+    squares = coefs**2 - noise
+    for term, square in zip(BASIS.terms, squares, strict=True):
         members = sorted(set(term))
         for i in members:
-            total[i] += c**2
-            shapley[i] += c**2 / len(members)
+            total[i] += square
+            shapley[i] += square / len(members)
             if len(members) == 1:
-                first[i] += c**2
-    variance = float((coefs[1:] ** 2).sum())
+                first[i] += square
+    variance = float(squares[1:].sum())
     return first / variance, total / variance, shapley / variance
 
 
@@ -276,11 +291,13 @@ def report(path: Path) -> None:
         f"\nThe polynomial of the mean explains {100 * explained:.0f} % of the variance of single "
     )
     print("trials that it was not fitted to; the rest is chance within a world, and curvature.\n")
+    terms = BASIS.of(worlds)
+    noise = chance(terms, errors, fit.mean)
     samples = []
-    for _ in range(BOOTSTRAPS):
+    for _ in range(BOOTSTRAPS):  # a second draw from a first: the noise of both
         i = rng.integers(0, n, n)
-        samples.append(shares(coefficients(BASIS.of(worlds[i]), errors[i])))
-    found, boots = shares(fit.mean), np.array(samples)
+        samples.append(shares(coefficients(terms[i], errors[i]), 2 * noise))
+    found, boots = shares(fit.mean, noise), np.array(samples)
     print("| cause | range | first order | total | Shapley [95 %] |\n|---|---|--:|--:|--:|")
     for i in np.argsort(-found[2]):
         c = CAUSES[i]
@@ -307,6 +324,11 @@ def report(path: Path) -> None:
         narrowed = f"{100 * (1 - accepted[:, i].std() / spread):.0f} %"
         within = "-" if c.choice else interval(physical, 3)
         print(f"| {c.words} | {span} | {physical.mean():.3g} | {within} | {narrowed} |")
+    delays = [i for i, cause in enumerate(CAUSES) if cause.name in DELAYS]
+    for name, some in (("ranges", draw(rng, 10_000)), ("accepted worlds", accepted)):
+        spans = np.array([[CAUSES[i].low, CAUSES[i].high - CAUSES[i].low] for i in delays])
+        total = (spans[:, 0] + spans[:, 1] * (some[:, delays] + 1) / 2).sum(axis=1)
+        print(f"\nSum of all delays in the {name}: {total.mean():.3f} s, {interval(total, 3)}.")
     pairs = np.corrcoef(accepted.T) - np.eye(len(CAUSES))
     order = np.argsort(-np.abs(np.triu(pairs)), axis=None)[:5]
     print(
@@ -316,15 +338,33 @@ def report(path: Path) -> None:
     print("; ".join(f"{CAUSES[i].name} and {CAUSES[j].name} {r:.2f}" for (i, j), r in told) + ".")
 
 
+def check(path: Path, count: int) -> None:
+    """Run 20 trials in each of some accepted worlds, and print what comes out as Markdown."""
+    worlds, errors, _ = read(path)
+    accepted, predicted = posterior(Fit.of(worlds, errors), np.random.default_rng(SEED))
+    chosen = np.random.default_rng(SEED).choice(len(accepted), count, replace=False)
+    spec = load_spec(SPEC)
+    print("| world | predicted mean, deviation | 20 trials |\n|--:|--:|--:|")
+    for number, i in enumerate(chosen):
+        trials = range((number + 1) * 10**6, (number + 1) * 10**6 + PUBLISHED_N)
+        found = np.array([run(spec, accepted[i], trial).total_error for trial in trials])
+        told = f"{predicted[i, 0]:.0f} +- {predicted[i, 1]:.0f}"
+        print(f"| {number + 1} | {told} | {found.mean():.0f} +- {found.std(ddof=1):.0f} |")
+
+
 def main() -> None:
     """Run trials, or print the report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=10_000, metavar="N")
     parser.add_argument("--out", type=Path, required=True, metavar="CSV")
     parser.add_argument("--report", action="store_true")
+    parser.add_argument("--check", type=int, default=0, metavar="WORLDS")
     options = parser.parse_args()
-    if options.report:
-        report(options.out)
+    if options.report or options.check:
+        if options.report:
+            report(options.out)
+        if options.check:
+            check(options.out, options.check)
     else:
         run_trials(options.out, options.trials)
 

@@ -6,8 +6,9 @@ random by w sqrt(t) in an interval of t seconds. What an interval misses the mod
     r_k = e_(k+1) - F_k e_k + w sqrt(t_k) n_k,
 
 where F_k is the derivative of the model's end by its begin. The covariance A of r is tridiagonal:
-s^2 (1 + F_k^2) + w^2 t_k on the diagonal, -s^2 F_k beside it where interval k begins with the frame
-that interval k - 1 ended with. With A = L L^T, y = L^-1 r are independent and of deviation 1, and
+s^2 (1 + F_k^2) + w^2 t_k on the diagonal, -s^2 G_k beside it where interval k begins with the frame
+that interval k - 1 ended with. G_k is F_k, but for what is measured in two dimensions and looked at
+along a way: the cosine of the angle between the ways of both intervals. With A = L L^T, y = L^-1 r are independent and of deviation 1, and
 -2 ln likelihood = sum y^2 + 2 sum ln L_kk, but for a constant.
 """
 
@@ -45,13 +46,15 @@ class Noise:
 class Chain:
     """The K intervals of one robot: their length `t` (K,) [s], `slope` F (K,), and which count.
 
-    `linked` (K,) tells which begin with the frame that the one before ended with.
+    `linked` (K,) tells which begin with the frame that the one before ended with. `coupling` G (K,)
+    is F where it is None.
     """
 
     t: Floats
     slope: Floats
     used: Bools
     linked: Bools
+    coupling: Floats | None = None
 
     def factor(self, noise: Noise) -> Floats:
         """Return L as its diagonal and the one below, (2, K); an interval not used has L = 1."""
@@ -60,7 +63,8 @@ class Chain:
         s2 = noise.measured**2
         variance = s2 * (1 + self.slope**2) + noise.walk**2 * self.t + 1e-300
         banded[0] = np.where(self.used, variance, 1.0)
-        banded[1, :-1] = np.where(both, -s2 * self.slope, 0.0)[1:]
+        coupling = self.slope if self.coupling is None else self.coupling
+        banded[1, :-1] = np.where(both, -s2 * coupling, 0.0)[1:]
         return cholesky_banded(banded, lower=True, check_finite=False)
 
     def whiten(self, factor: Floats, columns: Floats) -> Floats:

@@ -134,9 +134,13 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[Interval, Interv
     speed, but for the camera's noise at its ends and a random walk of the way.
     """
     x, y, _ = (column[:, robot] for column in fitted.turns.motion(fitted.best))
-    length = np.hypot(x, y)
-    along = (drives.moved[:, robot, 0] * x + drives.moved[:, robot, 1] * y) / (length + 1e-300)
+    length = np.hypot(x, y)  # of which the way predicted from a measured heading shows less
+    shown = np.exp(-(fitted.noises[robot].measured ** 2) / 2)
     usable = drives.intervals.usable[:, robot] & (length > 0)
+    way = np.column_stack([x, y]) / (length + 1e-300)[:, None]
+    length = shown * length
+    coupling = np.append(1.0, (way[1:] * way[:-1]).sum(axis=1))
+    along = (drives.moved[:, robot] * way).sum(axis=1)
     speed = float(np.median(along[usable] / length[usable]))
     used, noise, chain, std = usable, Noise(0.0, 1.0), None, np.inf
     for _ in range(SPEED_ROUNDS):
@@ -146,7 +150,7 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[Interval, Interv
         else:
             deviation = np.sqrt(2 * noise.measured**2 + noise.walk**2 * drives.seconds)
         used = usable & (np.abs(r) <= OUTLYING * deviation + 1e-9)
-        chain = Chain(drives.seconds, np.ones_like(length), used, drives.after)
+        chain = Chain(drives.seconds, np.ones_like(length), used, drives.after, coupling)
         noise = chain.noise_of(r)
         y, by = chain.whiten(chain.factor(noise), np.column_stack([along, length])).T
         speed, std = float(by @ y / (by @ by)), float(1 / np.sqrt(by @ by))

@@ -31,7 +31,7 @@ def track_radii(drives: Drives, fitted: Fitted) -> list[Interval | None]:
     turned, usable = drives.intervals.turned, drives.intervals.usable
     prompt = _driven(drives, np.arange(0.0, LATEST_S + TAIL * LAG_MAX_S, STEP_S))
     lags = np.arange(0.0, LAG_MAX_S + 1e-9, LAG_STEP_S)
-    late = int(round(LATEST_S / STEP_S))
+    late = round(LATEST_S / STEP_S)
     lagged = np.array([_lagged(prompt, lag)[:late:2] for lag in lags])  # (L, T / 2, K, N)
     misfits = [[_misfit(turned, one, usable, known) for one in row] for row in lagged]
     lag, tau = np.unravel_index(int(np.argmin(misfits)), np.shape(misfits))

@@ -1,0 +1,131 @@
+"""How often the 95 % intervals of `tetractl identify` hold the truth, on simulated logs.
+
+    nice python benchmarks/identify_coverage.py --logs 500 --jobs 2
+
+Each log is of three robots that drive ten seconds in random directions. In the first world they
+turn to the direction by themselves, with a, speeds and a dead time drawn for each log, camera noise,
+a random walk of the headings, and 5 % of the commands lost: it has all quantities but the track
+radius. In the second they have wheels with a radius drawn for each robot and log.
+"""
+
+import argparse
+import json
+import sys
+from collections import defaultdict
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from tetractl import api
+from tetractl.core.clock import VirtualClock
+from tetractl.replay.identification.identify import identify
+from tetractl.replay.identification.tracks import track_of
+from tetractl.replay.redrive import sequence_spec
+from tetractl.run.seeds import trial_seeds
+from tetractl.stats.estimate import proportion_interval
+
+SPEC = Path(__file__).parent.parent / "experiments" / "three_m3pi.yaml"
+STEPS, PERIOD = 50, 0.2
+POSITION, HEADING, WALK = 0.5, 0.01, 0.03
+NOISE = [
+    f"plant.measurement_noise={{position: {POSITION}, heading: {HEADING}}}",
+    f"plant.heading_noise={WALK}",
+]
+RADIUS_ERROR = 0.05
+
+
+def _log(number: int, sets: list[str]):
+    """Return a log of random directions, and its spec."""
+    rng = np.random.default_rng([number, 1])
+    loaded = api.load_spec(SPEC, f"trials.seed={number}", *sets, *NOISE)
+    spec = sequence_spec(loaded, rng.uniform(-2, 2, STEPS), 0.0)
+    with TemporaryDirectory() as folder:
+        return api.run_trial(spec, folder=folder), spec
+
+
+def _hits(found, log, truths):
+    """Return whether each interval holds the truth, by the name of the quantity."""
+    hits = defaultdict(list)
+    for i, robot in enumerate(found.robots):
+        for name, truth in truths.items():
+            interval = getattr(robot, name)
+            if interval is None:
+                hits[f"{name}: none given"].append(True)
+                continue
+            hits[name].append(bool(interval.low <= truth[i] <= interval.high))
+    return hits
+
+
+def direct(number: int):
+    """Identify robots that turn by themselves."""
+    dead_time = float(np.random.default_rng([number, 2]).uniform(0.02, 0.15))
+    sets = ["plant.a_error=0.2", "plant.speed_error=0.1", "plant.lost_commands=0.05"]
+    log, spec = _log(number, [*sets, f"plant.dead_time={dead_time}"])
+    found = identify([track_of(log)], spec.experiment.setup.a)
+    facts = log.start.plant.facts
+    hits = _hits(
+        found,
+        log,
+        {
+            "a": json.loads(facts["true_a"]),
+            "speed": json.loads(facts["true_speed"]),
+            "heading_bias": [0.0] * 3,
+            "position_noise": [POSITION] * 3,
+            "heading_noise": [HEADING] * 3,
+            "heading_walk": [WALK] * 3,
+        },
+    )
+    hits["dead_time"].append(found.dead_time.low <= dead_time <= found.dead_time.high)
+    return hits
+
+
+def wheels(number: int):
+    """Identify robots on wheels."""
+    drive = f"plant.drive={{rate: 40, radius_error: {RADIUS_ERROR}, lag: 0.03}}"
+    log, spec = _log(number, [drive, "plant.dead_time=0.03"])
+    found = identify([track_of(log)], spec.experiment.setup.a)
+    experiment = spec.experiment
+    _, seed = trial_seeds(experiment.trials.seed, 0)
+    plant = experiment.plant.build(experiment.setup, VirtualClock(), seed, None)
+    return _hits(found, log, {"track_radius": 0.5 / plant._drive._turn_of})
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--logs", type=int, default=500)
+    parser.add_argument("--first", type=int, default=0, help="number of the first log, its seed")
+    parser.add_argument("--jobs", type=int, default=1)
+    options = parser.parse_args()
+    numbers = range(options.first, options.first + options.logs)
+    total: dict[str, list[bool]] = defaultdict(list)
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for world in (direct, wheels):
+            for done, hits in enumerate(pool.map(world, numbers)):
+                for name, each in hits.items():
+                    total[name] += each
+                if done % 50 == 49:
+                    print(f"{world.__name__}: {done + 1} logs", file=sys.stderr, flush=True)
+                    _print(total)
+    _print(total)
+
+
+def _print(total: dict[str, list[bool]]) -> None:
+    print("share of 95 % intervals that hold the truth (simulated logs)")
+    for name, hits in total.items():
+        if name.endswith("none given"):
+            print(f"  {name} in {len(hits)}")
+            continue
+        share = proportion_interval(sum(hits), len(hits))
+        low, high = 100 * share.low, 100 * share.high
+        print(
+            f"  {name:16} {100 * np.mean(hits):5.1f} %  ({low:.1f} to {high:.1f}; n = {len(hits)})"
+        )
+    print(flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -75,7 +75,12 @@ def test_json_holds_the_same(folder: Path) -> None:
     assert channels["/truth"]["messages"] == len(trial.mocap)
     assert channels["/controller/step"]["hz"] == pytest.approx(5, rel=0.01)
     assert found["digest"] == found["stated_digest"]
-    assert found["attachments"].keys() == {"spec.yaml", "spec.resolved.yaml", "environment.json"}
+    assert set(found["attachments"]) == {
+        "spec.yaml",
+        "spec.resolved.yaml",
+        "environment.json",
+        "layout.json",
+    }
     assert found["damage"] is None
     assert found["size"] == (folder / "whole.mcap").stat().st_size
 

@@ -1,4 +1,4 @@
-"""The tools that keep the documentation true: docs/console.py and docs/make_cli.py."""
+"""The tools that keep the documentation true: those in docs/."""
 
 import importlib.util
 import sys
@@ -18,3 +18,4 @@ def _tool(name: str) -> ModuleType:
 
 console = _tool("console")
 make_cli = _tool("make_cli")
+make_layouts = _tool("make_layouts")

@@ -35,7 +35,8 @@ def open_logs(
 
     The page and the logs named, and nothing else, are served on this machine's loopback address
     under a random path; nothing is uploaded. Where Lichtblick answers, the address that opens the
-    first log there is printed too.
+    first log there is printed too, and that of a layout for its menu "Layouts", "Import from file":
+    it frames the arena, shows the scene and plots error, J, solve time and estimate.
 
     Example: tetractl open trial-000.mcap
     """
@@ -49,21 +50,36 @@ def open_logs(
     for problem in unread:
         print(f"warning: {problem}", file=sys.stderr)
     server = FileServer(
-        html.encode(), {f"{i}-{path.name}": path for i, path in enumerate(found)}, port
+        html.encode(),
+        {f"{i}-{path.name}": path for i, path in enumerate(found)},
+        port,
+        _layout(found).encode(),
     )
-    with server.running():
+    with suppress(KeyboardInterrupt), interrupted_once(), server.running():
+        print("Ctrl-C ends it; over ssh, forward the port:", file=sys.stderr)
+        print(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST", file=sys.stderr)
         print(server.page_url, flush=True)
         if _answers(viewer):
             log_url = server.log_url(f"0-{found[0].name}")
             query = urlencode({"ds": "remote-file", "ds.url": log_url})
             print(f"in Lichtblick: {viewer.rstrip('/')}/?{query}", flush=True)
-        print("Ctrl-C ends it; over ssh, forward the port:", file=sys.stderr)
-        print(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST", file=sys.stderr)
+            print(f"  its layout: {server.layout_url}", flush=True)
         if browser:
             webbrowser.open(server.page_url)
-        with suppress(KeyboardInterrupt), interrupted_once():
-            threading.Event().wait()
+        threading.Event().wait()
     return Exit.FAILED if unread else Exit.DONE
+
+
+def _layout(logs: list[Path]) -> str:
+    """Return the layout for the first log that can be read."""
+    from tetractl.core.errors import LogError
+    from tetractl.log.format.layout import layout
+    from tetractl.log.read.reader import read_result
+
+    for log in logs:
+        with suppress(LogError):
+            return layout(read_result(log).experiment.setup)
+    return "{}"
 
 
 def _answers(url: str) -> bool:

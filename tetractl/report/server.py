@@ -1,9 +1,9 @@
 """A file server on the loopback address, for a browser on this machine and nobody else.
 
-Served are one page and the logs named, nothing else, and only under a path that begins with a
-random token. Requests for a part of a file (RFC 9110, section 14) and from pages of another origin
-(CORS) are answered, since a log viewer reads a log piece by piece. A `Host` other than this
-server's is refused, so that no other site's name can be pointed at it.
+Served are one page, the layout for a log viewer and the logs named, nothing else, and only under a
+path that begins with a random token. Requests for a part of a file (RFC 9110, section 14) and from
+pages of another origin (CORS) are answered, since a log viewer reads a log piece by piece. A `Host`
+other than this server's is refused, so that no other site's name can be pointed at it.
 """
 
 import hmac
@@ -27,11 +27,13 @@ ADDRESS = "127.0.0.1"
 
 
 class FileServer:
-    """The server and its addresses: `page_url`, and `log_url` of a log by its name."""
+    """The server and its addresses: `page_url`, `layout_url`, and `log_url` of a log by name."""
 
-    def __init__(self, page: bytes, logs: Mapping[str, Path], port: int = 0) -> None:
+    def __init__(
+        self, page: bytes, logs: Mapping[str, Path], port: int = 0, layout: bytes = b"{}"
+    ) -> None:
         self.token = secrets.token_urlsafe(SECRET_BYTES)
-        self.page, self.logs = page, dict(logs)
+        self.page, self.logs, self.layout = page, dict(logs), layout
         try:
             self._http = ThreadingHTTPServer((ADDRESS, port), partial(_Handler, self))
         except OSError as error:
@@ -43,6 +45,11 @@ class FileServer:
     def page_url(self) -> str:
         """The address of the page."""
         return f"http://{ADDRESS}:{self.port}/{self.token}/"
+
+    @property
+    def layout_url(self) -> str:
+        """The address of the layout."""
+        return f"{self.page_url}layout.json"
 
     def log_url(self, name: str) -> str:
         """Return the address of a log."""
@@ -97,9 +104,13 @@ class _Handler(BaseHTTPRequestHandler):
         if wanted is None:
             self._refuse(HTTPStatus.NOT_FOUND)
         elif isinstance(wanted, bytes):
+            page = wanted is self._files.page
+            kind = "text/html" if page else "application/json"
             self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Type", f"{kind}; charset=utf-8")
             self.send_header("Content-Length", str(len(wanted)))
+            if not page:
+                self.send_header("Content-Disposition", 'attachment; filename="layout.json"')
             self.send_header("Referrer-Policy", "no-referrer")
             self.end_headers()
             if body:
@@ -112,7 +123,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._refuse(HTTPStatus.NOT_FOUND)
 
     def _wanted(self) -> bytes | Path | None:
-        """Return the page, the file of a log, or None for what is not served."""
+        """Return the page, the layout, the file of a log, or None for what is not served."""
         if self.headers.get("Host") not in self._files.hosts():
             return None
         _, token, *rest = [unquote(step) for step in urlsplit(self.path).path.split("/")]
@@ -120,6 +131,8 @@ class _Handler(BaseHTTPRequestHandler):
             return None
         if rest == [""]:
             return self._files.page
+        if rest == ["layout.json"]:
+            return self._files.layout
         return self._files.logs.get(rest[1]) if len(rest) == 2 and rest[0] == "logs" else None
 
     def _part(self, file: BinaryIO, body: bool) -> None:

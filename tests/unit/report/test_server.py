@@ -14,7 +14,8 @@ DATA = bytes(range(256)) * 1000
 def server(tmp_path):
     (tmp_path / "trial-000.mcap").write_bytes(DATA)
     (tmp_path / "secret.txt").write_text("secret")
-    found = FileServer(b"<p>page", {"trial-000.mcap": tmp_path / "trial-000.mcap"})
+    logs = {"trial-000.mcap": tmp_path / "trial-000.mcap"}
+    found = FileServer(b"<p>page", logs, layout=b'{"layout": "a"}')
     with found.running():
         yield found
 
@@ -36,6 +37,10 @@ def test_the_page_and_the_log_are_served(server):
     assert (answer.status, body) == (200, DATA)
     assert answer.headers["Accept-Ranges"] == "bytes"
     assert answer.headers["Access-Control-Allow-Origin"] == "*"
+    answer, body = ask(server, path=f"/{server.token}/layout.json")
+    assert (answer.status, body) == (200, b'{"layout": "a"}')
+    assert answer.headers["Content-Type"] == "application/json; charset=utf-8"
+    assert answer.headers["Content-Disposition"] == 'attachment; filename="layout.json"'
 
 
 @pytest.mark.parametrize(

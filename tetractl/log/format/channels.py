@@ -61,6 +61,7 @@ METADATA = frozenset({RUN, HOST, TIMING, RESULT, RECOVERED})
 SPEC = "spec.yaml"
 RESOLVED_SPEC = "spec.resolved.yaml"
 ENVIRONMENT = "environment.json"
+LAYOUT = "layout.json"
 
 HOST_RECORDS = frozenset({HOST_TIMING, HOST, TIMING, ENVIRONMENT, RECOVERED})
 """Topics, metadata and attachments that differ between two runs of the same trial."""

@@ -26,7 +26,7 @@ from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
 
-_OWN = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT}
+_OWN = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT, channels.LAYOUT}
 
 
 def read_trial(path: Path) -> TrialLog:

@@ -7,7 +7,7 @@ from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import Result, Start, Step
 from tetractl.log import provenance
-from tetractl.log.format import channels, codec
+from tetractl.log.format import channels, codec, layout
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.metadata import result_metadata, run_metadata, timing_metadata
 from tetractl.log.format.scene import Scene, encode_note
@@ -43,6 +43,7 @@ class Encoder:
             (channels.SPEC, "application/yaml", start.spec_text),
             (channels.RESOLVED_SPEC, "application/yaml", start.resolved),
             (channels.ENVIRONMENT, "application/json", provenance.environment()),
+            (channels.LAYOUT, layout.MEDIA_TYPE, layout.layout(start.setup)),
             *((name, "application/yaml", text) for name, text in start.attached),
         ):
             self._sink.attachment(name, media_type, self._start_ns, text.encode())

@@ -1,0 +1,27 @@
+"""Write the layouts for Lichtblick and Foxglove of the experiments, docs/layouts/NAME.json.
+
+Run `python docs/make_layouts.py` after a change of an experiment or of the layout; a test fails
+while they differ. Each log holds the layout of its own experiment.
+"""
+
+from pathlib import Path
+
+from tetractl.experiment.load import load_spec
+from tetractl.log.format.layout import layout
+
+FOLDER = Path(__file__).parent / "layouts"
+EXPERIMENTS = Path(__file__).parent.parent / "experiments"
+NAMES = ("three_m3pi", "five_robots", "tetrahymena")
+
+
+def layouts() -> dict[Path, str]:
+    """Return the text of each file."""
+    return {
+        FOLDER / f"{name}.json": layout(load_spec(EXPERIMENTS / f"{name}.yaml").experiment.setup)
+        for name in NAMES
+    }
+
+
+if __name__ == "__main__":
+    for path, text in layouts().items():
+        path.write_text(text, encoding="utf-8")

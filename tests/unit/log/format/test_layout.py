@@ -1,0 +1,86 @@
+"""The layout for log viewers: what it names must be in the logs, and the arena fill the view."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import pytest
+from support.pages import make_layouts
+from support.random_trials import trial, write
+from support.trials import experiment
+
+from tetractl.log.format import channels
+from tetractl.log.format.layout import layout
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.salvage import scan
+
+
+def made(**changes: object) -> dict:
+    return json.loads(layout(experiment(**changes).setup))
+
+
+def test_the_documented_layouts_are_what_is_written():
+    for path, text in make_layouts.layouts().items():
+        assert path.read_text("utf-8") == text, "run: python docs/make_layouts.py"
+
+
+@pytest.mark.parametrize("unit", ["um", "mm", "m"])
+def test_the_arena_fills_the_view_in_every_unit(unit):
+    setup = experiment(units={"length": unit}).setup
+    camera = made(units={"length": unit})["configById"]["3D!arena"]["cameraState"]
+    assert camera["perspective"] is False
+    share = setup.arena.height * setup.metres / camera["distance"]
+    assert 0.8 < share < 1
+    assert setup.arena.width * setup.metres < camera["distance"] * 1.1
+    assert camera["targetOffset"] == pytest.approx([1.4 * share_of(unit), 1.25 * share_of(unit), 0])
+    # three.js looks from far / 2 above the plane, and sees from near to far below that
+    assert camera["near"] < camera["far"] / 2 < camera["far"]
+
+
+def share_of(unit: str) -> float:
+    return {"um": 1e-3, "mm": 1.0, "m": 1e3}[unit]
+
+
+def test_every_path_leads_to_a_channel_and_every_panel_is_arranged():
+    found = made()
+    panels = found["configById"]
+    values = [curve["value"] for panel in panels.values() for curve in panel.get("paths", ())]
+    paths = [value for value in values if value.startswith("/")]
+    (script,) = found["userNodes"].values()
+    topics = {*channels.CHANNELS, re.search(r'output = "(.*)"', script["sourceCode"])[1]}
+    for path in paths:
+        assert path.partition(".")[0] in topics
+    assert set(panels["3D!arena"]["topics"]) <= set(channels.CHANNELS)
+    arranged = re.findall(r"(?:3D|Plot)!\w+", json.dumps(found["layout"]))
+    assert sorted(arranged) == sorted(panels)
+    fields = {
+        f"{topic}.{field.name}"
+        for topic, message in channels.CHANNELS.items()
+        for field in message.DESCRIPTOR.fields
+    }
+    for path in paths:
+        if not path.startswith("/studio_script"):
+            assert path.partition("[")[0] in fields
+
+
+def test_a_log_holds_its_layout(tmp_path):
+    run = trial(steps=2, robots=3)
+    path = write(run, tmp_path / "trial.mcap")
+    assert scan(path).text(channels.LAYOUT) == layout(run.start.setup)
+    assert read_trial(path).start.attached == run.start.attached
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node on this machine")
+def test_the_script_computes_the_error():
+    (script,) = made()["userNodes"].values()
+    source = re.sub(
+        r"^import.*$|^type.*$| as unknown as \{.*?\}", "", script["sourceCode"], flags=re.M
+    )
+    source = re.sub(r"\(event: .*?\): Output", "(event)", source)
+    source += "\nconst seen = {x: [1700, 1703, 1700], y: [500, 1504, 2000]};"
+    source += "\nconsole.log(JSON.stringify(script({message: seen})));"
+    done = subprocess.run(
+        ["node", "--input-type=module", "-e", source], capture_output=True, text=True, check=False
+    )
+    assert json.loads(done.stdout) == {"total": 5, "robots": [0, 5, 0]}, done.stderr

@@ -354,7 +354,7 @@ def check(path: Path, count: int) -> None:
 
 def main() -> None:
     """Run trials, or print the report."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--trials", type=int, default=10_000, metavar="N")
     parser.add_argument("--out", type=Path, required=True, metavar="CSV")
     parser.add_argument("--report", action="store_true")

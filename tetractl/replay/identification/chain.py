@@ -15,7 +15,7 @@ along a way: the cosine of the angle between the ways of both intervals. With A 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky_banded, solve_banded
+from scipy.linalg import lapack
 from scipy.optimize import minimize, minimize_scalar
 
 from tetractl.core.poses import Bools, Floats
@@ -65,12 +65,15 @@ class Chain:
         banded[0] = np.where(self.used, variance, 1.0)
         coupling = self.slope if self.coupling is None else self.coupling
         banded[1, :-1] = np.where(both, -s2 * coupling, 0.0)[1:]
-        return cholesky_banded(banded, lower=True, check_finite=False)
+        found, info = lapack.dpbtrf(banded, lower=1)
+        assert info == 0, "a covariance is positive definite"
+        return found
 
     def whiten(self, factor: Floats, columns: Floats) -> Floats:
         """Return L^-1 of columns (K, M), 0 where an interval is not used."""
         columns = np.where(self.used[:, None], columns, 0.0)
-        found: Floats = solve_banded((1, 0), factor, columns, check_finite=False)
+        found, info = lapack.dtbtrs(factor, columns, uplo="L")
+        assert info == 0, "the diagonal of L is positive"
         return found
 
     def deviance(self, noise: Noise, r: Floats) -> float:

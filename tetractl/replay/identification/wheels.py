@@ -14,8 +14,8 @@ from tetractl.replay.identification.chain import Chain, Interval, Noise
 from tetractl.replay.identification.fit import Fitted
 from tetractl.replay.identification.tracks import Drives
 
-STEP_S, LATEST_S = 0.002, 0.3  # of the dead times looked at
-LAG_STEP_S, LAG_MAX_S = 0.005, 0.1  # and of the lags
+STEP_S, LATEST_S = 0.004, 0.3  # of the dead times looked at
+LAG_STEP_S, LAG_MAX_S = 0.01, 0.1  # and of the lags
 TAIL = 4.0  # lags after which nothing is left of a wheel speed
 OUTLYING = 4.0  # deviations
 ROUNDS = 3
@@ -32,7 +32,7 @@ def track_radii(drives: Drives, fitted: Fitted) -> list[Interval | None]:
     prompt = _driven(drives, np.arange(0.0, LATEST_S + TAIL * LAG_MAX_S, STEP_S))
     lags = np.arange(0.0, LAG_MAX_S + 1e-9, LAG_STEP_S)
     late = round(LATEST_S / STEP_S)
-    lagged = np.array([_lagged(prompt, lag)[:late:2] for lag in lags])  # (L, T / 2, K, N)
+    lagged = np.array([_lagged(prompt, lag)[:late] for lag in lags])  # (L, T, K, N)
     misfits = [[_misfit(turned, one, usable, known) for one in row] for row in lagged]
     lag, tau = np.unravel_index(int(np.argmin(misfits)), np.shape(misfits))
     driven = lagged[lag, tau]
@@ -42,7 +42,7 @@ def track_radii(drives: Drives, fitted: Fitted) -> list[Interval | None]:
             (
                 lagged[lag, min(tau + 1, lagged.shape[1] - 1)],
                 lagged[lag, max(tau - 1, 0)],
-                2 * STEP_S * (min(tau + 1, lagged.shape[1] - 1) - max(tau - 1, 0)),
+                STEP_S * (min(tau + 1, lagged.shape[1] - 1) - max(tau - 1, 0)),
             ),
             (
                 lagged[min(lag + 1, len(lags) - 1), tau],

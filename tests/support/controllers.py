@@ -44,6 +44,7 @@ MPC: dict[str, dict[str, Any]] = {
 """Model predictive control, each optimiser and other variants: the controller's part of a spec."""
 CONTROLLERS: dict[str, dict[str, Any]] = {
     **{f"mpc, {name}": {"type": "mpc", "horizon_max": 14} | fields for name, fields in MPC.items()},
+    "sequence": {"type": "sequence", "directions": [0.1 * i for i in range(20)]},
     "straight": {"type": "straight"},
 }
 """Every controller. A further one joins the contract by an entry here."""

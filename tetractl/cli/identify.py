@@ -225,8 +225,8 @@ def _show_design(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
         return
     knots = [0, *(i for i in range(1, len(design.directions)) if _turns(design, i))]
     print(
-        f"{len(knots)} directions in {design.seconds:g} s, {design.clearance:.1f} {setup.unit} away "
-        "from edges and obstacles at least, by the spec's values"
+        f"{len(knots)} directions in {design.seconds:g} s, {design.clearance:.1f} {setup.unit} "
+        "away from edges and obstacles at least, by the spec's values"
     )
     print("  " + ", ".join(f"{design.directions[i]:.3f}" for i in knots) + " rad")
     print("predicted standard deviations of a fit to it:")

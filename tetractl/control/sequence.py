@@ -10,9 +10,10 @@ from pydantic import Field
 from tetractl.control.algorithm_2 import make_plan
 from tetractl.control.cost import evaluate
 from tetractl.control.knowledge import Knowledge
+from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Outcome, Plan, Search
+from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
@@ -21,8 +22,6 @@ from tetractl.experiment.base import Finite, NonNegative
 from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
 from tetractl.model.obstacles import Obstacles
 
-GIVEN = "given"
-"""Why the search of such a step ended: there was none."""
 AHEAD = 50  # signals whose path a step predicts
 
 
@@ -63,7 +62,7 @@ class SequenceSection(ControllerSection):
         timer: Callable[[], int] = time.perf_counter_ns,
     ) -> "Sequence":
         """Return the controller of one trial."""
-        return Sequence(self, setup)
+        return Sequence(self, setup, key)
 
     def warm_up(self, setup: Setup) -> None:
         """Evaluate the cost once."""
@@ -71,10 +70,10 @@ class SequenceSection(ControllerSection):
 
 
 class Sequence:
-    """The controller of one trial."""
+    """The controller of one trial; its steps' keys come from `key`, though nothing is drawn."""
 
-    def __init__(self, section: SequenceSection, setup: Setup) -> None:
-        self.section = section
+    def __init__(self, section: SequenceSection, setup: Setup, key: int) -> None:
+        self.section, self._key = section, key
         self._knowledge = Knowledge(
             section.problem(setup), section.period, section.dead_time, None, losses=False
         )
@@ -93,10 +92,11 @@ class Sequence:
             done = Outcome.SEQUENCE_COMPLETED
             return End(done, delay_ns) if delay_ns else done
         signals = np.array(section.directions[self._k : self._k + AHEAD])
+        step_key = mix(self._key, self._k)
         self._k += 1
         cost = float(evaluate(problem, signals[None]).total[0])
-        search = Search(len(signals), signals, cost, np.array([cost]), 1, GIVEN)
-        return make_plan(problem, [search], 0, 0)
+        search = Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.GIVEN)
+        return make_plan(problem, [search], 0, step_key)
 
     def sent(self, command: Command) -> None:
         """Note when the direction decided last was sent."""

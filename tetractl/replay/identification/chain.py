@@ -6,10 +6,11 @@ random by w sqrt(t) in an interval of t seconds. What an interval misses the mod
     r_k = e_(k+1) - F_k e_k + w sqrt(t_k) n_k,
 
 where F_k is the derivative of the model's end by its begin. The covariance A of r is tridiagonal:
-s^2 (1 + F_k^2) + w^2 t_k on the diagonal, -s^2 G_k beside it where interval k begins with the frame
-that interval k - 1 ended with. G_k is F_k, but for what is measured in two dimensions and looked at
-along a way: the cosine of the angle between the ways of both intervals. With A = L L^T, y = L^-1 r are independent and of deviation 1, and
--2 ln likelihood = sum y^2 + 2 sum ln L_kk, but for a constant.
+s^2 (1 + F_k^2) + w^2 t_k on the diagonal, -s^2 G_k beside it where interval k begins with the
+frame that interval k - 1 ended with. G_k is F_k, but for what is measured in two dimensions and
+looked at along a way: the cosine of the angle between the ways of both intervals. With A = L L^T,
+y = L^-1 r are independent and of deviation 1, and -2 ln likelihood = sum y^2 + 2 sum ln L_kk, but
+for a constant.
 """
 
 from dataclasses import dataclass

@@ -23,7 +23,7 @@ WORSE = 1.5  # times as far off as the direction's model, at most
 
 
 def track_radii(drives: Drives, fitted: Fitted) -> list[Interval | None]:
-    """Return r of each robot [length unit], None where the wheel speeds do not explain its turns."""
+    """Return r of each robot [length unit], None where wheel speeds do not explain its turns."""
     known: Bools = ~np.isnan(drives.left.sum(axis=0) + drives.right.sum(axis=0))
     count = known.size
     if not known.any():

@@ -50,6 +50,7 @@ def test_options_of_one_meaning_have_one_name():
         assert ("--out" in options) == ("-o" in options), words
         assert "--json" in options or words in WITHOUT_JSON, words
         takes_spec = any(p.name in ("spec", "specs") for p in command.params)
+        takes_spec |= words == ("verify",)  # of the spec that its log holds (decision 0031)
         assert ("--set" in options) == takes_spec, words
     assert {"--out", "--json", "--set", "--yes"} <= seen
     assert "--output" not in seen
@@ -62,7 +63,7 @@ def test_without_a_command_the_help_is_printed_and_no_error(tmp_path, words):
     assert "Usage:" in done.stdout
 
 
-LOG_COMMANDS = ["replay", "plot", "info", "recover", "verify", "stats", "run --from"]
+LOG_COMMANDS = ["replay", "plot", "info", "recover", "verify", "stats", "run --from", "identify"]
 SPEC_COMMANDS = ["validate", "run", "lab check", "lab stop", "lab calibrate", "lab emulate"]
 
 

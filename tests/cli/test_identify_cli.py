@@ -1,0 +1,143 @@
+"""`tetractl identify`, `verify --set` and `replay --through`, as they are called."""
+
+import json
+import subprocess
+
+import pytest
+import yaml
+from support.paths import ROOT
+from support.running import PATIENCE_S, TETRACTL, environment
+
+SPEC = """
+name: quick
+arena: {left: 0, bottom: 0, width: 1000, height: 800}
+robots:
+  - {name: one, start: [300, 500], target: [600, 500], a: 6, speed: 100}
+  - {name: two, start: [300, 200], target: [600, 250], a: 3, speed: 100}
+controller: {type: mpc, motion: exact, horizon_max: 20, optimizer: {particles: 20, iterations: 20}}
+plant:
+  type: sim
+  dead_time: 0.1
+  heading_noise: 0.02
+  measurement_noise: {position: 0.3, heading: 0.005}
+trials: {count: 2, seed: 7}
+"""
+
+
+def tetractl(folder, *args):
+    done = subprocess.run(
+        [TETRACTL, *map(str, args)],
+        cwd=folder,
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("identify")
+    (place / "quick.yaml").write_text(SPEC)
+    assert tetractl(place, "run", "quick.yaml", "--out", "logs", "--quiet").returncode == 0
+    return place
+
+
+def test_a_batch_is_identified_and_the_file_goes_into_a_spec(folder):
+    done = tetractl(folder, "identify", "logs", "-o", "found.yaml")
+    assert done.returncode == 0, done.stderr
+    assert "2 logs" in done.stdout and "disturbed simulation" in done.stdout
+    found = yaml.safe_load((folder / "found.yaml").read_text())
+    assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.01)
+    assert found["robots"]["two"]["a"]["value"] == pytest.approx(3, rel=0.05)
+    (folder / "better.yaml").write_text(SPEC + "identified: found.yaml\n")
+    dry = tetractl(folder, "run", "better.yaml", "--dry-run")
+    resolved = yaml.safe_load(dry.stdout)
+    assert [one["a"] for one in resolved["robots"]] == [
+        found["robots"][name]["a"]["value"] for name in ("one", "two")
+    ]
+    age = found["frame_age"]
+    assert resolved["controller"]["dead_time"] == found["dead_time"]["value"] + age
+    assert resolved["identified"] is None
+    told = tetractl(folder, "run", "better.yaml", "--dry-run", "--set", "robots.one.a=5")
+    assert yaml.safe_load(told.stdout)["robots"][0]["a"] == 5  # --set has the last word
+    again = tetractl(folder, "identify", "logs", "-o", "found.yaml")
+    assert (again.returncode, "exists already" in again.stderr) == (2, True)
+
+
+def test_exported_tables_say_the_same(folder):
+    assert tetractl(folder, "export", "logs", "-o", "tables").returncode == 0
+    logs, tables = (
+        json.loads(tetractl(folder, "identify", *words, "--json").stdout)
+        for words in (["logs"], ["tables/poses.csv", "tables/steps.csv"])
+    )
+    assert tables["origin"] == "CSV"
+    assert tables["dead_time"]["value"] == pytest.approx(logs["dead_time"]["value"], abs=1e-4)
+    for one, two in zip(logs["robots"], tables["robots"], strict=True):
+        assert one["a"]["value"] == pytest.approx(two["a"]["value"], rel=1e-3)
+
+
+def test_a_design_is_proposed_as_a_spec_and_driven(folder):
+    words = ("identify", "--design", "quick.yaml", "--seconds", "6")
+    done = tetractl(folder, *words, "-o", "motion.yaml")
+    assert done.returncode == 0, done.stderr
+    assert "predicted standard deviations" in done.stdout
+    assert tetractl(folder, "validate", "motion.yaml").returncode == 0
+    driven = tetractl(folder, *words, "--plant", "sim", "--logs", "design", "--json")
+    assert driven.returncode == 0, driven.stderr
+    found = json.loads(driven.stdout)
+    assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.005)
+    assert tetractl(folder, "verify", "design").returncode == 0
+
+
+def test_robots_of_a_lab_are_not_driven_without_consent(folder):
+    lab = ROOT / "experiments" / "three_m3pi_lab.yaml"
+    done = tetractl(folder, "identify", "--design", lab, "--plant", "lab")
+    assert done.returncode == 2
+    assert "add --yes" in done.stderr
+
+
+def test_options_that_do_not_belong_together_are_refused(folder):
+    for words in (
+        ("identify",),
+        ("identify", "logs", "--design", "quick.yaml"),
+        ("identify", "logs", "--yes"),
+        ("identify", "logs", "tables/poses.csv"),
+        ("identify", "--design", "quick.yaml", "--yes"),
+        ("replay", "logs/trial-000.mcap", "--yes"),
+        ("replay", "logs/trial-000.mcap", "--through", "sim", "--rate", "2"),
+        ("replay", "logs", "--through", "sim"),
+        ("replay", "logs/trial-000.mcap", "--through", "lab", "--yes"),
+    ):
+        done = tetractl(folder, *words)
+        assert done.returncode == 2, words
+        assert done.stderr.startswith("error: "), words
+
+
+def test_verify_with_other_values_predicts_and_says_so(folder):
+    log = "logs/trial-000.mcap"
+    done = tetractl(folder, "verify", log, "--set", "controller.dead_time=0.1")
+    assert done.returncode == 0, done.stderr
+    assert "a prediction on the recorded observations, not closed loop" in done.stdout
+    assert "steps would have sent another direction" in done.stdout
+    words = ("verify", log, "--set", "controller.dead_time=0", "--json")
+    same = json.loads(tetractl(folder, *words).stdout)
+    assert same["logs"][0]["changed"] == 0
+    assert len(same["logs"][0]["steps"]) == same["logs"][0]["recorded_steps"]
+    refused = tetractl(folder, "verify", log, "--set", "plant.dead_time=0")
+    assert refused.returncode == 2
+
+
+def test_commands_are_driven_again_through_the_simulation(folder):
+    log = "logs/trial-000.mcap"
+    words = ("replay", log, "--through", "sim", "-o", "again", "--plot", "again.svg")
+    done = tetractl(folder, *words)
+    assert done.returncode == 0, done.stderr
+    assert "open loop" in done.stdout
+    most = next(line for line in done.stdout.splitlines() if line.startswith("  at most"))
+    assert [float(cell) for cell in most.split()[2:]] == [0, 0]  # the same seed, the same world
+    assert (folder / "again.svg").read_bytes().startswith(b"<?xml")
+    assert tetractl(folder, "verify", "again").returncode == 0

@@ -1,0 +1,218 @@
+"""Robots identified from tracks made up for the tests: dead time, a, speed, noise, wheels."""
+
+import json
+
+import numpy as np
+import pytest
+from support.paths import ROOT
+
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.errors import UsageError
+from tetractl.experiment.load import load_spec
+from tetractl.plant.simulation import SimPlant
+from tetractl.replay.identification.chain import LIMIT, Chain, Noise
+from tetractl.replay.identification.csv_tracks import csv_tracks
+from tetractl.replay.identification.design import propose
+from tetractl.replay.identification.identify import identify
+from tetractl.replay.identification.tracks import Track, drives_of
+
+EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
+EXPECTED = np.array([6.0, 4.0, 3.0])
+NOISY = (
+    "plant.measurement_noise={position: 0.5, heading: 0.01}",
+    "plant.heading_noise=0.03",
+)
+
+
+def drive(seed, *sets, steps=50, period_s=0.2):
+    """Drive simulated robots in random directions; return the plant and their track."""
+    experiment = load_spec(EXPERIMENT, sets).experiment
+    clock, setup = VirtualClock(), experiment.setup
+    plant = SimPlant(experiment.plant, setup, clock, np.random.SeedSequence(seed))
+    plant.open()
+    samples, commands = [], []
+    for k, u in enumerate(np.random.default_rng(seed).uniform(-2, 2, steps)):
+        clock.sleep_until(round(k * period_s * SECOND))
+        plant.observe()
+        command = plant.steer(float(u))
+        samples += plant.samples()
+        commands += [*plant.news(), command]
+    clock.sleep_until(round(steps * period_s * SECOND))
+    stop = plant.stop()
+    plant.settle()
+    samples += plant.samples()
+    commands += plant.news()
+    seen = [one.observation for one in samples]
+    return plant, Track(
+        source="test",
+        origin="simulation",
+        unit="mm",
+        names=setup.names,
+        time=np.array([one.sampled_ns for one in seen]) / SECOND,
+        poses=np.array([one.poses.array() for one in seen]),
+        valid=np.array([one.valid for one in seen]),
+        sent=np.array([one.sent_ns for one in commands]) / SECOND,
+        u=np.array([one.direction for one in commands]),
+        left=np.array([one.left for one in commands]),
+        right=np.array([one.right for one in commands]),
+        until=stop.sent_ns / SECOND,
+    )
+
+
+def test_without_noise_everything_is_found_exactly():
+    plant, track = drive(1, "plant.dead_time=0.083", "plant.a_error=0.25", "plant.speed_error=0.2")
+    found = identify([track], EXPECTED)
+    assert found.dead_time.value == pytest.approx(0.083, abs=2e-4)
+    assert [one.a.value for one in found.robots] == pytest.approx(plant.a, rel=2e-3)
+    assert [one.speed.value for one in found.robots] == pytest.approx(plant.speed, rel=1e-3)
+    assert [one.heading_bias.value for one in found.robots] == pytest.approx([0] * 3, abs=2e-3)
+    assert [one.track_radius for one in found.robots] == [None] * 3
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.2])
+def test_noise_and_lost_commands_leave_the_truth_near_the_intervals(dead_time):
+    sets = (*NOISY, f"plant.dead_time={dead_time}", "plant.a_error=0.2", "plant.lost_commands=0.05")
+    plant, track = drive(3, *sets)
+    found = identify([track], EXPECTED)
+    intervals = [(found.dead_time, dead_time)]
+    for i, robot in enumerate(found.robots):
+        intervals += [
+            (robot.a, plant.a[i]),
+            (robot.speed, plant.speed[i]),
+            (robot.heading_bias, 0.0),
+            (robot.position_noise, 0.5),
+            (robot.heading_noise, 0.01),
+            (robot.heading_walk, 0.03),
+        ]
+        assert robot.a.high - robot.a.low < 0.1 * robot.a.value  # they say something
+    for interval, truth in intervals:
+        assert interval.low <= interval.value <= interval.high
+        width = max(interval.high - interval.value, interval.value - interval.low)
+        assert abs(interval.value - truth) <= 2 * width + 1e-4
+    held = sum(interval.low <= truth <= interval.high for interval, truth in intervals)
+    assert held >= 0.8 * len(intervals)
+
+
+def test_lost_commands_are_counted():
+    _, track = drive(8, *NOISY, "plant.dead_time=0.06", "plant.lost_commands=0.1")
+    found = identify([track], EXPECTED)
+    assert 6 <= sum(robot.lost for robot in found.robots) <= 25  # of 150, 15 expected
+    _, track = drive(8, *NOISY, "plant.dead_time=0.06")
+    assert sum(robot.lost for robot in identify([track], EXPECTED).robots) == 0
+
+
+def test_a_is_found_where_nothing_is_expected():
+    _, track = drive(4, *NOISY, "plant.dead_time=0.1")
+    found = identify([track], None)
+    assert [one.a.value for one in found.robots] == pytest.approx([6, 4, 3], rel=0.03)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.04])
+def test_the_track_radius_of_robots_on_wheels(lag):
+    wheels = {"rate": 40, "radius_error": 0.1, "lag": lag}
+    plant, track = drive(5, f"plant.drive={json.dumps(wheels)}", "plant.dead_time=0.03", *NOISY)
+    truth = 0.5 / plant._drive._turn_of
+    assert np.ptp(truth) > 0.5
+    found = [one.track_radius for one in identify([track], EXPECTED).robots]
+    assert [one.value for one in found] == pytest.approx(truth, rel=0.01)
+    assert all(one.low < one.value < one.high < 1.05 * one.low for one in found)
+
+
+def test_pooled_tracks_tell_more_than_one():
+    tracks = [drive(seed, *NOISY, "plant.dead_time=0.1")[1] for seed in (1, 2, 3)]
+    one, all_three = identify(tracks[:1], EXPECTED), identify(tracks, EXPECTED)
+    assert all_three.commands == 150
+    for less, more in zip(one.robots, all_three.robots, strict=True):
+        assert more.a.high - more.a.low < 0.8 * (less.a.high - less.a.low)
+
+
+def test_frames_that_did_not_see_a_robot_are_left_out():
+    _, track = drive(6, *NOISY, "plant.dead_time=0.1")
+    track.valid[300:500, 1] = False
+    track.poses[300:500, 1] = 1e6  # garbage that must not be looked at
+    found = identify([track], EXPECTED)
+    assert found.robots[1].a.value == pytest.approx(4, rel=0.03)
+    assert found.robots[1].intervals < found.robots[0].intervals
+
+
+def test_too_little_and_other_robots_are_refused():
+    _, track = drive(6, steps=3)
+    with pytest.raises(UsageError, match="intervals between frames only"):
+        identify([track], EXPECTED)
+    other = Track(
+        **{name: getattr(track, name) for name in Track.__dataclass_fields__}
+        | {"names": ("a", "b", "c")}
+    )
+    with pytest.raises(UsageError, match="other robots"):
+        drives_of([track, other])
+
+
+def test_the_deviance_is_that_of_the_covariance():
+    rng, size = np.random.default_rng(1), 12
+    t, slope = rng.uniform(0.03, 0.05, size), rng.uniform(0.8, 1.1, size)
+    linked = np.arange(size) != 7
+    linked[0] = False
+    noise, r = Noise(0.02, 0.3), rng.normal(0, 0.05, size)
+    covariance = np.diag(noise.measured**2 * (1 + slope**2) + noise.walk**2 * t)
+    for k in np.flatnonzero(linked):
+        covariance[k, k - 1] = covariance[k - 1, k] = -(noise.measured**2) * slope[k]
+    expected = r @ np.linalg.solve(covariance, r) + np.linalg.slogdet(covariance)[1]
+    chain = Chain(t, slope, np.ones(size, dtype=bool), linked)
+    assert chain.deviance(noise, r) == pytest.approx(expected, rel=1e-10)
+
+
+def test_the_ends_of_a_noise_interval_are_where_the_profile_rises_to_the_limit():
+    rng, size = np.random.default_rng(2), 400
+    t = np.full(size, 0.04)
+    e = rng.normal(0, 0.01, size + 1)
+    r = np.diff(e) + rng.normal(0, 0.03 * 0.2, size)
+    linked = np.arange(size) > 0
+    chain = Chain(t, np.ones(size), np.ones(size, dtype=bool), linked)
+    best = chain.noise_of(r)
+    (low, high), (walk_low, walk_high) = chain.noise_intervals(r, best)
+    assert low < 0.01 < high and walk_low < 0.03 < walk_high
+    walks = np.linspace(1e-6, 0.1, 400)
+    for end in (low, high):
+        profile = min(chain.deviance(Noise(end, walk), r) for walk in walks)
+        assert profile - chain.deviance(best, r) == pytest.approx(LIMIT, abs=0.15)
+
+
+def test_a_design_stays_clear_and_tells_much():
+    experiment = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment
+    design = propose(experiment, 6.0, 1)
+    assert design.seconds == pytest.approx(6.0, abs=0.2)
+    assert design.clearance >= 100
+    assert (design.a_std < 0.02).all()
+    again = propose(experiment, 6.0, 1)
+    assert again.directions.tolist() == design.directions.tolist()
+
+
+POSES = "time_s,robot,x_mm,y_mm,heading_rad,valid\n0,one,1,2,0.1,True\n0.1,one,3,2,0.2,False\n"
+COMMANDS = "time_s,direction_rad\n0,0.5\n0.2,0.7\n"
+
+
+def test_csv_files_are_read(tmp_path):
+    (tmp_path / "p.csv").write_text(POSES)
+    (tmp_path / "c.csv").write_text(COMMANDS)
+    (track,) = csv_tracks([tmp_path / "c.csv", tmp_path / "p.csv"])
+    assert (track.unit, track.names, track.origin) == ("mm", ("one",), "CSV")
+    assert track.valid.ravel().tolist() == [True, False]
+    assert track.poses[0, 0].tolist() == [1, 2, 0.1]
+    assert (track.u.tolist(), track.until) == ([0.5, 0.7], pytest.approx(0.4))
+    assert np.isnan(track.left).all()
+
+
+@pytest.mark.parametrize(
+    ("poses", "commands", "says"),
+    [
+        (POSES.replace("x_mm", "x"), COMMANDS, "needs x_mm and y_mm"),
+        (POSES, COMMANDS.replace("direction_rad", "u"), "holds neither poses nor commands"),
+        (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is no number"),
+        (POSES, "time_s,direction_rad,log\n0,0.5,a\n", "poses and commands are needed"),
+    ],
+)
+def test_what_is_wrong_with_a_csv_file_is_told(tmp_path, poses, commands, says):
+    (tmp_path / "p.csv").write_text(poses)
+    (tmp_path / "c.csv").write_text(commands)
+    with pytest.raises(UsageError, match=says):
+        csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])

@@ -1,11 +1,14 @@
 """`tetractl plot`: the paper's figures from a log."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tetractl.core.errors import Exit
+from tetractl.core.errors import Exit, UsageError
+
+VIDEO = "video"
 
 
 def plot(
@@ -18,7 +21,8 @@ def plot(
             "-o",
             "--out",
             metavar="FILE",
-            help="Picture to write: .png, .svg or .pdf; by default LOG-KIND.png here.",
+            help="Picture to write: .png, .svg or .pdf; by default LOG-KIND.png here. A film:"
+            " .mp4, .gif or .webp, by default LOG-video.gif.",
         ),
     ] = None,
     kind: Annotated[
@@ -35,9 +39,10 @@ def plot(
     scatter: where the robots of several trials ended.
     estimate: the controller's estimates of a, speed and so on over time.
     timing: solve time of each control step.
+    video: a film of the trial.
     Other packages may add figures.
 
-    The same log gives the same bytes.
+    The same log gives the same bytes. MP4 films need ffmpeg.
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
     """
@@ -48,6 +53,8 @@ def plot(
     from tetractl.view.style import file_format, save
     from tetractl.view.terminal.damage import warn_of_damage
 
+    if kind == VIDEO:
+        return _film(find_logs(logs), output)
     check_kind(kind)
     logs = find_logs(logs)
     path = output or _default_name(logs, kind)
@@ -58,6 +65,32 @@ def plot(
     save(draw(kind, trials), path)
     print(printable(str(path)))
     return Exit.FAILED if any(trial.damage for trial in trials) else Exit.DONE
+
+
+def _film(logs: list[Path], output: Path | None) -> int:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from tetractl.log.read.reader import read_trial
+    from tetractl.view.terminal.damage import warn_of_damage
+    from tetractl.view.video.files import check_file, write_video
+
+    if len(logs) > 1:
+        raise UsageError(f"a film shows one trial, not {len(logs)}", "give one log")
+    path = output or _default_name(logs, VIDEO).with_suffix(".gif")
+    check_file(path)
+    log = read_trial(logs[0])
+    warn_of_damage(log)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("drawing", total=None)
+        speed = write_video(
+            log, path, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    if speed > 1:
+        print(f"plays {speed} times faster than the trial", file=sys.stderr)
+    print(path)
+    return Exit.FAILED if log.damage else Exit.DONE
 
 
 def _default_name(logs: list[Path], kind: str) -> Path:

@@ -51,7 +51,7 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         figure = style.figure(width, (width - 0.55) * shape + 0.5 + LINE_IN * key.rows)
         axes = figure.subplots()
         key.draw(figure)
-        _scene(axes, setup, colors)
+        draw_scene(axes, setup, colors)
         if len(logs) == 1:
             _one(axes, logs[0], colors)
         else:
@@ -64,7 +64,8 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     return figure
 
 
-def _scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
+def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
+    """Draw what does not move: obstacles, starts and targets, with numbers for many robots."""
     unit = style.unit_of(setup.unit)
     axes.set_aspect("equal")
     axes.set_xlabel(f"x [{unit}]")

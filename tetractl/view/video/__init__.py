@@ -1,0 +1,1 @@
+"""A trial as a film: its pictures, and the files they become."""

@@ -9,7 +9,6 @@ from tetractl.experiment.experiment import Arena, Experiment, Robot
 from tetractl.experiment.shape import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
-
 MEMORY_MAX = 1_000_000_000
 """What a control step may hold [bytes]."""
 

@@ -16,8 +16,9 @@ lost counts for little. The scale s is the median of |r| / 0.6745 sigma of the f
 directions are those sent, not those believed to have arrived: every command lost would look like
 one more control period of dead time.
 
-The function has several minima by tau. While its deviation is above SURE_S, tau is looked for on a
-grid, with a and beta fitted at each of its points; then a few Gauss-Newton steps of iteratively
+The function has several minima by tau. While its deviation is above SURE_S, and again whenever the
+number of intervals has doubled, tau is looked for on a grid, with a and beta fitted at each of its
+points; then a few Gauss-Newton steps of iteratively
 reweighted least squares follow, and the deviations are those of the last step's normal equations.
 
 The speed follows separately, by the same function, from the distances |d_ki| of the intervals,
@@ -42,6 +43,7 @@ CAUCHY = 2.385  # C: 95 % of the efficiency of least squares where no residual i
 FACTOR_MAX = 5.0  # a and speed stay within this factor of the prior's
 SURE_S = 0.012  # deviation of the dead time from which on no grid is looked at [s]
 GRID_STEP_S = 0.02
+LOOK_LEAST = 8  # intervals from which on their doubling is a reason to look again
 LOOK_MAX = 80  # intervals that a look over the grid takes into account at most, the latest
 NUDGE_S, NUDGE = 0.002, 1e-4  # of tau [s], ln a and beta, for derivatives
 SCALE_WEIGHT = 20  # residuals that the scale before anything is seen counts for
@@ -124,7 +126,9 @@ def fit(
     tau, ln_a, beta = guess.dead_time, np.log(guess.a / prior.a), guess.heading_bias
     assert tau is not None and beta is not None and guess.dead_time_std is not None
     scale = turns.scale(tau, ln_a, beta)
-    if guess.dead_time_std > SURE_S:
+    count = len(intervals.since)
+    doubled = count >= LOOK_LEAST and count & (count - 1) == 0
+    if guess.dead_time_std > SURE_S or doubled:
         some = _Turns(intervals.latest(LOOK_MAX), directions, prior, step)
         tau, ln_a, beta = some.look(tau, scale)
     std = np.zeros(0)

@@ -1,5 +1,7 @@
 """Identification while driving: dead time, a, speed and heading bias of robots that are driven."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.paths import ROOT
@@ -113,3 +115,13 @@ def test_no_interval_is_no_news():
     nothing = Intervals(np.zeros(0), np.zeros(0), *np.zeros((3, 0, 3)), np.zeros((0, 3), np.bool_))
     guess = PRIOR.estimate()
     assert fit(nothing, Directions(np.zeros(1), np.zeros(1)), PRIOR, guess, step) is guess
+
+
+def test_a_wrong_dead_time_believed_to_be_sure_is_looked_for_again():
+    """With as many intervals as make a doubling; with one more the wrong minimum is kept."""
+    wrong = replace(PRIOR.estimate(), dead_time=0.27, dead_time_std=0.001)
+    for count, found in ((64, 0.07), (65, 0.27)):
+        intervals, directions = record(A, 0.07, 0.0, count + 2, 4)
+        assert len(intervals.since) == count
+        fitted = fit(intervals, directions, PRIOR, wrong, step)
+        assert fitted.dead_time == pytest.approx(found, abs=0.05)

@@ -263,9 +263,13 @@ TARGETS = {
     "calibration": Target(calibration, seeds.calibrations),
     "log": Target(log, seeds.logs),
     "inside": Target(inside, insides),
-    "log, every command": Target(every_command, seeds.logs),
-    "inside, every command": Target(inside_every_command, insides),
     "natnet": Target(natnet, seeds.datagrams),
     "serial": Target(serial, seeds.serial_bytes),
     "wire": Target(wire, seeds.wires),
 }
+
+COMMANDS = {
+    "log, every command": Target(every_command, seeds.logs),
+    "inside, every command": Target(inside_every_command, insides),
+}
+"""Whole commands, too slow for the tests: for benchmarks/fuzz.py alone."""

@@ -16,13 +16,14 @@ for a constant.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import get_lapack_funcs
 from scipy.optimize import minimize, minimize_scalar
 
 from tetractl.core.poses import Bools, Floats
 
 LIMIT = 3.841
 """95 % quantile of chi-squared with one degree of freedom."""
+_CHOLESKY, _SOLVE = get_lapack_funcs(("pbtrf", "tbtrs"), dtype=np.float64)  # of band matrices
 LEAST = 1e-7  # of a deviation, relative to the residuals' own
 
 
@@ -66,14 +67,14 @@ class Chain:
         banded[0] = np.where(self.used, variance, 1.0)
         coupling = self.slope if self.coupling is None else self.coupling
         banded[1, :-1] = np.where(both, -s2 * coupling, 0.0)[1:]
-        found, info = lapack.dpbtrf(banded, lower=1)
+        found, info = _CHOLESKY(banded, lower=1)
         assert info == 0, "a covariance is positive definite"
         return found
 
     def whiten(self, factor: Floats, columns: Floats) -> Floats:
         """Return L^-1 of columns (K, M), 0 where an interval is not used."""
         columns = np.where(self.used[:, None], columns, 0.0)
-        found, info = lapack.dtbtrs(factor, columns, uplo="L")
+        found, info = _SOLVE(factor, columns, uplo="L")
         assert info == 0, "the diagonal of L is positive"
         return found
 

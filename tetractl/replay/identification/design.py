@@ -187,7 +187,7 @@ def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
 def _driven(setup: Setup, directions: Floats, dead_time: float) -> Track:
     """Return the track of robots that move as expected, frames SHORTEST_S apart."""
     period, n = setup.period_s, len(setup.names)
-    sent: Floats = np.arange(len(directions)) * period
+    sent = np.array([k * period for k in range(len(directions))])
     end = len(directions) * period
     times = np.arange(0.0, end + dead_time, SHORTEST_S)
     poses, rows = setup.starts, [setup.starts.array()]

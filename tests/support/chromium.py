@@ -108,6 +108,8 @@ def chromium(profile: Path) -> Iterator[Page]:
         read, write = os.dup(to_browser[0]), os.dup(from_browser[1])
         os.dup2(read, 3)
         os.dup2(write, 4)
+        for number in (3, 4):  # which dup2 leaves as they are where they were these already
+            os.set_inheritable(number, True)
 
     process = subprocess.Popen(
         [

@@ -141,7 +141,7 @@ class Player {
     }));
     list.replaceChildren(...trial.events.map(({ t, level, text }) => {
       const item = document.createElement("li"), jump = document.createElement("button");
-      jump.textContent = `${t.toFixed(2)} s`;
+      jump.textContent = `${(Math.abs(t) < 0.005 ? 0 : t).toFixed(2)} s`;
       jump.addEventListener("click", () => this.pauseAt(t));
       item.className = level;
       item.append(jump, ` ${text}`);

@@ -1,0 +1,71 @@
+"""Make the pictures of README and docs/, docs/images: figures, a film, screenshots of the report.
+
+Run `python docs/make_images.py` after a change of what they show; it takes some minutes and needs
+Chromium for the screenshots. All trials are simulated.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+IMAGES = ROOT / "docs" / "images"
+sys.path.insert(0, str(ROOT / "tests"))
+
+from support.chromium import chromium  # noqa: E402
+
+from tetractl.log.read.reader import read_trial  # noqa: E402
+from tetractl.view.video.files import write_video  # noqa: E402
+
+FILM_WIDTH = 640
+SCREENS = ((1280, 800), (390, 844))
+MIDDLE = 0.55
+"""The share of the trial after which the report is photographed."""
+
+
+def tetractl(*args: object) -> None:
+    """Run a command of this source."""
+    subprocess.run([sys.executable, "-m", "tetractl", *map(str, args)], cwd=ROOT, check=True)
+
+
+def main() -> None:
+    """Run the experiments and make every picture."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        reference, paper, bench = (folder / part for part in ("reference", "paper", "bench"))
+        for spec, out, trials in (
+            ("three_m3pi", reference, 1),
+            ("three_m3pi_paper", paper, 1),
+            ("three_m3pi_bench", bench, 20),
+        ):
+            path = ROOT / "experiments" / f"{spec}.yaml"
+            tetractl("run", path, "--set", f"trials.count={trials}", "--out", out, "--quiet")
+        first = "trial-000.mcap"
+        for log, kind, image in (
+            (reference / first, "trajectory", "figure-5.png"),
+            (paper / first, "swarm", "figure-2.png"),
+            (bench, "errors", "errors.png"),
+            (bench, "scatter", "scatter.png"),
+        ):
+            tetractl("plot", log, "--kind", kind, "-o", IMAGES / image)
+        write_video(read_trial(bench / first), IMAGES / "trial.gif", width=FILM_WIDTH)
+        tetractl("report", bench, "-o", folder / "report.html")
+        screenshots(folder / "report.html", folder)
+
+
+def screenshots(report: Path, folder: Path) -> None:
+    """Photograph the upper end of a report, its player in the middle of a trial."""
+    with chromium(folder / "profile") as page:
+        for width, height in SCREENS:
+            page.open(report, width, height)
+            page.run(
+                "{ const scrub = document.getElementById('scrub');"
+                f" scrub.value = {MIDDLE} * player.trial.end;"
+                " scrub.dispatchEvent(new Event('input')); }"
+            )
+            page.picture(IMAGES / f"report-{width}x{height}.png")
+
+
+if __name__ == "__main__":
+    main()

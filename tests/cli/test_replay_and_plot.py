@@ -304,3 +304,24 @@ def test_help_has_an_example(folder, command):
     done = run(command, "--help", cwd=folder)
     assert done.returncode == 0
     assert f"Example: tetractl {command} trial-000.mcap" in done.stdout
+
+
+def test_a_film_is_written_beside_where_it_was_asked_for(folder):
+    done = run("plot", "cut.mcap.part", "--kind", "video", cwd=folder)
+    assert (done.returncode, done.stdout) == (1, "cut-video.gif\n")
+    assert "damaged: cut.mcap.part" in done.stderr
+    assert (folder / "cut-video.gif").read_bytes().startswith(b"GIF89a")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["whole.mcap", "other.mcap"], "error: a film shows one trial, not 2"),
+        (["whole.mcap", "-o", "film.avi"], "error: film.avi: cannot write '.avi' films"),
+    ],
+)
+def test_what_is_no_film_is_one_clear_line(folder, arguments, message):
+    done = run("plot", *arguments, "--kind", "video", cwd=folder)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert "Traceback" not in done.stderr

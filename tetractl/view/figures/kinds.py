@@ -30,7 +30,10 @@ FIGURES = Registry(
 def check_kind(kind: str) -> None:
     """Raise UsageError for a name that no figure has."""
     if kind not in FIGURES:
-        raise UsageError(f"no figure is called {kind!r}", f"there are {', '.join(FIGURES.names())}")
+        raise UsageError(
+            f"no figure is called {kind!r}",
+            f"there are {', '.join(FIGURES.names())}, and video for a film",
+        )
 
 
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":

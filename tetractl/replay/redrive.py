@@ -14,6 +14,9 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.experiment.load import LoadedSpec, parse_spec, resolved_yaml
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.replay.identification.tracks import stopped_ns
+
+EARLY = 0.25  # of a control period, by which a stop may come before its end
 
 
 def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
@@ -30,9 +33,10 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
         raise UsageError(f"{log.path}: no direction was sent in it")
     period = round(log.experiment.controller.period * SECOND)
     began = sent[0].sent_ns
-    end = log.stop.sent_ns if log.stop else sent[-1].sent_ns + period
+    end = stopped_ns(log)
+    end = sent[-1].sent_ns + period if end is None else end
     times = np.array([one.sent_ns - began for one in sent])
-    count = max(1, (end - began) // period)
+    count = max(1, (end - began + round(EARLY * period)) // period)
     at = np.arange(count) * period + period // 2
     index = np.searchsorted(times, at, side="right") - 1
     directions = np.array([sent[i].direction for i in index], dtype=np.float64)

@@ -153,12 +153,20 @@ def test_the_deviance_is_that_of_the_covariance():
     linked = np.arange(size) != 7
     linked[0] = False
     noise, r = Noise(0.02, 0.3), rng.normal(0, 0.05, size)
-    covariance = np.diag(noise.measured**2 * (1 + slope**2) + noise.walk**2 * t)
+    covariance = np.diag(
+        noise.measured**2 * (1 + slope**2) + noise.walk**2 * t * (1 + 4 * slope + slope**2) / 6
+    )
     for k in np.flatnonzero(linked):
         covariance[k, k - 1] = covariance[k - 1, k] = -(noise.measured**2) * slope[k]
     expected = r @ np.linalg.solve(covariance, r) + np.linalg.slogdet(covariance)[1]
     chain = Chain(t, slope, np.ones(size, dtype=bool), linked)
-    assert chain.deviance(noise, r) == pytest.approx(expected, rel=1e-10)
+    assert chain.deviance(noise, r, np.empty((size, 0))) == pytest.approx(expected, rel=1e-10)
+    by = rng.normal(size=(size, 2))
+    information = by.T @ np.linalg.solve(covariance, by)
+    explained = by.T @ np.linalg.solve(covariance, r)
+    restricted = expected - explained @ np.linalg.solve(information, explained)
+    restricted += np.linalg.slogdet(information)[1]
+    assert chain.deviance(noise, r, by) == pytest.approx(restricted, rel=1e-8)
 
 
 def test_the_ends_of_a_noise_interval_are_where_the_profile_rises_to_the_limit():
@@ -168,13 +176,14 @@ def test_the_ends_of_a_noise_interval_are_where_the_profile_rises_to_the_limit()
     r = np.diff(e) + rng.normal(0, 0.03 * 0.2, size)
     linked = np.arange(size) > 0
     chain = Chain(t, np.ones(size), np.ones(size, dtype=bool), linked)
-    best = chain.noise_of(r)
-    (low, high), (walk_low, walk_high) = chain.noise_intervals(r, best)
+    nothing = np.empty((size, 0))
+    best = chain.noise_of(r, nothing)
+    (low, high), (walk_low, walk_high) = chain.noise_intervals(r, nothing, best)
     assert low < 0.01 < high and walk_low < 0.03 < walk_high
     walks = np.linspace(1e-6, 0.1, 400)
     for end in (low, high):
-        profile = min(chain.deviance(Noise(end, walk), r) for walk in walks)
-        assert profile - chain.deviance(best, r) == pytest.approx(LIMIT, abs=0.15)
+        profile = min(chain.deviance(Noise(end, walk), r, nothing) for walk in walks)
+        assert profile - chain.deviance(best, r, nothing) == pytest.approx(LIMIT, abs=0.15)
 
 
 def test_a_design_stays_clear_and_tells_much():

@@ -1,16 +1,25 @@
 """The likelihood of differences of noisy measurements along a chain of intervals.
 
 A quantity is measured at the ends of K intervals with an error e of deviation s, and walks at
-random by w sqrt(t) in an interval of t seconds. What an interval misses the model by is then
+random by w a root second. What an interval of t seconds misses the model by is then
 
-    r_k = e_(k+1) - F_k e_k + w sqrt(t_k) n_k,
+    r_k = e_(k+1) - F_k e_k + w sqrt(T_k) n_k,      T_k = t_k (1 + 4 F_k + F_k^2) / 6,
 
-where F_k is the derivative of the model's end by its begin. The covariance A of r is tridiagonal:
-s^2 (1 + F_k^2) + w^2 t_k on the diagonal, -s^2 G_k beside it where interval k begins with the
-frame that interval k - 1 ended with. G_k is F_k, but for what is measured in two dimensions and
-looked at along a way: the cosine of the angle between the ways of both intervals. With A = L L^T,
-y = L^-1 r are independent and of deviation 1, and -2 ln likelihood = sum y^2 + 2 sum ln L_kk, but
-for a constant.
+where F_k is the derivative of the model's end by its begin: what walks early in an interval has
+changed by F_k at its end (Simpson's rule for the integral of F_k^(2 x), x from 0 to 1). The
+covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k beside it
+where interval k begins with the frame that interval k - 1 ended with. G_k is F_k, but for what is
+measured in two dimensions and looked at along a way: the cosine of the angle between the ways of
+both intervals. With A = L L^T, y = L^-1 r are independent and of deviation 1, and
+
+    -2 ln likelihood = sum y^2 + 2 sum ln L_kk + a constant.
+
+A fit of P parameters, by which the model has the derivatives X (K, P), explains a part of the
+errors. The restricted likelihood takes that into account: its y are what is left over of y after
+their least squares on L^-1 X, and ln det X^T A^-1 X is added.
+
+Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal",
+Biometrika 58 (1971).
 """
 
 from dataclasses import dataclass
@@ -24,6 +33,7 @@ from tetractl.core.poses import Bools, Floats
 LIMIT = 3.841
 """95 % quantile of chi-squared with one degree of freedom."""
 _CHOLESKY, _SOLVE = get_lapack_funcs(("pbtrf", "tbtrs"), dtype=np.float64)  # of band matrices
+TINY = 1e-12  # relative to the trace: a parameter without effect leaves X^T A^-1 X regular
 LEAST = 1e-7  # of a deviation, relative to the residuals' own
 
 
@@ -58,13 +68,17 @@ class Chain:
     linked: Bools
     coupling: Floats | None = None
 
+    def variance(self, noise: Noise) -> Floats:
+        """Return the diagonal of A (K,)."""
+        walked = self.t * np.maximum(1 + 4 * self.slope + self.slope**2, 0.0) / 6
+        return noise.measured**2 * (1 + self.slope**2) + noise.walk**2 * walked + 1e-300
+
     def factor(self, noise: Noise) -> Floats:
         """Return L as its diagonal and the one below, (2, K); an interval not used has L = 1."""
         both = self.linked & self.used & np.append(False, self.used[:-1])
         banded = np.zeros((2, self.t.size))
         s2 = noise.measured**2
-        variance = s2 * (1 + self.slope**2) + noise.walk**2 * self.t + 1e-300
-        banded[0] = np.where(self.used, variance, 1.0)
+        banded[0] = np.where(self.used, self.variance(noise), 1.0)
         coupling = self.slope if self.coupling is None else self.coupling
         banded[1, :-1] = np.where(both, -s2 * coupling, 0.0)[1:]
         found, info = _CHOLESKY(banded, lower=1)
@@ -78,18 +92,25 @@ class Chain:
         assert info == 0, "the diagonal of L is positive"
         return found
 
-    def deviance(self, noise: Noise, r: Floats) -> float:
-        """Return -2 ln likelihood of residuals (K,)."""
+    def deviance(self, noise: Noise, r: Floats, by: Floats) -> float:
+        """Return -2 ln restricted likelihood of residuals (K,); `by` (K, P) is X."""
         factor = self.factor(noise)
-        y = self.whiten(factor, r[:, None])[:, 0]
-        return float(y @ y + 2 * np.log(factor[0]).sum())
+        whitened = self.whiten(factor, np.column_stack([r, by]))
+        y, x = whitened[:, 0], whitened[:, 1:]
+        total = y @ y + 2 * np.log(factor[0]).sum()
+        normal, right = x.T @ x, x.T @ y
+        if not normal.size:
+            return float(total)
+        normal.flat[:: len(normal) + 1] += TINY * np.trace(normal)
+        explained = right @ np.linalg.solve(normal, right)
+        return float(total - explained + np.linalg.slogdet(normal)[1])
 
-    def noise_of(self, r: Floats) -> Noise:
-        """Return the most likely noise of residuals (K,)."""
+    def noise_of(self, r: Floats, by: Floats) -> Noise:
+        """Return the most likely noise of residuals (K,); `by` is as in `deviance`."""
         size = _size(r[self.used])
         begin = np.log([0.5 * size, size])
         best = minimize(
-            lambda p: self.deviance(_noise(p, size), r),
+            lambda p: self.deviance(_noise(p, size), r, by),
             begin,
             method="Nelder-Mead",
             options={"xatol": 1e-3, "fatol": 1e-3, "maxfev": 200},
@@ -97,16 +118,16 @@ class Chain:
         return _noise(best.x, size)
 
     def noise_intervals(
-        self, r: Floats, best: Noise
+        self, r: Floats, by: Floats, best: Noise
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the 95 % profile intervals of both deviations: (low, high) of each."""
         size = _size(r[self.used])
-        least = self.deviance(best, r)
+        least = self.deviance(best, r, by)
 
         def profile(which: int, value: float) -> float:
             def of(other: float) -> float:
                 pair = (value, other) if which == 0 else (other, value)
-                return self.deviance(_noise(np.array(pair), size), r)
+                return self.deviance(_noise(np.array(pair), size), r, by)
 
             near = np.log(max((best.walk, best.measured)[which], LEAST * size))
             wide = minimize_scalar(

@@ -108,12 +108,16 @@ class _Fit:
         self.turns.believe(self.p, self._chains, self._noises)
         r = self.turns.missed(self.p)
         limits = [
-            OUTLYING * np.sqrt(n.measured**2 * (1 + c.slope**2) + n.walk**2 * c.t)
+            OUTLYING * np.sqrt(c.variance(n))
             for c, n in zip(self._chains, self._noises, strict=True)
         ]
         self.used = usable & (np.abs(r) <= np.column_stack(limits))
         self._chains = self.turns.chains(self.p, self.used)
-        self._noises = [c.noise_of(r[:, i]) for i, c in enumerate(self._chains)]
+        by = self.turns.derivatives(self.p)
+        self._noises = [
+            c.noise_of(r[:, i], np.column_stack([one[:, i] for one in by]))
+            for i, c in enumerate(self._chains)
+        ]
         self._factors = [c.factor(n) for c, n in zip(self._chains, self._noises, strict=True)]
         for _ in range(NEWTON):
             self.p = self._newton(self.p, None)

@@ -78,11 +78,13 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
             )
     fitted = fit(drives, _prior(drives, a, dead_time))
     radii = track_radii(drives, fitted)
+    missed, by = fitted.turns.missed(fitted.best), fitted.turns.derivatives(fitted.best)
     robots = []
     for i, name in enumerate(tracks[0].names):
         speed, position = _speed(drives, fitted, i)
-        r = fitted.turns.missed(fitted.best)[:, i]
-        of_heading, of_walk = fitted.chains[i].noise_intervals(r, fitted.noises[i])
+        of_heading, of_walk = fitted.chains[i].noise_intervals(
+            missed[:, i], np.column_stack([one[:, i] for one in by]), fitted.noises[i]
+        )
         robots.append(
             RobotFound(
                 name=name,
@@ -151,11 +153,11 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[Interval, Interv
             deviation = np.sqrt(2 * noise.measured**2 + noise.walk**2 * drives.seconds)
         used = usable & (np.abs(r) <= OUTLYING * deviation + 1e-9)
         chain = Chain(drives.seconds, np.ones_like(length), used, drives.after, coupling)
-        noise = chain.noise_of(r)
+        noise = chain.noise_of(r, length[:, None])
         y, by = chain.whiten(chain.factor(noise), np.column_stack([along, length])).T
         speed, std = float(by @ y / (by @ by)), float(1 / np.sqrt(by @ by))
     assert chain is not None
-    of_position, _ = chain.noise_intervals(along - speed * length, noise)
+    of_position, _ = chain.noise_intervals(along - speed * length, length[:, None], noise)
     # the deviance is a parabola in the speed: its profile is the normal interval
     interval = Interval(speed, speed - 1.96 * std, speed + 1.96 * std)
     return interval, Interval(noise.measured, *of_position)

@@ -74,7 +74,8 @@ def track_of(log: TrialLog) -> Track:
         sent = [step.command for step in log.steps]
     nothing = np.full(len(setup.names), np.nan)
     ages = [s.command.sent_ns - s.observation.sampled_ns for s in log.steps[1:]]
-    last = log.stop.sent_ns if log.stop else max((one.sent_ns for one in sent), default=0)
+    last = stopped_ns(log)
+    last = max((one.sent_ns for one in sent), default=0) if last is None else last
     return Track(
         source=log.path,
         origin=log.origin.value,
@@ -90,6 +91,16 @@ def track_of(log: TrialLog) -> Track:
         until=last / SECOND,
         frame_age=float(np.median(ages)) / SECOND if ages else None,
     )
+
+
+def stopped_ns(log: TrialLog) -> int | None:
+    """Return when the robots were first told to stop for good [ns], None where that is not known.
+
+    A lab repeats its stop, and the log's own stop is the last of them.
+    """
+    last = max((one.sent_ns for one in log.commands if one.direction is not None), default=-1)
+    stops = [one.sent_ns for one in log.commands if one.direction is None and one.sent_ns > last]
+    return min(stops, default=log.stop.sent_ns if log.stop else None)
 
 
 def drives_of(tracks: list[Track]) -> Drives:

@@ -120,7 +120,7 @@ def _radius(drives: Drives, robot: int, columns: Floats) -> tuple[Interval, floa
             deviation = np.full(len(turned), float(np.median(np.abs(r[usable]))) / 0.6745)
         used = usable & (np.abs(r) <= OUTLYING * deviation + 1e-9)
         chain = Chain(drives.seconds, np.ones_like(r), used, drives.after)
-        noise: Noise = chain.noise_of(r)
+        noise: Noise = chain.noise_of(r, driven[:, None])
         deviation = np.sqrt(2 * noise.measured**2 + noise.walk**2 * drives.seconds)
         y, *by = chain.whiten(
             chain.factor(noise), np.column_stack([r, driven, rate * columns[:, 1:]])

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 from tetractl.model.motion.exact import step
@@ -34,6 +34,7 @@ TRIES, GIVE_UP, GIVEN_UP = (
     3,
 )  # of random directions: how many a direction, and when to go back
 SAMPLE_S = 0.05
+TURN = 2.0  # rad at most between two directions: a robot told to turn back may turn either way
 WEAK = np.array([0.5, 2.0, 1.0])  # deviations of dead time, ln a and bias before the motion
 AWAY = 0.15  # margin, relative to the arena's shorter side, but for robots that start nearer
 
@@ -81,6 +82,8 @@ def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
     for _ in range(CHANGES):
         changed = knots.copy()
         changed[rng.integers(count)] = rng.uniform(-np.pi, np.pi)
+        if np.abs(wrap(np.diff(changed, prepend=_ahead(setup)))).max() > TURN:
+            continue
         if room.clearance(np.repeat(changed, hold), period) < room.margin:
             continue
         score = _score(setup, np.repeat(changed, hold), dead_time)
@@ -131,12 +134,14 @@ def _random_sequence(
 ) -> Floats | None:
     """Return random directions, each held for `seconds`, that stay in the room; None for none.
 
-    Where no direction does, the last few are drawn once more.
+    Each is at most TURN from the one before, the first from where the robots head. Where no
+    direction does, the last few are drawn once more.
     """
     knots: list[float] = []
     states = [setup.starts]
     for _ in range(TRIES * count):
-        u = float(rng.uniform(-np.pi, np.pi))
+        last = knots[-1] if knots else _ahead(setup)
+        u = float(wrap(np.array(last + rng.uniform(-TURN, TURN))))
         x, y, end = _drive(setup, states[-1], u, seconds)
         if room.distance(x, y) >= room.margin:
             knots.append(u)
@@ -147,6 +152,12 @@ def _random_sequence(
             kept = max(0, len(knots) - GIVEN_UP)
             del knots[kept:], states[kept + 1 :]
     return None
+
+
+def _ahead(setup: Setup) -> float:
+    """Return the mean start heading [rad]."""
+    heading = setup.starts.heading
+    return float(np.arctan2(np.sin(heading).mean(), np.cos(heading).mean()))
 
 
 def _path(setup: Setup, directions: Floats, period: float) -> tuple[Floats, Floats]:

@@ -31,6 +31,7 @@ from tetractl.lab.recorder import WireRecorder
 
 VERSIONS = [Version(*v) for v in [(2, 5), (2, 6), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]
 MS = 1_000_000  # ns
+ECHOED_NS = 1990 * MS  # when the ECHO that is answered was sent
 HZ = 10_000_000  # of the server's clock
 
 
@@ -60,7 +61,7 @@ def datagrams() -> list[bytes]:
             pack(Response(struct.pack("<f", 120.0))),  # to the odd question
             pack(Response(struct.pack("<i", 2))),  # to the even one
             pack(ModelDef((BodyName("green", 7), BodyName("hand", 12))), version),
-            pack(EchoResponse(1990 * MS, HZ * 1995 // 1000)),
+            pack(EchoResponse(ECHOED_NS, HZ * 1995 // 1000)),
         ]
         for k, number in enumerate((1, 2, 4)):
             exposed = HZ * (2490 + 500 * k) // 1000

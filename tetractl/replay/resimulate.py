@@ -1,23 +1,31 @@
-"""The simulation of a trial once more: the plant rebuilt from the spec and the seed, steered by the
-logged commands. Frames, true poses, verdict and the plant's facts must come out as logged.
+"""The simulation of a trial once more, by the plant rebuilt from the spec and the seed.
+
+The controller of the repeated trial gives the logged plans. Commands, frames, true poses, verdict
+and the plant's facts must come out as logged.
 
 On the machine and versions that wrote the log they must come out with the same bits; elsewhere to
 `ROOM`, since a sine may differ in its last bit.
 """
 
+import copy
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command, Sample, Verdict
-from tetractl.core.errors import TetractlError
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Command, Note, Sample, Verdict
+from tetractl.core.errors import AbortError, TetractlError
 from tetractl.core.operators import Operators
-from tetractl.core.poses import Floats
+from tetractl.core.plan import End, Outcome, Plan
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.protocols import Plant
+from tetractl.core.trial import Result, Start, Step
 from tetractl.log.read import bounds
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recompute import Difference
+from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
+from tetractl.run.trial import Trial
 
 ROOM = 1e-6
 """Relative to a coordinate, or absolute below 1; of what another processor computes."""
@@ -40,7 +48,7 @@ def resimulate(log: TrialLog, exact: bool) -> Difference | None:
         text = "not simulated again: it has too many samples of robots and obstacles"
         return Difference(None, "plant", f"{text}; {bounds.FACTOR}=2 allows twice as many")
     try:
-        return next(_differences(log, log.stop, exact), None)
+        return _repeat(log, log.stop, exact)
     except (TetractlError, ValueError, OverflowError) as error:
         return Difference(None, "plant", f"cannot be simulated again: {error}")
 
@@ -53,42 +61,147 @@ def _samples(log: TrialLog) -> float:
     return last / SECOND * rate * len(setup.names) * (1 + len(setup.obstacles))
 
 
-def _differences(log: TrialLog, stop: Command, exact: bool) -> Iterator[Difference]:
-    setup, section = log.start.setup, log.experiment.plant
+def _repeat(log: TrialLog, stop: Command, exact: bool) -> Difference | None:
+    """Run the trial again, up to the first difference."""
+    section, setup = log.experiment.plant, log.start.setup
     _, seed = trial_seeds(log.start.seed, log.start.trial)
     clock = section.clock()
     plant = section.build(setup, clock, seed, Operators())
-    info = plant.open()
-    ours, theirs = (info.camera_rate_hz, info.facts), log.start.plant
-    if exact and ours != (theirs.camera_rate_hz, theirs.facts):
-        yield Difference(None, "run.plant", "the facts of the plant are not those of this seed")
-    seen = 0
-    for number, command in enumerate(log.commands):
-        if command is stop:
-            continue
-        clock.sleep_until(command.sent_ns)
-        plant.observe()
-        sent = plant.steer(command.direction or 0.0)
-        if sent.delivered != command.delivered or sent.sent_ns != command.sent_ns:
-            yield Difference(None, f"commands.{number}", "reaches other robots or at another time")
-        for name in ("left", "right"):
-            one, two = getattr(sent, name), getattr(command, name)
-            if (one is None) != (two is None) or not (one is None or _same(one, two, exact)):
-                yield Difference(None, f"commands.{number}.{name}", "is not the wheels' speed")
-        fresh = plant.samples()
-        yield from _frames(log, fresh, seen, exact)
-        seen += len(fresh)
-    clock.sleep_until(stop.sent_ns)
-    plant.observe()
-    plant.stop()
-    verdict = plant.settle()
-    fresh = plant.samples()
-    yield from _frames(log, fresh, seen, exact)
-    if seen + len(fresh) != len(log.frames):
-        text = f"{len(log.frames)} logged, {seen + len(fresh)} simulated"
-        yield Difference(None, "frames", text)
-    if log.result is not None:
-        yield from _verdict(log.result.verdict, verdict, exact)
+    ending = _Ending(plant, clock, stop.sent_ns, section.planning_max_s > 0)
+    comparison = _Comparison(log, stop, ending, exact)
+    result = Trial(
+        start=log.start,
+        plant=plant,
+        controller=_LoggedPlans(log, ending),
+        first_plan=log.experiment.controller.first_plan,
+        clock=clock,
+        observers=[comparison],
+        interrupt=Interrupt(),
+    ).run()
+    if comparison.difference is None and result.reason not in ("", ENDED):
+        return Difference(None, "plant", f"cannot be simulated again: {result.reason}")
+    return comparison.difference
+
+
+ENDED = "the log ends here"
+
+
+class _Ending:
+    """When to stop a trial again so that the stop is sent at the logged time."""
+
+    def __init__(self, plant: Plant, clock: Clock, sent_ns: int, plans: bool) -> None:
+        self._plant, self._clock, self._sent_ns, self._plans = plant, clock, sent_ns, plans
+
+    @property
+    def delay_ns(self) -> int:
+        """How much later than now the stop was decided [ns]."""
+        now = self._clock.now()
+        if self._plans:  # the time until a stop is sent is drawn by the stop; a copy of it tells
+            now = copy.deepcopy(self._plant).stop().sent_ns
+        return self._sent_ns - now
+
+
+class _LoggedPlans:
+    """The controller of a repeated trial: the logged plans, then the end at the logged time."""
+
+    def __init__(self, log: TrialLog, ending: _Ending) -> None:
+        self._steps, self._ending, self._k = log.steps, ending, 0
+        self._outcome = log.result.outcome if log.result else Outcome.ABORTED
+
+    def plan(self, observation: Observation) -> Plan | Outcome | End:
+        """Return the next logged plan; AbortError where the observation is not the logged one."""
+        if self._k == len(self._steps):
+            return End(self._outcome, max(0, self._ending.delay_ns))
+        step = self._steps[self._k]
+        self._k += 1
+        if step.observation.frame != observation.frame:
+            text = f"step {step.k} has frame {step.observation.frame}, not {observation.frame}"
+            raise AbortError(text)
+        return step.plan
+
+    def sent(self, command: Command) -> None:
+        """Take note of a command: nothing depends on it."""
+
+
+class _Comparison:
+    """Compares a trial that is simulated with its log; AbortError ends it at a difference."""
+
+    def __init__(self, log: TrialLog, stop: Command, ending: _Ending, exact: bool) -> None:
+        self.difference: Difference | None = None
+        self._log, self._stop, self._ending, self._exact = log, stop, ending, exact
+        ours = (one for one in log.commands if one is not stop)
+        self._logged = sorted(ours, key=lambda one: one.sent_ns)
+        self._commands = self._frames = 0
+
+    def on_start(self, start: Start) -> None:
+        """Compare the facts of the plant."""
+        ours, theirs = start.plant, self._log.start.plant
+        if self._exact and (ours.camera_rate_hz, ours.facts) != (
+            theirs.camera_rate_hz,
+            theirs.facts,
+        ):
+            text = "the facts of the plant are not those of this seed"
+            self._judge(iter([Difference(None, "run.plant", text)]))
+
+    def on_step(self, step: Step) -> None:
+        """Compare the command of a control step."""
+        self.on_command(step.command)
+
+    def on_command(self, command: Command) -> None:
+        """Compare a command; end the trial where the log was ended between two control steps."""
+        number = self._commands
+        self._commands += 1
+        if number >= len(self._logged):
+            extra = Difference(None, "commands", f"{len(self._logged)} logged, more are sent")
+            self._judge(iter([extra]))
+        else:
+            name = f"commands.{number}"
+            self._judge(_command(name, command, self._logged[number], self._exact))
+        if self._commands == len(self._logged) and self._ending.delay_ns == 0:
+            raise AbortError(ENDED)
+
+    def on_note(self, note: Note) -> None:
+        """Notes are words about what is compared."""
+
+    def on_samples(self, samples: Sequence[Sample]) -> None:
+        """Compare camera frames and the true poses in them."""
+        if self.difference is None:
+            first, self._frames = self._frames, self._frames + len(samples)
+            self._judge(_frames(self._log, samples, first, self._exact))
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Compare the stop, how many frames and commands there were, and the verdict."""
+        if self.difference is None:
+            self._judge(self._end(stop, result.verdict))
+
+    def _end(self, stop: Command, verdict: Verdict) -> Iterator[Difference]:
+        for name, ours, logged in (
+            ("commands", self._commands, len(self._logged)),
+            ("frames", self._frames, len(self._log.frames)),
+        ):
+            if ours != logged:
+                yield Difference(None, name, f"{logged} logged, {ours} simulated")
+        yield from _command("stop", stop, self._stop, self._exact)
+        if self._log.result is not None:
+            yield from _verdict(self._log.result.verdict, verdict, self._exact)
+
+    def _judge(self, found: Iterator[Difference]) -> None:
+        """Keep the first difference and end the trial with it."""
+        self.difference = self.difference or next(found, None)
+        if self.difference is not None:
+            raise AbortError(self.difference.message)
+
+
+def _command(name: str, ours: Command, logged: Command, exact: bool) -> Iterator[Difference]:
+    if ours.delivered != logged.delivered or ours.sent_ns != logged.sent_ns:
+        yield Difference(None, name, "reaches other robots or at another time")
+    if ours.direction != logged.direction:
+        text = f"logged {logged.direction!r}, simulated {ours.direction!r}"
+        yield Difference(None, f"{name}.direction", text)
+    for side in ("left", "right"):
+        one, two = getattr(ours, side), getattr(logged, side)
+        if (one is None) != (two is None) or not (one is None or _same(one, two, exact)):
+            yield Difference(None, f"{name}.{side}", "is not the wheels' speed")
 
 
 def _frames(
@@ -121,10 +234,14 @@ def _poses(name: str, ours: Floats, logged: Floats, exact: bool) -> Iterator[Dif
 
 def _verdict(logged: Verdict, ours: Verdict, exact: bool) -> Iterator[Difference]:
     yield from _poses("result.final", ours.final.array(), logged.final.array(), exact)
-    for robot, (one, two) in enumerate(zip(ours.clearance, logged.clearance, strict=True)):
-        if not _same(np.array([one]), np.array([two]), exact):
-            text = f"states {two}, the simulation gives {one}"
-            yield Difference(None, f"result.clearance.{robot}", text)
+    for name in ("clearance", "edge", "apart"):
+        found, stated = getattr(ours, name), getattr(logged, name)
+        if exact and len(found) != len(stated):
+            yield Difference(None, f"result.{name}", f"{len(stated)} numbers, not {len(found)}")
+        for robot, (one, two) in enumerate(zip(found, stated, strict=False)):
+            if not _same(np.array([one]), np.array([two]), exact):
+                text = f"states {two}, the simulation gives {one}"
+                yield Difference(None, f"result.{name}.{robot}", text)
     for robot, (one, two) in enumerate(zip(ours.entered, logged.entered, strict=True)):
         close = not exact and abs(ours.clearance[robot]) <= ROOM
         if one != two and not close:

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tetractl.control.cost import costs_along, evaluate, predict
-from tetractl.control.go_around import ENOUGH, best_stop, longer
+from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, longer
 from tetractl.control.knowledge import Knowledge
 from tetractl.control.lengths import (
     Candidate,
@@ -80,6 +80,7 @@ class Mpc:
         self.key = key
         self.optimizer = optimizer
         self.timer = timer
+        self.accept = section.accept  # total error accepted now
         self.k = 0
         self.warm: Floats | None = None  # u_(warm), None before step 0
         self.untold: tuple[int, float] | None = None  # a direction decided, not known to be sent
@@ -143,7 +144,7 @@ class Mpc:
         period = self.section.period if self.section.stop_between else 0.0
         stopping = best_stop(problem, direction, bias, period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
-        if 0 < self.section.accept < stopping.error:
+        if 0 < self.accept < stopping.error:
             return None
         if len(self.warm) and float(evaluate(problem, self.warm[None]).total[0]) < stopping.error:
             return None
@@ -168,10 +169,12 @@ class Mpc:
         else:
             searcher.search_all(wanted)
         least = min(search.cost for search in searcher.found)
-        if self.warm is not None and least > section.accept > 0:
+        if self.warm is not None and least > self.accept > 0:
             self._go_around(searcher)
         count = 0 if self.warm is None else len(self.warm)
         chosen = choose(searcher.found, good_enough, count)
+        if self.warm is not None and searcher.found[chosen].length > count + 1:
+            self.accept *= 1 + RELENTS
         plan = make_plan(problem, searcher.found, chosen, step_key)
         return replace(plan, estimate=self.knowledge.estimate)
 
@@ -196,7 +199,7 @@ class Mpc:
             if found is None:
                 self.resume = length
                 return
-            if found.cost <= ENOUGH * section.accept:
+            if found.cost <= ENOUGH * self.accept:
                 return
 
 

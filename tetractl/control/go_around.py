@@ -19,6 +19,7 @@ from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
+RELENTS = 0.1  # share by which the accepted error grows each time the robots go round
 MOMENTS = 41  # of the coming control period that are looked at for the stop
 
 

@@ -221,6 +221,21 @@ def test_a_plan_within_accept_is_followed():
     assert [length for length, *_ in search.asked] == [4, 5, 6]
 
 
+def test_each_time_the_robots_go_round_a_tenth_more_is_accepted():
+    search = Scripted({6: 0.0})
+    controller = mpc(spec_around(), 99, search)
+    controller.plan(seen())
+    search.costs = {8: 1.9}
+    controller.plan(seen(now=200_000_000))
+    search.forget()
+    search.costs = {7: 21.9}
+    controller.plan(seen(now=400_000_000))
+    assert max(length for length, *_ in search.forget()) == 8
+    search.costs = {6: 22.1}
+    controller.plan(seen(now=600_000_000))
+    assert max(length for length, *_ in search.forget()) > 8
+
+
 def test_no_plan_is_longer_than_the_steps_that_are_left():
     search = Scripted({6: 0.0})
     controller = mpc(spec(accept=20, horizon_max=30, steps_max=9), 99, search)

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "emulated"))
+sys.path.insert(0, str(ROOT / "tests"))
 
-from stage import SPEC, TETRACTL, Emulator, flags  # noqa: E402
+from support.lab_processes import SPEC, TETRACTL, Emulator, flags  # noqa: E402
 
 from tetractl.lab.cameras.optitrack.messages import NatNetFrame, RigidBody, Ticks, Version  # noqa: E402
 from tetractl.lab.cameras.optitrack.wire import HEADER, pack, parse  # noqa: E402

@@ -13,9 +13,9 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "emulated"))
+sys.path.insert(0, str(ROOT / "tests"))
 
-from stage import play  # noqa: E402
+from support.lab_processes import play  # noqa: E402
 
 from tetractl.lab.emulate.script import load_script  # noqa: E402
 

@@ -131,9 +131,9 @@ def test_damage_is_told_and_fails(folder: Path, log: str, said: str) -> None:
 @pytest.mark.parametrize(
     ("command", "code", "error"),
     [
-        ("info none.mcap", 2, "error: none.mcap: no such file\n"),
+        ("info none.mcap", 2, "error: none.mcap: no such file or folder\n"),
         ("info text.mcap", 1, "error: text.mcap: not an MCAP file\n"),
-        ("info .", 1, "error: .: is a folder, not a log\n"),
+        ("info .", 2, "error: .: 4 logs\nhint: name one of them, such as cut.mcap.part\n"),
     ],
 )
 def test_errors_are_one_line(folder: Path, command: str, code: int, error: str) -> None:

@@ -75,14 +75,14 @@ def test_every_key_does_what_it_says(folder):
         terminal.expect("‖ 0.5×")
         terminal.press("+")
         terminal.press("\x1b[F")
-        terminal.expect(r"ended: sequence used up")
+        terminal.expect(r"ended: sequence completed")
         terminal.expect("space again")
         terminal.press(",")
         terminal.expect(r"step k      40 ")
         terminal.press("\x1b[H")
         terminal.expect(at(0.0))
         terminal.press("e")
-        terminal.expect("sequence used up after 41 control steps")
+        terminal.expect("sequence completed after 41 control steps")
         terminal.press("E")
         terminal.expect("trial 0 of three-m3pi starts")
         terminal.press("?")
@@ -219,7 +219,7 @@ def test_without_a_terminal_one_line_a_step(folder):
     told = [line for line in done.stdout.splitlines() if line not in lines]
     assert told == [
         "  0.00 s  info: trial 0 of three-m3pi starts",
-        "  8.20 s  info: sequence used up after 41 control steps",
+        "  8.20 s  info: sequence completed after 41 control steps",
     ]
     for line, step in zip(lines, steps, strict=True):
         assert f"k {step.k} " in line

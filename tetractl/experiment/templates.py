@@ -57,6 +57,7 @@ controller:
   horizon_max: 51         # signals: the longest plan is 10.2 s
   steps_max: 100          # control steps of a trial at most
   arrival_tolerance: {tolerance}   # {unit}; a trial ends when every robot is this near its target
+  accept: {tolerance}              # {unit}, all together: with more, the robots go round
   collision: {{check: swept, margin: {margin}, walls: true}}   # {unit} kept from obstacles and edge
   optimizer: {{type: multistart}}   # the optimiser; pso is the paper's
 """
@@ -72,6 +73,7 @@ controller:
   horizon_max: 51         # signals: the longest plan is 10.2 s
   steps_max: 400          # control steps of a trial at most
   arrival_tolerance: {tolerance}   # {unit}; a trial ends when every robot is this near its target
+  accept: {tolerance}              # {unit}, all together: with more, the robots go round
   collision: {{check: swept, margin: {margin}, walls: true}}   # {unit} kept from obstacles and edge
   deadline: 0.035         # s: a control step has to end before the next
   optimizer: {{type: multistart}}   # the optimiser; pso is the paper's

@@ -13,7 +13,7 @@ are swapped. One robot alone may have another fault, and is watched for longer. 
 the same cannot be told apart.
 """
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,6 +23,7 @@ from tetractl.core.poses import Floats
 
 DELAYS_NS = tuple(round(delay * SECOND) for delay in (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.3))
 KEPT_NS = SECOND  # of what was sent
+GAP_NS = 3 * SECOND // 20
 GAINS = (0.8, 1.25)  # of a robot's own commands, least and most
 APART = 0.1  # rad^2/s: commands that differ less, over all, cannot be told apart
 BETTER = 0.05  # share of that by which another robot's commands must fit each of a ring better
@@ -40,7 +41,7 @@ class Identities:
         self._names = tuple(names)
         self._times: list[int] = []  # of the turning rates sent, a row each
         self._sent: list[Floats] = []
-        self._shared: tuple[int, Floats] | None = None  # what robots of the same frame share
+        self._shared: tuple[tuple[int, int], Floats] | None = None  # the same for a frame's robots
         self.restart()
 
     def restart(self) -> None:
@@ -61,11 +62,17 @@ class Identities:
             del self._times[: old - 1], self._sent[: old - 1]
 
     def turned(self, i: int, now_ns: int, dt_ns: int, angle: float) -> None:
-        """Note that robot i was seen to turn by `angle` [rad] within the last `dt_ns`."""
-        dt, middle = dt_ns / SECOND, now_ns - dt_ns // 2
-        if self._shared is None or self._shared[0] != middle:
-            told = np.array([self._at(middle - delay) for delay in DELAYS_NS])
-            self._shared = middle, told
+        """Note that robot i was seen to turn by `angle` [rad] within the last `dt_ns`.
+
+        The turning told is the mean over that time. A robot that was not seen for longer than
+        GAP_NS tells nothing: it may have done several things.
+        """
+        if dt_ns > GAP_NS:
+            return
+        dt, key = dt_ns / SECOND, (now_ns, dt_ns)
+        if self._shared is None or self._shared[0] != key:
+            told = np.array([self._mean(now_ns - delay, dt_ns) for delay in DELAYS_NS])
+            self._shared = key, told
         told = self._shared[1]  # (D, N)
         self._told[:, i] += told**2 * dt
         self._common[:, i] += angle * told
@@ -108,10 +115,19 @@ class Identities:
         gain = np.clip(common / np.maximum(told, TINY), *gains)
         return (gain**2 * told - 2.0 * gain * common).min(axis=0)
 
-    def _at(self, when_ns: int) -> Floats:
-        """Return the turning rates (N,) that were sent last before a time, 0 before the first."""
-        k = bisect_right(self._times, when_ns) - 1
-        return self._sent[k] if k >= 0 else np.zeros(len(self._names))
+    def _mean(self, until_ns: int, dt_ns: int) -> Floats:
+        """Return the mean turning rates (N,) in force within the `dt_ns` until a time, 0 before
+        the first transmission."""
+        total, first = np.zeros(len(self._names)), until_ns - dt_ns
+        while True:
+            k = bisect_left(self._times, until_ns) - 1
+            if k < 0:
+                return total / dt_ns
+            since = max(self._times[k], first)
+            total = total + self._sent[k] * (until_ns - since)
+            if since == first:
+                return total / dt_ns
+            until_ns = since
 
 
 def _ring(follows: np.ndarray) -> list[int]:

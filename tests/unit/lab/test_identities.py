@@ -14,20 +14,31 @@ SEND = 25_000_000
 
 
 def drive(
-    answers, delay=0.08, seconds=2.0, directions=(1.2, 1.2), signs=(1, 1, 1), noise=0.003, lost=()
+    answers,
+    delay=0.08,
+    seconds=2.0,
+    directions=(1.2, 1.2),
+    signs=(1, 1, 1),
+    noise=0.003,
+    lost=(),
+    blind=(9.0, 9.0),
 ):
     """Robot i does what robot answers[i] is told, later by `delay`; None stands still, as do the
-    `lost` after 0.2 s.
+    `lost` after 0.2 s. No frame comes between the two times `blind` [s]; 0.1 s into it all robots
+    are stopped.
 
     Returns the fault found and the metres driven until then. The direction changes every 0.2 s.
     """
     seen, random = Identities(NAMES), np.random.default_rng(3)
     heading, shown, told = np.zeros(3), np.zeros(3), np.zeros(3)
-    queue, next_ns = [], 0
+    queue, next_ns, last = [], 0, 0
+    closed, opened = (round(second * 1e9) for second in blind)
     for now in range(FRAME, round(seconds * 1e9), FRAME):
         while next_ns <= now:
             u = directions[next_ns // 200_000_000 % len(directions)]
             told = A * np.sin(u - heading)
+            if closed + 100_000_000 < next_ns <= opened:
+                told = np.zeros(3)
             seen.sent(next_ns, told)
             queue.append((next_ns + round(delay * 1e9), told))
             next_ns += SEND
@@ -36,8 +47,11 @@ def drive(
             before = shown[i]
             if acted and answers[i] is not None and not (i in lost and now > 200_000_000):
                 heading[i] += signs[i] * acted[-1][answers[i]] * FRAME / 1e9
+            if closed < now <= opened:
+                continue
             shown[i] = heading[i] + random.normal(0, noise)
-            seen.turned(i, now, FRAME, shown[i] - before)
+            seen.turned(i, now, now - last, shown[i] - before)
+        last = last if closed < now <= opened else now
         if fault := seen.fault():
             return fault, SPEED * now / 1e9
     return "", SPEED * seconds
@@ -66,6 +80,16 @@ def test_nor_are_robots_whose_wheels_are_not_calibrated(gains, directions, noise
 @pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
 def test_nor_are_robots_that_stop_halfway(lost, directions):
     assert drive([0, 1, 2], 0.05, 4.0, directions, lost=lost)[0] == ""
+
+
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+@pytest.mark.parametrize("delay", [0.02, 0.08, 0.2])
+@pytest.mark.parametrize("pause", [0.05, 0.15, 0.25, 0.45, 0.9])
+def test_nor_are_robots_that_are_not_seen_for_a_while(pause, delay, directions):
+    """Regression: a pause of the stream was counted with the turning told in its middle."""
+    for begin in (0.1, 0.22, 0.34, 0.4, 0.57):
+        blind = begin, begin + pause
+        assert drive([0, 1, 2], delay, 2.0, directions, blind=blind)[0] == ""
 
 
 def test_nor_are_robots_that_all_stand_still():

@@ -3,7 +3,7 @@
     python benchmarks/disturbed.py                          the ablation, 20 trials a row
     python benchmarks/disturbed.py --trials 100 --rate 20   more trials, control at 20 Hz
     python benchmarks/disturbed.py --part knowledge         what wrong beliefs cost
-    python benchmarks/disturbed.py --part accept            time against error
+    python benchmarks/disturbed.py --part accept --figure accept.svg    time against error
     python benchmarks/disturbed.py --part crowd             many robots, undisturbed
     python benchmarks/disturbed.py --bench three_m3pi_bench.yaml    another world: its `plant`
 
@@ -15,6 +15,7 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from solverbench.problems import OURS, PAPER
@@ -170,17 +171,42 @@ def row(name: str, results: list[Result]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def table(rows: list[Row], world: "World", trials: int, published: bool) -> None:
+def table(
+    rows: list[Row], world: "World", trials: int, published: bool
+) -> dict[str, list[Result]]:
+    """Run every row, print the table, and return the results by name."""
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
+    found = {}
     for name, settings in rows:
         progress(name)
-        print(row(name, run(world.spec(OURS, settings), trials)), flush=True)
+        found[name] = run(world.spec(OURS, settings), trials)
+        print(row(name, found[name]), flush=True)
     progress("floor")
     spec = world.spec(OURS, (TOLD,))
     print(row("floor: told a, speed, dead time, losses", run(spec, trials, knowing)), flush=True)
     if published:
         print(row("the paper's, 5 Hz", run(world.spec(PAPER, (), slow=True), trials)))
         print(row("undisturbed", run(load_experiment(OURS, *world.fast), trials)), flush=True)
+    return found
+
+
+def draw(found: dict[str, list[Result]], title: str, path: Path) -> None:
+    """Draw the mean total error of each row over its mean time, with 95 % intervals."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for name, results in found.items():
+        both = np.array([(one.duration_s, one.total_error) for one in results])
+        time_s, error = describe(both.T)
+        x, y = time_s.mean, error.mean
+        wide = [[x - time_s.ci95.low], [time_s.ci95.high - x]]
+        high = [[y - error.ci95.low], [error.ci95.high - y]]
+        axes.errorbar(x, y, high, wide, fmt="o", color="C0", capsize=2)
+        axes.annotate(name, (x, y), textcoords="offset points", xytext=(5, 4), fontsize=8)
+    axes.set(xlabel="time of a trial [s]", ylabel="total error [mm]", yscale="log", title=title)
+    axes.title.set_fontsize(8)
+    figure.savefig(path)
 
 
 class World:
@@ -256,6 +282,7 @@ def main() -> None:
     parser.add_argument("--rate", type=int, choices=(5, 20), default=5, help="of the control [Hz]")
     parser.add_argument("--bench", help="the spec in experiments/ whose plant is the world")
     parser.add_argument("--dead-time", type=float, default=0.14, help="of the world [s]")
+    parser.add_argument("--figure", type=Path, help="of the rows: error over time")
     chosen = parser.parse_args()
     if chosen.part == "crowd":
         crowds(chosen.trials)
@@ -264,7 +291,11 @@ def main() -> None:
     where = chosen.bench or ", ".join(f"`{setting}`" for setting in WORLD)
     print(f"Simulated, {chosen.trials} trials a row, {chosen.rate} Hz, {where}. {load()}.\n")
     rows = {"ablation": ABLATION, "knowledge": KNOWLEDGE, "accept": ACCEPT}[chosen.part]
-    table(rows, world, chosen.trials, published=chosen.part == "ablation")
+    found = table(rows, world, chosen.trials, published=chosen.part == "ablation")
+    if chosen.figure:
+        where = chosen.bench or "the world of benchmarks/disturbed.py"
+        title = f"simulated, {where}, {chosen.rate} Hz, {chosen.trials} trials a point"
+        draw(found, title, chosen.figure)
 
 
 if __name__ == "__main__":

@@ -171,9 +171,7 @@ def row(name: str, results: list[Result]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def table(
-    rows: list[Row], world: "World", trials: int, published: bool
-) -> dict[str, list[Result]]:
+def table(rows: list[Row], world: "World", trials: int, published: bool) -> dict[str, list[Result]]:
     """Run every row, print the table, and return the results by name."""
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
     found = {}

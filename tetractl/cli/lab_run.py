@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
     from tetractl.core.operators import Operators
+    from tetractl.core.protocols import Observer
     from tetractl.core.wire_tap import Tap
     from tetractl.experiment.load import LoadedSpec
     from tetractl.run.batch import Report
@@ -25,6 +28,7 @@ def run_in_lab(
     live: bool,
     record: Path | None,
     yes: bool,
+    served: "Sequence[Observer]" = (),
 ) -> "Report":
     """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time.
 
@@ -55,7 +59,7 @@ def run_in_lab(
                 if isinstance(tap, WireRecorder) and tap.error:
                     console.print(f"{tap.path}: recording ended: {tap.error}", highlight=False)
 
-        return run_batch(loaded, folder, todo, 1, interrupt, watch, [watch], operators)
+        return run_batch(loaded, folder, todo, 1, interrupt, watch, [watch, *served], operators)
 
 
 def _recorder(stack: ExitStack, folder: Path | None, trial: int) -> "Tap":

@@ -3,17 +3,18 @@
 import sys
 import threading
 import webbrowser
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlencode
 
 import typer
 
-from tetractl.core.errors import Exit
+from tetractl.core.errors import Exit, UsageError
 
 VIEWER = "http://localhost:8080"
 """Where Lichtblick answers when it is started on this machine as its manual tells."""
+FOXGLOVE = "https://app.foxglove.dev/"
 
 
 def open_logs(
@@ -30,6 +31,14 @@ def open_logs(
     viewer: Annotated[
         str, typer.Option("--lichtblick", metavar="URL", help="Where Lichtblick is started.")
     ] = VIEWER,
+    foxglove: Annotated[
+        bool,
+        typer.Option(
+            "--foxglove",
+            help="Open one log in a viewer instead, by a live WebSocket, over and over: in "
+            "Lichtblick where it answers, else in Foxglove, which can pause and seek.",
+        ),
+    ] = False,
 ) -> int:
     """Show trials in the browser: the page of `tetractl report`, until Ctrl-C.
 
@@ -40,12 +49,19 @@ def open_logs(
 
     Example: tetractl open trial-000.mcap
     """
+    from tetractl.cli.serving import served_replay
+    from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.find import find_logs
     from tetractl.report.page import report
     from tetractl.report.server import FileServer
     from tetractl.run.interrupt import interrupted_once
 
-    found = find_logs(logs)
+    found, live = find_logs(logs), None
+    if foxglove and len(found) > 1:
+        raise UsageError("--foxglove takes one log")
+    wall = MonotonicClock()
+    if foxglove:
+        live = served_replay(found[0], wall, (0.0, None), loop=True, port=0)
     html, unread = report(logs, None, lambda done, total: None)
     for problem in unread:
         print(f"warning: {problem}", file=sys.stderr)
@@ -55,19 +71,39 @@ def open_logs(
         port,
         _layout(found).encode(),
     )
-    with suppress(KeyboardInterrupt), interrupted_once(), server.running():
+    with suppress(KeyboardInterrupt), interrupted_once(), server.running(), ExitStack() as stack:
+        shown, source = server.page_url, ("remote-file", server.log_url(f"0-{found[0].name}"))
+        ports = [server.port]
+        if live:
+            stack.enter_context(live.server)
+            ports.append(live.server.port)
+            source = ("foxglove-websocket", live.server.url)
+            shown = _with_source(FOXGLOVE, source)
         print("Ctrl-C ends it; over ssh, forward the port:", file=sys.stderr)
-        print(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST", file=sys.stderr)
+        forwards = " ".join(f"-L {one}:127.0.0.1:{one}" for one in ports)
+        print(f"  ssh {forwards} HOST", file=sys.stderr)
         print(server.page_url, flush=True)
-        if _answers(viewer):
-            log_url = server.log_url(f"0-{found[0].name}")
-            query = urlencode({"ds": "remote-file", "ds.url": log_url})
-            print(f"in Lichtblick: {viewer.rstrip('/')}/?{query}", flush=True)
+        if live:
+            print(f"in Foxglove: {shown}", flush=True)
+        answers = _answers(viewer)
+        if answers:
+            in_lichtblick = _with_source(f"{viewer.rstrip('/')}/", source)
+            print(f"in Lichtblick: {in_lichtblick}", flush=True)
+            shown = in_lichtblick if live else shown
+        if live or answers:
             print(f"  its layout: {server.layout_url}", flush=True)
         if browser:
-            webbrowser.open(server.page_url)
-        threading.Event().wait()
+            webbrowser.open(shown)
+        if live:
+            live.play(wall)
+        else:
+            threading.Event().wait()
     return Exit.FAILED if unread else Exit.DONE
+
+
+def _with_source(viewer: str, source: tuple[str, str]) -> str:
+    """Return the address that opens a source of data, its kind and address, in a viewer."""
+    return f"{viewer}?{urlencode({'ds': source[0], 'ds.url': source[1]})}"
 
 
 def _layout(logs: list[Path]) -> str:

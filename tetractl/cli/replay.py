@@ -8,6 +8,7 @@ import typer
 
 from tetractl.cli.caution import Yes
 from tetractl.cli.run import PlantChoice
+from tetractl.cli.serving import Port, Serve, play_served, served_replay, wanted_port
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ def replay(
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     paused: Annotated[bool, typer.Option("--paused", help="Wait for a key at first.")] = False,
+    serve: Serve = False,
+    port: Port = None,
     through: Annotated[
         PlantChoice | None,
         typer.Option(
@@ -61,6 +64,8 @@ def replay(
 
     Without a terminal it prints one line a control step and event.
 
+    With --serve a viewer plays, pauses, seeks and sets the rate as the keys do, until q or Ctrl-C.
+
     With --through it prints how far the recorded and the new path of each robot go apart. In the
     lab the robots have to stand on their starts, and all checks of a run apply.
 
@@ -75,6 +80,8 @@ def replay(
 
         if (rate, start, until, loop, paused) != (None, 0.0, None, False, False):
             raise UsageError("--through drives the whole trial in its own time")
+        if serve or port is not None:
+            raise UsageError("--serve shows a log: drive first, then replay the new one")
         if len(logs) > 1:
             raise UsageError("--through takes one log")
         return redrive(find_log(logs[0]), through.value, out, picture, yes)
@@ -82,13 +89,27 @@ def replay(
         raise UsageError("--out, --plot and --yes belong to --through")
     if rate is not None and not 0 < rate < float("inf"):
         raise UsageError(f"--rate must be above 0, and is {rate:g}")
+    served_port = wanted_port(serve, port)
     paths, wall = find_logs(logs), MonotonicClock()
     screen = _is_terminal()
-    if paused and not screen:
+    if served_port is not None and len(paths) > 1:
+        raise UsageError("--serve takes one log")
+    if paused and not screen and served_port is None:
         raise UsageError("--paused needs a terminal: there are no keys to go on with")
     if loop and not screen and len(paths) > 1:
         raise UsageError("--loop without a terminal needs one log: the others would never come")
     try:
+        if served_port is not None:
+            served = served_replay(
+                paths[0],
+                wall,
+                (start, until),
+                rate=rate or 1.0,
+                loop=loop,
+                paused=paused,
+                port=served_port,
+            )
+            return play_served(served, wall, screen)
         if screen:
             return _on_screen(paths, wall, (start, until), rate or 1.0, loop, paused)
         return _as_text(paths, wall, (start, until), rate, loop)

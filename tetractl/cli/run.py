@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli.caution import Strict, Yes, need_consent, refuse, warn
+from tetractl.cli.serving import Port, Serve, served_run, wanted_port
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
+    from tetractl.core.protocols import Observer
     from tetractl.experiment.load import LoadedSpec
     from tetractl.run.batch import Report
     from tetractl.run.interrupt import Interrupt
@@ -74,6 +78,8 @@ def run(
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="No live view, no progress.")
     ] = False,
+    serve: Serve = False,
+    port: Port = None,
     record_wire: Annotated[
         Path | None,
         typer.Option(
@@ -97,6 +103,8 @@ def run(
 
     In the lab a person at the terminal is shown where robots must stand and starts them by Enter;
     without a terminal it takes --yes.
+
+    With --serve a simulated trial takes as long as a real one.
 
     Ctrl-C finishes the step, stops the robots and closes the log; a second one does so at once.
 
@@ -136,6 +144,9 @@ def run(
         log = find_log(log)
         loaded, number = recorded(log, plant.value if plant else "sim")
     _check_lab_options(loaded, jobs, record_wire)
+    served_port = wanted_port(serve, port)
+    if serve and jobs > 1:
+        raise UsageError("--serve shows one trial at a time", "leave out --jobs")
     check(loaded.experiment)
     folder = out or default_folder(loaded.experiment.name, datetime.now(UTC))
     if dry_run:
@@ -145,13 +156,19 @@ def run(
     if not loaded.experiment.plant.simulated:
         need_consent(yes)
     console = Console(stderr=True, quiet=quiet)
-    with batch_folder(loaded.experiment, folder, resume) as todo:
+    name = loaded.experiment.name
+    with (
+        served_run(name, served_port) as served,
+        batch_folder(loaded.experiment, folder, resume) as todo,
+    ):
         todo = todo if number is None else [number]
         warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
         interrupt = Interrupt(hurrier(STOPPING))
         leave_on_signals(Exit.INTERRUPTED)  # again, once all is said
         with interrupt.watch(robots=not loaded.experiment.plant.simulated):
-            report = run_todo(loaded, folder, todo, jobs, console, interrupt, record_wire, yes)
+            report = run_todo(
+                loaded, folder, todo, jobs, console, interrupt, record_wire, yes, served
+            )
             code = _conclude(report, folder, json)
     if log is not None and number in report.results and code == Exit.DONE:
         return compare(log, log_path(folder, number))
@@ -192,24 +209,25 @@ def run_todo(
     interrupt: "Interrupt",
     record_wire: Path | None,
     yes: bool,
+    served: "Sequence[Observer]" = (),
 ) -> "Report":
-    """Run trials with what shows them: in the lab with the operator's stop."""
+    """Run trials with what shows them, `served` among it: in the lab with the operator's stop."""
     from tetractl.run.batch import run_batch
 
     live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not console.quiet
     if not loaded.experiment.plant.simulated:
         from tetractl.cli.lab_run import run_in_lab
 
-        return run_in_lab(loaded, folder, todo, console, interrupt, live, record_wire, yes)
+        return run_in_lab(loaded, folder, todo, console, interrupt, live, record_wire, yes, served)
     if live:
         from tetractl.view.terminal.live import LiveView
 
         with LiveView(console) as view:
-            return run_batch(loaded, folder, todo, jobs, interrupt, view, [view])
+            return run_batch(loaded, folder, todo, jobs, interrupt, view, [view, *served])
     from tetractl.view.terminal.progress import BatchProgress
 
     with BatchProgress(console, len(todo), loaded.experiment.units.length) as progress:
-        return run_batch(loaded, folder, todo, jobs, interrupt, progress)
+        return run_batch(loaded, folder, todo, jobs, interrupt, progress, served)
 
 
 def _conclude(report: "Report", folder: Path, json: bool) -> int:

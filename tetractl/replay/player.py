@@ -1,5 +1,6 @@
 """The player of a recorded trial: the effect of keys on the time that is shown."""
 
+import math
 from enum import StrEnum
 
 import numpy as np
@@ -47,6 +48,7 @@ class Player:
         self._steps, self._events = recording.step_ns, recording.event_ns
         self._loop = loop
         self._quit = False
+        self.jumps = 0  # how often the time was set
         self._clock = PlayerClock(wall, at_ns=self.start_ns, rate=rate, paused=paused)
 
     @property
@@ -72,10 +74,22 @@ class Player:
         """At the end of the span, begin again with `loop`, else pause."""
         if self._clock.now() >= self.until_ns and not self._clock.paused:
             if self._loop:
-                self._clock.jump(self.start_ns)
+                self._seek(self.start_ns)
             else:
                 self._clock.jump(self.until_ns)
                 self._clock.pause()
+
+    def command(self, *, playing: bool, rate: float, at_ns: int | None) -> None:
+        """Do what other controls ask: play or pause, at a rate, from a time [ns] or from now.
+
+        A rate out of bounds becomes the nearest within, and one that is no number changes nothing.
+        """
+        if at_ns is not None:
+            self._seek(at_ns)
+        if not math.isnan(rate):
+            self._clock.set_rate(min(max(rate, RATE_MIN), RATE_MAX))
+        if playing is self._clock.paused:
+            self._toggle()
 
     def press(self, key: str) -> None:
         """Act on a key; unknown keys are ignored."""
@@ -107,13 +121,14 @@ class Player:
 
     def _toggle(self) -> None:
         if self.state is Playback.ENDED:
-            self._clock.jump(self.start_ns)
+            self._seek(self.start_ns)
         if self._clock.paused:
             self._clock.resume()
         else:
             self._clock.pause()
 
     def _seek(self, time_ns: int) -> None:
+        self.jumps += 1
         self._clock.jump(min(max(time_ns, self.start_ns), self.until_ns))
 
     def _pause_at(self, time_ns: int) -> None:

@@ -17,26 +17,41 @@ SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "a
 TURNS = {"n": 1, "p": -1}
 
 
-def play(console: Console, player: Player, count: int, turn_to: Callable[[int], Player]) -> bool:
+def _nobody() -> None:
+    pass
+
+
+def play(
+    console: Console,
+    player: Player,
+    count: int = 1,
+    turn_to: Callable[[int], Player] | None = None,
+    *,
+    follow: Callable[[], None] = _nobody,
+    note: str = "",
+) -> bool:
     """Play the first of `count` trials, and others at the keys n and p, until q is pressed.
 
-    `turn_to(i)` returns the player of trial i. Returns whether an interrupt ended the play.
+    `turn_to(i)` returns the player of trial i; `follow` is called before each picture, which shows
+    `note`. Returns whether an interrupt ended the play.
     """
     index, drawn, helping = 0, None, False
     live = Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False)
     # the keyboard is the outer one: until the screen is given back, no signal breaks off anything
     with Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard, live:
         while player.state is not Playback.QUIT:
+            follow()
             player.update()
             scene = (index, player.now, player.rate, player.state, console.size, helping)
             if scene != drawn:
                 drawn, glyphs = scene, glyphs_for(console)
                 place = (index + 1, count)
                 live.update(
-                    Help(glyphs) if helping else dashboard(player, glyphs, place), refresh=True
+                    Help(glyphs) if helping else dashboard(player, glyphs, place, note),
+                    refresh=True,
                 )
             for key in keyboard.read(FRAME_S):
-                if key in TURNS and 0 <= index + TURNS[key] < count:
+                if turn_to and key in TURNS and 0 <= index + TURNS[key] < count:
                     index += TURNS[key]
                     player = turn_to(index)
                 helping = key == "?" and not helping
@@ -44,7 +59,9 @@ def play(console: Console, player: Player, count: int, turn_to: Callable[[int], 
     return keyboard.interrupted
 
 
-def dashboard(player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1)) -> Dashboard:
+def dashboard(
+    player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1), note: str = ""
+) -> Dashboard:
     """Return the view at the player's time; `place` is the log's number and that of all logs."""
     recording, now_ns = player.recording, player.now
     setup, log = recording.log.start.setup, recording.log
@@ -70,5 +87,6 @@ def dashboard(player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1)) -
     which = f" ({number} of {count})" if count > 1 else ""
     heading = f"{setup.name}, trial {log.start.trial}{which}"
     notes = ("damaged log", *log.damage.lost) if log.damage else ()
+    notes += (note,) if note else ()
     colors = robot_colors(setup.names, setup.colors)
     return Dashboard(recording.at(now_ns), colors, heading, footer, notes)

@@ -1,0 +1,233 @@
+"""`--serve` and `open --foxglove`: commands in processes of their own, read by a real viewer."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from support import random_trials as made
+from support.running import QUICK
+from support.terminal import Terminal
+from support.viewer import PATIENCE_S, Viewer, deaf
+
+from tetractl.log.format.channels import CHANNELS, MOCAP, SCENE, SCENE_PLAN, TRANSFORMS
+from tetractl.log.read.salvage import scan
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+WITHOUT = "import sys; sys.modules['foxglove'] = None; from tetractl.cli import main; main()"
+MS = 1_000_000
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("logs")
+    return made.write(made.trial(1, steps=20, frames=10), folder / "trial-000.mcap")
+
+
+class Command:
+    """A command and the address at which it says that it serves; its output is read on."""
+
+    def __init__(self, *words, cwd):
+        self.process = subprocess.Popen(
+            [TETRACTL, *map(str, words)],
+            cwd=cwd,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.said = ""
+        self.url = self.until(r"served at (ws://127\.0\.0\.1:\d+)\n")
+        self.reader = threading.Thread(target=self._read)
+
+    def until(self, pattern):
+        while not (found := re.search(pattern, self.said)):
+            line = self.process.stdout.readline()
+            assert line, self.said
+            self.said += line
+        return found[1]
+
+    def _read(self):
+        self.said += self.process.stdout.read()
+
+
+@contextmanager
+def command(*words, cwd):
+    started = Command(*words, cwd=cwd)
+    try:
+        started.reader.start()
+        yield started
+    finally:
+        started.process.kill()
+        started.process.wait()
+        started.reader.join()
+        started.process.stdout.close()
+        assert "Traceback" not in started.said
+
+
+def unix_ns(viewer, name):
+    time = viewer.info[name]
+    return time["sec"] * 10**9 + time["nsec"]
+
+
+def test_a_viewer_plays_pauses_seeks_and_sets_the_rate(log):
+    args = ("replay", log.name, "--serve", "--port", "0", "--paused")
+    with command(*args, cwd=log.parent) as served, Viewer(served.url) as viewer:
+        first_ns, last_ns = unix_ns(viewer, "dataStartTime"), unix_ns(viewer, "dataEndTime")
+        logged = scan(log).entries
+        assert viewer.info["capabilities"] == ["time", "playbackControl"]
+        viewer.subscribe()
+        assert viewer.message(SCENE)[1].entities[0].id == "arena"
+        assert viewer.state().status == "paused"
+
+        viewer.control(True, 64.0, request="play")
+        assert viewer.state(request="play").status == "playing"
+        assert viewer.state(status="ended").time_ns == last_ns
+        due = [one for one in logged if one.topic == MOCAP and one.log_ns > first_ns]
+        viewer.seen(lambda got: got[2] == due[-1].data)
+        sent = {got[2] for got in viewer.all if got[0] == MOCAP}
+        assert {entry.data for entry in due} <= sent
+
+        viewer.all.clear()
+        there_ns = (first_ns + last_ns) // 2
+        viewer.control(False, 0.5, seek_ns=there_ns, request="seek")
+        told = viewer.state(request="seek")
+        assert (told.status, told.time_ns, told.rate, told.sought) == (
+            "paused",
+            there_ns,
+            0.5,
+            True,
+        )
+        past = {one.topic: one.log_ns for one in logged if one.log_ns <= there_ns}
+        for topic in (SCENE, SCENE_PLAN, TRANSFORMS):  # as they were then
+            viewer.seen(lambda got, sent=(topic, past[topic]): got[:2] == sent)
+
+        with Viewer(served.url) as other:  # comes late, to a replay that is paused
+            other.subscribe(SCENE, TRANSFORMS)
+            assert other.message(SCENE)[1].entities[0].id == "arena"
+            assert other.message(TRANSFORMS)[0] == past[TRANSFORMS]
+            assert other.state().status == "paused"
+        served.process.send_signal(signal.SIGINT)
+        assert served.process.wait(PATIENCE_S) == 130
+
+
+def test_the_keys_of_the_terminal_and_the_viewer_command_the_same_player(log):
+    words = [str(TETRACTL), "replay", log.name, "--serve", "--port", "0", "--paused"]
+    with Terminal(words, log.parent, columns=120, rows=40) as terminal:
+        url = terminal.expect(r"ws://127\.0\.0\.1:\d+")
+        terminal.expect(f"served at {url}")  # on the screen too
+        with Viewer(url) as viewer:
+            viewer.subscribe(SCENE)
+            assert viewer.state().status == "paused"
+            terminal.press("+")
+            viewer.state(rate=2.0)
+            terminal.press("l")
+            terminal.press("\x1b[C")
+            viewer.state(sought=True, time_ns=unix_ns(viewer, "dataStartTime") + 1000 * MS)
+            viewer.control(False, 4.0, request="rate")
+            terminal.expect("4×")
+            terminal.press("q")
+            assert terminal.finish() == 0
+
+
+def test_open_serves_a_log_to_a_viewer_over_and_over(log):
+    words = [TETRACTL, "open", log.name, "--foxglove", "--no-browser"]
+    process = subprocess.Popen(
+        [*words, "--lichtblick", "http://127.0.0.1:1"],
+        cwd=log.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        said = [process.stdout.readline() for _ in range(3)]
+        shown = urlsplit(said[1].removeprefix("in Foxglove: "))
+        assert shown.hostname == "app.foxglove.dev"
+        asked = parse_qs(shown.query)
+        assert asked["ds"] == ["foxglove-websocket"]
+        assert "layout.json" in said[2]
+        with Viewer(asked["ds.url"][0].strip()) as viewer:
+            viewer.subscribe(SCENE)
+            viewer.control(True, 64.0)
+            later_ns = unix_ns(viewer, "dataStartTime") + 2000 * MS
+            viewer.until(lambda got: got[0] == "time" and got[1] > later_ns)
+            viewer.until(lambda got: got[0] == "time" and got[1] < later_ns)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert errors.count("127.0.0.1") == 2
+    assert "Traceback" not in errors
+
+
+def test_a_run_is_served_while_it_runs_and_its_log_stays_the_same(tmp_path):
+    (tmp_path / "spec.yaml").write_text(QUICK.replace("count: 3", "count: 2"))
+    run = ("run", "spec.yaml", "--quiet", "--out")
+    args = (*run, "served", "--serve", "--port", "0")
+    with command(*args, cwd=tmp_path) as served:
+        with deaf(served.url, len(CHANNELS)), Viewer(served.url) as viewer:
+            viewer.subscribe()
+            start_ns, _ = viewer.message(SCENE)
+            viewer.until(lambda got: got[0] == TRANSFORMS and got[1] > start_ns)
+            assert viewer.message(SCENE)[0] == start_ns  # of the second trial
+            viewer.until(lambda got: got[0] == TRANSFORMS and got[1] > start_ns)
+        assert served.process.wait(PATIENCE_S) == 0
+    subprocess.run([TETRACTL, *run, "alone"], cwd=tmp_path, capture_output=True, check=True)
+    for name in ("trial-000.mcap", "trial-001.mcap"):
+        logs = [scan(tmp_path / folder / name) for folder in ("served", "alone")]
+        assert logs[0].digest == logs[1].digest
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["replay", "LOG", "--port", "1"], "error: --port belongs to --serve"),
+        (["replay", "LOG", "LOG", "--serve"], "error: --serve takes one log"),
+        (["replay", "LOG", "--through", "sim", "--serve"], "error: --serve shows a log: drive"),
+        (["run", "spec.yaml", "--serve", "--jobs", "2"], "error: --serve shows one trial at a"),
+        (["open", "LOG", "LOG", "--foxglove"], "error: --foxglove takes one log"),
+    ],
+)
+def test_what_does_not_go_together_is_one_clear_line(log, tmp_path, words, message):
+    (tmp_path / "spec.yaml").write_text(QUICK)
+    (tmp_path / "other.mcap").write_bytes(log.read_bytes())
+    names = iter([log, "other.mcap"])
+    words = [next(names) if word == "LOG" else word for word in words]
+    done = subprocess.run(
+        [TETRACTL, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+
+
+@pytest.mark.parametrize(
+    "words", [["run", "spec.yaml", "--serve"], ["replay", "LOG", "--serve"], ["open", "LOG"]]
+)
+def test_without_the_extra_one_clear_line_says_how_to_get_it(log, tmp_path, words):
+    (tmp_path / "spec.yaml").write_text(QUICK)
+    words = [str(log) if word == "LOG" else word for word in words]
+    words += ["--foxglove", "--no-browser"] if words[0] == "open" else []
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT, *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ,
+    )
+    assert done.returncode == 2
+    assert done.stderr == (
+        "error: the live WebSocket needs foxglove-sdk, which is not installed\n"
+        "hint: pip install 'tetractl[serve]'\n"
+    )
+    assert done.stdout == ""
+    assert not (tmp_path / "logs").exists()

@@ -1,0 +1,142 @@
+"""A log viewer as the server sees it: a client of the protocol `foxglove.sdk.v1`."""
+
+import json
+import socket
+import struct
+from base64 import b64decode
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from websockets.sync.client import connect
+
+PATIENCE_S = 30.0  # before a test gives up; nothing waits for it to pass
+PROTOCOL = "foxglove.sdk.v1"
+MESSAGE, TIME, STATE = 1, 2, 5  # what a binary message from the server begins with
+CONTROL = 3  # and one to it
+STATES = ("playing", "paused", "buffering", "ended")
+
+
+class Played(NamedTuple):
+    """A state of the playback, as the server tells it."""
+
+    kind: str  # "state"
+    status: str
+    time_ns: int
+    rate: float
+    sought: bool
+    request: str
+
+
+@dataclass
+class Viewer:
+    """A connection; `info` and `channels` are what the server says of itself.
+
+    `all` is what came, in its order: messages and times as (topic, log time, bytes), the topic of
+    a time being "time", and states of the playback.
+    """
+
+    url: str
+    all: list = field(default_factory=list)
+
+    def __enter__(self):
+        protocols = ["foxglove.websocket.v1", PROTOCOL]  # as Lichtblick offers
+        self._manager = connect(self.url, subprotocols=protocols, close_timeout=0.1)
+        self.socket = self._manager.__enter__()
+        self.info = json.loads(self.socket.recv(timeout=PATIENCE_S))
+        advertised = json.loads(self.socket.recv(timeout=PATIENCE_S))
+        self.channels = {one["topic"]: one for one in advertised["channels"]}
+        return self
+
+    def __exit__(self, *error):
+        self._manager.__exit__(*error)
+
+    def subscribe(self, *topics):
+        wanted = [self.channels[topic]["id"] for topic in topics or self.channels]
+        subscriptions = [{"id": 100 + one, "channelId": one} for one in wanted]
+        self.socket.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
+        return self
+
+    def control(self, playing, rate=1.0, seek_ns=None, request="r"):
+        """Press the viewer's controls."""
+        name = request.encode()
+        seek = seek_ns is not None, seek_ns or 0
+        head = struct.pack("<BBfBQI", CONTROL, not playing, rate, *seek, len(name))
+        self.socket.send(head + name)
+
+    def until(self, condition):
+        """Read on until `condition` holds for something that came, and return that."""
+        while True:
+            got = self._next()
+            self.all.append(got)
+            if condition(got):
+                return got
+
+    def seen(self, condition):
+        """The same of what came already: states overtake messages, which wait in another queue."""
+        return next((got for got in self.all if condition(got)), None) or self.until(condition)
+
+    def message(self, topic):
+        """Read on until a message of a topic comes; return its log time and the message."""
+        _, log_ns, data = self.until(lambda got: got[0] == topic)
+        return log_ns, self.decode(topic, data)
+
+    def state(self, **facts):
+        """Return the first state of the playback that is told so, of those in `all` too."""
+        return self.seen(
+            lambda got: (
+                isinstance(got, Played)
+                and all(getattr(got, name) == value for name, value in facts.items())
+            )
+        )
+
+    def schema(self, topic):
+        """The bytes of a topic's schema."""
+        return b64decode(self.channels[topic]["schema"])
+
+    def decode(self, topic, data):
+        """Decode bytes by the schema that the server sent, and no other."""
+        channel = self.channels[topic]
+        pool = descriptor_pool.DescriptorPool()
+        for file in descriptor_pb2.FileDescriptorSet.FromString(b64decode(channel["schema"])).file:
+            pool.Add(file)
+        found = pool.FindMessageTypeByName(channel["schemaName"])
+        return message_factory.GetMessageClass(found).FromString(data)
+
+    def _next(self):
+        got = self.socket.recv(timeout=PATIENCE_S)
+        if isinstance(got, str):
+            said = json.loads(got)
+            return (said["op"], 0, said)
+        if got[0] == MESSAGE:
+            _, subscription, log_ns = struct.unpack_from("<BIQ", got)
+            topic = next(t for t, one in self.channels.items() if 100 + one["id"] == subscription)
+            return (topic, log_ns, got[13:])
+        if got[0] == TIME:
+            return ("time", struct.unpack_from("<Q", got, 1)[0], b"")
+        assert got[0] == STATE
+        status, time_ns, rate, sought, length = struct.unpack_from("<BQfBI", got, 1)
+        return Played(
+            "state", STATES[status], time_ns, rate, bool(sought), got[19 : 19 + length].decode()
+        )
+
+
+def deaf(url, count):
+    """Return the socket of a client that subscribes to channels 1 to `count` and reads nothing."""
+    host, port = url.removeprefix("ws://").split(":")
+    stuck = socket.socket()
+    stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    stuck.settimeout(PATIENCE_S)
+    stuck.connect((host, int(port)))
+    stuck.sendall(
+        f"GET / HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+        f"Sec-WebSocket-Protocol: {PROTOCOL}\r\n\r\n".encode()
+    )
+    answer = b""
+    while b"\r\n\r\n" not in answer:
+        answer += stuck.recv(1)
+    wanted = [{"id": one, "channelId": one} for one in range(1, count + 1)]
+    said = json.dumps({"op": "subscribe", "subscriptions": wanted}).encode()
+    stuck.sendall(struct.pack(">BBHI", 0x81, 0xFE, len(said), 0) + said)
+    return stuck

@@ -1,0 +1,80 @@
+from support import random_trials as made
+
+from tetractl.core.commands import Command, Note
+from tetractl.log.read.salvage import scan
+from tetractl.serve.running import ServedRun
+
+
+class Server:
+    """Keeps what is sent, and how often the time was set."""
+
+    def __init__(self, watched=True):
+        self.watched, self.sent, self.jumps = watched, [], []
+
+    def jump(self, time_ns, entries):
+        self.jumps.append(time_ns)
+        self.publish(entries)
+
+    def publish(self, entries):
+        self.sent += entries
+
+
+class Wall:
+    """A clock that only notes until when somebody wanted to sleep."""
+
+    def __init__(self):
+        self.slept = []
+
+    def now(self):
+        return 1000
+
+    def sleep_until(self, when):
+        self.slept.append(when)
+
+
+def run(trial, server, wall):
+    observer = ServedRun(server, wall)
+    observer.on_start(trial.start)
+    for samples, step in trial.rounds:
+        observer.on_samples(samples)
+        observer.on_step(step)
+    observer.on_command(Command(0.5, 7, (True,) * 3))
+    observer.on_note(Note(8, "warning", "a note"))
+    observer.on_stop(trial.stop, trial.result)
+    return server
+
+
+def test_every_message_of_the_log_is_sent(tmp_path):
+    for simulated in (True, False):
+        trial = made.trial(3, steps=4, simulated=simulated)
+        sent = run(trial, Server(), Wall()).sent
+        logged = scan(made.write(trial, tmp_path / f"{simulated}.mcap")).entries
+        extra = [entry for entry in sent if entry not in logged]
+        assert [entry.topic for entry in extra] == ["/commands", "/log"]
+        assert [entry for entry in sent if entry not in extra] == logged
+
+
+def test_a_simulation_is_slowed_to_the_wall_and_the_lab_is_not():
+    trial = made.trial(3, steps=2)
+    wall = Wall()
+    run(trial, Server(), wall)
+    assert wall.slept == [1000 + one.observation.received_ns for one in trial.samples]
+    wall = Wall()
+    run(made.trial(3, steps=2, simulated=False), Server(), wall)
+    assert wall.slept == []
+
+
+def test_while_nobody_looks_only_the_newest_poses_are_encoded():
+    trial = made.trial(3, steps=4)
+    sent = run(trial, Server(watched=False), Wall()).sent
+    times = [entry.publish_ns for entry in sent if entry.topic == "/mocap"]
+    start = trial.start.start_unix_ns
+    assert times == [start + samples[-1].observation.sampled_ns for samples, _ in trial.rounds]
+    assert [entry.topic for entry in sent].count("/controller/step") == 4
+
+
+def test_the_time_goes_to_the_start_of_each_trial():
+    server = Server()
+    for seed in (1, 2):
+        run(made.trial(seed, steps=1), server, Wall())
+    assert server.jumps == [made.trial(1).start.start_unix_ns] * 2

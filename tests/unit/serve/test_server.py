@@ -1,0 +1,111 @@
+"""The server of log viewers, read by a real client on a real socket."""
+
+import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from support import random_trials as made
+from support.viewer import Viewer, deaf
+
+from tetractl.core.errors import UsageError
+from tetractl.log.format.channels import CHANNELS, LOG, MOCAP, SCENE, TRANSFORMS, Entry
+from tetractl.log.read.salvage import scan
+from tetractl.log.write.messages import Messages
+from tetractl.serve.server import BACKLOG, ViewerServer
+
+START_NS = 1_600_000_000_000_000_000
+
+
+@pytest.fixture
+def server():
+    with ViewerServer("test", 0) as server:
+        yield server
+
+
+def frame(number, size=2000):
+    return Entry(MOCAP, START_NS + number, START_NS, b"%8d" % number + bytes(size))
+
+
+def test_topics_and_schemas_are_those_of_a_log(server, tmp_path):
+    log = scan(made.write(made.trial(1, steps=1), tmp_path / "trial.mcap"))
+    with Viewer(server.url) as viewer:
+        assert viewer.info["name"] == "test"
+        assert viewer.info["capabilities"] == ["time"]
+        assert viewer.channels.keys() == log.channels.keys() == CHANNELS.keys()
+        for topic, (channel, schema) in log.channels.items():
+            shown = viewer.channels[topic]
+            assert shown["schemaName"] == schema.name
+            assert shown["encoding"] == channel.message_encoding == "protobuf"
+            files = FileDescriptorSet.FromString(viewer.schema(topic)).file
+            logged = FileDescriptorSet.FromString(schema.data).file
+            assert {f.name: f for f in files} == {f.name: f for f in logged}
+
+
+def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
+    trial = made.trial(1, steps=2)
+    messages = Messages(trial.start)
+    server.jump(trial.start.start_unix_ns, messages.start())
+    server.publish(messages.samples(trial.samples))
+    with Viewer(server.url) as viewer:
+        viewer.subscribe(SCENE, TRANSFORMS)
+        _, scene = viewer.message(SCENE)
+        named = [entity.id for entity in scene.entities]
+        assert named[:3] == ["arena", "obstacle/0", "obstacle/1"]
+        at_ns, poses = viewer.message(TRANSFORMS)
+        last = trial.samples[-1].observation.received_ns
+        assert at_ns == trial.start.start_unix_ns + last
+        assert poses.transforms[0].child_frame_id == "robot/robot 0"
+        viewer.seen(lambda got: got == ("time", at_ns, b""))
+
+
+def test_lines_of_text_are_not_told_twice(server):
+    server.publish([Entry(LOG, START_NS, START_NS, b""), frame(1)])
+    with Viewer(server.url) as viewer:
+        viewer.subscribe(LOG, MOCAP)
+        viewer.until(lambda got: got[0] == MOCAP)
+        assert LOG not in [got[0] for got in viewer.all]
+
+
+def test_the_time_never_runs_back_but_by_a_jump(server):
+    with Viewer(server.url) as viewer:
+        server.publish([frame(1)])
+        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+        viewer.all.clear()
+        server.publish([frame(3), frame(2), frame(4)])
+        server.jump(START_NS + 1, [frame(1)])
+        for last in ("time", MOCAP):  # they wait in two queues
+            viewer.seen(lambda got, last=last: got[:2] == (last, START_NS + 1))
+        told = {
+            kind: [got[1] - START_NS for got in viewer.all if got[0] == kind]
+            for kind in ("time", MOCAP)
+        }
+        assert told["time"][-3:] == [3, 4, 1]
+        assert told[MOCAP] == [3, 2, 4, 1]
+
+
+def test_it_is_watched_while_somebody_reads(server):
+    assert not server.watched
+    with Viewer(server.url) as viewer:
+        assert not server.watched
+        server.publish([frame(1)])
+        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+        assert server.watched
+
+
+def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
+    server = ViewerServer("test", 0)
+    with deaf(server.url, len(CHANNELS)) as stuck:
+        with Viewer(server.url) as viewer:
+            server.publish([frame(0)])
+            viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+            viewer.all.clear()
+            for first in range(0, 3 * BACKLOG, 512):  # far more than its queue and sockets hold
+                server.publish([frame(first + i, 8000) for i in range(512)])
+                viewer.until(lambda got, last=first + 511: got[:2] == (MOCAP, START_NS + last))
+            got = [one[1] - START_NS for one in viewer.all if one[0] == MOCAP]
+            assert got == list(range(3 * BACKLOG))
+        server.close()
+        assert stuck.recv(1)
+
+
+def test_a_port_in_use_is_a_mistake_of_the_user(server):
+    with pytest.raises(UsageError, match=f"port {server.port}: cannot be used"):
+        ViewerServer("other", server.port)

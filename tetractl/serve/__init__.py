@@ -1,0 +1,1 @@
+"""A live WebSocket for the log viewers Foxglove and Lichtblick."""

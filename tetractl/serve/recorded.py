@@ -1,0 +1,68 @@
+"""Serves a recorded trial to log viewers as a player plays it; they can command the player."""
+
+import queue
+from bisect import bisect_right
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.log.format.channels import CHANNELS
+from tetractl.log.read.contents import Contents
+from tetractl.replay.player import Playback, Player
+from tetractl.serve.server import Request, State, ViewerServer
+
+FRAME_NS = SECOND // 60
+
+
+class ServedReplay:
+    """Sends the messages of a log by `server` as the time of `player` passes them.
+
+    After a jump in time the newest message of each topic is sent again. Requests of viewers are
+    answered at once and obeyed by the next `follow`.
+    """
+
+    def __init__(self, contents: Contents, player: Player, port: int) -> None:
+        self._start_ns = contents.run.start_unix_ns
+        known = [entry for entry in contents.entries if entry.topic in CHANNELS]
+        self._entries = sorted(known, key=lambda entry: entry.log_ns)
+        self._times = [entry.log_ns for entry in self._entries]
+        self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self.player = player
+        self._jumps: int | None = None  # of the player, when it was last followed
+        self._sent = 0  # entries before this one were passed
+        self._told: tuple[Playback, float] | None = None
+        span_ns = (self._start_ns + player.start_ns, self._start_ns + player.until_ns)
+        self.server = ViewerServer(contents.run.items["name"], port, span_ns, self._asked)
+
+    def follow(self) -> None:
+        """Obey the viewers, and send what has come since the last call."""
+        player = self.player
+        while not self._requests.empty():
+            request = self._requests.get()
+            at_ns = None if request.seek_ns is None else request.seek_ns - self._start_ns
+            player.command(playing=request.playing, rate=request.rate, at_ns=at_ns)
+            self._told = None
+        player.update()
+        jumped = player.jumps != self._jumps
+        now_ns, self._jumps = self._start_ns + player.now, player.jumps
+        passed = bisect_right(self._times, now_ns)
+        if jumped:
+            newest = {entry.topic: entry for entry in self._entries[:passed]}
+            self.server.jump(now_ns, newest.values())
+        else:
+            self.server.publish(self._entries[self._sent : passed])
+        self._sent = passed
+        state = player.state, player.rate
+        if (jumped or state != self._told) and player.state is not Playback.QUIT:
+            self._told = state
+            self.server.tell(State(player.state, now_ns, player.rate, jumped))
+
+    def play(self, wall: Clock) -> None:
+        """Follow the player until it quits."""
+        while self.player.state is not Playback.QUIT:
+            self.follow()
+            wall.sleep_until(wall.now() + FRAME_NS)
+
+    def _asked(self, request: Request) -> State:
+        self._requests.put(request)
+        time_ns = self._start_ns + self.player.now if request.seek_ns is None else request.seek_ns
+        playback = Playback.PLAYING if request.playing else Playback.PAUSED
+        return State(playback, time_ns, request.rate, request.seek_ns is not None)

@@ -88,7 +88,8 @@ def run(way: Way, folder: Path) -> None:
                 code = terminal.finish()
             sampler.join()
         if code != 0:
-            print(f"\n({way.name}: exit code {code})\n", flush=True)
+            why = re.findall(r"error: [^\r]*", terminal.raw)
+            print(f"\n({way.name}: exit code {code}: {why})\n", flush=True)
             return
         log = read_trial(folder / "logs" / "trial-000.mcap")
     finally:

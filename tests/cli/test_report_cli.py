@@ -73,6 +73,13 @@ def test_the_same_logs_give_the_same_page(folder: Path):
     assert (folder / "again.html").read_text() == (folder / "report.html").read_text()
 
 
+def test_the_figures_of_the_batch_stand_with_its_errors(folder: Path):
+    html = (folder / "report.html").read_text()
+    errors = html[html.index("<h2>Errors</h2>") : html.index("<h2>Statistics</h2>")]
+    assert errors.count("<img alt=") == 2
+    assert html.count("<div") == html.count("</div>")
+
+
 @needs_chromium
 def test_the_page_shows_the_numbers_of_stats(page: Page, statistics: dict):
     inside = json.loads(page.run("document.querySelector('script.statistics').textContent"))

@@ -61,7 +61,7 @@ def errors_svg(rows: Sequence[Row]) -> str:
     return (
         f'<div class="scroll"><svg class="errors" viewBox="0 0 {WIDTH} {y + 40:.0f}" role="img"'
         f' aria-label="Total error of every trial">{grid}{"".join(parts)}'
-        f'<text x="{WIDTH - RIGHT}" y="{y + 34:.1f}" text-anchor="end">{label}</text></svg>'
+        f'<text x="{WIDTH - RIGHT}" y="{y + 34:.1f}" text-anchor="end">{label}</text></svg></div>'
     )
 
 

@@ -14,6 +14,7 @@ from tetractl.core.errors import LogError
 from tetractl.log.read.find import find_logs
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.report import figures
 from tetractl.report.errors_svg import Row, errors_svg
 from tetractl.report.trial_data import Detail, trial_data
 from tetractl.stats import export
@@ -24,7 +25,6 @@ from tetractl.stats.trials import load_trials
 
 ASSETS = files("tetractl.report") / "assets"
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
-FIGURES = ("trajectory", "convergence", "error", "timing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +46,22 @@ def report(
     where the trials of a batch belong to several experiments.
     """
     batches = _batches(paths)
-    logs = [path for batch in batches for path in batch.paths]
-    detail, shown = Detail.of(len(logs)), []
+    detail, shown = Detail.of(sum(len(batch.paths) for batch in batches)), []
     unread: list[str] = []
     first: TrialLog | None = None
-    for number, path in enumerate(logs, 1):
-        progress(number, len(logs))
+    read: list[list[TrialLog]] = [[] for _ in batches]
+    numbered = [
+        (batch, path) for batch, trials in zip(read, batches, strict=True) for path in trials.paths
+    ]
+    for number, (logs, path) in enumerate(numbered, 1):
+        progress(number, len(numbered))
         try:
             log = read_trial(path)
         except LogError as error:
             unread.append(str(error))
             continue
         first = first or log
+        logs.append(figures.lean(log))
         shown.append((path, trial_data(log, path.name, detail)))
     if first is None:
         raise LogError(f"none of the logs can be read: {unread[0]}")
@@ -65,9 +69,9 @@ def report(
     body = [
         _header(title or batches[0].summary.experiment.name, batches),
         _player(shown, batches[0].summary.unit),
-        _errors(batches, numbers),
+        _errors(batches, numbers, read),
         *(_tables(batch, numbers, len(batches) > 1) for batch in batches),
-        _paper(first),
+        f"<section><h2>Figures of the first trial</h2>{figures.of_trial(first)}</section>",
         _provenance(first),
     ]
     scripts = "".join((ASSETS / name).read_text() for name in SCRIPTS)
@@ -149,7 +153,9 @@ def _json(value: Any) -> str:
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-def _errors(batches: Sequence[Batch], numbers: Mapping[str, int]) -> str:
+def _errors(
+    batches: Sequence[Batch], numbers: Mapping[str, int], logs: Sequence[Sequence[TrialLog]]
+) -> str:
     rows = [
         Row(
             batch.name if len(batches) > 1 else "this batch",
@@ -162,7 +168,10 @@ def _errors(batches: Sequence[Batch], numbers: Mapping[str, int]) -> str:
         )
         for batch in batches
     ]
-    picture = errors_svg(rows)
+    picture = errors_svg(rows) + "".join(
+        figures.of_batch(batch.name if len(batches) > 1 else "", trials)
+        for batch, trials in zip(batches, logs, strict=True)
+    )
     return f"<section><h2>Errors</h2>{picture}</section>" if picture else ""
 
 
@@ -215,22 +224,6 @@ def _trials(batch: Batch, numbers: Mapping[str, int]) -> str:
 
 def _link(number: int | None) -> str:
     return f'<a href="#trial-{number}">{number}</a>' if number else ""
-
-
-def _paper(log: TrialLog) -> str:
-    from tetractl.view.figures.kinds import draw
-    from tetractl.view.style import svg
-
-    pictures = "".join(
-        f'<figure><img alt="{kind} of {escape(Path(log.path).name)}"'
-        f' src="data:image/svg+xml;base64,{b64encode(svg(draw(kind, [log]))).decode()}">'
-        f"<figcaption>{kind}, {escape(Path(log.path).name)}</figcaption></figure>"
-        for kind in FIGURES
-        if log.steps and len(log.mocap_ns)
-    )
-    return (
-        f'<section><h2>Figures of the first trial</h2><div class="paper">{pictures}</div></section>'
-    )
 
 
 def _provenance(log: TrialLog) -> str:

@@ -1,0 +1,54 @@
+"""The figures of a report, drawn as `tetractl plot` draws them: of one trial, and of a batch."""
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+
+from tetractl.log.read.trial_log import TrialLog
+
+OF_A_TRIAL = ("trajectory", "convergence", "error", "timing")
+OF_A_BATCH = {
+    "errors": "The error of each trial over time, the median, and the middle half of the trials",
+    "scatter": "Where each robot ended round its target, a dot a trial, with the covariance",
+}
+FEWEST = 2  # trials of which the figures of a batch say anything
+
+
+def lean(log: TrialLog) -> TrialLog:
+    """Return a trial with no more than `of_batch` draws: very many fit into memory."""
+    return replace(log, steps=log.steps[:1], truth=None, notes=(), stamps={})
+
+
+def of_trial(log: TrialLog) -> str:
+    """Return the figures of a trial; "" for a log without control steps or camera frames."""
+    if not (log.steps and len(log.mocap_ns)):
+        return ""
+    name = Path(log.path).name
+    return _row("paper", [_figure(kind, [log], f"{kind}, {name}") for kind in OF_A_TRIAL])
+
+
+def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
+    """Return the figures of a batch called `name`, "" for fewer than two trials with frames."""
+    seen = [log for log in logs if len(log.mocap_ns)]
+    if len(seen) < FEWEST:
+        return ""
+    where = f": {name}" if name else ""
+    drawn = [_figure(kind, seen, text + where) for kind, text in OF_A_BATCH.items()]
+    return _row("paper wide", drawn)
+
+
+def _row(kind: str, figures: Sequence[str]) -> str:
+    return f'<div class="{kind}">{"".join(figures)}</div>'
+
+
+def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
+    from tetractl.view.figures.kinds import draw
+    from tetractl.view.style import svg
+
+    picture = b64encode(svg(draw(kind, logs))).decode()
+    return (
+        f'<figure><img alt="{escape(text)}" src="data:image/svg+xml;base64,{picture}">'
+        f"<figcaption>{escape(text)}</figcaption></figure>"
+    )

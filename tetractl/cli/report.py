@@ -24,8 +24,8 @@ def report(
     """Write one HTML page that shows trials and their statistics, and needs no network.
 
     The page holds a player of every trial, the tables of `tetractl stats`, the distribution of the
-    errors, figures of the first trial and where the numbers come from. Each folder is a batch of
-    its own, side by side with the others.
+    errors, figures of each batch and of the first trial, and where the numbers come from. Each
+    folder is a batch of its own, side by side with the others.
 
     Example: tetractl report logs/three-m3pi -o report.html
     """

@@ -1,0 +1,43 @@
+"""A run in the emulated lab, seen live by a viewer that reads and by one that does not."""
+
+import re
+
+import pytest
+from support.lab_processes import SMALL, SPEC, TETRACTL, Emulator, flags
+from support.terminal import Terminal
+from support.viewer import Viewer, deaf
+
+from tetractl.log.format.channels import CHANNELS, MOCAP, SCENE, STEP
+from tetractl.log.read.salvage import scan
+
+pytestmark = pytest.mark.slow
+
+
+def test_a_viewer_sees_the_frames_of_the_log_while_robots_drive(tmp_path):
+    settings = (*SMALL, "lab.limits.late_steps=1000")
+    emulator = Emulator(tmp_path, settings)
+    try:
+        ready = emulator.wait_for("ready")
+        settings += (
+            f"lab.camera.command_port={ready['command_port']}",
+            f"lab.actuator.port={ready['port']}",
+        )
+        command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs"]
+        command += ["--serve", "--port", "0", "--quiet", *flags(settings)]
+        with Terminal(command, tmp_path, columns=200) as terminal:
+            url = re.search(r"ws://[\d.:]+", terminal.expect(r"ws://127\.0\.0\.1:\d+\s"))[0]
+            with deaf(url, len(CHANNELS)), Viewer(url) as viewer:
+                viewer.subscribe()
+                viewer.message(SCENE)
+                viewer.until(lambda got: got[0] == STEP)
+                viewer.until(lambda got: got[0] == MOCAP)
+                emulator.wait_for("run")  # it drives, and was not waited for
+            assert terminal.finish() in (0, 1)  # on a busy host the guard may stop the robots
+        assert "Traceback" not in terminal.raw
+        assert "too slow" not in terminal.raw
+        log = tmp_path / "logs" / "trial-000.mcap"
+        logged = {(one.topic, one.log_ns, one.data) for one in scan(log).entries}
+        seen = {got for got in viewer.all if got[0] in CHANNELS}
+        assert seen <= logged
+    finally:
+        emulator.close()

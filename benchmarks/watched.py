@@ -88,7 +88,7 @@ def run(way: Way, folder: Path) -> None:
                 code = terminal.finish()
             sampler.join()
         if code != 0:
-            why = re.findall(r"error: [^\r]*", terminal.raw)
+            why = re.findall(r"error: [^\r]*", terminal.raw) or terminal.raw[-2000:]
             print(f"\n({way.name}: exit code {code}: {why})\n", flush=True)
             return
         log = read_trial(folder / "logs" / "trial-000.mcap")

@@ -87,6 +87,5 @@ def dashboard(
     which = f" ({number} of {count})" if count > 1 else ""
     heading = f"{setup.name}, trial {log.start.trial}{which}"
     notes = ("damaged log", *log.damage.lost) if log.damage else ()
-    notes += (note,) if note else ()
     colors = robot_colors(setup.names, setup.colors)
-    return Dashboard(recording.at(now_ns), colors, heading, footer, notes)
+    return Dashboard(recording.at(now_ns), colors, heading, footer, notes, aside=note)

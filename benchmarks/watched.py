@@ -10,6 +10,7 @@ the run's process a second of driving.
 
 import argparse
 import re
+import subprocess
 import sys
 import tempfile
 import threading
@@ -43,6 +44,7 @@ class Way:
 
     name: str
     words: list[str]
+    screen: bool = False
     connect: Callable[[str, ExitStack], object] | None = None
     logs: list[TrialLog] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)  # a trial
@@ -77,18 +79,11 @@ def run(way: Way, folder: Path) -> None:
             f"lab.actuator.port={ready['port']}",
         )
         command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs"]
-        with Terminal([*command, *way.words, *flags(settings)], folder, 120, 40) as terminal:
-            times = [(time.time(), 0.0)]
-            sampler = threading.Thread(target=sample, args=(terminal.process.pid, times))
-            with ExitStack() as stack:
-                if way.connect:
-                    url = re.search(r"ws://[\d.:]+", terminal.expect(r"ws://127.0.0.1:\d+\s"))
-                    way.connect(url[0], stack)
-                sampler.start()
-                code = terminal.finish()
-            sampler.join()
+        command += [*way.words, *flags(settings)]
+        times = [(time.time(), 0.0)]
+        code, said = (on_terminal if way.screen else in_pipe)(way, command, folder, times)
         if code != 0:
-            why = re.findall(r"error: [^\r]*", terminal.raw) or terminal.raw[-2000:]
+            why = re.findall(r"error: [^\r\n]*", said)
             print(f"\n({way.name}: exit code {code}: {why})\n", flush=True)
             return
         log = read_trial(folder / "logs" / "trial-000.mcap")
@@ -100,6 +95,35 @@ def run(way: Way, folder: Path) -> None:
     wall, cpu = np.array(times).T
     used = np.interp([began_s, ends_s], wall, cpu)
     way.cpu.append((used[1] - used[0]) / (ends_s - began_s))
+
+
+def on_terminal(
+    way: Way, command: list[str], folder: Path, times: list[tuple[float, float]]
+) -> tuple[int, str]:
+    """Run a command on a terminal; return its exit code and what it said."""
+    with Terminal(command, folder, 120, 40) as terminal:
+        threading.Thread(target=sample, args=(terminal.process.pid, times)).start()
+        return terminal.finish(), terminal.raw
+
+
+def in_pipe(
+    way: Way, command: list[str], folder: Path, times: list[tuple[float, float]]
+) -> tuple[int, str]:
+    """Run a command without a terminal, and connect once it says where it is served."""
+    said = ""
+    with (
+        ExitStack() as stack,
+        subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, cwd=folder,
+        ) as process,
+    ):  # fmt: skip
+        threading.Thread(target=sample, args=(process.pid, times)).start()
+        for line in process.stdout or ():
+            said += line
+            if way.connect and line.startswith("served at "):
+                way.connect(line.split()[-1], stack)
+        return process.wait(), said
 
 
 def sample(pid: int, times: list[tuple[float, float]]) -> None:
@@ -118,10 +142,10 @@ def main() -> None:
     trials = parser.parse_args().trials
     ways = [
         Way("alone", ["--quiet"]),
-        Way("live view", []),
+        Way("live view", [], screen=True),
         Way("served, nobody looks", SERVE),
-        Way("served, one reads all", SERVE, read_all),
-        Way("served, one reads nothing", SERVE, read_nothing),
+        Way("served, one reads all", SERVE, connect=read_all),
+        Way("served, one reads nothing", SERVE, connect=read_nothing),
     ]
     with tempfile.TemporaryDirectory() as folder:
         for trial in range(trials):

@@ -155,7 +155,7 @@ class TrialArrays:
     truth: Floats  # (M, N, 3)
     distance: Floats  # (M, N) of the measured position to the target
     step_time_s: Floats  # (K,) when each command was sent
-    direction: Floats  # (K,) the common direction u
+    direction: Floats  # (K,) the common direction u, NaN while the field is off
     cost: Floats  # (K,) J of the chosen sequence, (7)
     length: NDArray[np.int64]  # (K,) signals in the chosen sequence
     evaluations: NDArray[np.int64]  # (K,) cost evaluations
@@ -178,7 +178,7 @@ def to_arrays(trial: TrialLog) -> TrialArrays:
         step_time_s=np.array(
             [trial.elapsed_s(step.command.sent_ns) for step in steps], dtype=float
         ),
-        direction=np.array([step.plan.signals[0] for step in steps], dtype=float),
+        direction=np.array([step.plan.direction for step in steps], dtype=float),
         cost=np.array([step.plan.cost for step in steps], dtype=float),
         length=np.array([len(step.plan.signals) for step in steps], dtype=np.int64),
         evaluations=np.array([step.plan.evaluations for step in steps], dtype=np.int64),

@@ -45,6 +45,10 @@ MPC: dict[str, dict[str, Any]] = {
 CONTROLLERS: dict[str, dict[str, Any]] = {
     **{f"mpc, {name}": {"type": "mpc", "horizon_max": 14} | fields for name, fields in MPC.items()},
     "sequence": {"type": "sequence", "directions": [0.1 * i for i in range(20)]},
+    "ensemble": {"type": "ensemble"},
+    "rrt": {"type": "rrt", "margin": 40},
     "straight": {"type": "straight"},
 }
 """Every controller. A further one joins the contract by an entry here."""
+FOR_ONE_ROBOT = {"rrt"}
+"""Types that steer one robot alone: they get the first one of the experiments."""

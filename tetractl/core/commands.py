@@ -20,10 +20,11 @@ class Sample:
 class Command:
     """One command as it was sent to N robots.
 
-    `direction` is the common direction u [rad], None for a stop; `sent_ns` is the time of sending
-    on the trial's clock. `delivered` (N,) is False for a robot that the plant knows did not receive
-    the command. `left`, `right` (N,) are the wheel speeds of (24)-(25) [length unit/s], None for
-    robots without wheels.
+    `direction` is the common direction u [rad], None for a stop and where the field is switched off
+    (`field_off`): robots then go straight on. `sent_ns` is the time of sending on the trial's
+    clock. `delivered` (N,) is False for a robot that the plant knows did not receive the command.
+    `left`, `right` (N,) are the wheel speeds of (24)-(25) [length unit/s], None for robots without
+    wheels.
     """
 
     direction: float | None
@@ -31,6 +32,12 @@ class Command:
     delivered: tuple[bool, ...]
     left: Floats | None = None
     right: Floats | None = None
+    field_off: bool = False
+
+    @property
+    def stops(self) -> bool:
+        """Whether the command stops the robots."""
+        return self.direction is None and not self.field_off
 
 
 @dataclass(frozen=True, slots=True)

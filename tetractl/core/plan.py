@@ -122,7 +122,9 @@ class Plan:
     cost = target_cost + obstacle_weight * obstacle_cost, (7). `path` holds the predicted poses
     (length + 1, N, 3), the observed ones first. `searches` are all horizons tried, in order;
     `chosen` indexes the best. `generator` is the key all random draws of this step came from.
-    `estimate` is what the plan was made with, None where the controller estimates nothing.
+    `estimate` is what the plan was made with, None where the controller estimates nothing. With
+    `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
+    then not sent.
     """
 
     signals: Floats
@@ -134,6 +136,12 @@ class Plan:
     chosen: int
     generator: int
     estimate: Estimate | None = None
+    field_off: bool = False
+
+    @property
+    def direction(self) -> float | None:
+        """The direction to be sent in this step [rad], None where the field is switched off."""
+        return None if self.field_off else float(self.signals[0])
 
     @property
     def search(self) -> Search:

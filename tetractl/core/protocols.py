@@ -36,8 +36,12 @@ class Plant(Protocol):
         """Return the newest camera frame."""
         ...
 
-    def steer(self, direction: float) -> Command:
-        """Send the common direction u [rad] and return what was really sent."""
+    def steer(self, direction: float | None) -> Command:
+        """Send the common direction u [rad] and return what was really sent.
+
+        None switches the field off: no robot is turned, and all go straight on. Only plants whose
+        section `switches_field` are asked for it.
+        """
         ...
 
     def samples(self) -> list[Sample]:
@@ -177,7 +181,7 @@ class Controller(Protocol):
     """Chooses the common direction at each control step; one object lasts one trial."""
 
     def plan(self, observation: Observation) -> Plan | Outcome | End:
-        """Decide the next direction, `signals[0]` of the plan, or that the trial is over."""
+        """Decide the next `direction` of a plan, or that the trial is over."""
         ...
 
     def sent(self, command: Command) -> None:

@@ -51,8 +51,14 @@ def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
         )
 
 
-def plant_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield where a plant contradicts the experiment or itself, and how."""
+def section_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
+    """Yield where controller or plant contradict the experiment, each other or themselves."""
+    control = experiment.controller
+    if control.switches_field and not experiment.plant.switches_field:
+        message = f"cannot switch the field off, as controller {control.type} does"
+        yield ("plant",), f"{message}; simulations can"
+    for loc, message in control.contradictions(experiment.setup):
+        yield ("controller", *loc), message
     for name, plant in (("plant", experiment.plant), ("lab", experiment.lab)):
         if plant is not None:
             for loc, message in plant.contradictions(experiment.setup):

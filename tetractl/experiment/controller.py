@@ -7,7 +7,7 @@ The sections themselves are in the files of what they configure, and named in
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -17,6 +17,7 @@ from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
+from tetractl.experiment.yaml.problems import Loc
 
 
 class NoWait(Model):
@@ -109,6 +110,9 @@ class ControllerSection(Model):
     short, and does not hold at step 0. None by default: a simulation then depends on its seed
     alone."""
 
+    switches_field: ClassVar[bool] = False
+    """Whether the controller switches the field off at times; not every plant can."""
+
     @property
     def iterations_max(self) -> int:
         """Largest number of iterations of one search, 0 where the controller does not search."""
@@ -121,6 +125,10 @@ class ControllerSection(Model):
     def numbers_held(self, setup: Setup) -> int:
         """Return about how many numbers of 8 bytes a control step holds in memory at most."""
         return 0
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield where the section contradicts the experiment, and how; places are within it."""
+        yield from ()
 
     @abstractmethod
     def build(

@@ -15,9 +15,10 @@ from tetractl.experiment.base import Model
 class Order:
     """A command on its way to N robots: it acts from `due_ns` on those `reached` (N,).
 
-    `direction` is u [rad], None for a stop. `headings` (N,) are those that the host had measured
-    when it sent the command [rad]; `wheels` (2, N) are the left and right wheel speeds that the
-    command makes [length unit/s], None where robots are sent the direction itself.
+    `direction` is u [rad], None for a stop and where it switches the `field_off`. `headings` (N,)
+    are those that the host had measured when it sent the command [rad]; `wheels` (2, N) are the
+    left and right wheel speeds that the command makes [length unit/s], None where robots are sent
+    the direction itself.
     """
 
     due_ns: int
@@ -25,6 +26,7 @@ class Order:
     reached: Bools
     headings: Floats | None = None
     wheels: Floats | None = None
+    field_off: bool = False
 
 
 class Disturbance:

@@ -25,6 +25,8 @@ CONTROLLERS = Registry(
     {
         "mpc": "tetractl.control.mpc:MpcSection",
         "sequence": "tetractl.control.sequence:SequenceSection",
+        "ensemble": "tetractl.control.ensemble:EnsembleSection",
+        "rrt": "tetractl.control.rrt:RrtSection",
     },
     SECTION,
 )

@@ -13,7 +13,7 @@ from tetractl.core.commands import PlantInfo
 from tetractl.core.text import printable
 from tetractl.core.trial import Start
 from tetractl.experiment.choice import STRICT
-from tetractl.experiment.consistency import contradictions, plant_contradictions, too_large
+from tetractl.experiment.consistency import contradictions, section_contradictions, too_large
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.identified import Identified, merge, read_identified
 from tetractl.experiment.kinds import packages
@@ -134,7 +134,7 @@ def _experiment(
         document.problems.extend(explain(error, document))
     found = list(contradictions(*_valid_parts(document.data)))
     if experiment is not None:
-        found += [*plant_contradictions(experiment), *too_large(experiment)]
+        found += [*section_contradictions(experiment), *too_large(experiment)]
     for loc, message in found:
         place = document.place(loc)
         document.problems.append(place.problem(loc, message, place.text))

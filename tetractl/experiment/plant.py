@@ -20,6 +20,8 @@ class PlantSection(Model):
     type: Any  # each section's own name, as a Literal
     simulated: ClassVar[bool]
     """Whether the plant repeats itself from its seed, in virtual time."""
+    switches_field: ClassVar[bool] = False
+    """Whether the plant can be steered with the field off, by a direction of None."""
 
     @property
     def loses_frames(self) -> bool:

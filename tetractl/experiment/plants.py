@@ -11,7 +11,7 @@ from tetractl.core.errors import SpecError
 from tetractl.core.text import printable
 from tetractl.experiment.base import Model
 from tetractl.experiment.choice import STRICT, Choice
-from tetractl.experiment.consistency import plant_contradictions
+from tetractl.experiment.consistency import section_contradictions
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.kinds import PLANTS
 from tetractl.experiment.lab import LabSection
@@ -52,6 +52,8 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
         return loaded
     lab = lab_of(experiment, loaded.name)
     loaded = replace(loaded, experiment=experiment.model_copy(update={"plant": lab, "lab": None}))
+    for loc, message in section_contradictions(loaded.experiment):
+        raise SpecError(f"{loaded.name}: {dotted(loc)} {message}")
     if lab.calibration is None:
         return loaded
     path = (loaded.path.parent if loaded.path else Path()) / lab.calibration
@@ -103,7 +105,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     except ValidationError as error:
         merged = Document(document.origin, data, values=places)
         raise InvalidSpecError(explain(error, merged)) from None
-    for loc, message in plant_contradictions(updated):
+    for loc, message in section_contradictions(updated):
         raise SpecError(f"{origin}: with this calibration, {dotted(loc)} {message}")
     return updated
 

@@ -24,6 +24,7 @@ class DirectDrive:
         self.poses = starts
         self._motion, self._a, self._speed = motion, a, speed
         self._held = Held(*(np.zeros(a.size) for _ in range(4)))
+        self._free = np.zeros(a.size, dtype=np.bool_)  # robots on which no field acts
 
     @property
     def moving(self) -> Floats:
@@ -37,6 +38,8 @@ class DirectDrive:
         """
         p, held = self.poses, self._held
         t = seconds[:, None] * held.moving
+        if self._free.any():  # nobody turns who is told to go where it heads
+            held.direction = np.where(self._free, p.heading, held.direction)
         x, y, heading = self._motion.hold(p.x, p.y, p.heading, held, self._a, self._speed, t)
         self.poses = Poses(x[-1], y[-1], heading[-1])
         return x, y, heading
@@ -49,8 +52,13 @@ class DirectDrive:
         """
         got, held = order.reached, self._held
         heading = self.poses.heading
+        held.moving = np.where(
+            got, float(order.field_off or order.direction is not None), held.moving
+        )
+        self._free = np.where(got, order.field_off, self._free)
         if order.direction is None:
-            held.moving = np.where(got, 0.0, held.moving)
+            held.turning = np.where(got, 0.0, held.turning)
+            held.course = np.where(got, heading, held.course)
             return
         answered = heading
         if self._motion.name == "arc" and order.headings is not None:
@@ -59,4 +67,3 @@ class DirectDrive:
         held.direction = np.where(got, order.direction, held.direction)
         held.turning = np.where(got, turning, held.turning)
         held.course = np.where(got, heading, held.course)
-        held.moving = np.where(got, 1.0, held.moving)

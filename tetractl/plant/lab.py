@@ -81,8 +81,10 @@ class LabPlant:
         assert self._newest is not None, "open() waits for the first frame"
         return self._newest
 
-    def steer(self, direction: float) -> Command:
+    def steer(self, direction: float | None) -> Command:
         """Hold u from now on and return the first transmission that carries it."""
+        if direction is None:
+            raise AbortError("this lab cannot switch its field off while robots drive")
         guard = self.rig.guard
         if self._observed_ns is not None:
             period_ns = round(self.setup.period_s * SECOND)

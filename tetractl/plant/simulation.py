@@ -41,6 +41,7 @@ class SimSection(PlantSection):
     trial's seed."""
 
     simulated: ClassVar[bool] = True
+    switches_field: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
     motion: Annotated[str, OneOf(MOTIONS)] = "exact"
     """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25), computed from the newest
@@ -181,8 +182,8 @@ class SimPlant:
         assert newest is not None, "open() waits for the first frame"
         return newest
 
-    def steer(self, direction: float) -> Command:
-        """Send u to every robot, after the time that planning takes."""
+    def steer(self, direction: float | None) -> Command:
+        """Send u to every robot, or switch the field off, after the time that planning takes."""
         answered = self.observe()
         now = self._plan()
         if isinstance(self._drive, WheelDrive):
@@ -282,17 +283,17 @@ class SimPlant:
         """Draw which robots a command reaches."""
         return self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
 
-    def _send_direction(self, direction: float, now: int, answered: Observation) -> Command:
+    def _send_direction(self, direction: float | None, now: int, answered: Observation) -> Command:
         headings = answered.poses.heading
         due = self._due_ns(answered, now)
-        order = self._dispatch(Order(due, direction, self._heard(), headings))
+        off = direction is None
+        order = self._dispatch(Order(due, direction, self._heard(), headings, field_off=off))
         left = right = None
         setup = self.setup
         if setup.wheel_radius is not None:
-            left, right = wheel_speeds(
-                headings, direction, setup.a, setup.speed, setup.wheel_radius
-            )
-        return Command(direction, now, tuple(order.reached.tolist()), left, right)
+            towards = headings if direction is None else direction
+            left, right = wheel_speeds(headings, towards, setup.a, setup.speed, setup.wheel_radius)
+        return Command(direction, now, tuple(order.reached.tolist()), left, right, off)
 
     def _transmit(self, now: int) -> Command:
         """Send wheel speeds computed from the newest frame that the host has."""
@@ -301,9 +302,10 @@ class SimPlant:
         assert seen is not None, "open() waits for the first frame"
         sent, made = drive.host.speeds(now, seen)
         due = self._due_ns(seen, now)
-        order = Order(due, drive.host.direction, self._heard(), seen.poses.heading, made)
-        order = self._dispatch(order)
-        return Command(drive.host.direction, now, tuple(order.reached.tolist()), sent[0], sent[1])
+        u = drive.host.direction
+        order = Order(due, u, self._heard(), seen.poses.heading, made, u is None)
+        reached = tuple(self._dispatch(order).reached.tolist())
+        return Command(u, now, reached, sent[0], sent[1], u is None)
 
     def _dispatch(self, order: Order) -> Order:
         """Put an order on its way, and return what becomes of it."""

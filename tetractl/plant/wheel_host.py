@@ -56,8 +56,9 @@ class WheelDriveSection(Model):
 class WheelHost:
     """Computes what N robots are sent, and what their wheels make of it.
 
-    `repeats_ns` is when the next transmission is due [ns], `direction` the one held [rad]. `erring`
-    feeds gains and dead zones, drawn once a trial.
+    `repeats_ns` is when the next transmission is due [ns], `direction` the one held [rad],
+    None while the field is off: wheels then run alike. `erring` feeds gains and dead zones, drawn
+    once a trial.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class WheelHost:
         assert setup.wheel_radius is not None, "the section's check asks for it"
         count = setup.a.size
         self.repeats_ns = NEVER
-        self.direction = 0.0
+        self.direction: float | None = 0.0
         self._section = section
         self._a, self._speed, self._radius = setup.a, setup.speed, setup.wheel_radius
         self._gains = 1 + section.gain_error * erring.uniform(-1, 1, (2, count))
@@ -88,8 +89,11 @@ class WheelHost:
         self._residues = [Residue()] * count
         self._last: tuple[Floats, Floats] | None = None
 
-    def direct(self, direction: float) -> None:
-        """Hold a direction u [rad] from now on; wheel speeds for it have to be sent at once."""
+    def direct(self, direction: float | None) -> None:
+        """Hold a direction u [rad] from now on, None for no field.
+
+        Wheel speeds for it have to be sent at once.
+        """
         self.direction, self._last = direction, None
 
     def halt(self) -> None:
@@ -113,13 +117,12 @@ class WheelHost:
 
     def _computed(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
         """Return the wheel speeds of (24)-(25) as sent, and as the wheels truly make them."""
-        u, heading = self.direction, seen.poses.heading
+        heading = seen.poses.heading
+        u = heading if self.direction is None else np.array(self.direction)
         if self._section.lead is not None:
             ahead = (now - seen.sampled_ns) / SECOND + self._section.lead
             nowhere = np.zeros_like(heading)
-            _, _, heading = exact(
-                nowhere, nowhere, heading, np.array(u), self._a, self._speed, ahead
-            )
+            _, _, heading = exact(nowhere, nowhere, heading, u, self._a, self._speed, ahead)
         wished = np.array(wheel_speeds(heading, u, self._a, self._speed, self._radius))
         if not self._trains:
             return wished, wished * self._gains

@@ -114,8 +114,8 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
         if i is None and seen and min(seen) < at.frame and not log.damage:
             yield Difference(k, "observation.frame", f"frame {at.frame} is not on /mocap")
         command = step.command
-        if command.direction != float(step.plan.signals[0]):
-            text = f"sent {command.direction!r}, decided {float(step.plan.signals[0])!r}"
+        if command.direction != step.plan.direction:
+            text = f"sent {command.direction!r}, decided {step.plan.direction!r}"
             yield Difference(k, "command.direction", text)
         told = any(_same_command(command, one) for one in sent.get(command.sent_ns, ()))
         if not told and not log.damage:
@@ -159,7 +159,7 @@ def _same_frame(at: Observation, log: TrialLog, i: int) -> bool:
 
 
 def _same_command(one: Command, two: Command) -> bool:
-    if (one.direction, one.delivered) != (two.direction, two.delivered):
+    if (one.direction, one.delivered, one.stops) != (two.direction, two.delivered, two.stops):
         return False
     for ours, theirs in ((one.left, two.left), (one.right, two.right)):
         if (ours is None) != (theirs is None):

@@ -14,7 +14,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.experiment.load import LoadedSpec, parse_spec, resolved_yaml
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.identification.tracks import stopped_ns
+from tetractl.replay.identification.tracks import require_field, stopped_ns
 
 EARLY = 0.25  # of a control period, by which a stop may come before its end
 
@@ -24,8 +24,9 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
 
     Periods count from the first direction sent, that of a square too. A direction sent within the
     first half of a period counts for all of it. The remainder is how much longer than a period the
-    last one was held. UsageError where none was sent.
+    last one was held. UsageError where none was sent, and where the field was off at times.
     """
+    require_field(log)
     sent = sorted(
         (one for one in log.commands if one.direction is not None), key=lambda one: one.sent_ns
     )

@@ -18,6 +18,7 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.replay.identification.tracks import require_field
 from tetractl.replay.recompute import first_steps
 from tetractl.run.seeds import trial_seeds
 
@@ -90,8 +91,14 @@ def what_if(
     """Return what another experiment's controller would have decided at each step of a log.
 
     `timer` [ns] is the clock of its deadline, where it has one. Steps behind a gap in the log are
-    left out.
+    left out. UsageError where the field is off at times, by either controller.
     """
+    require_field(log)
+    if other.controller.switches_field:
+        raise UsageError(
+            f"controller.type: {other.controller.type} switches the field off at times",
+            "there is no direction then to compare with the recorded one",
+        )
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     setup = other.setup
     controller = other.controller.build(setup, key, timer=timer)

@@ -67,7 +67,7 @@ def trial_data(log: TrialLog, file: str, detail: Detail) -> dict[str, Any]:
         },
         "steps": {
             "t": floats(sent),
-            "u": floats([step.plan.signals[0] for step in steps]),
+            "u": floats([step.plan.direction for step in steps]),
             "cost": floats([step.plan.cost for step in steps]),
             "signals": [len(step.plan.signals) for step in steps],
             "solve_ms": floats([step.solve_ns / 1e6 for step in steps]),

@@ -85,7 +85,7 @@ class Trial:
             if isinstance(decision, End):
                 self._sleep_until(self.clock.now() + decision.delay_ns)
                 return decision.outcome, ""
-            command = self._steer(float(decision.signals[0]))
+            command = self._steer(decision.direction)
             self.controller.sent(command)
             self._solve_ns.append(self._solving_ns)
             missed = k > 0 and self._solving_ns > period
@@ -159,7 +159,7 @@ class Trial:
             if self.interrupt.requested:
                 raise KeyboardInterrupt
 
-    def _steer(self, direction: float) -> Command:
+    def _steer(self, direction: float | None) -> Command:
         command = self.plant.steer(direction)
         if self._began_ns is None:
             self._began_ns = command.sent_ns

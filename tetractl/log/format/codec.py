@@ -62,7 +62,7 @@ def encode_command(command: Command) -> pb.WheelCommand:
     """Encode a command."""
     return pb.WheelCommand(
         direction=command.direction,
-        stop=command.direction is None,
+        stop=command.stops,
         sent_ns=command.sent_ns,
         delivered=command.delivered,
         left=None if command.left is None else command.left.tolist(),
@@ -72,12 +72,14 @@ def encode_command(command: Command) -> pb.WheelCommand:
 
 def decode_command(message: pb.WheelCommand) -> Command:
     """Decode a command."""
+    directed = message.HasField("direction")
     return Command(
-        direction=message.direction if message.HasField("direction") else None,
+        direction=message.direction if directed else None,
         sent_ns=message.sent_ns,
         delivered=tuple(message.delivered),
         left=_floats(message.left) if message.left else None,
         right=_floats(message.right) if message.right else None,
+        field_off=not directed and not message.stop,
     )
 
 
@@ -116,6 +118,7 @@ def decode_step(
     if not 0 <= message.chosen < len(message.searches) or not message.signals:
         raise ValueError(f"step {message.k} chooses a search that is not there")
     flat = [_floats(column) for column in (message.path_x, message.path_y, message.path_heading)]
+    command = decode_command(message.command)
     plan = Plan(
         signals=_floats(message.signals),
         path=np.stack(flat, axis=-1).reshape(-1, robots, 3),
@@ -126,12 +129,13 @@ def decode_step(
         chosen=message.chosen,
         generator=message.generator,
         estimate=_decode_estimate(estimate, robots) if estimate else None,
+        field_off=command.field_off,
     )
     return Step(
         k=message.k,
         observation=observation,
         plan=plan,
-        command=decode_command(message.command),
+        command=command,
         solve_ns=timing.solve_ns if timing else 0,
         deadline_missed=bool(timing and timing.deadline_missed),
     )

@@ -55,7 +55,7 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
     robots = len(start.setup.names)
     frames = decode.frames(contents, robots)
     commands = tuple(decode.commands(contents, robots))
-    stops = [command for command in commands if command.direction is None]
+    stops = [command for command in commands if command.stops]
     simulated = start.plant.simulated
     begin = start.start_unix_ns
     log = TrialLog(

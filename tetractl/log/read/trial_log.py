@@ -91,7 +91,7 @@ class TrialLog:
         In the lab the trial's clock starts earlier, while the robots are placed. A log that lost
         its first steps gives the time by the control period; one without any direction, 0.
         """
-        directed = (one.sent_ns for one in self.commands if one.direction is not None)
+        directed = (one.sent_ns for one in self.commands if not one.stops)
         sent = [*itertools.islice(directed, 1)]  # commands are in the order of sending
         if self.steps:
             first = self.steps[0]

@@ -68,6 +68,7 @@ class Drives:
 
 def track_of(log: TrialLog) -> Track:
     """Return the track of a log: what the camera saw and what was sent, never the truth."""
+    require_field(log)
     setup = log.start.setup
     sent = [one for one in log.commands if one.direction is not None]
     if not sent and log.steps:
@@ -91,6 +92,15 @@ def track_of(log: TrialLog) -> Track:
         until=last / SECOND,
         frame_age=float(np.median(ages)) / SECOND if ages else None,
     )
+
+
+def require_field(log: TrialLog) -> None:
+    """Raise UsageError for a log whose robots drove with the field off at times."""
+    if any(one.field_off for one in log.commands):
+        raise UsageError(
+            f"{log.path}: its robots drove with the field off at times",
+            "take the log of a controller that sends a direction at every step",
+        )
 
 
 def stopped_ns(log: TrialLog) -> int | None:

@@ -212,7 +212,8 @@ class Player {
     set("step", k < 0 ? "–" : String(k));
     set("cost", k < 0 ? "–" : digits(trial.steps.cost[k]));
     set("signals", k < 0 ? "–" : String(trial.steps.signals[k]));
-    set("direction", k < 0 ? "–" : `${((trial.steps.u[k] * 180) / Math.PI).toFixed(0)}°`);
+    const u = k < 0 ? undefined : trial.steps.u[k];
+    set("direction", u === undefined ? "–" : Number.isNaN(u) ? "field off" : `${((u * 180) / Math.PI).toFixed(0)}°`);
     set("solve", k < 0 ? "–" : `${digits(trial.steps.solve_ms[k])} ms`);
     set("stopped", k < 0 ? "–" : trial.steps.stopped[k]);
     const poses = posesAt(trial, time), distances = distancesAt(trial, time);

@@ -192,6 +192,7 @@ class Scene {
     const k = indexAt(this.trial.steps.t, t);
     if (k < 0) return;
     const u = this.trial.steps.u[k], x = width - 34, y = 34, reach = 20;
+    if (Number.isNaN(u)) return;  // the field is off
     context.strokeStyle = context.fillStyle = color("ink");
     context.lineWidth = 2;
     context.save();

@@ -98,7 +98,7 @@ class LiveView:
 
     def on_command(self, command: Command) -> None:
         """Count the time from the first direction; the rest of it is seen in the trails."""
-        if self._first_ns is None and command.direction is not None:
+        if self._first_ns is None and not command.stops:
             self._first_ns = command.sent_ns
 
     def on_note(self, note: Note) -> None:

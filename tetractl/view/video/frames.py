@@ -140,9 +140,10 @@ class Frames:
 
     def _direction(self, moment: Moment) -> tuple[Floats, Floats]:
         """Return an arrow in the upper left corner that points as all robots are told to drive."""
-        if moment.step is None or moment.result is not None:
+        u = None if moment.step is None else moment.step.plan.direction
+        if u is None or moment.result is not None:
             return np.zeros(0), np.zeros(0)
-        arena, u = self._setup.arena, moment.step.plan.signals[0]
+        arena = self._setup.arena
         long = 0.05 * max(arena.width, arena.height)
         middle = arena.left + 1.6 * long + 1j * (arena.top - 1.6 * long)
         head = 0.4 * long * np.exp(1j * (u + np.array([0.85, -0.85]) * np.pi))

@@ -1,0 +1,177 @@
+"""Feedback Ensemble Control: a rotating field and straight motion by turns, (I) of the paper.
+
+It has two modes. While the field rotates, the robots turn after it, each lagging by as much as its
+a makes it, until they head so that the control Lyapunov function
+
+    V = sum_i || s_i - tar_i ||
+
+would fall without a field. Then the field is off, and the robots go straight on until V would rise.
+The paper describes the algorithm of its authors' earlier work in these words and gives no numbers;
+the parameters here are therefore this module's, and obstacles play no part in it.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.control.cost import costs_along, predict
+from tetractl.control.rng import mix
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.plan import Outcome, Plan, Search, StopReason
+from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.problem import Problem
+from tetractl.core.protocols import Optimizer
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Fraction, Positive
+from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
+from tetractl.model.motion.exact import step as exact
+from tetractl.model.obstacles import Obstacles
+
+
+class EnsembleSection(ControllerSection):
+    """Feedback Ensemble Control: the field rotates until the sum of distances to the targets can
+    fall, then it is off while that falls. Obstacles are not avoided; simulations only."""
+
+    switches_field: ClassVar[bool] = True
+    type: Literal["ensemble"]
+    rate: Positive = 2.0
+    """Angular velocity of the rotating field [rad/s]; sent once a control period."""
+    fall: Fraction = 0.1
+    """The field is switched off where, over the coming control period, the sum of distances would
+    fall by more than this share of the sum of ways, by which it falls where every robot heads for
+    its target."""
+    turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
+    """Turns of the field without such a moment after which the trial ends, where the sum of
+    distances is least on the way."""
+
+    def problem(self, setup: Setup) -> Problem:
+        """Return the problem whose cost the log states, for robots at their starts."""
+        return Problem(
+            poses=setup.starts,
+            targets=setup.targets,
+            a=setup.a,
+            speed=setup.speed,
+            motion="exact",
+            period=self.period,
+            first_period=self.period,
+            obstacles=Obstacles.of(setup.obstacles),
+            obstacle_weight=0.0,
+            swept=False,
+        )
+
+    def build(
+        self,
+        setup: Setup,
+        key: int,
+        wrap: Callable[[OptimizerSection], Optimizer] = same,
+        timer: Callable[[], int] = time.perf_counter_ns,
+    ) -> "Ensemble":
+        """Return the controller of one trial."""
+        return Ensemble(self, setup, key)
+
+
+class Ensemble:
+    """The controller of one trial; its steps' keys come from `key`, though nothing is drawn."""
+
+    def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:
+        self.section, self._key = section, key
+        self._problem = section.problem(setup)
+        self._delay_ns = round(section.dead_time * SECOND)
+        self._acting: deque[tuple[int, float | None]] = (
+            deque()
+        )  # since when [ns], and u or no field
+        self._phase: float | None = None  # of the field while it rotates [rad]
+        self._turned = 0.0  # since the field was switched on [rad]
+        self._k = 0
+
+    def plan(self, observation: Observation) -> Plan | Outcome:
+        """Rotate the field on, or switch it off, or end the trial."""
+        section = self.section
+        problem = replace(self._problem, poses=self._when_acting(observation))
+        gaps = problem.poses.distances(problem.targets)
+        if section.arrival_tolerance > 0 and bool(np.all(gaps <= section.arrival_tolerance)):
+            return Outcome.ARRIVED
+        if self._k > section.steps_max:
+            return Outcome.STEPS_MAX
+        straight = _ahead(problem, problem.poses, None, section.period)
+        fall = float(gaps.sum()) - _sum(problem, straight.array())
+        driving = self._phase is None and self._k > 0  # and on until V would rise
+        least = 0.0 if driving else section.fall * float(problem.speed.sum()) * section.period
+        if fall > least:
+            self._phase, self._turned = None, 0.0
+            plan = self._decide(problem, np.zeros(1), straight)
+        else:
+            self._turn(problem)
+            signals = np.array([self._phase])
+            path = predict(problem, signals)
+            if self._turned > 2 * np.pi * section.turns and _sum(problem, path[-1]) >= gaps.sum():
+                return Outcome.NOTHING_BETTER
+            plan = self._decide(problem, signals, Poses.of(path[-1]))
+        self._acting.append((observation.sampled_ns + self._delay_ns, plan.direction))
+        self._k += 1
+        return plan
+
+    def sent(self, command: Command) -> None:
+        """Take no note: what was decided on a frame acts the dead time after it."""
+
+    def _turn(self, problem: Problem) -> None:
+        """Turn the field on; it begins where the robots head on the whole."""
+        step = self.section.rate * self.section.period
+        if self._phase is None:
+            heading = problem.poses.heading
+            self._phase = float(np.arctan2(np.sin(heading).sum(), np.cos(heading).sum()))
+        self._phase = float(np.remainder(self._phase + step + np.pi, 2 * np.pi) - np.pi)
+        self._turned += step
+
+    def _decide(self, problem: Problem, signals: Floats, end: Poses) -> Plan:
+        """Return the plan of one control period, which ends at given poses."""
+        path = np.stack([problem.poses.array(), end.array()])
+        costs = costs_along(problem, path[:, None])
+        cost = float(costs.total[0])
+        search = Search(1, signals, cost, np.array([cost]), 1, StopReason.GIVEN)
+        return Plan(
+            signals=signals,
+            path=path,
+            cost=cost,
+            target_cost=float(costs.target[0]),
+            obstacle_cost=float(costs.obstacle[0]),
+            searches=(search,),
+            chosen=0,
+            generator=mix(self._key, self._k),
+            field_off=self._phase is None,
+        )
+
+    def _when_acting(self, observation: Observation) -> Poses:
+        """Return the poses where a decision on a frame acts, a dead time after its exposure."""
+        now, poses = observation.sampled_ns, observation.poses
+        until = now + self._delay_ns
+        while len(self._acting) > 1 and self._acting[1][0] <= now:
+            self._acting.popleft()
+        ends = [since for since, _ in self._acting][1:]
+        for (since, u), end in zip(self._acting, [*ends, until], strict=False):  # none at first
+            seconds = (end - max(since, now)) / SECOND
+            if seconds > 0:
+                poses = _ahead(self._problem, poses, u, seconds)
+        return poses
+
+
+def _ahead(problem: Problem, poses: Poses, u: float | None, seconds: float) -> Poses:
+    """Return the poses after a time [s] under a direction u [rad], or without a field.
+
+    Nobody turns who is told to go where it heads.
+    """
+    towards = poses.heading if u is None else np.array(u)
+    return Poses(
+        *exact(poses.x, poses.y, poses.heading, towards, problem.a, problem.speed, seconds)
+    )
+
+
+def _sum(problem: Problem, poses: Floats) -> float:
+    """Return V of poses (N, 3) [length unit]."""
+    return float(np.hypot(*(poses[:, :2] - problem.targets).T).sum())

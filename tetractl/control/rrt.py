@@ -1,0 +1,203 @@
+"""A rapidly-exploring random tree with feedback, for one robot: a path, and steering along it.
+
+The paper names it (section I, after Kim et al., 2011) as the way in which one cell was steered
+round obstacles before: a tree finds a path, and feedback points the field at its next corner. The
+tree grows in the plane: a random point of the arena is drawn, or the target at times, and the
+nearest node grows an edge towards it unless that would touch an obstacle. Edges and the distance
+from which a corner counts as passed are in turning radii v/a, the tightest bend a robot drives.
+
+Source of the tree: LaValle, "Rapidly-exploring random trees: a new tool for path planning" (1998).
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.control.algorithm_2 import make_plan
+from tetractl.control.cost import evaluate
+from tetractl.control.go_around import best_stop
+from tetractl.control.knowledge import Knowledge
+from tetractl.control.rng import mix, uniform
+from tetractl.core.commands import Command
+from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.problem import Problem, Region
+from tetractl.core.protocols import Optimizer
+from tetractl.core.setup import Bounds, Setup
+from tetractl.experiment.base import Fraction, NonNegative, Positive
+from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
+from tetractl.experiment.yaml.problems import Loc
+from tetractl.model.obstacles import Obstacles
+
+SHARES = 3  # numbers of a draw: whether it is the target, and a point of the arena
+HEADING_FOR = 0.7  # cosine of the angle to its target up to which a robot is about to pass it
+
+
+class RrtSection(ControllerSection):
+    """A rapidly-exploring random tree with feedback, for one robot: the field points at the next
+    corner of a path that keeps clear of obstacles and walls."""
+
+    type: Literal["rrt"]
+    edge: Positive = 4.0
+    """Length of an edge of the tree [v/a of the robot]."""
+    reach: Positive = 1.5
+    """Distance from which a corner of the path counts as passed [v/a of the robot]; at least what
+    the robot drives in a control period."""
+    goal_bias: Fraction = 0.1
+    """Share of the draws that are the target itself."""
+    draws_max: int = Field(default=5000, ge=1, le=100_000)
+    """Draws of one tree; without a path then, the robot goes straight for its target."""
+    margin: NonNegative = 0.0
+    """Obstacles and walls are grown by this much for the tree [length unit]."""
+
+    def bounds(self) -> dict[str, str]:
+        """Return the size of a tree."""
+        return {"nodes of a tree": f"at most {self.draws_max}"}
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield several robots, and one that cannot move."""
+        if len(setup.names) > 1:
+            message = f"steers one robot, and there are {len(setup.names)}; take mpc for several"
+            yield ("type",), message
+        if not setup.speed.all():
+            yield ("type",), "steers a robot that moves, and this one's speed is 0"
+
+    def problem(self, setup: Setup) -> Problem:
+        """Return the problem whose cost the log states, for the robot at its start."""
+        return Problem(
+            poses=setup.starts,
+            targets=setup.targets,
+            a=setup.a,
+            speed=setup.speed,
+            motion="exact",
+            period=self.period,
+            first_period=self.period,
+            obstacles=Obstacles.of(setup.obstacles, self.margin, setup.arena),
+            obstacle_weight=0.0,
+            swept=True,
+        )
+
+    def build(
+        self,
+        setup: Setup,
+        key: int,
+        wrap: Callable[[OptimizerSection], Optimizer] = same,
+        timer: Callable[[], int] = time.perf_counter_ns,
+    ) -> "Rrt":
+        """Return the controller of one trial."""
+        return Rrt(self, setup, key)
+
+
+class Rrt:
+    """The controller of one trial; `key` is the root of all its random draws."""
+
+    def __init__(self, section: RrtSection, setup: Setup, key: int) -> None:
+        self.section, self._key = section, key
+        problem = section.problem(setup)
+        self._knowledge = Knowledge(problem, section.period, section.dead_time, None, losses=False)
+        radius = float(setup.speed[0] / setup.a[0])
+        self._edge = section.edge * radius
+        self._reach = max(section.reach * radius, float(setup.speed[0]) * section.period)
+        self._arena = setup.arena
+        self._path = setup.targets  # corners still to be passed (M, 2), the target last
+        self._k = 0
+
+    def plan(self, observation: Observation) -> Plan | Outcome | End:
+        """Point the field at the next corner of the path, or end the trial."""
+        section = self.section
+        problem = self._knowledge.seen(observation)
+        gap = float(problem.poses.distances(problem.targets)[0])
+        if 0 < section.arrival_tolerance >= gap:
+            return Outcome.ARRIVED
+        if self._k > section.steps_max:
+            return Outcome.STEPS_MAX
+        step_key = mix(self._key, self._k)
+        signals = np.array([self._towards(problem, step_key)])
+        if ended := self._passing(problem, observation, signals, gap):
+            return ended
+        self._k += 1
+        cost = float(evaluate(problem, signals[None]).total[0])
+        search = Search(1, signals, cost, np.array([cost]), 1, StopReason.GIVEN)
+        return make_plan(problem, [search], 0, step_key)
+
+    def sent(self, command: Command) -> None:
+        """Note when the direction decided last was sent."""
+        if command.direction is not None:
+            self._knowledge.sent(command.sent_ns, command.direction)
+
+    def _towards(self, problem: Problem, key: int) -> float:
+        """Return the direction of the next corner [rad]; where it is blocked, of a new path's.
+
+        Inside an obstacle grown by the margin no path begins: the robot keeps to the one it has. A
+        robot beside its target, nearer than it can turn to it, would circle it for ever: it goes
+        straight on instead until it is far enough to come back.
+        """
+        here, region = problem.poses.xy[0], problem.obstacles
+        while len(self._path) > 1 and np.hypot(*(self._path[0] - here)) <= self._reach:
+            self._path = self._path[1:]
+        blocked = bool(region.cross(here[0], here[1], self._path[0, 0], self._path[0, 1]))
+        if blocked and not region.contain(here[0], here[1]):
+            section, target = self.section, problem.targets[0]
+            draws = uniform(key, 0, SHARES * section.draws_max).reshape(-1, SHARES)
+            found = grow(region, self._arena, here, target, self._edge, section.goal_bias, draws)
+            self._path = target[None] if found is None else found
+        corner = self._path[0] - here
+        u, heading = float(np.arctan2(corner[1], corner[0])), float(problem.poses.heading[0])
+        beside = len(self._path) == 1 and np.hypot(*corner) <= self._reach
+        return heading if beside and np.cos(u - heading) < HEADING_FOR else u
+
+    def _passing(
+        self, problem: Problem, observation: Observation, signals: Floats, gap: float
+    ) -> Outcome | End | None:
+        """Return the end of the trial at the moment when the robot passes its target, if now."""
+        off = signals[0] - problem.poses.heading[0]
+        if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:
+            return None
+        direction, bias = self._knowledge.held_at_action(observation)
+        stopping = best_stop(problem, direction, bias, self.section.period)
+        if stopping.error > evaluate(problem, signals[None]).target[0]:
+            return None
+        done = Outcome.NOTHING_BETTER
+        return End(done, stopping.delay_ns) if stopping.delay_ns else done
+
+
+def grow(
+    region: Region,
+    arena: Bounds,
+    start: Floats,
+    target: Floats,
+    edge: float,
+    goal_bias: float,
+    draws: Floats,
+) -> Floats | None:
+    """Grow a tree from `start` (2,) and return the corners (M, 2) of its path to `target` (2,).
+
+    Each row of `draws` (D, SHARES), uniform in [0, 1), is one draw. `edge` is in the length unit.
+    None where no path was found.
+    """
+    nodes = np.empty((len(draws) + 1, 2))
+    before = np.zeros(len(draws) + 1, dtype=np.int64)
+    nodes[0], count = start, 1
+    low, size = np.array([arena.left, arena.bottom]), np.array([arena.width, arena.height])
+    for share, *at in draws.tolist():
+        point = target if share < goal_bias else low + size * at
+        ways = point - nodes[:count]
+        far = np.hypot(ways[:, 0], ways[:, 1])
+        nearest = int(np.argmin(far))
+        root, long = nodes[nearest], float(far[nearest])
+        node = point if long <= edge else root + ways[nearest] * (edge / long)
+        if long == 0 or region.cross(root[0], root[1], node[0], node[1]):
+            continue
+        nodes[count], before[count] = node, nearest
+        count += 1
+        left = float(np.hypot(*(target - node)))
+        if left <= edge and not region.cross(node[0], node[1], target[0], target[1]):
+            path, i = [target], count - 1
+            while i > 0:
+                path.append(nodes[i])
+                i = int(before[i])
+            return np.array(path[::-1])
+    return None

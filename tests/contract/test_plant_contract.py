@@ -9,6 +9,7 @@ from support.geometry import gap
 from support.plants import RIGS
 
 from tetractl.core.clock import SECOND
+from tetractl.core.errors import AbortError
 
 PERIOD = SECOND // 5
 
@@ -143,6 +144,32 @@ def test_robots_move_when_steered(make):
     *_, verdict = drive(rig, DIRECTIONS * 3)
     starts = np.array([robot.start for robot in rig.spec.robots])
     assert np.hypot(*(verdict.final.xy - starts).T).max() > 10
+
+
+def test_robots_go_straight_on_with_the_field_off_where_it_can_be_switched(make):
+    rig = make(1)
+    with opened(rig):
+        rig.plant.steer(1.0)
+        if rig.kind == "lab":
+            with pytest.raises(AbortError):
+                rig.plant.steer(None)
+            return
+        rig.clock.sleep_until(rig.clock.now() + PERIOD)
+        sent = rig.plant.steer(None)
+        assert (sent.direction, sent.field_off, sent.stops) == (None, True, False)
+        if rig.spec.wheels and "drive" not in rig.spec.plant.model_fields_set:
+            assert sent.left.tolist() == sent.right.tolist() == rig.spec.setup.speed.tolist()
+        rig.clock.sleep_until(rig.clock.now() + PERIOD)  # any dead time has passed
+        rig.plant.observe()
+        before = rig.plant.poses.array()
+        rig.clock.sleep_until(rig.clock.now() + PERIOD)
+        rig.plant.observe()
+        after = rig.plant.poses.array()
+        moved = after - before
+        assert np.hypot(*moved[:, :2].T).min() > 10
+        if not rig.disturbed and "drive" not in rig.spec.plant.model_fields_set:
+            assert after[:, 2] == pytest.approx(before[:, 2], abs=1e-12)
+            assert np.arctan2(moved[:, 1], moved[:, 0]) == pytest.approx(after[:, 2], abs=1e-9)
 
 
 def test_stop_is_idempotent(make):

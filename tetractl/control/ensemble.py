@@ -40,8 +40,10 @@ class EnsembleSection(ControllerSection):
 
     switches_field: ClassVar[bool] = True
     type: Literal["ensemble"]
-    rate: Positive = 2.0
-    """Angular velocity of the rotating field [rad/s]; sent once a control period."""
+    rate: Positive = 1.3
+    """Angular velocity of the rotating field, in that of the slowest robot's fastest turn, the
+    least a: up to 1 every robot follows the field at a lag of its own, beyond that the slower ones
+    are left behind."""
     fall: Fraction = 0.1
     """The field is switched off where, over the coming control period, the sum of distances would
     fall by more than this share of the sum of ways, by which it falls where every robot heads for
@@ -122,7 +124,7 @@ class Ensemble:
 
     def _turn(self, problem: Problem) -> None:
         """Turn the field on; it begins where the robots head on the whole."""
-        step = self.section.rate * self.section.period
+        step = self.section.rate * float(problem.a.min()) * self.section.period
         if self._phase is None:
             heading = problem.poses.heading
             self._phase = float(np.arctan2(np.sin(heading).sum(), np.cos(heading).sum()))

@@ -1,0 +1,90 @@
+"""Feedback Ensemble Control: two modes by turns, and a sum of distances that falls with the field
+off."""
+
+import numpy as np
+import pytest
+from support.paths import ROOT
+from support.plants import sim
+from support.trials import experiment
+
+from tetractl.control.build import build_controller
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import SpecError
+from tetractl.core.plan import Outcome
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import on_plant
+
+FIELDS = {"type": "ensemble", "steps_max": 1000, "period": 0.2}
+
+
+def drive(fields, **changes):
+    """Run to the end; the sum of distances at each step, whether the field was off, the outcome."""
+    spec = experiment(controller=FIELDS | fields, obstacles=[], **changes)
+    plant, controller = sim(spec), build_controller(spec, 1)
+    plant.open()
+    sums, off, plans = [], [], []
+    for k in range(1002):
+        seen = plant.observe()
+        sums.append(seen.poses.distances(spec.setup.targets).sum())
+        decision = controller.plan(seen)
+        if isinstance(decision, Outcome):
+            return np.array(sums), np.array(off), plans, decision
+        off.append(decision.field_off)
+        plans.append(decision)
+        controller.sent(plant.steer(decision.direction))
+        plant.clock.sleep_until((k + 1) * SECOND // 5)
+    raise AssertionError
+
+
+def test_the_sum_of_distances_falls_while_the_field_is_off():
+    sums, off, _, outcome = drive({})
+    assert outcome is Outcome.NOTHING_BETTER
+    assert off.any()
+    assert not off.all()
+    assert (np.diff(sums)[off] < 0).all()
+    assert sums[-1] < 0.5 * sums[0]
+
+
+def test_the_field_rotates_at_its_rate():
+    _, off, plans, _ = drive({"rate": 0.5})
+    pairs = [k for k in range(1, len(off)) if not off[k] and not off[k - 1]]
+    turns = [plans[k].signals[0] - plans[k - 1].signals[0] for k in pairs]
+    assert np.remainder(turns, 2 * np.pi) == pytest.approx(0.5 * 3 * 0.2)
+
+
+def test_one_robot_comes_near_its_target():
+    robots = [{"name": "r", "start": [900, 800], "target": [1700, 500], "a": 6, "speed": 180}]
+    sums, *_ = drive({"rate": 0.7}, robots=robots)
+    assert sums[-1] < 2 * 180 / (0.7 * 6)  # the width of its circle under the rotating field
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.13, 0.4])
+def test_a_dead_time_that_is_told_is_predicted_over(dead_time):
+    """Without noise, where a decision acts is where the robots then are."""
+    plant = {"type": "sim", "dead_time": dead_time}
+    spec = experiment(controller=FIELDS | {"dead_time": dead_time}, obstacles=[], plant=plant)
+    world, controller = sim(spec), build_controller(spec, 1)
+    world.open()
+    starts, due = [], []
+    for k in range(30):
+        now = world.observe()
+        while due and due[0][0] <= world.clock.now():
+            when, promised = due.pop(0)
+            starts.append((when, promised))
+        plan = controller.plan(now)
+        controller.sent(world.steer(plan.direction))
+        acts = now.sampled_ns + round(dead_time * SECOND)
+        due.append((acts, plan.path[0]))
+        world.clock.sleep_until((k + 1) * SECOND // 5)
+    seen = {s.observation.sampled_ns: s.truth.array() for s in world.samples()}
+    checked = [(seen[t], p) for t, p in starts if t in seen]
+    assert dead_time == 0.13 or checked  # 0.13 s is no whole number of frames
+    for truth, promised in checked:
+        assert promised == pytest.approx(truth, abs=1e-6)
+
+
+def test_a_lab_cannot_switch_its_field_off():
+    sets = ["controller={type: ensemble}"]
+    spec = load_spec(ROOT / "experiments/three_m3pi_lab.yaml", sets)  # as a simulation
+    with pytest.raises(SpecError, match="cannot switch the field off, as controller ensemble does"):
+        on_plant(spec, "lab")

@@ -1,0 +1,96 @@
+"""RRT with feedback: the tree's path keeps clear, and the robot follows it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.plants import sim
+from support.trials import THREE_M3PI, experiment
+
+from tetractl.control.build import build_controller
+from tetractl.control.rng import uniform
+from tetractl.control.rrt import SHARES, grow
+from tetractl.core.clock import SECOND
+from tetractl.core.plan import End, Outcome
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.model.obstacles import Obstacles
+from tetractl.model.shapes.circle import Circle
+
+ONE = [{"name": "r", "start": [900, 1200], "target": [1700, 1200], "a": 6, "speed": 180}]
+START, TARGET = np.array([900.0, 1200]), np.array([1700.0, 1200])
+
+
+def path(key, margin=30.0, draws=3000):
+    setup = experiment().setup
+    region = Obstacles.of(setup.obstacles, margin, setup.arena)
+    rows = uniform(key, 0, SHARES * draws).reshape(-1, SHARES)
+    return region, grow(region, setup.arena, START, TARGET, 120.0, 0.1, rows)
+
+
+@given(st.integers(0, 2**64 - 1))
+def test_a_path_ends_at_the_target_and_touches_nothing(key):
+    region, corners = path(key)
+    assert corners is not None
+    assert corners[-1].tolist() == TARGET.tolist()
+    ends = np.vstack([START, corners])
+    assert not region.cross(*ends[:-1].T, *ends[1:].T).any()
+    assert np.hypot(*np.diff(ends, axis=0).T).max() <= 120 * (1 + 1e-9)
+
+
+def test_there_may_be_no_path():
+    setup = experiment().setup
+    wall = Circle(type="circle", center=(1700, 1200), radius=150)
+    region = Obstacles.of([wall])
+    rows = uniform(1, 0, SHARES * 500).reshape(-1, SHARES)
+    assert grow(region, setup.arena, START, TARGET, 120.0, 0.1, rows) is None
+
+
+def drive(key, fields=None, **plant):
+    spec = experiment(
+        robots=ONE,
+        controller={"type": "rrt", "margin": 40, "steps_max": 300} | (fields or {}),
+        plant={"type": "sim"} | plant,
+    )
+    world, controller = sim(spec, key), build_controller(spec, key)
+    world.open()
+    for k in range(400):
+        decision = controller.plan(world.observe())
+        if isinstance(decision, Outcome | End):
+            delay = decision.delay_ns if isinstance(decision, End) else 0
+            world.clock.sleep_until(world.clock.now() + delay)
+            world.stop()
+            return world.settle(), decision
+        controller.sent(world.steer(decision.direction))
+        world.clock.sleep_until((k + 1) * SECOND // 5)
+    raise AssertionError
+
+
+@pytest.mark.parametrize("key", range(8))
+def test_the_robot_goes_round_the_obstacle_to_its_target(key):
+    verdict, decision = drive(key)
+    assert isinstance(decision, End) or decision is Outcome.NOTHING_BETTER
+    assert verdict.entered == (False,)
+    assert np.hypot(*(verdict.final.xy[0] - TARGET)) < 30  # v/a: it turns no tighter
+
+
+@pytest.mark.parametrize("key", range(4))
+def test_a_dead_time_that_is_told_and_noise_are_borne(key):
+    noise = {"measurement_noise": {"position": 2.0, "heading": 0.02}, "heading_noise": 0.05}
+    verdict, _ = drive(key, {"dead_time": 0.1}, dead_time=0.1, **noise)
+    assert np.hypot(*(verdict.final.xy[0] - TARGET)) < 60
+
+
+def test_arrival_ends_it_earlier():
+    _, decision = drive(1, {"arrival_tolerance": 60})
+    assert decision is Outcome.ARRIVED
+
+
+def test_several_robots_and_one_that_stands_are_refused():
+    text = experiment().model_dump_json()
+    with pytest.raises(InvalidSpecError, match="steers one robot, and there are 3"):
+        parse_spec(text, "s.yaml", ["controller={type: rrt}"])
+    still = dict(THREE_M3PI["robots"][0], speed=0)
+    text = experiment(robots=[still]).model_dump_json()
+    with pytest.raises(InvalidSpecError, match="speed is 0"):
+        parse_spec(text, "s.yaml", ["controller={type: rrt}"])

@@ -96,9 +96,16 @@ def main() -> None:
     asked = parser.parse_args()
     study = STUDIES[asked.controller]
     base = load_experiment(OURS).model_dump(mode="json")
-    head = (*study.grid, "total error [mm]", "its 95 % interval", "time [s]", "stayed inside")
+    head = (
+        *study.grid,
+        "total error [mm]",
+        "its 95 % interval",
+        "time [s]",
+        "left the arena",
+        "entered an obstacle",
+    )
     print(f"| {' | '.join(head)} |")
-    print("|" + "---|" * (len(study.grid) + 4))
+    print("|" + "---|" * (len(head)))
     for values in itertools.product(*study.grid.values()):
         chosen = dict(zip(study.grid, values, strict=True))
         progress(f"{asked.controller} {chosen}")
@@ -107,13 +114,14 @@ def main() -> None:
         totals = np.array([result.total_error for result in results])
         (errors,) = describe(totals[None])
         seconds = np.mean([result.duration_s for result in results])
-        inside = sum(min(result.verdict.edge) >= 0 for result in results)
+        left = sum(min(result.verdict.edge) < 0 for result in results)
+        entered = sum(result.entered_obstacle for result in results)
         cells = [
             *(f"{value:g}" for value in values),
             f"{errors.mean:.0f}",
             f"{errors.ci95.low:.0f} to {errors.ci95.high:.0f}",
         ]
-        print(f"| {' | '.join(cells)} | {seconds:.0f} | {inside} of {len(results)} |")
+        print(f"| {' | '.join(cells)} | {seconds:.0f} | {left} | {entered} |")
     print(f"\n{asked.worlds} worlds each, simulation with assumed disturbances.")
 
 

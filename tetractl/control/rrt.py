@@ -41,9 +41,9 @@ class RrtSection(ControllerSection):
     corner of a path that keeps clear of obstacles and walls."""
 
     type: Literal["rrt"]
-    edge: Positive = 4.0
+    edge: Positive = 8.0
     """Length of an edge of the tree [v/a of the robot]."""
-    reach: Positive = 1.5
+    reach: Positive = 2.5
     """Distance from which a corner of the path counts as passed [v/a of the robot]; at least what
     the robot drives in a control period."""
     goal_bias: Fraction = 0.1

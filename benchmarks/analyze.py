@@ -1,0 +1,110 @@
+"""Check what `tetractl analyze` predicts against closed-loop trials.
+
+    python benchmarks/analyze.py                a dozen instances, 10 trials each
+    python benchmarks/analyze.py --trials 30    more trials
+
+Each instance is a spec of experiments/ with a noise, and at times other robots. One controller
+drives in all of them: model predictive control by multistart with identification, which ends with
+its sequence. Everything is simulated. The last line is the rank correlation (Spearman) of the
+predicted mean total error with that of the trials, over the instances, both in ways that the robots
+drive in a control period, so that millimetres and micrometres can be compared.
+"""
+
+import argparse
+from dataclasses import dataclass
+
+import numpy as np
+from disturbed import run
+from scipy.stats import spearmanr
+from solverbench.problems import experiment as load_experiment
+from solverbench.report import progress
+
+from tetractl.analysis.closed_loop import Noise
+from tetractl.analysis.plans import planner
+from tetractl.analysis.steering import steering
+from tetractl.experiment.experiment import Experiment
+from tetractl.stats.estimate import describe
+
+CONTROLLER = (
+    "controller={type: mpc, motion: exact, horizon_max: 60, steps_max: 150, estimate: true,"
+    " optimizer: {type: multistart}}"
+)
+
+
+def noise(a: float, walk: float, position: float, heading: float) -> str:
+    """The setting of a plant; the speed errs as a does."""
+    measured = f"measurement_noise: {{position: {position}, heading: {heading}}}"
+    errors = f"a_error: {a}, speed_error: {a}, heading_noise: {walk}"
+    return f"plant={{type: sim, {errors}, {measured}}}"
+
+
+BENCH, QUIET = noise(0.05, 0.03, 1, 0.01), noise(0.02, 0.01, 0.3, 0.003)
+ROUGH, CELLS = noise(0.1, 0.1, 3, 0.03), noise(0.1, 0.05, 5, 0.05)
+
+
+@dataclass(frozen=True)
+class Instance:
+    name: str
+    spec: str
+    settings: tuple[str, ...]
+    robots: int | None = None  # the first ones of the spec; None for all
+
+    def experiment(self) -> Experiment:
+        data = load_experiment(self.spec, CONTROLLER, *self.settings).model_dump(mode="json")
+        data["robots"] = tuple(data["robots"][: self.robots])
+        data["obstacles"] = tuple(data["obstacles"])
+        data["lab"] = None
+        return Experiment.model_validate(data)
+
+
+def with_a(*values: float) -> tuple[str, ...]:
+    return tuple(f"robots.{i}.a={a}" for i, a in enumerate(values))
+
+
+INSTANCES = (
+    Instance("3 m3pi, quiet", "three_m3pi.yaml", (QUIET,)),
+    Instance("3 m3pi", "three_m3pi.yaml", (BENCH,)),
+    Instance("3 m3pi, rough", "three_m3pi.yaml", (ROUGH,)),
+    Instance("3 m3pi, not identified", "three_m3pi.yaml", (BENCH, "controller.estimate=false")),
+    Instance("2 m3pi", "three_m3pi.yaml", (BENCH,), robots=2),
+    Instance("1 m3pi", "three_m3pi.yaml", (BENCH,), robots=1),
+    Instance("3 m3pi, a 10 % apart", "three_m3pi.yaml", (BENCH, *with_a(4.6, 4.18, 3.8))),
+    Instance("3 m3pi, two a 5 % apart", "three_m3pi.yaml", (BENCH, *with_a(6, 3.15, 3))),
+    Instance("3 cells", "tetrahymena.yaml", (CELLS,)),
+    Instance("1 cell", "single_cell.yaml", (CELLS,)),
+    Instance("round obstacle", "round_obstacle.yaml", (BENCH,)),
+    Instance("5 robots, quiet", "five_robots.yaml", (QUIET,)),
+    Instance("5 robots", "five_robots.yaml", (BENCH,)),
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--trials", type=int, default=10)
+    parser.add_argument("--plans", type=int, default=5)
+    asked = parser.parse_args()
+    head = ("instance", "unit", "predicted", "mean of the trials", "its 95 % interval")
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
+    predicted, measured = [], []
+    for one in INSTANCES:
+        progress(one.name)
+        spec = one.experiment()
+        seed = spec.trials.seed
+        found = steering(planner(spec), spec.setup, Noise.of(spec.plant), seed, asked.plans)
+        errors = np.array([result.total_error for result in run(spec, asked.trials)])
+        (described,) = describe(errors[None])
+        way = spec.setup.speed.mean() * spec.setup.period_s
+        predicted.append(found.error / way)
+        measured.append(float(errors.mean()) / way)
+        between = f"{described.ci95.low:.1f} to {described.ci95.high:.1f}"
+        cells = (one.name, spec.setup.unit, f"{found.error:.1f}", f"{errors.mean():.1f}", between)
+        print(f"| {' | '.join(cells)} |", flush=True)
+    rank = float(spearmanr(predicted, measured).statistic)
+    print(
+        f"\nrank correlation {rank:.2f} over {len(INSTANCES)} instances; {asked.trials} trials and "
+        f"{asked.plans} plans each, disturbed simulation (assumed)"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What robots and an assumed noise allow, from an experiment alone: nothing is run."""

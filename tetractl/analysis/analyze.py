@@ -1,0 +1,155 @@
+"""The analysis of an experiment: its robots, their differences in a, their number, and advice."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tetractl.analysis.closed_loop import Noise
+from tetractl.analysis.plans import planner
+from tetractl.analysis.steering import Steering, steering
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.experiment import Experiment
+
+GAPS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
+"""Smallest relative differences of a that are mapped."""
+TOO_ALIKE = 0.2
+"""Below that a greater one is looked for."""
+STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
+"""Relative differences to the other robot that are tried for one of the two most alike."""
+WORTH = 0.8
+"""Share of the predicted error to which a change has to bring it."""
+AS_GOOD = 1.1
+"""Of changes whose predicted errors differ by less than this factor, the smallest is advised."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A robot that would better have another a [rad/s], and the predicted mean total error then."""
+
+    robot: str
+    old: float
+    new: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What was found of an experiment's N robots; errors are predicted mean total errors.
+
+    `alike` are the two robots whose a differ least, and `gap` by how much, relative to the smaller;
+    None and inf for one robot. `by_gap` pairs smallest relative differences with errors: the robots
+    keep their order and the geometric mean of their a, and each a is that factor above the next.
+    `by_count` pairs a number of robots, the first of the spec, with the error. `change` is advised
+    where two robots are too alike and it is worth while; `looked` tells whether one was sought.
+    """
+
+    setup: Setup
+    noise: Noise
+    optimizer_tolerance: float
+    steering: Steering
+    alike: tuple[str, str] | None
+    gap: float
+    by_gap: tuple[tuple[float, float], ...]
+    by_count: tuple[tuple[int, float], ...]
+    looked: bool
+    change: Change | None
+
+
+def analyze(
+    experiment: Experiment, plans: int, on_done: Callable[[int, int], object] = lambda *_: None
+) -> Analysis:
+    """Analyse an experiment along so many plans each; `on_done` gets the analyses done, and all."""
+    setup, noise = experiment.setup, Noise.of(experiment.plant)
+    section, seed = planner(experiment), experiment.trials.seed
+    gap, alike = smallest_gap(setup)
+    candidates = list(_candidates(setup, alike)) if alike and gap < TOO_ALIKE else []
+    several = len(setup.names) > 1
+    count = 1 + (len(GAPS) + len(setup.names) - 1 if several else 0) + len(candidates)
+    done = 0
+
+    def found(of: Setup) -> Steering:
+        nonlocal done
+        result = steering(section, of, noise, seed, plans)
+        done += 1
+        on_done(done, count)
+        return result
+
+    here = found(setup)
+    numbers = range(1, len(setup.names)) if several else ()
+    by_count = [(n, found(first(setup, n)).error) for n in numbers]
+    by_gap = [(one, found(respaced(setup, one)).error) for one in GAPS] if several else []
+    changes = []
+    for i, a in candidates:
+        error = found(replace(setup, a=_with(setup.a, i, a))).error
+        changes.append(Change(setup.names[i], float(setup.a[i]), a, error))
+    return Analysis(
+        setup=setup,
+        noise=noise,
+        optimizer_tolerance=section.optimizer.good_enough or 0.0,
+        steering=here,
+        alike=None if alike is None else (setup.names[alike[0]], setup.names[alike[1]]),
+        gap=gap,
+        by_gap=tuple(by_gap),
+        by_count=(*by_count, (len(setup.names), here.error)),
+        looked=bool(candidates),
+        change=best_change(changes, here.error),
+    )
+
+
+def smallest_gap(setup: Setup) -> tuple[float, tuple[int, int] | None]:
+    """Return the least relative difference of two a, and the robots, the smaller a first."""
+    order = np.argsort(setup.a, kind="stable")
+    if len(order) < 2:
+        return float("inf"), None
+    gaps = setup.a[order[1:]] / setup.a[order[:-1]] - 1
+    at = int(np.argmin(gaps))
+    return float(gaps[at]), (int(order[at]), int(order[at + 1]))
+
+
+def respaced(setup: Setup, gap: float) -> Setup:
+    """Return the robots with their a a factor 1 + gap apart, in order, round the same mean."""
+    rank = np.argsort(np.argsort(setup.a, kind="stable"))
+    middle = np.exp(np.log(setup.a).mean())
+    return replace(setup, a=middle * (1 + gap) ** (rank - (len(rank) - 1) / 2))
+
+
+def first(setup: Setup, count: int) -> Setup:
+    """Return the setup of the first robots alone."""
+    starts = Poses.of(setup.starts.array()[:count])
+    return replace(
+        setup,
+        names=setup.names[:count],
+        colors=setup.colors[:count],
+        starts=starts,
+        targets=setup.targets[:count],
+        a=setup.a[:count],
+        speed=setup.speed[:count],
+    )
+
+
+def best_change(changes: list[Change], error: float) -> Change | None:
+    """Return the smallest of the changes that are about as good as the best, None if none helps."""
+    least = min((one.error for one in changes), default=error)
+    if least > WORTH * error:
+        return None
+    good = [one for one in changes if one.error <= min(AS_GOOD * least, WORTH * error)]
+    return min(good, key=lambda one: abs(np.log(one.new / one.old)))
+
+
+def _candidates(setup: Setup, alike: tuple[int, int]) -> Iterator[tuple[int, float]]:
+    """Yield robots of the two most alike, and an a that sets all robots more apart."""
+    low, high = alike
+    old, _ = smallest_gap(setup)
+    for step in STEPS:
+        for i, a in ((high, setup.a[low] * (1 + step)), (low, setup.a[high] / (1 + step))):
+            new = float(f"{a:.3g}")
+            if smallest_gap(replace(setup, a=_with(setup.a, i, new)))[0] > max(old, 0.5 * step):
+                yield i, new
+
+
+def _with(values: Floats, i: int, value: float) -> Floats:
+    changed = values.copy()
+    changed[i] = value
+    return changed

@@ -1,0 +1,131 @@
+"""Where robots end under an assumed noise: the loop of a plan, linearised.
+
+The deviation e (2N,) of the ends from the plan's, and the relative errors of a and speed, are
+normal variables with a joint covariance. Signal by signal, from the first to the last,
+
+1. the controller sees the deviation, with the measurement's noise carried to the end, and corrects
+   what the signals that are left can: of a deviation of covariance P seen with noise M it takes
+   away C = R (R + P + M)^-1, R being the covariance of what corrections of TURN in every signal
+   left, and a stop of one signal earlier or later, do to the ends;
+2. the robots move: errors of a and speed act, and the heading walks.
+
+A controller that identifies a and speed knows them the better the more it has seen of them; what is
+known of them is planned with. There is no feedback where nothing is corrected (`corrects`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ellipe
+
+from tetractl.analysis.linear import Linear
+from tetractl.core.poses import Floats
+from tetractl.experiment.plant import PlantSection
+
+TURN = float(np.pi / np.sqrt(3))  # rad; the deviation of a signal that is free in [-pi, pi]
+SURE = 1e-8  # least variance of a measured turn [rad^2] or way, relative: no camera is exact
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations that a simulated plant assumes.
+
+    `a` and `speed` are relative; `position` [length unit] and `heading` [rad] are of one
+    measurement, `walk` of the heading [rad/sqrt(s)].
+    """
+
+    a: float
+    speed: float
+    walk: float
+    position: float
+    heading: float
+
+    @classmethod
+    def of(cls, plant: PlantSection) -> "Noise":
+        """Return the noise of a plant; none of one that states none, such as a lab.
+
+        An error that is uniform within +-e has the deviation e / sqrt(3).
+        """
+        measured = getattr(plant, "measurement_noise", None)
+        return cls(
+            a=getattr(plant, "a_error", 0.0) / np.sqrt(3),
+            speed=getattr(plant, "speed_error", 0.0) / np.sqrt(3),
+            walk=getattr(plant, "heading_noise", 0.0),
+            position=measured.position if measured else 0.0,
+            heading=measured.heading if measured else 0.0,
+        )
+
+    @property
+    def any(self) -> bool:
+        """Whether there is any."""
+        return any((self.a, self.speed, self.walk, self.position, self.heading))
+
+
+def end_covariance(
+    plan: Linear, noise: Noise, corrects: bool = True, identifies: bool = False
+) -> Floats:
+    """Return the covariance (2N, 2N) of the ends x_1, y_1, x_2, ... [length unit^2]."""
+    count, length = len(plan.miss), len(plan.seconds)
+    size = 2 * count
+    p, cross = np.zeros((size, size)), np.zeros((size, size))
+    known = np.repeat([noise.a**2, noise.speed**2], count)  # variances of ln a, then of ln speed
+    for k in range(length):
+        if corrects:
+            rows = np.hstack([TURN * plan.by_signal[:, k:], plan.onward])
+            reach = rows @ rows.T
+            eye = np.eye(size)
+            m = noise.position**2 * eye + noise.heading**2 * _blocks(plan.by_heading[k])
+            most = np.trace(reach) + np.trace(p) + np.trace(m)
+            left = eye - np.linalg.solve(reach + p + m + 1e-12 * most * eye, reach).T
+            p = left @ p @ left.T + (eye - left) @ m @ (eye - left).T
+            cross = left @ cross
+        moved = np.hstack([_columns(plan.by_a[k]), _columns(plan.by_speed[k])])
+        p = p + moved @ (known[:, None] * moved.T) + moved @ cross.T + cross @ moved.T
+        cross = cross + moved * known
+        middle = (plan.by_heading[k] + plan.by_heading[k + 1]) / 2
+        p = p + noise.walk**2 * plan.seconds[k] * _blocks(middle)
+        if identifies:
+            left_over = 1 / (1 + known * _told(plan, noise, k))
+            cross = cross * np.sqrt(left_over)
+            known = known * left_over
+    return p
+
+
+def _told(plan: Linear, noise: Noise, k: int) -> Floats:
+    """Return what the motion under signal k tells of ln a, then of ln speed, (2N,): 1/variance.
+
+    A turn is the difference of two measured headings, a way that of two measured positions.
+    """
+    turned = 2 * noise.heading**2 + noise.walk**2 * plan.seconds[k] + SURE
+    ways = np.square(plan.by_speed[k]).sum(axis=1)  # a way is as long as the speed is high
+    went = np.maximum(2 * noise.position**2, SURE * ways)
+    told = np.divide(ways, went, out=np.zeros_like(ways), where=went > 0)
+    return np.concatenate([plan.turn_by_a[k] ** 2 / turned, told])
+
+
+def mean_errors(covariance: Floats, miss: Floats) -> Floats:
+    """Return each robot's mean distance to its target (N,), planned to end `miss` (N,) off it.
+
+    The mean length of a normal vector of deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2),
+    with the complete elliptic integral E; the planned miss is added in square.
+    """
+    count = len(miss)
+    each = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count), :]
+    small, large = np.maximum(np.linalg.eigvalsh(each), 0.0).T
+    share = np.divide(small, large, out=np.ones(count), where=large > 0)
+    length = np.sqrt(2 / np.pi * large) * ellipe(1 - share)
+    return np.hypot(length, miss)
+
+
+def _columns(each: Floats) -> Floats:
+    """Return (2N, N) with the vector (2,) of each robot in its own column."""
+    count = len(each)
+    placed = np.zeros((count, 2, count))
+    placed[np.arange(count), :, np.arange(count)] = each
+    return placed.reshape(2 * count, count)
+
+
+def _blocks(each: Floats) -> Floats:
+    """Return (2N, 2N) with the outer product of the vector (2,) of each robot with itself."""
+    columns = _columns(each)
+    return columns @ columns.T

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tetractl.analysis.closed_loop import Noise
+from tetractl.analysis.closed_loop import Noise, left_out
 from tetractl.analysis.plans import planner
 from tetractl.analysis.steering import Steering, steering
 from tetractl.core.poses import Floats, Poses
@@ -38,6 +38,8 @@ class Change:
 class Analysis:
     """What was found of an experiment's N robots; errors are predicted mean total errors.
 
+    `left_out` names what else of the plant disturbs, and is not in the predictions. A plan reaches
+    the targets where its cost is within the `tolerance` of the optimiser [length unit].
     `alike` are the two robots whose a differ least, and `gap` by how much, relative to the smaller;
     None and inf for one robot. `by_gap` pairs smallest relative differences with errors: the robots
     keep their order and the geometric mean of their a, and each a is that factor above the next.
@@ -47,7 +49,8 @@ class Analysis:
 
     setup: Setup
     noise: Noise
-    optimizer_tolerance: float
+    left_out: tuple[str, ...]
+    tolerance: float
     steering: Steering
     alike: tuple[str, str] | None
     gap: float
@@ -87,7 +90,8 @@ def analyze(
     return Analysis(
         setup=setup,
         noise=noise,
-        optimizer_tolerance=section.optimizer.good_enough or 0.0,
+        left_out=left_out(experiment.plant),
+        tolerance=section.optimizer.good_enough or 0.0,
         steering=here,
         alike=None if alike is None else (setup.names[alike[0]], setup.names[alike[1]]),
         gap=gap,

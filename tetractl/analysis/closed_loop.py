@@ -25,6 +25,8 @@ from tetractl.experiment.plant import PlantSection
 TURN = float(np.pi / np.sqrt(3))  # rad; the deviation of a signal that is free in [-pi, pi]
 SURE = 1e-8  # least variance of a measured turn [rad^2] or way, relative: no camera is exact
 
+LEAST = 1e-30  # length unit^2; robots that stand cannot be corrected at all
+
 
 @dataclass(frozen=True, slots=True)
 class Noise:
@@ -61,6 +63,12 @@ class Noise:
         return any((self.a, self.speed, self.walk, self.position, self.heading))
 
 
+def left_out(plant: PlantSection) -> tuple[str, ...]:
+    """Return the fields of a plant that disturb and are not part of the noise."""
+    names = ("dead_time", "lost_commands", "drive", "disturbances")
+    return tuple(name for name in names if getattr(plant, name, None))
+
+
 def end_covariance(
     plan: Linear, noise: Noise, corrects: bool = True, identifies: bool = False
 ) -> Floats:
@@ -76,7 +84,7 @@ def end_covariance(
             eye = np.eye(size)
             m = noise.position**2 * eye + noise.heading**2 * _blocks(plan.by_heading[k])
             most = np.trace(reach) + np.trace(p) + np.trace(m)
-            left = eye - np.linalg.solve(reach + p + m + 1e-12 * most * eye, reach).T
+            left = eye - np.linalg.solve(reach + p + m + max(1e-12 * most, LEAST) * eye, reach).T
             p = left @ p @ left.T + (eye - left) @ m @ (eye - left).T
             cross = left @ cross
         moved = np.hstack([_columns(plan.by_a[k]), _columns(plan.by_speed[k])])

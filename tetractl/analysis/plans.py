@@ -44,6 +44,7 @@ def planner(experiment: Experiment) -> MpcSection:
         "optimizer": optimizer if isinstance(optimizer, Multistart) else Multistart(),
         "evaluations_max": None,
         "deadline": None,
+        "arrival_tolerance": 0.0,
     }
     return control.model_copy(update=found)
 

@@ -11,6 +11,7 @@ from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.cli import (
+    analyze,
     export,
     identify,
     info,
@@ -72,6 +73,7 @@ app.command("export")(export.export)
 app.command("open")(open_log.open_logs)
 app.command("verify")(verify.verify)
 app.command("stats")(stats.stats)
+app.command("analyze")(analyze.analyze)
 app.command("identify")(identify.identify)
 app.add_typer(lab.app, name="lab")
 

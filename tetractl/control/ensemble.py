@@ -41,10 +41,9 @@ class EnsembleSection(ControllerSection):
     switches_field: ClassVar[bool] = True
     type: Literal["ensemble"]
     rate: Positive = 1.3
-    """Angular velocity of the rotating field, in that of the slowest robot's fastest turn, the
-    least a: up to 1 every robot follows the field at a lag of its own, beyond that the slower ones
-    are left behind."""
-    fall: Fraction = 0.1
+    """Angular velocity of the rotating field [least a of the robots]: up to 1 every robot follows
+    it at a lag of its own, beyond that the slower ones are left behind."""
+    fall: Fraction = 0.3
     """The field is switched off where, over the coming control period, the sum of distances would
     fall by more than this share of the sum of ways, by which it falls where every robot heads for
     its target."""

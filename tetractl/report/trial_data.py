@@ -45,6 +45,7 @@ def trial_data(log: TrialLog, file: str, detail: Detail) -> dict[str, Any]:
     keep = _thinned(log)
     xy = np.where(log.valid[keep][..., None], log.mocap[keep][..., :2], np.nan)
     sent = [log.elapsed_s(step.command.sent_ns) for step in steps]
+    directions = [step.plan.direction for step in steps]
     observed = np.array([step.observation.poses.xy for step in steps])
     distances = setup.distances(observed.reshape(-1, len(setup.names), 2))
     arena = setup.arena
@@ -67,7 +68,7 @@ def trial_data(log: TrialLog, file: str, detail: Detail) -> dict[str, Any]:
         },
         "steps": {
             "t": floats(sent),
-            "u": floats([step.plan.direction for step in steps]),
+            "u": floats([np.nan if u is None else u for u in directions]),
             "cost": floats([step.plan.cost for step in steps]),
             "signals": [len(step.plan.signals) for step in steps],
             "solve_ms": floats([step.solve_ns / 1e6 for step in steps]),

@@ -1,0 +1,51 @@
+"""`tetractl analyze`, as a user starts it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.paths import ROOT
+
+TETRACTL = Path(sys.executable).with_name("tetractl")
+SPEC = ROOT / "experiments/tetrahymena.yaml"
+
+pytestmark = pytest.mark.slow
+
+
+def analyze(folder, *arguments):
+    command = [TETRACTL, "analyze", *map(str, arguments)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+    assert "Traceback" not in done.stdout + done.stderr
+    return done
+
+
+def test_text_json_and_figure(tmp_path):
+    few = (SPEC, "--plans", 1, "--set", "robots.1.a=2.6")
+    done = analyze(tmp_path, *few, "-o", "a.png")
+    assert done.returncode == 0, done.stderr
+    assert "nothing was run" in done.stdout.splitlines()[0]
+    assert done.stdout.splitlines()[-1].startswith("advice: third and second are ")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    printed = analyze(tmp_path, *few, "--json").stdout
+    found = json.loads(printed)
+    assert found["unit"] == "um"
+    assert found["most_alike"] == ["third", "second"]
+    assert len(found["singular_values"]) == 6
+    assert f"{found['mean_total_error']:.3f}" in done.stdout
+
+
+def test_one_robot_is_drawn_too(tmp_path):
+    spec = ROOT / "experiments/single_cell.yaml"
+    done = analyze(tmp_path, spec, "--plans", 1, "-o", "one.svg")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "one.svg").stat().st_size > 1000
+
+
+def test_wrong_uses_are_one_line(tmp_path):
+    for arguments in ((SPEC, "-o", "a.txt"), ("no.yaml",), (SPEC, "--plans", 0)):
+        done = analyze(tmp_path, *arguments)
+        assert done.returncode == 2
+        assert done.stderr.startswith("error: ")
+        assert done.stdout == ""

@@ -1,0 +1,114 @@
+"""The analysis of an experiment: gaps, maps and advice."""
+
+import numpy as np
+import pytest
+from support.trials import THREE_M3PI, experiment
+
+from tetractl.analysis.analyze import Change, analyze, best_change, first, respaced, smallest_gap
+from tetractl.analysis.plans import planner
+from tetractl.analysis.text import as_json, ellipse, lines
+from tetractl.control.optimizers.multistart import Multistart
+
+SETUP = experiment().setup
+CONTROLLER = {
+    "motion": "exact",
+    "horizon_max": 60,
+    "first_lengths": "spread",
+    "optimizer": {"type": "multistart"},
+}
+NOISE = {"type": "sim", "a_error": 0.05, "heading_noise": 0.05}
+
+
+def of(a=(6, 4, 3), **changes):
+    robots = [robot | {"a": value} for robot, value in zip(THREE_M3PI["robots"], a, strict=False)]
+    given = {"robots": robots, "controller": CONTROLLER, "plant": NOISE} | changes
+    return analyze(experiment(**given), plans=2)
+
+
+def test_the_smallest_gap_and_robots_spaced_anew():
+    gap, (low, high) = smallest_gap(SETUP)
+    assert gap == pytest.approx(1 / 3)
+    assert (SETUP.names[low], SETUP.names[high]) == ("red", "blue")
+    spaced = respaced(SETUP, 0.1)
+    assert np.argsort(spaced.a).tolist() == np.argsort(SETUP.a).tolist()
+    assert np.diff(np.sort(np.log(spaced.a))) == pytest.approx(np.log(1.1))
+    assert np.log(spaced.a).mean() == pytest.approx(np.log(SETUP.a).mean())
+
+
+def test_the_first_robots_are_a_setup():
+    two = first(SETUP, 2)
+    assert two.names == ("green", "blue")
+    assert two.starts.array().tolist() == SETUP.starts.array()[:2].tolist()
+    assert smallest_gap(first(SETUP, 1)) == (float("inf"), None)
+
+
+def test_of_changes_about_as_good_the_smallest_is_advised():
+    changes = [Change("r", 4, 4.6, 10.5), Change("r", 4, 6, 10), Change("r", 4, 4.2, 19)]
+    assert best_change(changes, 20.0) is changes[0]
+    assert best_change(changes, 12.0) is None
+    assert best_change([], 12.0) is None
+
+
+def test_alike_robots_are_found_and_a_better_a_is_advised():
+    found = of(a=(6, 3.1, 3))
+    assert found.looked
+    assert found.alike == ("red", "blue")
+    change = found.change
+    assert change is not None
+    assert change.robot in found.alike
+    assert change.error < 0.8 * found.steering.error
+    *_, advice = lines(found)
+    assert f"change a of {change.robot} from {change.old:g} to {change.new:g}" in advice
+
+
+def test_robots_more_apart_and_fewer_are_easier():
+    found = of()
+    assert not found.looked
+    assert found.change is None
+    by_gap, by_count = dict(found.by_gap), dict(found.by_count)
+    assert by_gap[0.02] > by_gap[0.5]
+    assert by_count[1] < by_count[3] == found.steering.error
+    here = found.steering
+    assert (np.diff(here.singular) <= 0).all()
+    assert here.weakest.sum() == pytest.approx(1)
+    assert here.shortest is not None
+    assert (here.open_loop > here.errors).all()
+
+
+def test_one_robot_has_no_map():
+    found = of(a=(6,))
+    assert (found.alike, found.by_gap, found.looked) == (None, (), False)
+    assert len(as_json(found)["robots"]) == 1
+    assert list(lines(found))[-1].startswith("advice: none is needed")
+
+
+def test_more_noise_is_more_error():
+    quiet, loud = (of(a=(6,), plant={"type": "sim", "heading_noise": walk}) for walk in (0.01, 0.2))
+    assert loud.steering.error > 5 * quiet.steering.error
+
+
+def test_what_the_plant_has_beside_the_noise_is_said():
+    found = of(a=(6,), plant=NOISE | {"dead_time": 0.1, "lost_commands": 0.1})
+    assert found.left_out == ("dead_time", "lost_commands")
+    assert any("not dead_time, lost_commands" in line for line in lines(found))
+
+
+def test_any_controller_is_analysed_by_multistart():
+    section = planner(experiment(controller={"type": "ensemble", "period": 0.25}))
+    assert isinstance(section.optimizer, Multistart)
+    assert section.period == 0.25
+    own = planner(experiment())  # of the particle swarm
+    assert isinstance(own.optimizer, Multistart)
+    assert own.motion == experiment().controller.motion
+
+
+def test_the_ellipse_holds_95_percent():
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(2, 2))
+    long, short, angle = ellipse(root @ root.T)
+    drawn = root @ rng.standard_normal((2, 100_000))
+    c, s = np.cos(angle), np.sin(angle)
+    along, across = c * drawn[0] + s * drawn[1], c * drawn[1] - s * drawn[0]
+    assert np.mean((along / long) ** 2 + (across / short) ** 2 <= 1) == pytest.approx(
+        0.95, abs=0.01
+    )

@@ -1,0 +1,75 @@
+"""`tetractl analyze`: whether robots can be steered together, and how well, before any trial."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from tetractl.cli.spec import load
+from tetractl.core.errors import Exit
+
+
+def analyze(
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="Experiment to analyse.")],
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
+        ),
+    ] = None,
+    plans: Annotated[
+        int, typer.Option(min=1, max=1000, metavar="N", help="Plans searched for each result.")
+    ] = 5,
+    form: Annotated[
+        Literal["text", "json"], typer.Option("--format", help="How to print.")
+    ] = "text",
+    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="FILE", help="Figure to draw: .png, .svg or .pdf."),
+    ] = None,
+) -> int:
+    """Tell whether the robots of a spec can be steered together, and how well; nothing is run.
+
+    Along good plans, by the multistart optimiser, it predicts the mean total error under the noise
+    that the spec's simulated plant assumes (errors of a and speed, the walk of the headings, the
+    noise of the measurement), the shortest plan that reaches, the ellipse of each end, and what the
+    error would be with robots more or less alike, and with fewer. Where two robots are too alike,
+    it looks for a better a.
+
+    Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
+    """
+    import json
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from tetractl.analysis.analyze import analyze as found_of
+    from tetractl.analysis.text import as_json as items
+    from tetractl.analysis.text import lines
+    from tetractl.core.text import printable
+
+    if out:
+        from tetractl.view.style import file_format
+
+        file_format(out)  # before anything is searched
+    experiment = load(spec, sets or []).experiment
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("Planning", total=None)
+        found = found_of(
+            experiment, plans, lambda done, all_: bar.update(task, completed=done, total=all_)
+        )
+    if as_json or form == "json":
+        print(json.dumps(items(found), indent=2, allow_nan=False))
+    else:
+        for line in lines(found):
+            print(printable(line))
+    if out:
+        from tetractl.view.figures.analysis import analysis_figure
+        from tetractl.view.style import save
+
+        save(analysis_figure(found), out)
+        print(f"wrote {out}", file=sys.stderr)
+    return Exit.DONE

@@ -1,0 +1,91 @@
+"""The figure of `tetractl analyze`: the ends, their singular values, and two maps of the error."""
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+
+from tetractl.analysis.analyze import Analysis
+from tetractl.analysis.text import ellipse
+from tetractl.core.colors import robot_colors
+from tetractl.view import style
+from tetractl.view.figures.axes import robot_labels
+
+ROOM = 1.15  # of the panel of ends, beyond the largest ellipse
+
+
+def analysis_figure(found: Analysis) -> Figure:
+    """Draw an analysis: (a) the 95 % ellipse of each end less its target, (b) singular values, (c)
+    the predicted mean total error against the smallest relative difference of a, and (d) against
+    the number of robots; one robot alone has (a) and (b).
+    """
+    several = bool(found.by_gap)
+    with style.styled():
+        figure = style.figure(style.PAGE_IN, 5.2 if several else 2.8)
+        panels = figure.subplots(2 if several else 1, 2, squeeze=False)
+        _ends(panels[0, 0], found)
+        _singular(panels[0, 1], found)
+        if several:
+            _map(panels[1, 0], found)
+            _crowd(panels[1, 1], found)
+    style.headline(figure, f"{found.setup.name}: predicted, linearised; nothing was run")
+    return figure
+
+
+def _ends(axes: Axes, found: Analysis) -> None:
+    setup, unit = found.setup, style.unit_of(found.setup.unit)
+    colors, reach = robot_colors(setup.names, setup.colors), 0.0
+    for i, (name, color) in enumerate(zip(robot_labels(setup.names), colors, strict=True)):
+        long, short, angle = ellipse(found.steering.covariance[i])
+        reach = max(reach, long)
+        axes.add_patch(
+            Ellipse((0, 0), 2 * long, 2 * short, angle=math.degrees(angle), fill=False, ec=color,
+                    lw=1.2, label=name)
+        )  # fmt: skip
+    limit = ROOM * reach or 1.0
+    axes.set_xlim(-limit, limit)
+    axes.set_ylim(-limit, limit)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"x less the planned end's [{unit}]")
+    axes.set_ylabel(f"y less the planned end's [{unit}]")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    style.panel(axes, "a", "where 95 % of the ends lie, with feedback")
+
+
+def _singular(axes: Axes, found: Analysis) -> None:
+    values = found.steering.singular
+    axes.bar(np.arange(1, len(values) + 1), values, color=style.GREY, width=0.6)
+    if (values > 0).any():
+        axes.set_yscale("log")
+    axes.set_xticks(np.arange(1, len(values) + 1))
+    axes.set_xlabel("singular value")
+    axes.set_ylabel(f"of the ends by the signals [{style.unit_of(found.setup.unit)}/rad]")
+    style.panel(axes, "b", "how far signals move the ends")
+
+
+def _map(axes: Axes, found: Analysis) -> None:
+    gaps, errors = zip(*found.by_gap, strict=True)
+    axes.plot(100 * np.array(gaps), errors, color=style.INK, marker="o", ms=3)
+    axes.plot([100 * found.gap], [found.steering.error], "D", color=style.ALARM, ms=5, ls="none",
+              label="the spec's robots")  # fmt: skip
+    _error_axis(axes, found, [*errors, found.steering.error])
+    axes.set_xlabel("smallest relative difference of a [%]")
+    axes.legend()
+    style.panel(axes, "c", "robots as alike as that")
+
+
+def _crowd(axes: Axes, found: Analysis) -> None:
+    counts, errors = zip(*found.by_count, strict=True)
+    axes.plot(counts, errors, color=style.INK, marker="o", ms=3)
+    axes.set_xticks(counts)
+    _error_axis(axes, found, errors)
+    axes.set_xlabel("robots, the first of the spec")
+    style.panel(axes, "d", "as many robots as that")
+
+
+def _error_axis(axes: Axes, found: Analysis, errors: "list[float] | tuple[float, ...]") -> None:
+    if min(errors) > 0:
+        axes.set_yscale("log")
+    axes.set_ylabel(f"mean total error [{style.unit_of(found.setup.unit)}]")

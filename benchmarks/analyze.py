@@ -83,7 +83,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--plans", type=int, default=5)
     asked = parser.parse_args()
-    head = ("instance", "unit", "predicted", "mean of the trials", "its 95 % interval")
+    head = ("instance", "unit", "without feedback", "predicted", "mean of trials", "95 % interval")
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     predicted, measured = [], []
     for one in INSTANCES:
@@ -97,7 +97,9 @@ def main() -> None:
         predicted.append(found.error / way)
         measured.append(float(errors.mean()) / way)
         between = f"{described.ci95.low:.1f} to {described.ci95.high:.1f}"
-        cells = (one.name, spec.setup.unit, f"{found.error:.1f}", f"{errors.mean():.1f}", between)
+        free = f"{np.median(found.open_loop):.1f}"
+        means = (f"{found.error:.1f}", f"{errors.mean():.1f}")
+        cells = (one.name, spec.setup.unit, free, *means, between)
         print(f"| {' | '.join(cells)} |", flush=True)
     rank = float(spearmanr(predicted, measured).statistic)
     print(

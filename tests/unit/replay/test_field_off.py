@@ -1,0 +1,94 @@
+"""A log whose robots drove with the field off: read, verified and shown, and refused where every
+step has to have a direction."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from support.trials import THREE_M3PI
+
+from tetractl.api import to_arrays
+from tetractl.core.errors import UsageError
+from tetractl.experiment.load import parse_spec
+from tetractl.export.tables import steps
+from tetractl.log.read.reader import read_trial
+from tetractl.replay.identification.tracks import track_of
+from tetractl.replay.recording import Recording
+from tetractl.replay.redrive import recorded_directions
+from tetractl.replay.verify import verify
+from tetractl.replay.what_if import other_experiment, what_if
+from tetractl.report.trial_data import Detail, trial_data
+from tetractl.run.batch import log_path, run_trial
+from tetractl.run.interrupt import Interrupt
+from tetractl.view.figures.kinds import draw
+from tetractl.view.terminal.replay_text import step_line
+
+WHEELS = {"drive": {"rate": 40, "lag": 0.04}, "type": "sim"}
+CELLS = {"type": "sim", "lost_commands": 0.2, "heading_noise": 0.1}
+
+
+@pytest.fixture(scope="module", params=[CELLS, WHEELS], ids=["cells", "wheels"])
+def path(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    data = THREE_M3PI | {
+        "controller": {"type": "ensemble", "steps_max": 40},
+        "plant": request.param,
+        "wheels": {"radius": 40},
+    }
+    run_trial(parse_spec(json.dumps(data), "s.yaml"), folder, 0, (), Interrupt())
+    return log_path(folder, 0)
+
+
+@pytest.fixture(scope="module")
+def log(path):
+    return read_trial(path)
+
+
+def test_some_commands_switch_the_field_off_and_only_the_last_stops(log):
+    off = [step.command.field_off for step in log.steps]
+    assert any(off)
+    assert not all(off)
+    assert [step.plan.field_off for step in log.steps] == off
+    assert [step.plan.direction is None for step in log.steps] == off
+    assert [one.stops for one in log.commands] == [False] * (len(log.commands) - 1) + [True]
+    assert log.stop is log.commands[-1]
+    assert log.began_ns == log.commands[0].sent_ns
+
+
+def test_it_is_verified_whole(path):
+    found = verify(path)
+    assert (found.problems, found.checked) == ((), 41)
+
+
+def test_tables_and_arrays_hold_no_direction_then(log):
+    off = [step.command.field_off for step in log.steps]
+    assert [u is None for u in steps(log)["direction_rad"]] == off
+    assert np.isnan(to_arrays(log).direction).tolist() == off
+
+
+def test_it_is_shown(log):
+    k = next(step.k for step in log.steps if step.command.field_off)
+    assert "field off" in step_line(Recording(log), k)
+    assert trial_data(log, "t", Detail.of(1))["steps"]["u"]
+    for kind in ("trajectory", "error", "timing"):
+        draw(kind, [log])
+
+
+def test_what_needs_a_direction_at_every_step_refuses_it(log):
+    for refused in (track_of, recorded_directions):
+        with pytest.raises(UsageError, match="drove with the field off at times"):
+            refused(log)
+    with pytest.raises(UsageError, match="drove with the field off at times"):
+        what_if(log, other_experiment(log, ["controller.fall=0.2"]))
+
+
+def test_a_controller_that_switches_the_field_is_no_what_if(tmp_path):
+    data = THREE_M3PI | {
+        "controller": {"type": "sequence", "directions": [0.1, 0.2], "period": 0.2}
+    }
+    run_trial(parse_spec(json.dumps(data), "s.yaml"), tmp_path, 0, (), Interrupt())
+    log = read_trial(log_path(tmp_path, 0))
+    with pytest.raises(UsageError, match="ensemble switches the field off"):
+        what_if(log, other_experiment(log, ["controller={type: ensemble, period: 0.2}"]))
+    assert math.isfinite(log.steps[0].command.direction)

@@ -10,6 +10,16 @@ from support.paths import ROOT
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 SPEC = ROOT / "experiments/tetrahymena.yaml"
+TWO = """
+name: two
+units: {length: um}
+arena: {left: 0, bottom: 0, width: 3000, height: 3000}
+robots:
+  - {name: one, start: [500, 1000], target: [1500, 900], a: 4, speed: 300}
+  - {name: two, start: [500, 2000], target: [1500, 2100], a: 3.8, speed: 300}
+controller: {type: mpc, motion: exact, first_lengths: spread, optimizer: {type: multistart}}
+plant: {type: sim, heading_noise: 0.05}
+"""
 
 pytestmark = pytest.mark.slow
 
@@ -22,17 +32,18 @@ def analyze(folder, *arguments):
 
 
 def test_text_json_and_figure(tmp_path):
-    few = (SPEC, "--plans", 1, "--set", "robots.1.a=2.6")
+    (tmp_path / "two.yaml").write_text(TWO, encoding="utf-8")
+    few = ("two.yaml", "--plans", 1, "--set", "robots.1.a=3.7")
     done = analyze(tmp_path, *few, "-o", "a.png")
     assert done.returncode == 0, done.stderr
     assert "nothing was run" in done.stdout.splitlines()[0]
-    assert done.stdout.splitlines()[-1].startswith("advice: third and second are ")
+    assert done.stdout.splitlines()[-1].startswith("advice: two and one are ")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     printed = analyze(tmp_path, *few, "--json").stdout
     found = json.loads(printed)
     assert found["unit"] == "um"
-    assert found["most_alike"] == ["third", "second"]
-    assert len(found["singular_values"]) == 6
+    assert found["most_alike"] == ["two", "one"]
+    assert len(found["singular_values"]) == 4
     assert f"{found['mean_total_error']:.3f}" in done.stdout
 
 

@@ -24,7 +24,6 @@ from tetractl.experiment.plant import PlantSection
 
 TURN = float(np.pi / np.sqrt(3))  # rad; the deviation of a signal that is free in [-pi, pi]
 SURE = 1e-8  # least variance of a measured turn [rad^2] or way, relative: no camera is exact
-
 LEAST = 1e-30  # length unit^2; robots that stand cannot be corrected at all
 
 

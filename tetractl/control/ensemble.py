@@ -1,4 +1,4 @@
-"""Feedback Ensemble Control: a rotating field and straight motion by turns, (I) of the paper.
+"""Feedback Ensemble Control: a rotating field and straight motion by turns; section I of the paper.
 
 It has two modes. While the field rotates, the robots turn after it, each lagging by as much as its
 a makes it, until they head so that the control Lyapunov function
@@ -84,9 +84,7 @@ class Ensemble:
         self.section, self._key = section, key
         self._problem = section.problem(setup)
         self._delay_ns = round(section.dead_time * SECOND)
-        self._acting: deque[tuple[int, float | None]] = (
-            deque()
-        )  # since when [ns], and u or no field
+        self._acting: deque[tuple[int, float | None]] = deque()  # since [ns], u or no field
         self._phase: float | None = None  # of the field while it rotates [rad]
         self._turned = 0.0  # since the field was switched on [rad]
         self._k = 0

@@ -2,12 +2,14 @@
 
     python benchmarks/analyze.py                a dozen instances, 10 trials each
     python benchmarks/analyze.py --trials 30    more trials
+    python benchmarks/analyze.py --benchmark    the instances of experiments/benchmark instead, by
+                                                their own controllers, which do not go round
 
-Each instance is a spec of experiments/ with a noise, and at times other robots. One controller
-drives in all of them: model predictive control by multistart with identification, which ends with
-its sequence. Everything is simulated. The last line is the rank correlation (Spearman) of the
-predicted mean total error with that of the trials, over the instances, both in ways that the robots
-drive in a control period, so that millimetres and micrometres can be compared.
+Each instance of the dozen is a spec of experiments/ with a noise, and at times other robots. One
+controller drives in all of them: model predictive control by multistart with identification, which
+ends with its sequence. Everything is simulated. The last line is the rank correlation (Spearman) of
+the predicted mean total error with that of the trials, over the instances, both in ways that the
+robots drive in a control period, so that millimetres and micrometres can be compared.
 """
 
 import argparse
@@ -16,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from disturbed import run
 from scipy.stats import spearmanr
+from solverbench.problems import EXPERIMENTS
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import progress
 
@@ -48,9 +51,10 @@ class Instance:
     spec: str
     settings: tuple[str, ...]
     robots: int | None = None  # the first ones of the spec; None for all
+    controller: tuple[str, ...] = (CONTROLLER,)
 
     def experiment(self) -> Experiment:
-        data = load_experiment(self.spec, CONTROLLER, *self.settings).model_dump(mode="json")
+        data = load_experiment(self.spec, *self.controller, *self.settings).model_dump(mode="json")
         data["robots"] = tuple(data["robots"][: self.robots])
         data["obstacles"] = tuple(data["obstacles"])
         data["lab"] = None
@@ -78,15 +82,26 @@ INSTANCES = (
 )
 
 
+def benchmark() -> list[Instance]:
+    """The instances of the benchmark, whose controllers end with their sequence."""
+    plain = ("controller.accept=0", "controller.stop_between=false")
+    return [
+        Instance(path.stem, f"benchmark/{path.name}", (), controller=plain)
+        for path in sorted((EXPERIMENTS / "benchmark").glob("*.yaml"))
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--plans", type=int, default=5)
+    parser.add_argument("--benchmark", action="store_true")
     asked = parser.parse_args()
+    instances = benchmark() if asked.benchmark else INSTANCES
     head = ("instance", "unit", "without feedback", "predicted", "mean of trials", "95 % interval")
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     predicted, measured = [], []
-    for one in INSTANCES:
+    for one in instances:
         progress(one.name)
         spec = one.experiment()
         seed = spec.trials.seed
@@ -103,7 +118,7 @@ def main() -> None:
         print(f"| {' | '.join(cells)} |", flush=True)
     rank = float(spearmanr(predicted, measured).statistic)
     print(
-        f"\nrank correlation {rank:.2f} over {len(INSTANCES)} instances; {asked.trials} trials and "
+        f"\nrank correlation {rank:.2f} over {len(instances)} instances; {asked.trials} trials and "
         f"{asked.plans} plans each, disturbed simulation (assumed)"
     )
 

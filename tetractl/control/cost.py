@@ -20,6 +20,7 @@ from tetractl.core.errors import ControlError
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
+from tetractl.model.motion.base import Motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,17 +34,30 @@ class Costs:
 
 def predict(problem: Problem, signals: Floats) -> Floats:
     """Predict the poses under sequences (..., L); returns (L + 1, ..., N, 3), the start first."""
-    step = MOTIONS.load(problem.motion).step
+    motion: Motion = MOTIONS.load(problem.motion)
     shape = (*signals.shape[:-1], problem.targets.shape[0])
-    poses = problem.poses
-    x, y, heading = (np.broadcast_to(s, shape) for s in (poses.x, poses.y, poses.heading))
     path = np.empty((signals.shape[-1] + 1, *shape, 3))
-    path[0] = np.stack((x, y, heading), axis=-1)
-    for j in range(signals.shape[-1]):
-        u = signals[..., j, None]  # (..., 1), the same direction for every robot
+    path[0] = problem.poses.array()
+    x, y, heading = path[..., 0], path[..., 1], path[..., 2]
+    every = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same for every robot
+    if motion.turn is None or motion.strides is None:
+        for j, u in enumerate(every):
+            held = problem.first_period if j == 0 else problem.period
+            start = x[j], y[j], heading[j]
+            path[j + 1] = np.stack(motion.step(*start, u, problem.a, problem.speed, held), axis=-1)
+        return path
+    for j, u in enumerate(every):
         held = problem.first_period if j == 0 else problem.period
-        x, y, heading = step(x, y, heading, u, problem.a, problem.speed, held)
-        path[j + 1] = np.stack((x, y, heading), axis=-1)
+        heading[j + 1] = motion.turn(heading[j], u, problem.a, held)
+    held_each = np.full((len(every), *(1 for _ in shape)), problem.period)
+    held_each[:1] = problem.first_period
+    east, north, _ = motion.strides(heading[:-1], every, problem.a, problem.speed, held_each)
+    for along, terms in ((x, east), (y, north)):
+        sums = np.empty((1 + len(terms) * len(every), *shape))
+        sums[0] = along[0]
+        for i, term in enumerate(terms):
+            sums[1 + i :: len(terms)] = term
+        along[:] = np.add.accumulate(sums)[:: len(terms)]  # in the order in which steps add
     return path
 
 

@@ -71,6 +71,16 @@ class Predictor:
             self._before = np.where(dropped.arrived, dropped.u, self._before)
 
 
+def turned(problem: Problem, heading: Floats, held: list[Held], bias: Floats | float) -> Floats:
+    """Return the headings (..., N) [rad] after the directions held (..., N); see `advance`."""
+    headings = MOTIONS.load(problem.motion).headings
+    for since, until, u in held:
+        stands = np.isnan(u)
+        seconds = np.where(stands, 0.0, (until - since) / SECOND)
+        heading = headings(heading, np.where(stands, 0.0, u) + bias, problem.a, seconds)
+    return heading
+
+
 def advance(problem: Problem, poses: Poses, held: list[Held], bias: Floats | float = 0.0) -> Poses:
     """Return the poses after the directions held, by the problem's motion.
 

@@ -34,7 +34,7 @@ import numpy as np
 
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Bools, Floats, wrap
-from tetractl.model.motion.base import StepFunction
+from tetractl.model.motion.base import TurnFunction
 
 HEADING_STD = 0.01  # of a measured heading [rad] ...
 HEADING_WALK = 0.1  # ... and of its random walk [rad/sqrt(s)], before anything is seen
@@ -113,27 +113,31 @@ def fit(
     directions: Directions,
     prior: Prior,
     guess: Estimate,
-    step: StepFunction,
+    turn: TurnFunction,
     iterations: int = 2,
 ) -> Estimate:
     """Return the fit, from the guess of an earlier fit of fewer data or from the prior's estimate.
 
-    `step` is the motion's. Without intervals it is the guess.
+    `turn` is the motion's. Without intervals it is the guess.
     """
     if not len(intervals.since) or not len(directions.u):
         return guess
-    turns = _Turns(intervals, directions, prior, step)
+    turns = _Turns(intervals, directions, prior, turn)
     tau, ln_a, beta = guess.dead_time, np.log(guess.a / prior.a), guess.heading_bias
     assert tau is not None and beta is not None and guess.dead_time_std is not None
-    scale = turns.scale(tau, ln_a, beta)
+    near: Floats | None = turns.near(tau, ln_a, beta)
+    scale = turns.scale(near[0])
     count = len(intervals.since)
     doubled = count >= LOOK_LEAST and count & (count - 1) == 0
     if guess.dead_time_std > SURE_S or doubled:
-        some = _Turns(intervals.latest(LOOK_MAX), directions, prior, step)
+        some = _Turns(intervals.latest(LOOK_MAX), directions, prior, turn)
         tau, ln_a, beta = some.look(tau, scale)
+        near = None
     std = np.zeros(0)
     for _ in range(iterations):
-        tau, ln_a, beta, std = turns.improve(tau, ln_a, beta, scale)
+        near = turns.near(tau, ln_a, beta) if near is None else near
+        tau, ln_a, beta, std = turns.improve(tau, ln_a, beta, scale, near)
+        near = None
     count = len(prior.a)
     a = prior.a * np.exp(ln_a)
     speed, speed_std = _fit_speed(intervals, prior, guess.speed)
@@ -153,30 +157,43 @@ class _Turns:
     """The turns of K intervals and what the model predicts of them."""
 
     def __init__(
-        self, intervals: Intervals, directions: Directions, prior: Prior, step: StepFunction
+        self, intervals: Intervals, directions: Directions, prior: Prior, turn: TurnFunction
     ) -> None:
         self.intervals, self.directions = intervals, directions
-        self.prior, self.step = prior, step
+        self.prior, self.turn = prior, turn
         t = intervals.until - intervals.since
         self.sigma = np.sqrt(2 * HEADING_STD**2 + HEADING_WALK**2 * t)[:, None]
         self.tau_max = prior.dead_time + 4 * prior.dead_time_std
 
-    def residuals(self, tau: Floats, ln_a: Floats, beta: Floats) -> Floats:
-        """Return r (T, K, N) for tau (T,), and ln a and beta (T, N), over the unscaled sigma."""
+    def residuals(
+        self, tau: Floats, ln_a: Floats, beta: Floats, which: list[int] | None = None
+    ) -> Floats:
+        """Return r (T, K, N) for tau (T,), and ln a and beta (T, N), over the unscaled sigma.
+
+        With `which` (T,), row i of the result is for `tau[which[i]]`.
+        """
         headings = self.intervals.heading
-        now = np.broadcast_to(headings, (len(tau), *headings.shape))
+        now = np.broadcast_to(headings, (len(ln_a), *headings.shape))
         a = (self.prior.a * np.exp(ln_a))[:, None, :]
-        zero, one = np.zeros(()), np.ones(())
         for u, seconds in pieces(self.intervals, self.directions, tau):
+            if which is not None:
+                u, seconds = u[which], seconds[which]
             towards = u[..., None] + beta[:, None, :]
-            now = self.step(zero, zero, now, towards, a, one, seconds[..., None])[2]
+            now = self.turn(now, towards, a, seconds[..., None])
         missed = wrap(self.intervals.turned - (now - headings))
         return np.where(self.intervals.usable, missed / self.sigma, 0.0)
 
-    def scale(self, tau: float, ln_a: Floats, beta: Floats) -> float:
-        """Return s from the median of the residuals, shrunk towards 1 while they are few."""
-        found = np.abs(self.residuals(np.array([tau]), ln_a[None], beta[None])[0])
-        found = found[self.intervals.usable]
+    def near(self, tau: float, ln_a: Floats, beta: Floats) -> Floats:
+        """Return residuals (5, K, N): there, with more ln a, less tau, more tau, more beta."""
+        three = np.array([tau, max(0.0, tau - NUDGE_S), tau + NUDGE_S])
+        alphas, betas = np.repeat(ln_a[None], 5, 0), np.repeat(beta[None], 5, 0)
+        alphas[1] += NUDGE
+        betas[4] += NUDGE
+        return self.residuals(three, alphas, betas, [0, 0, 1, 2, 0])
+
+    def scale(self, residuals: Floats) -> float:
+        """Return s from the median of residuals (K, N), shrunk towards 1 while they are few."""
+        found = np.abs(residuals)[self.intervals.usable]
         if not found.size:
             return 1.0
         median = float(np.median(found)) / 0.6745
@@ -212,16 +229,13 @@ class _Turns:
         return float(grid[best]), ln_a[best], beta[best]
 
     def improve(
-        self, tau: float, ln_a: Floats, beta: Floats, scale: float
+        self, tau: float, ln_a: Floats, beta: Floats, scale: float, near: Floats
     ) -> tuple[float, Floats, Floats, Floats]:
-        """Do a Gauss-Newton step; return tau, ln a, beta and the deviations of all (1 + 2 N,)."""
+        """Do a Gauss-Newton step, by the residuals near the point; return tau, ln a, beta and the
+        deviations of all (1 + 2 N,)."""
         prior, count = self.prior, len(self.prior.a)
         low, high = max(0.0, tau - NUDGE_S), tau + NUDGE_S
-        four = np.array([tau, tau, low, high, tau])
-        alphas, betas = np.repeat(ln_a[None], 5, 0), np.repeat(beta[None], 5, 0)
-        alphas[1] += NUDGE
-        betas[4] += NUDGE
-        base, by_a, less, more, by_beta = self.residuals(four, alphas, betas) / scale
+        base, by_a, less, more, by_beta = near / scale
         by_tau, by_a, by_beta = (
             (less - more) / (high - low),
             (base - by_a) / NUDGE,

@@ -43,7 +43,7 @@ class Knowledge:
         self.period = round(period_s * SECOND)
         self.estimate: Estimate | None = None if prior is None else prior.estimate()
         self._prior = prior
-        self._step = MOTIONS.load(problem.motion).step
+        self._turn = MOTIONS.load(problem.motion).headings
         self._arrivals = Arrivals(self.predictor) if losses else None
         self._evidence: Evidence | None = None
         if prior is not None:
@@ -66,7 +66,7 @@ class Knowledge:
         if self._evidence and self._evidence.seen(observation):
             assert self._prior is not None and estimate is not None
             intervals, directions = self._evidence.intervals(), self._evidence.directions()
-            estimate = fit(intervals, directions, self._prior, estimate, self._step)
+            estimate = fit(intervals, directions, self._prior, estimate, self._turn)
             self.estimate = estimate
             self.problem = replace(self.problem, a=estimate.a, speed=estimate.speed)
             assert estimate.dead_time is not None

@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tetractl.control.delay import Predictor, advance
+from tetractl.control.delay import Predictor, turned
 from tetractl.control.identify import HEADING_STD, HEADING_WALK
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Observation, wrap
@@ -25,6 +25,8 @@ LOST = 0.05  # probability that a command gets lost, before anything is seen
 FRAMES = 12  # looked back over at most
 HYPOTHESES = ((True, True), (True, False), (False, True), (False, False))
 """Whether the last command but one arrived, and the last."""
+ARRIVED = np.array(HYPOTHESES)
+DOUBT = np.array([-sum(np.log(1 - LOST if yes else LOST) for yes in one) for one in HYPOTHESES])
 
 
 class Arrivals:
@@ -54,19 +56,17 @@ class Arrivals:
         if first is None:
             return
         frames = frames[first:]
-        doubt = np.empty((len(HYPOTHESES), len(problem.a)))
-        for h, arrived in enumerate(HYPOTHESES):
-            for one, yes in zip(acting, arrived, strict=True):
-                one.arrived = np.full(len(problem.a), yes)
-            doubt[h] = -sum(np.log(1 - LOST if yes else LOST) for yes in arrived)
-            for last, new in pairwise(frames):
-                held = predictor.held(last.sampled_ns, new.sampled_ns)
-                predicted = advance(problem, last.poses, held, bias).heading
-                t = (new.sampled_ns - last.sampled_ns) / SECOND
-                sigma2 = 2 * HEADING_STD**2 + HEADING_WALK**2 * t
-                missed = wrap(new.poses.heading - predicted)
-                doubt[h] += np.where(last.valid & new.valid, missed**2 / (2 * sigma2), 0.0)
+        doubt = np.repeat(DOUBT[:, None], len(problem.a), axis=1)  # (H, N)
+        for one, arrived in zip(acting, ARRIVED.T, strict=True):
+            one.arrived = arrived[:, None]  # by hypothesis, for the predictions below
+        for last, new in pairwise(frames):
+            held = predictor.held(last.sampled_ns, new.sampled_ns)
+            predicted = turned(problem, last.poses.heading, held, bias)
+            t = (new.sampled_ns - last.sampled_ns) / SECOND
+            sigma2 = 2 * HEADING_STD**2 + HEADING_WALK**2 * t
+            missed = wrap(new.poses.heading - predicted)
+            doubt += np.where(last.valid & new.valid, missed**2 / (2 * sigma2), 0.0)
         best = np.argmin(doubt, axis=0)
-        believed = np.array(HYPOTHESES)[best]  # (N, 2)
+        believed = ARRIVED[best]  # (N, 2)
         for one, arrived in zip(acting, believed.T, strict=True):
             one.arrived = arrived

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,12 @@ from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.experiment.yaml.upgrade import upgrade
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class LoadedSpec:
-    """A valid spec: the experiment with `--set` applied, and the text as it was written."""
+    """A valid spec: the experiment with `--set` applied, and the text as it was written.
+
+    `resolved`, its YAML with every field, and `hash` are computed once, for all trials.
+    """
 
     experiment: Experiment
     text: str
@@ -36,6 +40,16 @@ class LoadedSpec:
     path: Path | None = None
     attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
     notices: tuple[str, ...] = ()  # lines for people on names that have changed
+
+    @cached_property
+    def resolved(self) -> str:
+        """The experiment as `resolved_yaml`."""
+        return resolved_yaml(self.experiment)
+
+    @cached_property
+    def hash(self) -> str:
+        """The experiment's `spec_hash`."""
+        return spec_hash(self.experiment)
 
 
 def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
@@ -78,8 +92,8 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
         setup=experiment.setup,
         spec_text=spec.text,
         spec_name=spec.name,
-        resolved=resolved_yaml(experiment),
-        spec_hash=spec_hash(experiment),
+        resolved=spec.resolved,
+        spec_hash=spec.hash,
         seed=experiment.trials.seed,
         trial=trial,
         plant=plant,

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -12,7 +13,7 @@ from tetractl.model.shapes.circle import PackedCircles
 from tetractl.model.shapes.rectangle import PackedRectangles, Rectangle
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Obstacles:
     """A union of shapes; their edges belong to it. Lengths in the spec's unit."""
 
@@ -52,8 +53,12 @@ class Obstacles:
         """Return the shapes as the kernels take them: one `PackedShapes` a kind.
 
         Rectangles and circles are always among them, if need be none, so that one compiled kernel
-        serves most experiments.
+        serves most experiments. Every call returns the same arrays, which are not to be written to.
         """
+        return self._packed
+
+    @cached_property
+    def _packed(self) -> tuple[Any, ...]:
         rows: dict[type[Any], list[tuple[float, ...]]] = {PackedRectangles: [], PackedCircles: []}
         for shape in self.shapes:
             rows.setdefault(shape.packed, []).append(shape.row())

@@ -4,12 +4,22 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Sample
 from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import Disturbance
+
+Integers = NDArray[np.int64]
+
+
+def due_ns(first: int, rate_hz: float, until: int) -> Integers:
+    """Return the times [ns] of the samples number `first`, `first` + 1, ... up to `until` [ns]."""
+    after = int(until * rate_hz / SECOND) + 2
+    times = np.rint(np.arange(first, max(first, after)) * SECOND / rate_hz).astype(np.int64)
+    return times[times <= until]
 
 
 class MeasurementNoise(Model):
@@ -52,14 +62,9 @@ class SimCamera:
         """When the next frame under way reaches the host [ns], None where none is under way."""
         return self._under_way[0].observation.received_ns if self._under_way else None
 
-    def due(self, until: int) -> list[int]:
+    def due(self, until: int) -> Integers:
         """Return the times up to `until` at which frames have to be exposed, oldest first [ns]."""
-        found = []
-        number = self._exposed
-        while (time := round(number * SECOND / self._rate_hz)) <= until:
-            found.append(time)
-            number += 1
-        return found
+        return due_ns(self._exposed, self._rate_hz, until)
 
     def expose(self, when: int, truth: Poses) -> None:
         """Expose the next frame at `when` [ns] with the robots at their true poses."""

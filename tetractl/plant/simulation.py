@@ -25,7 +25,7 @@ from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.direct import DirectDrive
-from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
+from tetractl.plant.sim_camera import MeasurementNoise, SimCamera, due_ns
 from tetractl.plant.wheel_host import WheelDriveSection
 from tetractl.plant.wheels import WheelDrive
 
@@ -356,12 +356,14 @@ class SimPlant:
         Wheels, whose path is a sum, stop at the last sample before `end` unless something happens
         there: so it makes no difference how often they are looked at.
         """
-        frames, ticks = self._camera.due(end), []
-        while (due := round(self._ticks * SECOND / self.spec.truth_rate)) <= end:
-            ticks.append(due)
-            self._ticks += 1
+        nothing_due = min(self._camera.next_ns, self._next_tick_ns) > end
+        if end == self._time and nothing_due and not self._by_frame:  # a frame may move the robots
+            return
+        frames = self._camera.due(end)
+        ticks = due_ns(self._ticks, self.spec.truth_rate, end)
+        self._ticks += len(ticks)
         ends = [end] if event or isinstance(self._drive, DirectDrive) else []
-        times = np.array(sorted({*frames, *ticks, *ends}), dtype=np.int64)
+        times = np.unique(np.concatenate([frames, ticks, np.array(ends, dtype=np.int64)]))
         if not len(times):
             return
         is_tick = np.zeros(len(times))
@@ -371,9 +373,13 @@ class SimPlant:
         self._path.append((x, y))
         if len(self._path) > UNJUDGED:
             self._judge()
-        for due in frames:
-            i = np.searchsorted(times, due)
+        for due, i in zip(frames.tolist(), np.searchsorted(times, frames).tolist(), strict=True):
             self._camera.expose(due, Poses(x[i], y[i], heading[i]))
+
+    @property
+    def _next_tick_ns(self) -> int:
+        """When the next true sample is taken [ns]."""
+        return round(self._ticks * SECOND / self.spec.truth_rate)
 
     def _judge(self) -> None:
         """Judge the true path since the last call."""

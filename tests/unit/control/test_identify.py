@@ -10,7 +10,7 @@ from tetractl.control.identify import FACTOR_MAX, Directions, Intervals, Prior, 
 from tetractl.control.knowledge import Knowledge
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.experiment.load import load_spec
-from tetractl.model.motion.exact import step
+from tetractl.model.motion.exact import step, turn
 from tetractl.plant.simulation import SimPlant
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
@@ -83,7 +83,7 @@ def test_the_heading_bias_of_each_robot_is_found():
     intervals, directions = record(A, 0.07, bias, 60, 4)
     guess = PRIOR.estimate()
     for _ in range(4):
-        guess = fit(intervals, directions, PRIOR, guess, step)
+        guess = fit(intervals, directions, PRIOR, guess, turn)
     assert guess.heading_bias == pytest.approx(bias, abs=0.002)
     assert guess.dead_time == pytest.approx(0.07, abs=0.001)
 
@@ -95,7 +95,7 @@ def test_the_deviations_are_of_the_size_of_the_errors():
         intervals, directions = record(A, 0.1, 0.0, 60, seed, noise)
         guess = PRIOR.estimate()
         for _ in range(4):
-            guess = fit(intervals, directions, PRIOR, guess, step)
+            guess = fit(intervals, directions, PRIOR, guess, turn)
         assert guess.dead_time is not None and guess.dead_time_std is not None
         late = (guess.dead_time - 0.1) / guess.dead_time_std
         scores.append([late, *((guess.a - A) / guess.a_std)])
@@ -107,14 +107,14 @@ def test_a_stays_within_a_factor_of_the_prior_however_long_it_is_fitted():
     intervals, directions = record(20 * A, 0.0, 0.0, 40, 5)
     guess = PRIOR.estimate()
     for _ in range(60):
-        guess = fit(intervals, directions, PRIOR, guess, step)
+        guess = fit(intervals, directions, PRIOR, guess, turn)
     assert (guess.a <= FACTOR_MAX * A * (1 + 1e-9)).all()
 
 
 def test_no_interval_is_no_news():
     nothing = Intervals(np.zeros(0), np.zeros(0), *np.zeros((3, 0, 3)), np.zeros((0, 3), np.bool_))
     guess = PRIOR.estimate()
-    assert fit(nothing, Directions(np.zeros(1), np.zeros(1)), PRIOR, guess, step) is guess
+    assert fit(nothing, Directions(np.zeros(1), np.zeros(1)), PRIOR, guess, turn) is guess
 
 
 def test_a_wrong_dead_time_believed_to_be_sure_is_looked_for_again():
@@ -123,5 +123,5 @@ def test_a_wrong_dead_time_believed_to_be_sure_is_looked_for_again():
     for count, found in ((64, 0.07), (65, 0.27)):
         intervals, directions = record(A, 0.07, 0.0, count + 2, 4)
         assert len(intervals.since) == count
-        fitted = fit(intervals, directions, PRIOR, wrong, step)
+        fitted = fit(intervals, directions, PRIOR, wrong, turn)
         assert fitted.dead_time == pytest.approx(found, abs=0.05)

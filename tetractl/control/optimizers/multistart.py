@@ -9,6 +9,7 @@ each round scatters many smooth sequences, evaluates them in one vectorised roll
 only the most promising.
 """
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -128,7 +129,8 @@ class _PolishedProgress(Progress):
 
         super().__init__(length, limits)
         self.section, self.kernel = section, polish
-        self.many = compiled_costs(problem, section.particles)
+        self.problem = problem
+        self.many: Callable[[Floats], Floats] | None = None  # few warm starts need it
         self.one = compiled_costs(problem, 1)
         self.work = lay_out_polish(problem, length)
         self.slack = SLACK * float(problem.speed.max()) * problem.period
@@ -141,6 +143,8 @@ class _PolishedProgress(Progress):
 
     def select(self, starts: Floats) -> list[Floats]:
         """Evaluate a round, (length, particles), and return its best sequences, best first."""
+        if self.many is None:
+            self.many = compiled_costs(self.problem, self.section.particles)
         found = self.many(starts)
         self.add(starts, found)
         order = np.argsort(found, kind="stable")[: self.section.polished]

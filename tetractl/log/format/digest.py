@@ -51,7 +51,7 @@ class ContentDigest:
         return self._hash.hexdigest()
 
     def _add(self, *fields: bytes) -> None:
-        self._hash.update(b"%d;" % len(fields))
+        parts = [b"%d;" % len(fields)]
         for field in fields:
-            self._hash.update(b"%d:" % len(field))
-            self._hash.update(field)
+            parts += [b"%d:" % len(field), field]
+        self._hash.update(b"".join(parts))

@@ -10,21 +10,28 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.base import Derivatives, Held, Motion, Time, XYHeading
+from tetractl.model.motion.base import Derivatives, Held, Motion, Strides, Time, XYHeading
 from tetractl.model.motion.polynomials import sincos, wrap
+
+
+def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
+    """Advance the headings alone; see `step`."""
+    return heading + 2 * (0.5 * t * a * np.sin(u - heading))
+
+
+def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
+    """Return x and y of the chord, and w."""
+    half = 0.5 * t * a * np.sin(u - heading)
+    chord = t * v * np.sinc(half / np.pi)
+    return (chord * np.cos(heading + half),), (chord * np.sin(heading + half),), 2 * half
 
 
 def step(
     x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
 ) -> XYHeading:
     """Advance along the arc that the wheel speeds of (24)-(25) drive."""
-    half = 0.5 * t * a * np.sin(u - heading)
-    chord = t * v * np.sinc(half / np.pi)
-    return (
-        x + chord * np.cos(heading + half),
-        y + chord * np.sin(heading + half),
-        heading + 2 * half,
-    )
+    (east,), (north,), turned = strides(heading, u, a, v, t)
+    return x + east, y + north, heading + turned
 
 
 def hold(
@@ -81,4 +88,4 @@ def lanes(a: Floats, longest: float) -> type[ArcLanes]:
     return ArcLanes
 
 
-ARC = Motion("arc", step, hold, lanes)
+ARC = Motion("arc", step, hold, lanes, turn, strides)

@@ -8,13 +8,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
+import numpy as np
+
 from tetractl.core.poses import Floats
 
 Time = float | Floats
 XYHeading = tuple[Floats, Floats, Floats]
+Strides = tuple[tuple[Floats, ...], tuple[Floats, ...], Floats]
+"""What a step adds to x, in that order, as many terms for y [length unit], and to the heading."""
 Derivatives = tuple[float, float, float, float, float, float, float, float]
 """dx, dy, dheading of one step; d(dx)/dheading, d(dy)/dheading, d(dx)/du, d(dy)/du, and
 d(heading')/dheading = 1 - d(heading')/du."""
+
+_NOWHERE = np.zeros(())
 
 
 @dataclass(slots=True)
@@ -39,6 +45,22 @@ class StepFunction(Protocol):
         self, x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
     ) -> XYHeading:
         """Return x, y and heading after the step."""
+        ...
+
+
+class TurnFunction(Protocol):
+    """Headings [rad] after a time t [s] under a held direction, as those of a `StepFunction`."""
+
+    def __call__(self, heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
+        """Return the headings after the step."""
+        ...
+
+
+class StridesFunction(Protocol):
+    """How far a `StepFunction` moves and turns, wherever it starts."""
+
+    def __call__(self, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
+        """Return the step without its start."""
         ...
 
 
@@ -102,9 +124,19 @@ class Motion:
 
     `lanes(a, longest)` returns the class of constants for robots that turn at a (N,) [rad/s] in
     steps of at most `longest` [s]: a motion may have a faster one for robots that turn slowly.
+    `turn` returns the headings of `step`, and `strides` what it adds to the start, both bit for
+    bit; a motion without them is slower to identify and to predict.
     """
 
     name: str
     step: StepFunction
     hold: Hold
     lanes: Callable[[Floats, float], type[Lanes]]
+    turn: TurnFunction | None = None
+    strides: StridesFunction | None = None
+
+    def headings(self, heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
+        """Return the headings [rad] after a time t [s], those of `step`."""
+        if self.turn is not None:
+            return self.turn(heading, u, a, t)
+        return self.step(_NOWHERE, _NOWHERE, heading, u, a, _NOWHERE, t)[2]

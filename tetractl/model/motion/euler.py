@@ -9,8 +9,18 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.base import Derivatives, Held, Motion, Time, XYHeading
+from tetractl.model.motion.base import Derivatives, Held, Motion, Strides, Time, XYHeading
 from tetractl.model.motion.polynomials import sincos, sincos_quarter, wrap
+
+
+def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
+    """Advance the headings alone, (6)."""
+    return heading + t * a * np.sin(u - heading)
+
+
+def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
+    """Return what (4), (5) and (6) add."""
+    return (t * v * np.cos(heading),), (t * v * np.sin(heading),), t * a * np.sin(u - heading)
 
 
 def step(
@@ -20,7 +30,7 @@ def step(
     return (
         x + t * v * np.cos(heading),  # (4)
         y + t * v * np.sin(heading),  # (5)
-        heading + t * a * np.sin(u - heading),  # (6)
+        turn(heading, u, a, t),  # (6)
     )
 
 
@@ -94,4 +104,4 @@ def lanes(a: Floats, longest: float) -> type[EulerLanes] | type[EulerSmallTurnLa
     return EulerSmallTurnLanes if float(a.max()) * longest <= math.pi / 2 else EulerLanes
 
 
-EULER = Motion("euler", step, hold, lanes)
+EULER = Motion("euler", step, hold, lanes, turn, strides)

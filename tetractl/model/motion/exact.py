@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.base import Derivatives, Held, Motion, Time, XYHeading
+from tetractl.model.motion.base import Derivatives, Held, Motion, Strides, Time, XYHeading
 from tetractl.model.motion.polynomials import (
     ARCTAN_MAX,
     arctan,
@@ -32,6 +32,28 @@ def rates(heading: Floats, u: Floats, a: Floats, v: Floats) -> XYHeading:
     )
 
 
+def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
+    """Advance the headings alone; see `step`."""
+    half = (u - heading) / 2
+    c, s = np.cos(half), np.sin(half)
+    return heading + 2 * np.arctan2(-np.expm1(-a * t) * s * c, c * c + s * s * np.exp(-a * t))
+
+
+def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
+    """Return x of the ways along u and to the right of it, their y, and phi - phi'."""
+    half = (u - heading) / 2
+    c, s = np.cos(half), np.sin(half)
+    decay = np.exp(-a * t)
+    turned = 2 * np.arctan2(-np.expm1(-a * t) * s * c, c * c + s * s * decay)  # phi - phi'
+    fall = s * s * np.expm1(-2 * a * t)  # h - 1; ln h by log1p near h = 1, by log near h = 0
+    log_h = np.where(
+        fall > -0.5, np.log1p(np.maximum(fall, -0.5)), np.log(c * c + (s * decay) ** 2)
+    )
+    along, right = v * (t + log_h / a), v * turned / a
+    cos_u, sin_u = np.cos(u), np.sin(u)
+    return (along * cos_u, right * sin_u), (along * sin_u, -right * cos_u), turned
+
+
 def step(
     x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
 ) -> XYHeading:
@@ -39,17 +61,8 @@ def step(
 
     Half angles keep phi near pi exact, where 1 + cos(phi) would cancel.
     """
-    half = (u - heading) / 2
-    c, s = np.cos(half), np.sin(half)
-    decay = np.exp(-a * t)
-    turn = 2 * np.arctan2(-np.expm1(-a * t) * s * c, c * c + s * s * decay)  # phi - phi'
-    fall = s * s * np.expm1(-2 * a * t)  # h - 1; ln h by log1p near h = 1, by log near h = 0
-    log_h = np.where(
-        fall > -0.5, np.log1p(np.maximum(fall, -0.5)), np.log(c * c + (s * decay) ** 2)
-    )
-    along, right = v * (t + log_h / a), v * turn / a
-    cos_u, sin_u = np.cos(u), np.sin(u)
-    return x + along * cos_u + right * sin_u, y + along * sin_u - right * cos_u, heading + turn
+    (along_x, right_x), (along_y, right_y), turned = strides(heading, u, a, v, t)
+    return x + along_x + right_x, y + along_y + right_y, heading + turned
 
 
 def hold(
@@ -120,4 +133,4 @@ def lanes(a: Floats, longest: float) -> type[ExactLanes]:
     return ExactLanes
 
 
-EXACT = Motion("exact", step, hold, lanes)
+EXACT = Motion("exact", step, hold, lanes, turn, strides)

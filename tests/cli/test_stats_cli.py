@@ -158,7 +158,7 @@ def test_two_batches_are_compared(work):
 
 def test_two_experiments_in_one_batch_are_refused(work):
     write(work / "exact", 2, first=20, controller={"motion": "exact"})
-    done = stats("ten", "exact", cwd=work)
+    done = stats("ten/*.mcap", "exact/*.mcap", cwd=work)
     assert (done.returncode, done.stdout) == (2, "")
     assert "not the same experiment: controller.motion: euler != exact" in done.stderr
     assert "--against" in done.stderr
@@ -166,10 +166,33 @@ def test_two_experiments_in_one_batch_are_refused(work):
 
 def test_a_batch_given_twice_is_refused(work):
     shutil.copytree(work / "ten", work / "copy")
-    done = stats("ten", "copy", cwd=work)
+    done = stats("ten/*.mcap", "copy", cwd=work)
     assert done.returncode == 2
     assert "ten/trial-000.mcap and copy/trial-000.mcap are the same trial" in done.stderr
     assert stats("ten", "ten/*.mcap", cwd=work).returncode == 0
+
+
+def test_several_folders_are_arms_compared_two_by_two(work):
+    write(work / "exact", 12, controller={"motion": "exact"})
+    write(work / "still", 9, plant={"type": "sim"})
+    done = stats("ten", "exact", "still", "--plot", "ecdf.svg", cwd=work)
+    assert (done.returncode, done.stderr) == (0, "wrote ecdf.svg\n")
+    assert "Final total errors of 3 arms" in done.stdout
+    assert "10 pairs detect 1.00 sd at 80 %" in done.stdout
+    assert "ten, still" in done.stdout.partition("Not compared")[2]
+    assert (work / "ecdf.svg").stat().st_size > 1000
+    found = json.loads(stats("ten", "exact", "still", "--json", cwd=work).stdout)
+    assert [arm["name"] for arm in found["arms"]] == ["ten", "exact", "still"]
+    assert [arm["n_counted"] for arm in found["arms"]] == [10, 12, 9]
+    first, second, third = found["comparisons"]
+    assert (first["one"], first["other"], first["pairs"]) == ("ten", "exact", 10)
+    assert (first["difference"], first["verdict"]) == (0.0, None)
+    assert not second["comparable"] and not third["comparable"]
+    assert "test_p" not in second
+    rows = list(csv.DictReader(io.StringIO(stats("ten", "exact", "--format=csv", cwd=work).stdout)))
+    assert (rows[0]["one_n"], rows[0]["other_mean_mm"]) == ("10", "355.0")
+    for form, part in (("markdown", "| ten - exact | 10 pairs |"), ("latex", "ten - exact & 10")):
+        assert part in stats("ten", "exact", "--format", form, cwd=work).stdout
 
 
 @pytest.mark.parametrize(

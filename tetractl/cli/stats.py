@@ -12,6 +12,7 @@ from tetractl.core.errors import Exit
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from tetractl.stats.arms import Arms
     from tetractl.stats.comparison import Comparison
     from tetractl.stats.summary import Summary
 
@@ -20,7 +21,11 @@ Format = Literal["table", "json", "csv", "markdown", "latex"]
 
 def stats(
     paths: Annotated[
-        list[str], typer.Argument(metavar="PATH", help="Logs, folders or globs: one batch.")
+        list[str],
+        typer.Argument(
+            metavar="PATH",
+            help="Logs, folders or globs: one batch. Several folders are several batches.",
+        ),
     ],
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = "table",
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
@@ -38,22 +43,36 @@ def stats(
 ) -> int:
     """Print statistics of a batch: errors with intervals, the published result beside them.
 
+    Of several folders every two are compared, by their names: paired where the worlds match, with
+    tests corrected for their number.
+
     Trials that were aborted or interrupted are listed and counted, but stay out of the means; so
     are attempts that --resume set aside.
     Exits with 1 where a log is damaged.
 
     Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
+
+    Example: tetractl stats logs/exact logs/arc logs/euler --plot ecdf.pdf
     """
-    from tetractl.stats.comparison import compare
 
     if plot:
         from tetractl.view.style import file_format
 
         file_format(plot)  # before the logs are read
+    form = "json" if as_json else form
+    if not against and len(paths) > 1 and all(Path(path).is_dir() for path in paths):
+        return _several(paths, form, plot)
+    return _one(paths, against, form, plot)
+
+
+def _one(paths: list[str], against: list[str] | None, form: Format, plot: Path | None) -> int:
+    """Print one batch, and how it compares with another."""
+    from tetractl.stats.comparison import compare
+
     ours = _summary(paths)
     theirs = _summary(against) if against else None
     comparison = compare(ours, theirs) if theirs else None
-    _show("json" if as_json else form, ours, comparison)
+    _show(form, ours, comparison)
     if plot:
         from tetractl.view.figures.batch import batch_figure
         from tetractl.view.style import save
@@ -62,6 +81,26 @@ def stats(
         print(f"wrote {plot}", file=sys.stderr)
     whole = all(batch.whole for batch in (ours, theirs) if batch)
     return Exit.DONE if whole else Exit.FAILED
+
+
+def _several(folders: list[str], form: Format, plot: Path | None) -> int:
+    """Print how the batches in several folders compare, each called by its folder."""
+    from tetractl.stats.arms import Arm, compare_arms
+
+    names = [Path(folder).resolve().name for folder in folders]
+    if len(set(names)) < len(names):
+        names = folders
+    found = compare_arms(
+        [Arm(name, _summary([folder])) for name, folder in zip(names, folders, strict=True)]
+    )
+    _show_arms(form, found)
+    if plot:
+        from tetractl.view.figures.ecdf import arms_figure
+        from tetractl.view.style import save
+
+        save(arms_figure(found), plot)
+        print(f"wrote {plot}", file=sys.stderr)
+    return Exit.DONE if all(arm.summary.whole for arm in found.arms) else Exit.FAILED
 
 
 def _summary(paths: list[str]) -> "Summary":
@@ -113,3 +152,24 @@ def _show(form: Format, summary: "Summary", comparison: "Comparison | None") -> 
             print(table.as_markdown(summary, comparison))
         case "latex":
             print(latex.as_latex(summary, comparison))
+
+
+def _show_arms(form: Format, arms: "Arms") -> None:
+    import json
+
+    from rich.console import Console
+
+    from tetractl.stats import arms_export, latex, table
+    from tetractl.stats.arms_rows import arms_grids
+
+    match form:
+        case "table":
+            table.print_grids(arms_grids(arms), Console())
+        case "json":
+            print(json.dumps(arms_export.arms_json(arms), indent=2, allow_nan=False))
+        case "csv":
+            print(arms_export.arms_csv(arms), end="")
+        case "markdown":
+            print(table.grids_markdown(arms_grids(arms)))
+        case "latex":
+            print(latex.grids_latex(arms_grids(arms)))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.stats.difference import (
     Effect,
@@ -67,7 +68,7 @@ def compare(ours: Summary, theirs: Summary) -> Comparison:
     intervals = (difference.ci95, both)
     if paired.n >= ENOUGH and paired.difference and paired.difference.ci95.known:
         intervals = (paired.difference.ci95,)
-    verdict, reason = _verdict(min(a.n, b.n), *intervals)
+    verdict, reason = verdict_of(min(a.n, b.n), *intervals)
     return Comparison(
         ours,
         theirs,
@@ -82,25 +83,33 @@ def compare(ours: Summary, theirs: Summary) -> Comparison:
 
 
 def _paired(ours: Summary, theirs: Summary) -> Paired:
-    """Return the comparison of trials of the same seed and number, where their worlds match.
+    """Return the comparison of trials in the same world."""
+    differences, reason = paired_differences(ours, theirs)
+    if reason:
+        return Paired(0, None, reason)
+    return Paired(len(differences), paired_t(differences))
 
-    The world of a trial is all of the spec but the controller; from it and the seed a simulation
-    draws its disturbances.
+
+def paired_differences(ours: Summary, theirs: Summary) -> tuple[Floats, str]:
+    """Return ours minus theirs of trials of the same seed and number, where their worlds match.
+
+    Where there are no pairs the text says why; it is "" where there are. The world of a trial is
+    all of the spec but the controller; from it and the seed a simulation draws its disturbances.
     """
     if not (ours.origin.simulated and theirs.origin.simulated):
-        return Paired(0, None, "no two trials in a lab are alike")
+        return np.zeros(0), "no two trials in a lab are alike"
     one, two = (
         batch.experiment.model_dump(mode="json", exclude=_NOT_THE_WORLD) for batch in (ours, theirs)
     )
     if one != two:
-        return Paired(0, None, "the batches differ in more than the controller")
+        return np.zeros(0), "the batches differ in more than the controller"
     others = _by_world(theirs.trials)
     pairs = [
         error - others[world] for world, error in _by_world(ours.trials).items() if world in others
     ]
     if not pairs:
-        return Paired(0, None, "the batches have no seed and trial in common")
-    return Paired(len(pairs), paired_t(np.array(pairs)))
+        return np.zeros(0), "the batches have no seed and trial in common"
+    return np.array(pairs), ""
 
 
 def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
@@ -110,7 +119,9 @@ def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
     }
 
 
-def _verdict(n: int, *intervals: Interval) -> tuple[str | None, str | None]:
+def verdict_of(n: int, *intervals: Interval) -> tuple[str | None, str | None]:
+    """Return "lower", "higher" or "undecided" as all intervals of a difference say; None, with the
+    reason, where fewer than ENOUGH values on a side, or pairs, cannot tell."""
     if n < ENOUGH:
         return None, f"a verdict needs {ENOUGH} complete trials on each side"
     if not all(interval.known for interval in intervals):

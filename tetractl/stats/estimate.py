@@ -111,10 +111,9 @@ def describe_published(n: int, mean: float, std: float) -> Distribution:
     return Distribution(n, mean, std, _NAN, _NAN, _NAN, Interval(low, high, "log-t"))
 
 
-def t_quantile(degrees: float) -> float:
-    """Return the bound below which |t| lies with the confidence of the intervals, t being
-    Student's."""
-    return float(special.stdtrit(degrees, (1 + CONFIDENCE) / 2))
+def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
+    """Return the bound below which |t| lies with a confidence, t being Student's."""
+    return float(special.stdtrit(degrees, (1 + confidence) / 2))
 
 
 def _mean_interval(values: Floats, mean: float, std: float) -> Interval:

@@ -58,7 +58,8 @@ def as_json(summary: Summary, comparison: Comparison | None = None) -> dict[str,
     return found
 
 
-def _difference(difference: MeanDifference) -> dict[str, Any]:
+def as_difference(difference: MeanDifference) -> dict[str, Any]:
+    """Return the items of JSON that describe a difference of means."""
     return {
         "difference": finite(difference.value),
         **difference.ci95.as_dict(),
@@ -77,7 +78,7 @@ def _reference(summary: Summary) -> dict[str, Any] | None:
         "mean": reference.mean,
         "std": reference.std,
         "comparable": published.comparison is not None,
-        **_difference(published.comparison or _NOT_COMPARED),
+        **as_difference(published.comparison or _NOT_COMPARED),
     }
 
 
@@ -96,12 +97,12 @@ def _scaled(scaled: Scaled) -> dict[str, Any]:
 def _comparison(comparison: Comparison) -> dict[str, Any]:
     return {
         "n": [comparison.ours.counted, comparison.theirs.counted],
-        **_difference(comparison.welch),
+        **as_difference(comparison.welch),
         "both": comparison.both.as_dict(),
         "paired": {
             "n": comparison.paired.n,
             "reason": comparison.paired.reason or None,
-            **_difference(comparison.paired.difference or _NOT_COMPARED),
+            **as_difference(comparison.paired.difference or _NOT_COMPARED),
         },
         "cliffs_delta": {
             "value": finite(comparison.effect.value),

@@ -1,6 +1,7 @@
 """Statistics as LaTeX tables that fit the width of the text they are pasted into."""
 
 import re
+from collections.abc import Sequence
 
 from tetractl.core.text import printable
 from tetractl.stats.comparison import Comparison
@@ -24,13 +25,18 @@ _MINUS = re.compile(r"(?<![\w.])-(?=\d)")
 
 
 def as_latex(summary: Summary, comparison: Comparison | None = None) -> str:
+    """Return a summary as `grids_latex` does."""
+    return grids_latex(grids(summary, comparison))
+
+
+def grids_latex(tables: Sequence[Grid]) -> str:
     r"""Return `tabular` and `tabularx` environments ready to paste.
 
     The document needs the packages booktabs, graphicx and tabularx. Numbers are made smaller where
     they are wider than the text, words broken. The first table's last line says what was steered.
     """
     parts = [r"% needs \usepackage{booktabs,graphicx,tabularx}"]
-    for grid in grids(summary, comparison):
+    for grid in tables:
         parts += [f"% {printable(grid.title)}", *(_words(grid) if grid.words else _numbers(grid))]
         parts.append("")
     return "\n".join(parts)

@@ -42,7 +42,7 @@ def grids(summary: Summary, comparison: Comparison | None = None) -> list[Grid]:
 
 
 def _errors(summary: Summary, comparison: Comparison | None) -> Grid:
-    show = lengths(summary.total.mean, _finest(summary.experiment))
+    show = lengths(summary.total.mean, finest(summary.experiment))
     rows = [_row("total", summary.total, show)]
     if comparison:
         rows.append(_row("against", comparison.theirs.total, show))
@@ -109,7 +109,7 @@ def _statistics(summary: Summary) -> Grid:
 def _comparison(comparison: Comparison) -> Grid:
     unit = comparison.ours.unit
     found = comparison.welch
-    show = lengths(found.value, _finest(comparison.ours.experiment))
+    show = lengths(found.value, finest(comparison.ours.experiment))
     verdict = comparison.verdict or f"none: {comparison.reason}"
     rows = [
         ("steered in ours", str(comparison.ours.origin)),
@@ -140,7 +140,7 @@ def _paired(comparison: Comparison, show: Callable[[float], str]) -> list[tuple[
     ]
 
 
-def _finest(experiment: Experiment) -> int:
+def finest(experiment: Experiment) -> int:
     """Return the decimals of about a millionth of the arena, below which an error means nothing."""
     extent = max(experiment.arena.width, experiment.arena.height)
     return min(max(6 - math.floor(math.log10(extent)), 0), 9)

@@ -22,7 +22,7 @@ from tetractl.view.figures.kinds import FIGURES, draw
 from tetractl.view.figures.labels import apart
 from tetractl.view.figures.trajectory import trajectory_figure
 
-SEVERAL = ("trajectory", "errors", "scatter")  # kinds that show several trials
+SEVERAL = ("trajectory", "errors", "ecdf", "scatter")  # kinds that show several trials
 ALONE = tuple(kind for kind in FIGURES.names() if kind not in SEVERAL)
 SHOWS_ROBOTS = tuple(kind for kind in FIGURES.names() if kind != "swarm")
 
@@ -539,3 +539,18 @@ def test_every_dashed_line_is_in_a_legend(log, kind):
     keys = {line.get_linestyle() for legend in legends for line in legend.get_lines()}
     for line in dashed:
         assert line.get_linestyle() in keys, line
+
+
+def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
+    logs = [
+        replace(log, path=f"{folder}/trial-{i}.mcap", result=replace(log.result, total_error=error))
+        for folder, errors in (("exact", (10.0, 20.0, 40.0)), ("arc", (5.0, 80.0)))
+        for i, error in enumerate(errors)
+    ]
+    (axes,) = draw("ecdf", logs).axes
+    labels = [line.get_label() for line in axes.lines]
+    assert labels == ["exact, n = 3", "arc, n = 2"]
+    x, share = axes.lines[0].get_data()
+    assert x[1:4].tolist() == [10.0, 20.0, 40.0]
+    assert share.tolist() == pytest.approx([0, 1 / 3, 2 / 3, 1, 1])
+    assert len(axes.collections) == 2

@@ -1,0 +1,89 @@
+"""The total errors of batches as empirical distribution functions, each with its 95 % band.
+
+The band is Dvoretzky, Kiefer and Wolfowitz's with Massart's constant (Ann. Probab. 18, 1990): with
+sqrt(ln(2 / 0.05) / 2n) above and below it holds the whole true function, whatever that is.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from tetractl.core.colors import PALETTE
+from tetractl.core.errors import LogError, UsageError
+from tetractl.core.poses import Floats
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.stats.arms import Arms
+from tetractl.stats.estimate import CONFIDENCE
+from tetractl.view import style
+
+_BANDS = 4  # most batches whose bands can be told apart
+
+
+def band(n: int) -> float:
+    """Return half the height of the band of n values."""
+    return math.sqrt(math.log(2 / (1 - CONFIDENCE)) / (2 * n))
+
+
+def ecdf_figure(logs: Sequence[TrialLog]) -> Figure:
+    """Draw the final total errors of trials, one curve a folder; only complete trials count."""
+    units = {log.start.setup.unit for log in logs}
+    if len(units) > 1:
+        raise UsageError(f"errors in {' and '.join(sorted(units))} cannot share an axis")
+    batches: dict[str, list[float]] = {}
+    for log in logs:
+        folder = log.path.rpartition("/")[0]
+        if log.result is not None and log.result.outcome.complete:
+            batches.setdefault(folder, []).append(log.result.total_error)
+    names = [folder.rpartition("/")[2] or "trials" for folder in batches]
+    labels = names if len(set(names)) == len(names) else list(batches)
+    errors = [np.array(values) for values in batches.values()]
+    return _drawn(labels, errors, units.pop())
+
+
+def arms_figure(arms: Arms) -> Figure:
+    """Draw the errors of the counted trials of every arm; a headline says what was steered."""
+    figure = _drawn(
+        [arm.name for arm in arms.arms], [arm.summary.totals for arm in arms.arms], arms.unit
+    )
+    style.headline(figure, ", ".join(sorted({arm.summary.origin.value for arm in arms.arms})))
+    return figure
+
+
+def _drawn(labels: Sequence[str], errors: Sequence[Floats], unit: str) -> Figure:
+    every = zip(labels, errors, strict=True)
+    drawn = [(label, np.sort(values)) for label, values in every if len(values)]
+    if not drawn:
+        raise LogError("no complete trial to plot")
+    with style.styled():
+        figure = style.figure(style.PAGE_IN, 3.3)
+        axes = figure.subplots()
+        end = max(float(values[-1]) for _, values in drawn)
+        for i, (label, values) in enumerate(drawn):
+            color = PALETTE[i % len(PALETTE)]
+            _curve(axes, f"{label}, n = {len(values)}", values, color, end, len(drawn) <= _BANDS)
+        axes.set_xlim(0, 1.02 * end or 1.0)
+        axes.set_ylim(0, 1.02)
+        axes.set_xlabel(f"total error [{style.unit_of(unit)}]")
+        axes.set_ylabel("share of the trials")
+        handles, _ = axes.get_legend_handles_labels()
+        handles.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="95 % band of a whole curve"))
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
+
+
+def _curve(axes: Axes, label: str, values: Floats, color: str, end: float, shaded: bool) -> None:
+    """Draw one curve; its band is shaded, or only lined where there would be too many."""
+    x = np.concatenate([[0.0], values, [1.02 * end]])
+    share = np.concatenate([np.arange(len(values) + 1), [len(values)]]) / len(values)
+    half = band(len(values))
+    low, high = np.clip(share - half, 0, 1), np.clip(share + half, 0, 1)
+    if shaded:
+        axes.fill_between(x, low, high, step="post", color=color, alpha=0.15, lw=0)
+    else:
+        for edge in (low, high):
+            axes.step(x, edge, where="post", color=color, lw=0.4, ls=":")
+    axes.step(x, share, where="post", color=color, lw=1.3, label=label)

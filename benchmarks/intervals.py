@@ -4,8 +4,9 @@
     python benchmarks/intervals.py --sets 500
 
 Draws many sets of n errors from distributions whose mean is known, and prints as Markdown, in
-percent, how many intervals hold it: for one mean, beside Student's t and the BCa bootstrap; and for
-the difference of two means. The seed is fixed.
+percent, how many intervals hold it: for one mean, beside Student's t and the BCa bootstrap; for the
+difference of two means; and for what several arms are compared by, with the share of tests that
+find a difference where there is none. The seed is fixed.
 """
 
 import argparse
@@ -18,11 +19,15 @@ from scipy import stats
 
 from tetractl.core.poses import Floats
 from tetractl.stats.difference import from_both_intervals, paired_t, welch
+from tetractl.stats.effects import deviation_ratio, standardised
 from tetractl.stats.estimate import Interval, describe
+from tetractl.stats.ranks import rank_sum, signed_rank
+from tetractl.view.figures.ecdf import band
 
 SIZES = (5, 8, 20, 50)
 SPREAD = 0.35  # deviation of the normal errors around 1: none is negative in practice
 BCA_SETS, RESAMPLES = 500, 999
+ALARM = 0.05  # p below which a test finds a difference
 
 
 @dataclass(frozen=True)
@@ -32,13 +37,35 @@ class Errors:
     name: str
     draw: Callable[[np.random.Generator, tuple[int, ...]], Floats]
     mean: float
+    std: float
+    cdf: Callable[[Floats], Floats]
 
 
 ERRORS = (
-    Errors("normal, deviation 35 %", lambda rng, shape: np.abs(rng.normal(1, SPREAD, shape)), 1.0),
-    Errors("gamma, shape 2", lambda rng, shape: rng.gamma(2, 1, shape), 2.0),
-    Errors("lognormal, sigma 0.5", lambda rng, shape: rng.lognormal(0, 0.5, shape), np.exp(0.125)),
-    Errors("lognormal, sigma 1", lambda rng, shape: rng.lognormal(0, 1, shape), np.exp(0.5)),
+    Errors(
+        "normal, deviation 35 %",
+        lambda rng, shape: np.abs(rng.normal(1, SPREAD, shape)),
+        1.0,
+        SPREAD,
+        stats.norm(1, SPREAD).cdf,
+    ),
+    Errors(
+        "gamma, shape 2",
+        lambda rng, shape: rng.gamma(2, 1, shape),
+        2.0,
+        2**0.5,
+        stats.gamma(2).cdf,
+    ),
+    *(
+        Errors(
+            f"lognormal, sigma {sigma:g}",
+            lambda rng, shape, sigma=sigma: rng.lognormal(0, sigma, shape),
+            float(stats.lognorm(sigma).mean()),
+            float(stats.lognorm(sigma).std()),
+            stats.lognorm(sigma).cdf,
+        )
+        for sigma in (0.5, 1)
+    ),
 )
 
 
@@ -56,6 +83,12 @@ def main() -> None:
     for errors in ERRORS:
         for n in SIZES:
             print(f"| {errors.name} | {n} | {_two_means(errors, n, sets)} |", flush=True)
+    print("\n| errors | n | sd ratio | sd of pairs | whole curve |", end="")
+    print(" signed rank, none | rank sum, none | rank sum, equal means |")
+    print("|---|---|---|---|---|---|---|---|")
+    for errors in ERRORS:
+        for n in SIZES:
+            print(f"| {errors.name} | {n} | {_arms(errors, n, sets)} |", flush=True)
     print(f"\n{sets} sets for each figure, {min(sets, BCA_SETS)} for BCa.")
 
 
@@ -103,6 +136,39 @@ def _two_means(errors: Errors, n: int, sets: int) -> str:
     found = [paired_t(each).ci95 for each in differences]
     cells.append(_percent(_share(found, -3 * errors.mean)))
     return " | ".join(cells)
+
+
+def _arms(errors: Errors, n: int, sets: int) -> str:
+    """Return the cells of one row: coverage of what arms are compared by, and false alarms.
+
+    The intervals are of the ratio of two deviations, of the standardised mean of
+    pairs as in `_two_means`, and the band of a distribution function. The tests are of two batches
+    alike, in pairs and not, and of two with one mean, of which one varies four times as much.
+    """
+    rng = np.random.default_rng([n, 3])
+    ours, theirs, common = (errors.draw(rng, (sets, n)) for _ in range(3))
+    wide = 4 * (theirs - errors.mean) + errors.mean
+    pairs = (ours + common) / 2 - 4 * (theirs + common) / 2
+    true = -3 * errors.mean / (errors.std * 26**0.5 / 2)
+    covered = [
+        _share([deviation_ratio(*two).ci95 for two in zip(ours, theirs, strict=True)], 1.0),
+        _share([standardised(each).ci95 for each in pairs], true),
+        _band_holds(errors.cdf(np.sort(ours, axis=1))),
+    ]
+    alarms = [
+        np.mean([signed_rank(each) < ALARM for each in ours - theirs]),
+        np.mean([rank_sum(*two) < ALARM for two in zip(ours, theirs, strict=True)]),
+        np.mean([rank_sum(*two) < ALARM for two in zip(ours, wide, strict=True)]),
+    ]
+    return " | ".join(map(_percent, [*covered, *map(float, alarms)]))
+
+
+def _band_holds(shares: Floats) -> float:
+    """Return in how many sets the true function, at the sorted values (sets, n), is in the band."""
+    n = shares.shape[1]
+    steps = np.arange(1, n + 1) / n
+    off = np.maximum(np.abs(shares - steps), np.abs(shares - steps + 1 / n)).max(axis=1)
+    return float(np.mean(off <= band(n)))
 
 
 def _welch(one, other) -> Interval:

@@ -165,19 +165,17 @@ class _Turns:
         self.sigma = np.sqrt(2 * HEADING_STD**2 + HEADING_WALK**2 * t)[:, None]
         self.tau_max = prior.dead_time + 4 * prior.dead_time_std
 
-    def residuals(
-        self, tau: Floats, ln_a: Floats, beta: Floats, which: list[int] | None = None
-    ) -> Floats:
-        """Return r (T, K, N) for tau (T,), and ln a and beta (T, N), over the unscaled sigma.
+    def acting(self, tau: Floats) -> list[tuple[Floats, Floats]]:
+        """Return the `pieces` for tau (T,)."""
+        return pieces(self.intervals, self.directions, tau)
 
-        With `which` (T,), row i of the result is for `tau[which[i]]`.
-        """
+    def residuals(self, acting: list[tuple[Floats, Floats]], ln_a: Floats, beta: Floats) -> Floats:
+        """Return r (T, K, N) for what is `acting` by T dead times, and ln a and beta (T, N), over
+        the unscaled sigma."""
         headings = self.intervals.heading
         now = np.broadcast_to(headings, (len(ln_a), *headings.shape))
         a = (self.prior.a * np.exp(ln_a))[:, None, :]
-        for u, seconds in pieces(self.intervals, self.directions, tau):
-            if which is not None:
-                u, seconds = u[which], seconds[which]
+        for u, seconds in acting:
             towards = u[..., None] + beta[:, None, :]
             now = self.turn(now, towards, a, seconds[..., None])
         missed = wrap(self.intervals.turned - (now - headings))
@@ -189,7 +187,9 @@ class _Turns:
         alphas, betas = np.repeat(ln_a[None], 5, 0), np.repeat(beta[None], 5, 0)
         alphas[1] += NUDGE
         betas[4] += NUDGE
-        return self.residuals(three, alphas, betas, [0, 0, 1, 2, 0])
+        which = [0, 0, 1, 2, 0]
+        acting = [(u[which], seconds[which]) for u, seconds in self.acting(three)]
+        return self.residuals(acting, alphas, betas)
 
     def scale(self, residuals: Floats) -> float:
         """Return s from the median of residuals (K, N), shrunk towards 1 while they are few."""
@@ -206,10 +206,11 @@ class _Turns:
         low = max(0.0, prior.dead_time - 3 * prior.dead_time_std)
         grid = np.arange(low, prior.dead_time + 3 * prior.dead_time_std + 1e-9, GRID_STEP_S)
         grid = np.append(grid, tau)
+        acting = self.acting(grid)
         ln_a = np.zeros((len(grid), len(prior.a)))
         beta = np.zeros_like(ln_a)
         for _ in range(3):
-            r, by_a, by_beta = self._linearise(grid, ln_a, beta, scale)
+            r, by_a, by_beta = self._linearise(acting, ln_a, beta, scale)
             w = _weights(r)
             # a 2 x 2 system for each dead time and robot
             aa = (w * by_a * by_a).sum(1) + prior.a_std**-2
@@ -220,7 +221,7 @@ class _Turns:
             det = aa * bb - ab * ab
             ln_a = _bounded(ln_a + np.clip((bb * ga - ab * gb) / det, -0.3, 0.3))
             beta = beta + np.clip((aa * gb - ab * ga) / det, -0.3, 0.3)
-        r = self.residuals(grid, ln_a, beta) / scale
+        r = self.residuals(acting, ln_a, beta) / scale
         total = CAUCHY**2 / 2 * np.log1p((r / CAUCHY) ** 2).sum(axis=(1, 2))
         total += ((grid - prior.dead_time) / prior.dead_time_std) ** 2 / 2
         total += (ln_a**2).sum(1) / prior.a_std**2 / 2
@@ -266,12 +267,12 @@ class _Turns:
         return tau, ln_a, beta, np.sqrt(np.diag(inverse))
 
     def _linearise(
-        self, tau: Floats, ln_a: Floats, beta: Floats, scale: float
+        self, acting: list[tuple[Floats, Floats]], ln_a: Floats, beta: Floats, scale: float
     ) -> tuple[Floats, Floats, Floats]:
         """Return r over sigma, and minus its derivatives by ln a and by beta; (T, K, N) each."""
-        base = self.residuals(tau, ln_a, beta) / scale
-        by_a = (base - self.residuals(tau, ln_a + NUDGE, beta) / scale) / NUDGE
-        by_beta = (base - self.residuals(tau, ln_a, beta + NUDGE) / scale) / NUDGE
+        base = self.residuals(acting, ln_a, beta) / scale
+        by_a = (base - self.residuals(acting, ln_a + NUDGE, beta) / scale) / NUDGE
+        by_beta = (base - self.residuals(acting, ln_a, beta + NUDGE) / scale) / NUDGE
         return base, by_a, by_beta
 
 

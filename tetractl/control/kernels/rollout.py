@@ -55,11 +55,12 @@ def lay_out(problem: Problem, particles: int) -> Rollout:
     sole = len(filled) == len(filled[0].rows) == 1 if filled else False
     if sole and not problem.swept and not problem.separation and hasattr(constants, "finish"):
         packs = Sole(filled[0])
+    first = constants.of(a, v, times[0])
     return Rollout(
         start=np.stack([p.x, p.y, np.cos(p.heading), np.sin(p.heading)]),
         target=np.ascontiguousarray(problem.targets.T),
-        first=constants.of(a, v, times[0]),
-        rest=constants.of(a, v, times[1]),
+        first=first,
+        rest=first if times[0] == times[1] else constants.of(a, v, times[1]),
         obstacles=packs,
         weight=float(problem.obstacle_weight),
         swept=problem.swept,

@@ -62,12 +62,9 @@ class Rectangle(ShapeSection):
 
     def row(self) -> tuple[float, float, float, float]:
         """Return left, bottom, right and top: grown, with sharp corners."""
-        return (
-            self.left - self.margin,
-            self.bottom - self.margin,
-            self.left + self.width + self.margin,
-            self.bottom + self.height + self.margin,
-        )
+        left, bottom, margin = self.left, self.bottom, self.margin  # is looked up slowly
+        right, top = left + self.width, bottom + self.height
+        return left - margin, bottom - margin, right + margin, top + margin
 
     def contain(self, x: Floats, y: Floats) -> Bools:
         """Return whether each point lies between the sides."""

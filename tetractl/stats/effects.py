@@ -7,11 +7,11 @@ import numpy as np
 from scipy import special
 
 from tetractl.core.poses import Floats
-from tetractl.stats.difference import Effect
+from tetractl.stats.difference import Effect, welch
 from tetractl.stats.estimate import CONFIDENCE, Interval, Z, t_quantile
 
 POWER = 0.8
-_FEWEST = 5  # values a side for a ratio of deviations: fourth powers need some
+_FEWEST = 5  # values a side for a ratio of deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,29 +43,35 @@ def standardised(differences: Floats) -> Effect:
 def deviation_ratio(ours: Floats, theirs: Floats) -> Ratio:
     """Compare the standard deviations of values (m,) and (n,), which need not be normal.
 
-    By Bonett (Comput. Statist. Data Anal. 50, 2006): ln(c s1^2 / s2^2) has the variance
-    sum_i (K - (n_i - 3) / n_i) / (n_i - 1), with the kurtosis K of both, pooled, about means
-    trimmed by 1 / 2 sqrt(n_i - 4), and c = n1 / (n1 - z) over n2 / (n2 - z). Other than there,
-    each side is divided by its own deviation before the kurtosis is pooled.
+    By the jackknife of Miller (Ann. Math. Statist. 39, 1968): each value of a side of n has the
+    pseudo-value n ln s^2 - (n - 1) ln s_i^2, with the variance s_i^2 of the others; the difference
+    of their means, by Welch's t, is that of the two ln s^2.
     """
-    sides = [np.sort(ours), np.sort(theirs)]
-    m, n = map(len, sides)
-    if min(m, n) < _FEWEST:
+    sides = [np.sort(ours), np.sort(theirs)]  # the order of the trials must not matter
+    if min(map(len, sides)) < _FEWEST:
         return Ratio(math.nan, Interval.none(f"needs {_FEWEST} values on each side"), math.nan)
     one, other = (float(side.std(ddof=1)) for side in sides)
-    if not (one > 0 and other > 0):
-        return Ratio(math.nan, Interval.none("the values of a side do not vary"), math.nan)
-    fourth = sum(
-        float((((side - _trimmed(side)) / std) ** 4).sum())
-        for side, std in zip(sides, (one, other), strict=True)
+    pseudo = [_pseudo_values(side) for side in sides]
+    if not (one > 0 and other > 0) or not all(np.isfinite(values).all() for values in pseudo):
+        why = "all values of a side, or all but one, are equal"
+        return Ratio(math.nan, Interval.none(why), math.nan)
+    (m, mean, std), (n, mean2, std2) = (
+        (len(values), float(values.mean()), float(values.std(ddof=1))) for values in pseudo
     )
-    kurtosis = (m + n) * fourth / (m + n - 2) ** 2
-    variance = sum((kurtosis - (count - 3) / count) / (count - 1) for count in (m, n))
-    middle = math.log((m / (m - Z)) / (n / (n - Z))) / 2 + math.log(one / other)
-    half = math.sqrt(variance) / 2
-    ends = (math.exp(middle - Z * half), math.exp(middle + Z * half))
-    p_value = 2 * float(special.ndtr(-abs(middle) / half))
-    return Ratio(one / other, Interval(*ends, "Bonett"), p_value)
+    found = welch(m, mean, std, n, mean2, std2)
+    if not found.ci95.known:
+        return Ratio(one / other, found.ci95, math.nan)
+    low, high = math.exp(found.ci95.low / 2), math.exp(found.ci95.high / 2)
+    return Ratio(one / other, Interval(low, high, "jackknife"), found.p_value)
+
+
+def _pseudo_values(values: Floats) -> Floats:
+    n = len(values)
+    squares = (values - values.mean()) ** 2
+    without = squares.sum() - squares * n / (n - 1)  # of the others about their own mean
+    with np.errstate(divide="ignore", invalid="ignore"):
+        every = np.log(squares.sum() / (n - 1))
+        return n * every - (n - 1) * np.log(without / (n - 2))
 
 
 def detectable(pairs: int, tests: int = 1) -> float:
@@ -96,10 +102,3 @@ def _detectable(degrees: int, root: float, tests: int) -> float:
 
     found = optimize.root_scalar(missing, bracket=(0.0, (1.5 * bound + 3) / root), method="brentq")
     return float(found.root)
-
-
-def _trimmed(ordered: Floats) -> float:
-    """Return the mean without the share 1 / 2 sqrt(n - 4) of values at either end."""
-    n = len(ordered)
-    out = min(int(n / (2 * math.sqrt(n - 4))), (n - 1) // 2)
-    return float(ordered[out : n - out].mean())

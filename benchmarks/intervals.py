@@ -1,6 +1,6 @@
 """Measure how often the 95 % intervals of `tetractl stats` hold what they should hold.
 
-    python benchmarks/intervals.py                half a minute
+    python benchmarks/intervals.py                some minutes
     python benchmarks/intervals.py --sets 500
 
 Draws many sets of n errors from distributions whose mean is known, and prints as Markdown, in

@@ -4,6 +4,7 @@ Positions go from the spec's unit to metres here and nowhere else. Nothing that 
 drawn: viewers drop a whole message for one NaN.
 """
 
+import itertools
 import math
 from typing import Any
 
@@ -34,6 +35,7 @@ WORLD = "world"
 GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
 
 _LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
+Parts = tuple[Timestamp, Vector3, Quaternion]
 _UPRIGHT = Quaternion(w=1.0)  # must be given: without it viewers see a zero quaternion
 
 
@@ -71,26 +73,39 @@ class Scene:
         radius, arena = setup.wheel_radius, setup.arena
         body = 2 * radius if radius else 0.03 * min(arena.width, arena.height)
         self._body = body * self._metres
+        self._shown: list[bool] | None = None  # which robots the last transforms were of
 
     def transforms(self, observation: Observation, unix_ns: int) -> FrameTransforms:
-        """Return world to each robot; a robot that is not tracked is left out."""
-        message = FrameTransforms()
+        """Return world to each robot; a robot that is not tracked is left out.
+
+        The message is good until the next call, which fills it anew where all robots are tracked:
+        making one takes longer than all else of a camera frame's record.
+        """
         poses = observation.poses
         seconds, nanos = divmod(unix_ns, SECOND)
-        columns = (poses.x.tolist(), poses.y.tolist(), poses.heading.tolist())
-        for frame, x, y, heading, valid in zip(
-            self._frames, *columns, observation.valid.tolist(), strict=True
-        ):
-            if not (valid and math.isfinite(x + y + heading)):
-                continue
-            transform = message.transforms.add()
-            transform.timestamp.seconds, transform.timestamp.nanos = seconds, nanos
-            transform.parent_frame_id, transform.child_frame_id = WORLD, frame
-            transform.translation.x = x * self._metres
-            transform.translation.y = y * self._metres
-            transform.rotation.z = math.sin(heading / 2)
-            transform.rotation.w = math.cos(heading / 2)
-        return message
+        rows = list(zip(poses.x.tolist(), poses.y.tolist(), poses.heading.tolist(), strict=True))
+        shown = [
+            valid and math.isfinite(x + y + heading)
+            for (x, y, heading), valid in zip(rows, observation.valid.tolist(), strict=True)
+        ]
+        if shown != self._shown:
+            self._shown = shown
+            self._message, self._parts = self._blank(shown)
+        kept = itertools.compress(rows, shown)
+        for (stamped, moved, turned), (x, y, heading) in zip(self._parts, kept, strict=True):
+            stamped.seconds, stamped.nanos = seconds, nanos
+            moved.x, moved.y = x * self._metres, y * self._metres
+            turned.z, turned.w = math.sin(heading / 2), math.cos(heading / 2)
+        return self._message
+
+    def _blank(self, shown: list[bool]) -> tuple[FrameTransforms, list[Parts]]:
+        """Return transforms of the robots shown, and what is to be filled in for each."""
+        message = FrameTransforms()
+        for frame in itertools.compress(self._frames, shown):
+            message.transforms.add(parent_frame_id=WORLD, child_frame_id=frame)
+        return message, [
+            (one.timestamp, one.translation, one.rotation) for one in message.transforms
+        ]
 
     def plan_poses(self, path: Floats, unix_ns: int) -> PosesInFrame:
         """Return the predicted poses, (length + 1, N, 3), robot after robot."""

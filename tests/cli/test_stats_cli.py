@@ -191,8 +191,8 @@ def test_several_folders_are_arms_compared_two_by_two(work):
     assert "test_p" not in second
     rows = list(csv.DictReader(io.StringIO(stats("ten", "exact", "--format=csv", cwd=work).stdout)))
     assert (rows[0]["one_n"], rows[0]["other_mean_mm"]) == ("10", "355.0")
-    for form, part in (("markdown", "| ten - exact | 10 pairs |"), ("latex", "ten - exact & 10")):
-        assert part in stats("ten", "exact", "--format", form, cwd=work).stdout
+    latex = stats("ten", "exact", "--format", "latex", cwd=work).stdout
+    assert "ten - exact & 10 pairs" in latex
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ class _Scan:
 
     def indexed(self) -> Contents | None:
         """Read metadata and attachments by the file's index; None for a damaged file."""
-        self._read_index()
+        self._read_index(channels=False)
         if self._problems or not self._sealed():
             return None
         try:
@@ -138,8 +138,11 @@ class _Scan:
         stated = DataEnd.read(self._stream(offset + _HEAD)).data_section_crc
         return stated != 0 and stated == self._crc(0, offset)
 
-    def _read_index(self) -> None:
-        """Read the index at the end of the file: the number of messages, and where records are."""
+    def _read_index(self, channels: bool = True) -> None:
+        """Read the index at the end of the file: the number of messages, and where records are.
+
+        Its `channels` and their schemas, which take the longest, are for those who read messages.
+        """
         body = len(self._data) - len(MAGIC) - _FOOTER_BODY
         head = bytes([Opcode.FOOTER]) + _FOOTER_BODY.to_bytes(8, "little")
         whole = body >= _HEAD and self._data[-len(MAGIC) :] == MAGIC
@@ -155,11 +158,11 @@ class _Scan:
         while 0 < offset < body - _HEAD:
             opcode, end = self._head(offset)
             self._spend(bounds.RECORD_COST, "very many records in its index")
-            if opcode == Opcode.CHANNEL:
+            if opcode == Opcode.CHANNEL and channels:
                 channel = Channel.read(self._stream(offset + _HEAD))
                 self._topics[channel.id] = channel.topic
                 self._channels[channel.id] = channel  # the chunk that holds it may be lost
-            elif opcode == Opcode.SCHEMA:
+            elif opcode == Opcode.SCHEMA and channels:
                 schema = Schema.read(self._stream(offset + _HEAD))
                 self._schemas[schema.id] = schema
             elif opcode == Opcode.STATISTICS:

@@ -18,7 +18,7 @@ from tetractl.control.identify import Prior
 from tetractl.control.identify import fit as robust_fit
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Bools, Floats
-from tetractl.model.motion.exact import step
+from tetractl.model.motion.exact import turn
 from tetractl.replay.identification.chain import LIMIT, Chain, Noise
 from tetractl.replay.identification.tracks import Drives
 from tetractl.replay.identification.turning import Turning, Turns
@@ -71,7 +71,7 @@ def _robust(drives: Drives, prior: Prior, rate: float) -> Turning:
         prior.heading_bias_std,
     )
     found: Estimate = robust_fit(
-        drives.intervals, drives.directions, scaled, scaled.estimate(), step, ROBUST_STEPS
+        drives.intervals, drives.directions, scaled, scaled.estimate(), turn, ROBUST_STEPS
     )
     assert found.dead_time is not None and found.heading_bias is not None
     return Turning(found.dead_time, np.log(found.a), found.heading_bias)

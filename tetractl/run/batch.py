@@ -1,18 +1,12 @@
 """A batch: the trials of one experiment, each with its own log, in one or more processes."""
 
 import gc
-import multiprocessing
-import os
-import signal
-import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, field
-from multiprocessing.synchronize import Event
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -25,13 +19,11 @@ from tetractl.core.protocols import Observer
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.log.write.writer import LogWriter
-from tetractl.run.interrupt import SIGNALS, Interrupt
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.pool import Pool, worker_interrupt
 from tetractl.run.relay import Relay
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
-
-SIGNAL_AGAIN_S = 1.0
-ORPHAN_S = 5.0  # a worker without a parent closes its log within that
 
 
 class BatchObserver(Protocol):
@@ -84,12 +76,25 @@ def run_trial(
 
     In real time a background thread calls the observers, so that none of them delays the loop.
     """
+    log = LogWriter(log_path(folder, trial), real_time=not spec.experiment.plant.simulated)
+    with log:
+        return run_with(log, spec, trial, observers, interrupt, operators)
+
+
+def run_with(
+    log: Observer,
+    spec: LoadedSpec,
+    trial: int,
+    observers: Sequence[Observer],
+    interrupt: Interrupt,
+    operators: Operators | None = None,
+) -> Result:
+    """Run one trial as `run_trial` does, with another writer in the place of its log's."""
     experiment = spec.experiment
     plant, real_time = experiment.plant, not experiment.plant.simulated
     clock, start_unix_ns = plant.clock(), _unix_ns() if real_time else EPOCH_NS
     key, seed = trial_seeds(experiment.trials.seed, trial)
     with ExitStack() as stack:
-        log = stack.enter_context(LogWriter(log_path(folder, trial), real_time))
         if real_time:
             observers = [stack.enter_context(Relay(observer)) for observer in observers]
         return Trial(
@@ -162,95 +167,22 @@ def _run_processes(
     watcher: BatchObserver,
     report: Report,
 ) -> None:
-    context = multiprocessing.get_context("spawn")  # a fork would copy threads half-way
-    with _signals_held_back():  # the process that looks after semaphores starts here
-        ending = context.Event()
-    waiting = list(reversed(trials))
-    running: dict[Future[Result], int] = {}
-    count = min(jobs, len(trials))
-    again = 0.0  # when SIGTERM may be sent to the workers once more
-    with ProcessPoolExecutor(count, context, _start_worker, (ending,)) as pool:
-        while running or (waiting and not ending.is_set()):
-            while waiting and len(running) < count and not ending.is_set():
-                trial = waiting.pop()
-                watcher.trial_started(trial, spec.experiment.trials.count)
-                with _signals_held_back():  # a worker starts inside submit
-                    running[pool.submit(_work, spec, folder, trial)] = trial
-            done, _ = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
-            for future in done:
-                trial = running.pop(future)
-                try:
-                    report.results[trial] = result = future.result()
-                except BrokenProcessPool:
-                    raise AbortError(
-                        "the process of a trial was killed, perhaps for want of memory",
-                        f"with fewer --jobs, go on by --out {folder} --resume",
-                    ) from None
-                watcher.trial_finished(trial, result)
-            if interrupt.requested or report.aborted:
-                ending.set()
-            if interrupt.count > 1 and time.monotonic() >= again:
-                for process in multiprocessing.active_children():
-                    if process.pid:
-                        os.kill(process.pid, signal.SIGTERM)
-                # once is not always enough: an exception raised in a finaliser is lost
-                again = time.monotonic() + SIGNAL_AGAIN_S
+    def started(trial: int) -> None:
+        watcher.trial_started(trial, spec.experiment.trials.count)
 
-
-@contextmanager
-def _signals_held_back() -> Iterator[None]:
-    """Block the signals in a process started inside the block, until `_start_worker`."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-class _SharedInterrupt(Interrupt):
-    """An interrupt of a worker: an event is the first request, SIGTERM the second."""
-
-    def __init__(self, ending: Event) -> None:
-        super().__init__()
-        self.ending = ending
-
-    @property
-    def requested(self) -> bool:
-        return self.count > 0 or self.ending.is_set()
-
-    def request(self) -> None:
-        """Count two requests: a worker gets SIGTERM only as the second."""
-        self.count = 2
-        self._break()
-
-
-_worker_interrupt: Interrupt
-
-
-def _start_worker(ending: Event) -> None:
-    """Prepare a worker: the parent alone acts on signals, and the worker ends when the parent does.
-
-    A terminal sends its signals to every process; SIGTERM here is the parent's.
-    """
-    global _worker_interrupt
-    _worker_interrupt = interrupt = _SharedInterrupt(ending)
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
-    sys.unraisablehook = interrupt.on_unraisable
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers what came before
-    threading.Thread(target=_outlive_nobody, name="parent", daemon=True).start()
-
-
-def _outlive_nobody() -> None:
-    """Wait for the end of the parent process, then end the trial, and this process soon after."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(ORPHAN_S)
-    os._exit(1)
+    with Pool(min(jobs, len(trials)), interrupt) as pool:
+        for trial, future in pool.run(partial(_work, spec, folder), trials, started):
+            try:
+                report.results[trial] = result = future.result()
+            except BrokenProcessPool:
+                raise AbortError(
+                    "the process of a trial was killed, perhaps for want of memory",
+                    f"with fewer --jobs, go on by --out {folder} --resume",
+                ) from None
+            watcher.trial_finished(trial, result)
+            if report.aborted:
+                pool.end()
 
 
 def _work(spec: LoadedSpec, folder: Path, trial: int) -> Result:
-    return run_trial(spec, folder, trial, (), _worker_interrupt)
+    return run_trial(spec, folder, trial, (), worker_interrupt())

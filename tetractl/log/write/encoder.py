@@ -1,6 +1,7 @@
 """The log of a trial: its messages, and the records about it, added to an MCAP file."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Note, Sample
@@ -10,22 +11,58 @@ from tetractl.log.format import channels, layout
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.metadata import result_metadata, run_metadata, timing_metadata
 from tetractl.log.write.messages import Messages
-from tetractl.log.write.sink import Sink
 
 FLUSH_NS = SECOND
 """A chunk ends after this much trial time, so that a simulation that runs faster than the wall
 clock gives the same chunks again. A slower trial is flushed by the wall clock, `sink.CHUNK_S`."""
 
 
-class Encoder:
-    """Adds the records of one trial to a `Sink`."""
+class Records(Protocol):
+    """Where the records of a log go: `sink.Sink` describes each method."""
 
-    def __init__(self, sink: Sink, start: Start) -> None:
+    def messages(self, entries: Iterable[Entry]) -> None:
+        """Add messages."""
+        ...
+
+    def metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Add a metadata record."""
+        ...
+
+    def last_host_metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Add the host record that states the digest of all host records."""
+        ...
+
+    def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Add the record that states the content digest."""
+        ...
+
+    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
+        """Add an attachment."""
+        ...
+
+    def flush(self) -> None:
+        """End the chunk."""
+        ...
+
+    def sync(self) -> None:
+        """Wait until the disk has every record so far."""
+        ...
+
+
+class Encoder:
+    """Adds the records of one trial to a `Sink`, or to what takes its place."""
+
+    def __init__(self, sink: Records, start: Start) -> None:
         self._sink = sink
         self._start_ns = start.start_unix_ns
         self._unit = start.setup.unit
         self._messages = Messages(start)
         self._flushed_ns = 0
+
+    @property
+    def warnings(self) -> int:
+        """How many warnings and errors for people there are."""
+        return self._messages.warnings
 
     def start(self, start: Start) -> None:
         """Add metadata, specs and scene, and sync the file."""
@@ -64,8 +101,9 @@ class Encoder:
         self._write(self._messages.stop(stop, result))
         timing = timing_metadata(result) | {"ended": provenance.now()}
         self._sink.last_host_metadata(channels.TIMING, timing)
-        warnings = self._messages.warnings
-        self._sink.last_metadata(channels.RESULT, result_metadata(result, self._unit, warnings))
+        self._sink.last_metadata(
+            channels.RESULT, result_metadata(result, self._unit, self.warnings)
+        )
 
     def _write(self, entries: Sequence[Entry], trial_ns: int | None = None) -> None:
         """Write encoded messages; end the chunk after each second of the trial."""

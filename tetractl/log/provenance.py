@@ -40,6 +40,9 @@ PLUGIN = "package."
 """Before the name of a package that provides a kind which the spec uses; the value is its version.
 """
 
+TRIAL_CODE = ("core", "experiment", "model", "control", "plant", "run", "log/format", "log/write")
+"""The parts of tetractl that decide what a simulated trial's log holds."""
+
 DIFF_LIMIT = 50_000  # characters
 UNTRACKED_LIMIT = 200  # files
 _GIT_TIMEOUT_S = 5.0
@@ -81,6 +84,18 @@ def versions() -> dict[str, str]:
     }
     found |= {name: metadata.version(name) for name in PACKAGES}
     return found | _git_state()
+
+
+@cache
+def trial_code() -> str:
+    """Return 12 hex digits that name all code behind a simulated trial and its log.
+
+    They cover tetractl's own sources from the spec to the log, and the versions of the libraries
+    that compute; those of packages that provide a kind are in the log.
+    """
+    sources = [file for part in TRIAL_CODE for file in (_here() / part).rglob("*.py")]
+    computing = ("numpy", "numba", "llvmlite", "scipy")
+    return cache_name(sources, " ".join(metadata.version(name) for name in computing))
 
 
 def host_metadata(packages: Mapping[str, str]) -> dict[str, str]:

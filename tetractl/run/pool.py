@@ -79,8 +79,7 @@ class Pool:
                     more = False
                     break
                 started(task)
-                with _signals_held_back():  # a worker starts inside submit
-                    running[self._pool.submit(work, task)] = task
+                running[self._submitted(work, task)] = task
             done, _ = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
             for future in done:
                 broken |= isinstance(future.exception(), BrokenProcessPool)
@@ -88,6 +87,15 @@ class Pool:
             if self._interrupt.requested:
                 self.end()
             self._hurry()
+
+    def _submitted(self, work: Callable[[T], R], task: T) -> "Future[R]":
+        try:
+            with _signals_held_back():  # a worker starts inside submit
+                return self._pool.submit(work, task)
+        except BrokenProcessPool as error:  # a worker was killed just now
+            lost: Future[R] = Future()
+            lost.set_exception(error)
+            return lost
 
     def _hurry(self) -> None:
         """Send SIGTERM to the workers after a second request to stop."""

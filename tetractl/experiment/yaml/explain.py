@@ -10,6 +10,8 @@ from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import Loc, SpecProblem, did_you_mean
 from tetractl.experiment.yaml.schema import alternatives, child, describe, homes, tag
 
+Schema = dict[str, Any]
+
 MAX_EXPLAINED = 1000
 KINDS = {
     "int_type": "must be a whole number",
@@ -40,8 +42,13 @@ LIMITS = {
 }
 
 
-def explain(error: ValidationError, document: Document) -> Iterator[SpecProblem]:
-    """Yield the errors as problems, without those the document speaks of already."""
+def explain(
+    error: ValidationError, document: Document, schema: Schema | None = None
+) -> Iterator[SpecProblem]:
+    """Yield the errors as problems, without those the document speaks of already.
+
+    `schema` is the JSON schema of the file, by default that of a spec.
+    """
     every = error.errors(include_url=False, include_input=False)
     for details in every[:MAX_EXPLAINED]:
         loc = data_loc(details, document.data)
@@ -51,7 +58,7 @@ def explain(error: ValidationError, document: Document) -> Iterator[SpecProblem]
             continue  # pydantic counts only the valid entries; those that are not are reported
         if any(loc[:depth] in document.refused for depth in range(len(loc) + 1)):
             continue
-        yield _problem(details, loc, value, document)
+        yield _problem(details, loc, value, document, schema)
 
 
 def data_loc(details: ErrorDetails, data: Any) -> Loc:
@@ -74,22 +81,24 @@ def data_loc(details: ErrorDetails, data: Any) -> Loc:
     return (*steps, field) if isinstance(field, str) else tuple(steps)
 
 
-def _problem(details: ErrorDetails, loc: Loc, value: Any, document: Document) -> SpecProblem:
+def _problem(
+    details: ErrorDetails, loc: Loc, value: Any, document: Document, schema: Schema | None
+) -> SpecProblem:
     kind, context = details["type"], details.get("ctx", {})
     if kind == "extra_forbidden":
         place = document.keys.get(loc) or document.place(loc)
-        return place.problem(loc, _unknown_key(str(loc[-1]), loc[:-1], document.data))
+        return place.problem(loc, _unknown_key(str(loc[-1]), loc[:-1], document.data, schema))
     if kind == "missing":
         place = document.place(loc)
         if isinstance(loc[-1], int):
-            length = len(describe(loc[:-1], document.data).get("prefixItems", ()))
+            length = len(describe(loc[:-1], document.data, schema).get("prefixItems", ()))
             return place.problem(loc[:-1], f"must have {length} entries", place.text)
-        about = describe(loc, document.data).get("description")
+        about = describe(loc, document.data, schema).get("description")
         return place.problem(loc, f"is missing; add it{f': {_sentence(about)}' if about else ''}")
     if kind.startswith("union_tag"):
         options: dict[str, str] = context.get("known") or {
             option: option
-            for option in map(tag, alternatives(describe(loc, document.data)))
+            for option in map(tag, alternatives(describe(loc, document.data, schema), schema))
             if option is not None
         }
         known = f"must be one of {', '.join(options.values())}"
@@ -101,17 +110,17 @@ def _problem(details: ErrorDetails, loc: Loc, value: Any, document: Document) ->
             (*loc, "type"), known + did_you_mean(str(wrong), list(options)), place.text
         )
     place = document.place(loc)
-    message = _words(details, loc, value, document.data)
+    message = _words(details, loc, value, document.data, schema)
     if value is None and loc in document.values and kind != "inconsistent":
         return place.problem(loc, f"has no value; {message}")
     text = place.text if loc in document.values else None
     return place.problem(loc, message, context.get("value", text))
 
 
-def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any) -> str:
+def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schema | None) -> str:
     """Return what is wrong as `words` does, with the schema's own words on the field."""
     kind, context = details["type"], details.get("ctx", {})
-    about = describe(loc, data)
+    about = describe(loc, data, schema)
     if kind == "literal_error":
         options = [str(option) for option in about.get("enum") or [about.get("const")]]
         return f"must be one of {', '.join(options)}{did_you_mean(str(value), options)}"
@@ -137,12 +146,12 @@ def words(details: ErrorDetails, value: Any) -> str:
     return message[:1].lower() + message[1:]
 
 
-def _unknown_key(key: str, parent: Loc, data: Any) -> str:
-    known = list(describe(parent, data).get("properties", ()))
+def _unknown_key(key: str, parent: Loc, data: Any, schema: Schema | None) -> str:
+    known = list(describe(parent, data, schema).get("properties", ()))
     if guess := did_you_mean(key, known):
         return f"unknown key{guess}"
     inside = "".join(f"{step}." for step in parent)
-    for home in homes(key):
+    for home in homes(key, schema):
         if home.startswith(inside):
             return f"unknown key here; did you mean '{home}'?"
     return f"unknown key; known here: {', '.join(known)}"

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
+from pydantic import BaseModel
+
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.yaml.problems import Loc
 
@@ -14,8 +16,12 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 @cache
 def experiment_schema() -> dict[str, Any]:
     """Return the JSON schema (draft 2020-12) of an experiment; not to be changed."""
-    schema = {"$schema": DRAFT, **Experiment.model_json_schema()}
-    return _unwrapped(schema)
+    return schema_of(Experiment)
+
+
+def schema_of(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the JSON schema of what a YAML file holds."""
+    return _unwrapped({"$schema": DRAFT, **model.model_json_schema()})
 
 
 def schema_json() -> str:
@@ -23,20 +29,24 @@ def schema_json() -> str:
     return json.dumps(experiment_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
-def describe(loc: Loc, data: Any) -> dict[str, Any]:
-    """Return the schema of the value at `loc` of a spec's data, {} where there is none.
+def describe(loc: Loc, data: Any, root: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the schema of the value at `loc` of a file's data, {} where there is none.
 
-    `data` decides between the alternatives of a union, by its `type`.
+    `data` decides between the alternatives of a union, by its `type`; `root` is the schema of the
+    file, by default that of a spec.
     """
-    node = _resolved(experiment_schema(), data)
+    root = root or experiment_schema()
+    node = _resolved(root, data, root)
     for step in loc:
         data = child(data, step)
         if isinstance(step, str):
-            node = node.get("properties", {}).get(step, {})
+            others = node.get("additionalProperties")
+            others = others if isinstance(others, dict) else {}
+            node = node.get("properties", {}).get(step, others)
         else:
             prefix = node.get("prefixItems", [])
             node = prefix[step] if step < len(prefix) else node.get("items") or {}
-        node = _resolved(node, data)
+        node = _resolved(node, data, root)
     return node
 
 
@@ -49,10 +59,10 @@ def child(data: Any, step: str | int) -> Any:
     return None
 
 
-def alternatives(node: dict[str, Any]) -> list[dict[str, Any]]:
+def alternatives(node: dict[str, Any], root: dict[str, Any] | None = None) -> list[dict[str, Any]]:
     """Return the schemas a union chooses from, null left out; [] for anything else."""
     listed = node.get("anyOf") or node.get("oneOf") or []
-    return [_resolved(option, None) for option in listed if option.get("type") != "null"]
+    return [_resolved(option, None, root) for option in listed if option.get("type") != "null"]
 
 
 def tag(node: dict[str, Any]) -> str | None:
@@ -60,11 +70,12 @@ def tag(node: dict[str, Any]) -> str | None:
     return node.get("properties", {}).get("type", {}).get("const")
 
 
-def homes(key: str) -> Iterator[str]:
+def homes(key: str, root: dict[str, Any] | None = None) -> Iterator[str]:
     """Yield the dotted paths of all fields called `key`, as `--set` takes them."""
+    root = root or experiment_schema()
 
     def walk(node: dict[str, Any], path: str) -> Iterator[str]:
-        node = dereferenced(node)
+        node = dereferenced(node, root)
         for option in node.get("anyOf") or node.get("oneOf") or []:
             yield from walk(option, path)
         if isinstance(node.get("items"), dict):
@@ -74,14 +85,15 @@ def homes(key: str) -> Iterator[str]:
                 yield path + name
             yield from walk(field, f"{path}{name}.")
 
-    yield from dict.fromkeys(walk(experiment_schema(), ""))
+    yield from dict.fromkeys(walk(root, ""))
 
 
-def _resolved(node: dict[str, Any], data: Any) -> dict[str, Any]:
-    node = dereferenced(node)
-    options = alternatives(node)
+def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any] | None) -> dict[str, Any]:
+    node = dereferenced(node, root)
+    options = alternatives(node, root)
     if len(options) == 1:
-        return {**options[0], **node}
+        about = {key: value for key, value in node.items() if key not in ("anyOf", "oneOf")}
+        return _resolved({**options[0], **about}, data, root)
     wanted = data.get("type") if isinstance(data, dict) else None
     if wanted is None and isinstance(node.get("default"), dict):
         wanted = node["default"].get("type")
@@ -92,11 +104,11 @@ def _resolved(node: dict[str, Any], data: Any) -> dict[str, Any]:
     return node
 
 
-def dereferenced(node: dict[str, Any]) -> dict[str, Any]:
+def dereferenced(node: dict[str, Any], root: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the schema a `$ref` stands for, with what is written beside it."""
     if "$ref" not in node:
         return node
-    target = experiment_schema()["$defs"][node["$ref"].rpartition("/")[2]]
+    target = (root or experiment_schema())["$defs"][node["$ref"].rpartition("/")[2]]
     return {**target, **{key: value for key, value in node.items() if key != "$ref"}}
 
 

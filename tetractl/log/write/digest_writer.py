@@ -1,4 +1,4 @@
-"""A writer without a file: an observer that computes the content digest a trial's log would have."""
+"""A writer without a file: it computes the content digest that a trial's log would have."""
 
 from collections.abc import Iterable, Mapping
 

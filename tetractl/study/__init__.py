@@ -1,0 +1,1 @@
+"""Studies: many arms of trials in the same worlds, run anywhere, gathered in one table."""

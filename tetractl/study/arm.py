@@ -1,0 +1,47 @@
+"""An arm of a study: one point of the sweep with one controller."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from tetractl.experiment.load import LoadedSpec, spec_hash
+from tetractl.study.cells import shown
+
+NAME_LENGTH = 100  # of a folder, far below what file systems take
+WHOLE_PATH = 3  # fields of a sweep from which on a name needs their last step alone
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One arm: the spec that its trials are run with, and how it differs from the base.
+
+    `values` are those of the swept fields by path. `hash` is the SHA-256 of the experiment but for
+    the number of trials, which does not change a trial.
+    """
+
+    name: str  # of its folder
+    controller: str  # "" where the study names none
+    values: Mapping[str, Any]
+    sets: tuple[str, ...]  # as `--set` takes them, after the base
+    spec: LoadedSpec
+    hash: str
+
+
+def arm_hash(spec: LoadedSpec) -> str:
+    """Return the hash by which the trials of an arm are known again."""
+    trials = spec.experiment.trials.model_copy(update={"count": 1})
+    return spec_hash(spec.experiment.model_copy(update={"trials": trials}))
+
+
+def arm_name(controller: str, values: Mapping[str, Any]) -> str:
+    """Return a name for an arm that fits a file system: `ours-dead_time=0.07`.
+
+    Fields are called by the last step of their path where that tells them apart.
+    """
+    ends = [path.rpartition(".")[2] for path in values]
+    paths = ends if len(set(ends)) == len(ends) else list(values)
+    words = [controller] * bool(controller)
+    words += [f"{path}={shown(value)}" for path, value in zip(paths, values.values(), strict=True)]
+    name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(words))[:NAME_LENGTH]
+    return name.lstrip(".-") or "base"

@@ -1,0 +1,137 @@
+"""Runs the trials of a study on a Dask cluster that is there already."""
+
+import itertools
+import queue
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from tetractl.core.errors import AbortError, TetractlError, UsageError
+from tetractl.log.provenance import trial_code
+from tetractl.run.batch import log_path
+from tetractl.run.interrupt import Interrupt
+from tetractl.study.local import Ended
+from tetractl.study.row import Row
+from tetractl.study.store import save_log
+from tetractl.study.work import Task, run_task
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+CONNECT_S = 10.0
+LOOK_S = 0.1  # how often an interruption is looked for
+AHEAD = 2  # tasks handed out for each thread of a worker, so that none waits for the next
+FEWEST = 8  # the same while no worker has come yet
+
+
+class Cluster:
+    """Hands trials to the workers of the scheduler at `address`; a context manager.
+
+    A trial whose worker is lost is given to another by the scheduler, three times at most. Logs
+    come back with the rows, so that workers need no folder in common. `place` returns the folder
+    for the log of a task.
+
+    Raises UsageError where distributed is not installed or no scheduler answers.
+    """
+
+    def __init__(self, address: str, interrupt: Interrupt, place: Callable[[Task], Path]) -> None:
+        self._address, self._interrupt, self._place = address, interrupt, place
+        self._ended = False
+
+    def __enter__(self) -> Self:
+        try:
+            from distributed import Client
+        except ImportError:
+            raise UsageError(
+                "--cluster needs Dask's distributed, which is not installed",
+                "pip install 'tetractl[dask]'",
+            ) from None
+        try:
+            self._client: Client = Client(
+                self._address, timeout=CONNECT_S, set_as_default=False, name="tetractl-study"
+            )
+        except (OSError, ValueError) as error:
+            raise UsageError(
+                f"{self._address}: no Dask scheduler answers there: {error}",
+                "its address is like tcp://host:8786; `dask scheduler` prints it",
+            ) from None
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._client.close()
+
+    @property
+    def workers(self) -> int:
+        """The number of trials that run at a time, at least 1."""
+        return max(sum(self._client.nthreads().values()), 1)
+
+    def run(self, tasks: Sequence[Task]) -> Iterator[Ended]:
+        """Yield the tasks in the order in which they end."""
+        waiting, running = iter(tasks), dict[Any, Task]()
+        ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        while not self._stopping:
+            window = max(AHEAD * self.workers, FEWEST) - len(running)
+            for task in itertools.islice(waiting, max(window, 0)):
+                future = self._client.submit(
+                    _work, task, trial_code(), key=f"{task.arm_hash[:16]}-{task.trial}", pure=False
+                )
+                running[future] = task
+                future.add_done_callback(ended.put)
+            if not running:
+                return
+            try:
+                future = ended.get(timeout=LOOK_S)
+            except queue.Empty:
+                if self._client.status not in ("running", "connecting"):
+                    raise AbortError(
+                        f"{self._address}: the scheduler is gone",
+                        "start it and run the study again",
+                    ) from None
+                continue
+            yield self._found(running.pop(future), future)
+        self._client.cancel(list(running))
+
+    def end(self) -> None:
+        """Start no further trial, and give up those that run."""
+        self._ended = True
+
+    @property
+    def _stopping(self) -> bool:
+        return self._ended or self._interrupt.requested
+
+    def _found(self, task: Task, future: Any) -> Ended:
+        """Return what became of a task, its log saved."""
+        from distributed import KilledWorker
+
+        if future.status == "cancelled":
+            return task, AbortError("the scheduler has given it up")
+        error = future.exception()
+        if isinstance(error, KilledWorker):
+            return task, AbortError("it was lost with each worker that it was given to")
+        if error is not None:
+            return task, error
+        row, log = future.result()
+        future.release()
+        if log is not None:
+            save_log(log_path(self._place(task), task.trial), log)
+        return task, row
+
+
+def _work(task: Task, code: str) -> tuple[Row | None, bytes | None]:
+    """Run a trial on a worker; return its row and its log."""
+    if trial_code() != code:
+        raise TetractlError(
+            "the worker has other code than this machine",
+            "install the same versions of tetractl, numpy, numba and scipy there",
+        )
+    with tempfile.TemporaryDirectory(prefix="tetractl-") as name:
+        row = run_task(task, Path(name), Interrupt())
+        path = log_path(Path(name), task.trial)
+        return row, path.read_bytes() if path.exists() else None

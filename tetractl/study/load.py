@@ -1,0 +1,188 @@
+"""From a study's file to its arms, all problems reported at once."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from tetractl.core.errors import SpecError
+from tetractl.core.text import printable
+from tetractl.experiment.choice import STRICT
+from tetractl.experiment.load import LoadedSpec, load_spec
+from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.explain import explain
+from tetractl.experiment.yaml.frozen import frozen
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
+from tetractl.experiment.yaml.schema import schema_of
+from tetractl.run.limits import check
+from tetractl.study.arm import Arm, arm_hash, arm_name
+from tetractl.study.cells import as_yaml
+from tetractl.study.study import Study
+from tetractl.study.sweep import Setting
+
+MAX_ARMS = 100_000
+SWEEP_KEY = (0,)  # spawn key of the draws of a sweep; a trial's keys have two numbers
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedStudy:
+    """A valid study with its arms, in the order in which tables list them."""
+
+    study: Study
+    arms: tuple[Arm, ...]
+
+    @property
+    def unit(self) -> str:
+        """The length unit that all arms share."""
+        return self.arms[0].spec.experiment.units.length
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """The swept fields."""
+        return tuple(dict.fromkeys(path for arm in self.arms for path in arm.values))
+
+
+def load_study(path: Path) -> LoadedStudy:
+    """Read and check a study's file and the spec of every arm.
+
+    Raises InvalidSpecError, one line a problem. Where a value of the study does not fit the spec,
+    the line is that of the study; where the base is wrong by itself, that of the base.
+    """
+    document = parse_document(read_text(path), str(path))
+    study = _study(document)
+    base = path.parent / study.base
+    if not base.exists():
+        text = f"there is no such file: {printable(str(base))}"
+        raise InvalidSpecError([document.place(("base",)).problem(("base",), text, study.base)])
+    arms, problems, hint = list[Arm](), dict[SpecProblem, None](), None
+    for controller, values, settings in _arms(study, document):
+        try:
+            arms.append(_arm(base, study, controller, values, settings, document))
+        except InvalidSpecError as error:
+            problems |= dict.fromkeys(error.problems)
+            if settings and any(p.origin != document.origin for p in error.problems):
+                hint = hint or f"in the arm {arm_name(controller, values)} of {document.origin}"
+    if not problems:
+        problems = dict.fromkeys(_disagreements(arms, document))
+    if problems:
+        raise InvalidSpecError(problems, hint)
+    return LoadedStudy(study, tuple(_told_apart(arms)))
+
+
+@cache
+def study_schema() -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of a study; not to be changed."""
+    return schema_of(Study)
+
+
+def _study(document: Document) -> Study:
+    try:
+        study = Study.model_validate(frozen(document.data), strict=True, context=STRICT)
+    except ValidationError as error:
+        document.problems.extend(explain(error, document, study_schema()))
+        study = None
+    if document.found or study is None:
+        raise InvalidSpecError(document.found)
+    return study
+
+
+_Placed = list[tuple[str, Loc]]  # settings, and where in the study each is written
+
+
+def _arms(study: Study, document: Document) -> Iterable[tuple[str, dict[str, Any], _Placed]]:
+    """Yield controller, swept values and settings of every arm."""
+    points: list[Mapping[str, Setting]] = [{}]
+    if study.sweep is not None:
+        seeds = np.random.SeedSequence(study.trials.seed, spawn_key=SWEEP_KEY)
+        points = study.sweep.draw(np.random.default_rng(seeds))
+    named = study.controllers or {"": {}}
+    if len(points) * len(named) > MAX_ARMS:
+        text = f"gives {len(points) * len(named)} arms; a study has at most {MAX_ARMS}"
+        raise InvalidSpecError([document.place(("sweep",)).problem(("sweep",), text)])
+    for controller, values in named.items():
+        chosen = [
+            (f"{path}={as_yaml(value)}", ("controllers", controller, path))
+            for path, value in values.items()
+        ]
+        for point in points:
+            swept = [
+                (f"{path}={as_yaml(one.value)}", ("sweep", *one.loc)) for path, one in point.items()
+            ]
+            yield controller, {path: one.value for path, one in point.items()}, [*chosen, *swept]
+
+
+def _arm(
+    base: Path,
+    study: Study,
+    controller: str,
+    values: Mapping[str, Any],
+    settings: _Placed,
+    document: Document,
+) -> Arm:
+    """Return one arm; InvalidSpecError with the places of the study where it is to blame."""
+    for setting, loc in settings:
+        if setting.partition("=")[0].split(".")[0] == "trials":
+            text = "is the study's own; give count and seed in its 'trials:'"
+            raise InvalidSpecError([document.place(loc).problem(loc, text)])
+    sets = tuple(setting for setting, _ in settings)
+    trials = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
+    try:
+        spec = load_spec(base, (*sets, *trials))
+    except InvalidSpecError as error:
+        found = {f"--set {printable(setting, 200)}": loc for setting, loc in settings}
+        raise InvalidSpecError([_placed(p, found, document) for p in error.problems]) from None
+    if not spec.experiment.plant.simulated:
+        loc: Loc = ("base",)
+        text = "drives a lab; a study simulates: name a spec whose plant has 'type: sim'"
+        raise InvalidSpecError([document.place(loc).problem(loc, text, study.base)])
+    try:
+        check(spec.experiment)
+    except SpecError as error:
+        place = document.place(("base",))
+        raise InvalidSpecError([place.problem(("base",), str(error), study.base)]) from None
+    return Arm(arm_name(controller, values), controller, values, sets, spec, arm_hash(spec))
+
+
+def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Document) -> SpecProblem:
+    """Return a problem of a spec at its place in the study, where a setting is to blame."""
+    loc = settings.get(problem.origin)
+    if loc is None:
+        return problem
+    place = document.place(loc)
+    path = str(loc[-1]) if not isinstance(loc[-1], int) else str(loc[-2])
+    inside = f"{problem.field}: " if problem.field not in ("", path) else ""
+    text = f"{inside}{problem.message}"
+    return replace(place.problem(loc, text, problem.value), field=dotted(loc))
+
+
+def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]:
+    """Yield what is wrong with the arms together."""
+    units = dict.fromkeys(arm.spec.experiment.units.length for arm in arms)
+    if len(units) > 1:
+        text = f"has arms in {' and '.join(units)}; one table has one length unit"
+        yield document.place(("sweep",)).problem(("sweep",), text)
+    seen: dict[tuple[str, str], Arm] = {}
+    for arm in arms:
+        twin = seen.setdefault((arm.controller, arm.hash), arm)
+        if twin is not arm:
+            text = f"gives the arm {arm.name} twice, once as {twin.name}; keep one"
+            yield document.place(("sweep",)).problem(("sweep",), text)
+
+
+def _told_apart(arms: list[Arm]) -> Iterable[Arm]:
+    """Yield the arms with a piece of their hash in names that several have."""
+    names = [arm.name.lower() for arm in arms]  # some file systems do not tell capitals apart
+    for arm in arms:
+        several = names.count(arm.name.lower()) > 1
+        yield replace(arm, name=f"{arm.name}-{arm.hash[:8]}") if several else arm
+
+
+def spec_of(arm: Arm, count: int) -> LoadedSpec:
+    """Return an arm's spec with another number of trials, which is in the log of each."""
+    trials = arm.spec.experiment.trials.model_copy(update={"count": count})
+    experiment = arm.spec.experiment.model_copy(update={"trials": trials})
+    return replace(arm.spec, experiment=experiment)

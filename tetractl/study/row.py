@@ -1,0 +1,70 @@
+"""The row of a trial: what a study keeps of it, with or without its log."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+from tetractl.core.clock import MILLISECOND
+from tetractl.experiment.experiment import Experiment
+from tetractl.export.tables import trials
+from tetractl.log.read.trial_log import ResultSummary
+
+HOST_COLUMNS = ("deadline_misses",)
+"""Columns of `export` that differ between two runs of a trial; they are in the table of times."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One trial of an arm.
+
+    `arm_hash` and `code` name the experiment and the code that ran it, `digest` is the content
+    digest of the trial's log, and `count` the number of trials that this log states. `columns` are
+    those of `tetractl export` that repeat whenever the trial is run again, `times` those that do
+    not.
+    """
+
+    trial: int
+    arm_hash: str
+    code: str
+    digest: str
+    count: int
+    logged: bool  # whether the log was kept
+    columns: Mapping[str, Any]
+    times: Mapping[str, Any]
+
+    @classmethod
+    def of(
+        cls, found: ResultSummary, arm_hash: str, code: str, logged: bool, wall_s: float
+    ) -> Self:
+        """Return the row of a trial whose log has a digest; `wall_s` is what it took."""
+        columns = {name: values[0] for name, values in trials(found).items() if name != "trial"}
+        times = {name: columns.pop(name) for name in HOST_COLUMNS}
+        solve_ms = [ns / MILLISECOND for ns in found.result.solve_ns]
+        times |= {
+            "solve_mean_ms": sum(solve_ms) / len(solve_ms) if solve_ms else None,
+            "solve_max_ms": max(solve_ms, default=None),
+            "wall_s": wall_s,
+        }
+        assert found.digest is not None, "a trial of a study has a digest"
+        count = found.experiment.trials.count
+        return cls(found.trial, arm_hash, code, found.digest, count, logged, columns, times)
+
+    @classmethod
+    def read(cls, line: str) -> Self:
+        """Return the row of a line; ValueError or TypeError where it is none."""
+        return cls(**json.loads(line))
+
+    def line(self) -> str:
+        """Return the row as a line of JSON."""
+        return json.dumps(asdict(self), allow_nan=False, ensure_ascii=False) + "\n"
+
+    @property
+    def complete(self) -> bool:
+        """Whether the trial ran to its own end."""
+        return self.columns["outcome"] != "aborted"
+
+    def error(self, experiment: Experiment) -> float | None:
+        """Return the total error, None where the trial does not count."""
+        column = self.columns[f"total_error_{experiment.units.length}"]
+        return column if self.columns["counted"] else None

@@ -1,0 +1,154 @@
+"""The folder of a study: a folder an arm, with the rows of its trials and the logs kept."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from tetractl.core.errors import LogError, UsageError
+from tetractl.experiment.load import resolved_yaml
+from tetractl.run.batch import log_path
+from tetractl.run.folder import make_folder, set_aside
+from tetractl.run.folder_lock import locked
+from tetractl.study.arm import Arm
+from tetractl.study.row import Row
+
+ROWS = "trials.jsonl"
+SPEC = "spec.resolved.yaml"
+
+
+class Store:
+    """The rows of a study by arm and trial, on disk as they come.
+
+    A row is one line; what a killed process left of a line is dropped when the folder is opened.
+    Of two lines of a trial the later counts.
+    """
+
+    def __init__(self, folder: Path, arms: Iterable[Arm]) -> None:
+        self.folder = folder
+        self.rows: dict[str, dict[int, Row]] = {arm.name: {} for arm in arms}
+
+    @contextmanager
+    def opened(self, arms: Iterable[Arm]) -> Iterator[None]:
+        """Make the folder, lock it, and read what is in it.
+
+        Raises UsageError where another run has the lock, or rows are of another study.
+        """
+        make_folder(self.folder)
+        with locked(self.folder):
+            for arm in arms:
+                self.rows[arm.name] = read_rows(self.folder, arm, mend=True)
+            yield
+
+    def place(self, arm: Arm) -> Path:
+        """Return the folder of an arm, made if need be."""
+        folder = self.folder / arm.name
+        if not (folder / SPEC).exists():
+            make_folder(folder)
+            _write(folder / SPEC, resolved_yaml(arm.spec.experiment), "w")
+        return folder
+
+    def clear(self, arm: Arm, trial: int) -> Path:
+        """Return the folder of an arm, logs of a trial that is to be run set aside."""
+        folder = self.place(arm)
+        path = log_path(folder, trial)
+        if path.exists() or path.with_name(path.name + ".part").exists():
+            set_aside(folder, trial)
+        return folder
+
+    def add(self, arm: Arm, row: Row) -> None:
+        """Add the row of a trial, in memory and on disk."""
+        self.rows[arm.name][row.trial] = row
+        _write(self.place(arm) / ROWS, row.line(), "a")
+
+
+def read_rows(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
+    """Return the rows of an arm by trial; lines that are none are passed over.
+
+    With `mend` the file is cut after its last whole line. Raises UsageError for rows of another
+    spec, LogError where the file cannot be read.
+    """
+    path = folder / arm.name / ROWS
+    try:
+        text = path.read_bytes()
+        whole = text.rfind(b"\n") + 1
+        if mend and whole < len(text):
+            with path.open("r+b") as file:
+                file.truncate(whole)
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+    rows: dict[int, Row] = {}
+    for line in text[:whole].decode(errors="replace").splitlines():
+        try:
+            row = Row.read(line)
+        except (ValueError, TypeError):
+            continue  # the trial is run again
+        if row.arm_hash != arm.hash:
+            raise UsageError(
+                f"{path}: was run with another spec or seed",
+                "name another folder with --out, or the study it was run with",
+            )
+        rows[row.trial] = row
+    return rows
+
+
+def merge(store: Store, arms: Iterable[Arm], folders: Iterable[Path]) -> int:
+    """Add the rows and logs of other folders of the same study; return how many rows were added.
+
+    Logs are linked where the file system can, else copied. Raises UsageError for a folder without a
+    row of the study, and for two rows of a trial by the same code that differ in their digest.
+    """
+    added = 0
+    for folder in folders:
+        found = {arm.name: read_rows(folder, arm) for arm in arms}
+        if not any(found.values()):
+            raise UsageError(f"{folder}: holds no trial of this study")
+        for arm in arms:
+            added += sum(_take(store, arm, folder, row) for row in found[arm.name].values())
+    return added
+
+
+def _take(store: Store, arm: Arm, folder: Path, row: Row) -> bool:
+    mine: Mapping[int, Row] = store.rows[arm.name]
+    twin = mine.get(row.trial)
+    if twin is not None:
+        if twin.code == row.code and twin.digest != row.digest:
+            raise UsageError(
+                f"{folder}: trial {row.trial} of {arm.name} differs from that in {store.folder},"
+                " by the same code",
+                "were they run on processors of different types?",
+            )
+        if twin.logged or not row.logged:
+            return False
+    if row.logged:
+        source = log_path(folder / arm.name, row.trial)
+        keep_log(log_path(store.clear(arm, row.trial), row.trial), source)
+    store.add(arm, row)
+    return True
+
+
+def keep_log(path: Path, source: Path) -> None:
+    """Give a log a second name, or copy it where that cannot be; LogError where neither can."""
+    try:
+        try:
+            path.hardlink_to(source)
+        except OSError:
+            save_log(path, source.read_bytes())
+    except OSError as error:
+        raise LogError(f"{source}: cannot be copied: {error.strerror}") from error
+
+
+def save_log(path: Path, log: bytes) -> None:
+    """Write a log that was made elsewhere, whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(log)
+    part.replace(path)
+
+
+def _write(path: Path, text: str, mode: str) -> None:
+    try:
+        with path.open(mode, encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror}") from error

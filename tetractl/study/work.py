@@ -1,0 +1,86 @@
+"""One trial of a study, as a worker runs it: a row, and a log where one is asked for."""
+
+import pickle
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from tetractl.control.build import warm_up
+from tetractl.core.commands import PlantInfo
+from tetractl.core.plan import Outcome
+from tetractl.experiment.load import LoadedSpec
+from tetractl.log.provenance import trial_code
+from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import ResultSummary
+from tetractl.log.write.digest_writer import DigestWriter
+from tetractl.log.write.writer import LogWriter
+from tetractl.run.batch import log_path, run_with
+from tetractl.run.interrupt import Interrupt
+from tetractl.study.row import Row
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One trial to run: `spec` is the arm's, pickled; a log is kept always, or if it fails."""
+
+    arm: int  # index in the study
+    trial: int
+    arm_hash: str
+    spec: bytes
+    log: bool
+    log_if_failed: bool
+
+
+def run_task(task: Task, folder: Path, interrupt: Interrupt) -> Row | None:
+    """Run a trial, its log in `folder` where one is kept; None where it was interrupted.
+
+    Whatever keeps the trial from its end and is no outcome of it, such as a full disk, is raised.
+    A log for a failure is that of the trial run again: it repeats.
+    """
+    try:
+        row = _run(task, folder, interrupt, task.log)
+    except Exception:
+        if task.log_if_failed and not task.log:
+            _run(task, folder, interrupt, True)
+        raise
+    if row is None or row.complete or task.log or not task.log_if_failed:
+        return row
+    return _run(task, folder, interrupt, True)
+
+
+def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | None:
+    spec = _ready(task.spec)
+    path = log_path(folder, task.trial)
+    with ExitStack() as stack:
+        writer = stack.enter_context(LogWriter(path)) if log else DigestWriter()
+        began_s = time.perf_counter()
+        result = run_with(writer, spec, task.trial, (), interrupt)
+        wall_s = time.perf_counter() - began_s
+    if writer.failure is not None:
+        raise writer.failure
+    if result.outcome is Outcome.INTERRUPTED:
+        path.unlink(missing_ok=True)
+        return None
+    experiment = spec.experiment
+    found = ResultSummary(
+        path=str(path),
+        experiment=experiment,
+        seed=experiment.trials.seed,
+        trial=task.trial,
+        origin=Origin.of(experiment, PlantInfo("", True, 0.0, {})),
+        result=result,
+        recovered=False,
+        digest=writer.digest,
+        warnings=writer.warnings,
+    )
+    return Row.of(found, task.arm_hash, trial_code(), log, wall_s)
+
+
+@lru_cache(maxsize=64)
+def _ready(spec: bytes) -> LoadedSpec:
+    """Return an arm's spec, its controller compiled; by the same bytes the same object."""
+    loaded: LoadedSpec = pickle.loads(spec)
+    warm_up(loaded.experiment, lambda text: None)
+    return loaded

@@ -26,6 +26,7 @@ from tetractl.cli import (
     run,
     schema,
     stats,
+    study,
     validate,
     verify,
 )
@@ -74,6 +75,7 @@ app.command("open")(open_log.open_logs)
 app.command("verify")(verify.verify)
 app.command("stats")(stats.stats)
 app.command("analyze")(analyze.analyze)
+app.command("study")(study.study)
 app.command("identify")(identify.identify)
 app.add_typer(lab.app, name="lab")
 

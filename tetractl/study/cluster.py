@@ -18,7 +18,7 @@ from tetractl.study.store import save_log
 from tetractl.study.work import Task, run_task
 
 if TYPE_CHECKING:
-    from distributed import Client
+    pass
 
 CONNECT_S = 10.0
 LOOK_S = 0.1  # how often an interruption is looked for
@@ -70,7 +70,8 @@ class Cluster:
     @property
     def workers(self) -> int:
         """The number of trials that run at a time, at least 1."""
-        return max(sum(self._client.nthreads().values()), 1)
+        threads: Any = self._client.nthreads()
+        return max(sum(threads.values()), 1)
 
     def run(self, tasks: Sequence[Task]) -> Iterator[Ended]:
         """Yield the tasks in the order in which they end."""
@@ -117,21 +118,24 @@ class Cluster:
             return task, AbortError("it was lost with each worker that it was given to")
         if error is not None:
             return task, error
-        row, log = future.result()
+        found, log = future.result()
         future.release()
         if log is not None:
             save_log(log_path(self._place(task), task.trial), log)
-        return task, row
+        return task, found
 
 
-def _work(task: Task, code: str) -> tuple[Row | None, bytes | None]:
-    """Run a trial on a worker; return its row and its log."""
+def _work(task: Task, code: str) -> tuple[Row | Exception | None, bytes | None]:
+    """Run a trial on a worker; return its row, or what kept it from its end, and its log."""
     if trial_code() != code:
         raise TetractlError(
             "the worker has other code than this machine",
             "install the same versions of tetractl, numpy, numba and scipy there",
         )
     with tempfile.TemporaryDirectory(prefix="tetractl-") as name:
-        row = run_task(task, Path(name), Interrupt())
+        try:
+            found = run_task(task, Path(name), Interrupt())
+        except Exception as error:  # with the log that may have been kept of it
+            found = error
         path = log_path(Path(name), task.trial)
-        return row, path.read_bytes() if path.exists() else None
+        return found, path.read_bytes() if path.exists() else None

@@ -1,0 +1,55 @@
+"""One trial of a study run again to its full log, and checked against its row."""
+
+from dataclasses import replace
+
+from tetractl.core.errors import LogError, UsageError
+from tetractl.experiment.yaml.problems import did_you_mean
+from tetractl.log.provenance import trial_code
+from tetractl.log.read.reader import read_result
+from tetractl.run.batch import log_path, run_trial
+from tetractl.run.folder import set_aside
+from tetractl.run.interrupt import Interrupt, interrupted_once
+from tetractl.study.arm import Arm
+from tetractl.study.load import LoadedStudy, spec_of
+from tetractl.study.row import Row
+from tetractl.study.store import Store
+
+
+def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
+    """Run the trial `ARM/N` again and keep its log; return in one line that the digests agree.
+
+    Raises UsageError for a trial that the study does not have, has no row of, or has a log of, and
+    LogError where the digests differ; the log is then set aside as an attempt.
+    """
+    arm, row = _found(loaded, store, which)
+    folder = store.place(arm)
+    path = log_path(folder, row.trial)
+    if row.logged and path.exists():
+        raise UsageError(f"{path}: has its log", f"check it with: tetractl verify {path}")
+    folder = store.clear(arm, row.trial)
+    with interrupted_once():
+        result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())
+    digest = read_result(path).digest
+    if digest != row.digest:
+        set_aside(folder, row.trial)
+        older = row.code != trial_code()
+        raise LogError(
+            f"{which}: the digest of its log is {digest}, that of its row {row.digest}",
+            "the row is of older code" if older else "was it run on another type of processor?",
+        )
+    store.add(arm, replace(row, logged=True))
+    return f"{path}: {result.summary}, digest as in its row: {digest}"
+
+
+def _found(loaded: LoadedStudy, store: Store, which: str) -> tuple[Arm, Row]:
+    name, slash, number = which.rpartition("/")
+    if not slash or not number.isdecimal():
+        raise UsageError(f"--trial {which}: must be ARM/N, as in the columns arm and trial")
+    arm = next((arm for arm in loaded.arms if arm.name == name), None)
+    if arm is None:
+        close = did_you_mean(name, [arm.name for arm in loaded.arms])
+        raise UsageError(f"--trial {which}: the study has no arm '{name}'{close}")
+    row = store.rows[arm.name].get(int(number))
+    if row is None:
+        raise UsageError(f"--trial {which}: it has no row in {store.folder}", "run the study first")
+    return arm, row

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -128,7 +128,7 @@ def _run(
     quiet: bool,
 ) -> "tuple[Report, bool]":
     """Run what is to be run; return what became of it, and whether somebody stopped it."""
-    from contextlib import ExitStack
+    from contextlib import ExitStack, suppress
 
     from tetractl.cli.streams import hurrier
     from tetractl.control.build import warm_up
@@ -149,7 +149,8 @@ def _run(
         if cluster is None and plan.tasks:
             named = {arm.controller: arm for arm in loaded.arms}
             for arm in named.values():
-                warm_up(arm.spec.experiment, lambda text: console.print(text, highlight=False))
+                with suppress(TetractlError):  # its trials say so themselves
+                    warm_up(arm.spec.experiment, lambda text: console.print(text, highlight=False))
         leave_on_signals(Exit.INTERRUPTED)
         executor = stack.enter_context(
             _executor(loaded, store, cluster, jobs, len(plan.tasks), interrupt)

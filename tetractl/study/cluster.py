@@ -80,9 +80,7 @@ class Cluster:
         while not self._stopping:
             window = max(AHEAD * self.workers, FEWEST) - len(running)
             for task in itertools.islice(waiting, max(window, 0)):
-                future = self._client.submit(
-                    _work, task, trial_code(), key=f"{task.arm_hash[:16]}-{task.trial}", pure=False
-                )
+                future = self._client.submit(_work, task, trial_code(), pure=False)
                 running[future] = task
                 future.add_done_callback(ended.put)
             if not running:

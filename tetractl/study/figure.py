@@ -1,12 +1,13 @@
 """One figure a swept field: total error against the field's value, a line a controller."""
 
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
 from tetractl.study.cells import shown
@@ -16,7 +17,9 @@ from tetractl.study.store import Store
 from tetractl.study.table import counted_rows
 from tetractl.view import style
 
-DECADES = 2  # that positive values must span to be drawn on a logarithmic axis
+DECADES = 1.5  # that positive values must span to be drawn on a logarithmic axis
+TICKS = 8  # most values that are ticks themselves
+ASIDE_IN = 0.06  # between the same value of two controllers
 LABEL = 24  # characters of a value that is no number
 
 
@@ -56,10 +59,14 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
         axes = figure.subplots()
         places = _places(axes, every)
         for number, (name, found) in enumerate(curves.items()):
-            aside = (number - (len(curves) - 1) / 2) * 0.12 if not numeric(every) else 0.0
-            x = [places[shown(group.value)] + aside for group in found]
+            x = [places[shown(group.value)] for group in found]
             joined = numeric(every) and _alike(found, len(loaded.paths))
-            _draw(axes, x, found, PALETTE[number % len(PALETTE)], name, joined)
+            look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
+            aside_in = ASIDE_IN * (number - (len(curves) - 1) / 2)  # so that none hides another
+            look["transform"] = axes.transData + ScaledTranslation(
+                aside_in, 0, figure.dpi_scale_trans
+            )
+            _draw(axes, x, found, "-o" if joined else "o", name, look)
         axes.set_xlabel(field)
         axes.set_ylabel(f"total error [{style.unit_of(loaded.unit)}]")
         axes.set_ylim(bottom=0)
@@ -78,9 +85,11 @@ def _places(axes: Axes, found: Sequence[Group]) -> dict[str, float]:
         axes.set_xticks(range(len(labels)), [label[:LABEL] for label in labels])
         axes.set_xlim(-0.5, len(labels) - 0.5)
         return {label: float(place) for place, label in enumerate(labels)}
-    values = [float(group.value) for group in found]
+    values = sorted({float(group.value) for group in found})
     if min(values) > 0 and max(values) / min(values) >= 10**DECADES:
         axes.set_xscale("log")
+    if len(values) <= TICKS:
+        axes.set_xticks(values, [shown(value) for value in values])
     return {shown(group.value): float(group.value) for group in found}
 
 
@@ -90,28 +99,28 @@ def _alike(found: Sequence[Group], fields: int) -> bool:
 
 
 def _draw(
-    axes: Axes, x: list[float], found: Sequence[Group], color: str, name: str, joined: bool
+    axes: Axes,
+    x: list[float],
+    found: Sequence[Group],
+    line: str,
+    name: str,
+    look: dict[str, Any],
 ) -> None:
     means = [group.error.mean for group in found]
-    axes.plot(
-        x,
-        means,
-        "-o" if joined else "o",
-        color=color,
-        markersize=3.5,
-        label=name or None,
-        clip_on=False,
-        zorder=3,
-    )
+    axes.plot(x, means, line, markersize=3.5, label=name or None, zorder=3, **look)
     known = [(place, g.error.ci95) for place, g in zip(x, found, strict=True) if g.error.ci95.known]
     axes.vlines(
         [place for place, _ in known],
         [interval.low for _, interval in known],
         [interval.high for _, interval in known],
-        color=color,
         linewidth=2.5,
         alpha=0.45,
+        **look,
     )
+    for place, group in zip(x, found, strict=True):  # what is moved aside does not set the limits
+        ends = group.error.ci95.ends or [group.error.mean]
+        axes.update_datalim([(place, end) for end in ends])
+    axes.autoscale_view()
 
 
 def _headline(loaded: LoadedStudy, store: Store, found: Sequence[Group]) -> str:
@@ -119,5 +128,8 @@ def _headline(loaded: LoadedStudy, store: Store, found: Sequence[Group]) -> str:
     origins = sorted({row.columns["origin"] for _, row in counted_rows(loaded, store)})
     counts = sorted({group.error.n for group in found})
     n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    pooled = "" if math.prod(group.arms for group in found) == 1 else ", over the other fields"
-    return f"{loaded.study.name}, {' and '.join(origins)}: mean{pooled}, 95 % interval, n = {n}"
+    pooled = " over the other fields" if any(group.arms > 1 for group in found) else ""
+    return (
+        f"{loaded.study.name}, {' and '.join(origins)}: mean{pooled} and its 95 % interval,"
+        f" n = {n} worlds"
+    )

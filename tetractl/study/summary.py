@@ -5,6 +5,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from tetractl.log.read.origin import Origin
 from tetractl.stats.text import lengths, span
 from tetractl.study.effect import error_of
 from tetractl.study.load import LoadedStudy
@@ -30,10 +31,10 @@ def print_summary(loaded: LoadedStudy, store: Store, console: Console) -> None:
         show = lengths(error.mean)
         cells = (str(error.n), show(error.mean), span(error.ci95, show), show(error.std))
         table.add_row(Text(arm.name), *cells, str(aborted))
-    console.print(
-        Text(f"{loaded.study.name}, {' and '.join(origins)}: total error [{loaded.unit}]"),
-        style="bold",
-    )
+    title = f"{loaded.study.name}, {' and '.join(origins)}: total error [{loaded.unit}]"
+    console.print(Text(title, style="bold"))
+    if Origin.DISTURBED in origins:
+        console.print("disturbances are assumed in the spec, not measured")
     console.print(table)
     if len(loaded.arms) > MOST:
         console.print(f"and {len(loaded.arms) - MOST} arms more, which the table of trials has")

@@ -2,13 +2,14 @@
 
 import pickle
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 from tetractl.control.build import warm_up
 from tetractl.core.commands import PlantInfo
+from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import LoadedSpec
 from tetractl.log.provenance import trial_code
@@ -82,5 +83,6 @@ def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | Non
 def _ready(spec: bytes) -> LoadedSpec:
     """Return an arm's spec, its controller compiled; by the same bytes the same object."""
     loaded: LoadedSpec = pickle.loads(spec)
-    warm_up(loaded.experiment, lambda text: None)
+    with suppress(TetractlError):  # the trial meets it again, and says so in its row
+        warm_up(loaded.experiment, lambda text: None)
     return loaded

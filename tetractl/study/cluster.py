@@ -43,12 +43,14 @@ class Cluster:
     def __enter__(self) -> Self:
         try:
             from distributed import Client
+            from distributed.comm import get_address_host_port
         except ImportError:
             raise UsageError(
                 "--cluster needs Dask's distributed, which is not installed",
                 "pip install 'tetractl[dask]'",
             ) from None
         try:
+            get_address_host_port(self._address)  # else an address without a port is waited for
             self._client: Client = Client(
                 self._address, timeout=CONNECT_S, set_as_default=False, name="tetractl-study"
             )

@@ -1,0 +1,143 @@
+"""`tetractl study` from the outside: however it is run, the same table."""
+
+import csv
+import signal
+
+import pytest
+from support.running import ENDLESS
+from support.studies import FAILING, LONGER, STUDY, Running, results, rows, tetractl, write
+
+from tetractl.log.read.reader import content_digest, read_result
+
+
+def study(*args, cwd):
+    return tetractl("study", *args, cwd=cwd)
+
+
+def table(out):
+    with (out / "trials.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The longer study, run in one go with all logs."""
+    folder = tmp_path_factory.mktemp("whole")
+    write(folder, LONGER)
+    done = study("study.yaml", "--out", "out", "--jobs", 2, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder, done
+
+
+def test_a_study_leaves_a_folder_an_arm_a_table_and_a_figure_a_field(whole):
+    folder, done = whole
+    out = folder / "out"
+    arms = sorted(path.name for path in out.iterdir() if path.is_dir())
+    assert len(arms) == 8
+    assert "few-dead_time=0.1-a=3" in arms
+    assert {path.name for path in out.iterdir() if path.is_file()} == {
+        "trials.csv", "times.csv", "error-plant.dead_time.png", "error-robots.r.a.png"
+    }  # fmt: skip
+    found = table(out)
+    assert len(found) == 96
+    for row in found[::7]:
+        log = out / row["log"]
+        assert row["digest"] == read_result(log).digest == content_digest(log)
+        assert float(row["total_error_mm"]) == read_result(log).result.total_error
+    assert found[0]["controller"] == "many"
+    assert {row["plant.dead_time"] for row in found} == {"0", "0.1"}
+    assert "quick: 8 arms of 12 trials, 96 of 96 to run, 2 at a time" in done.stderr
+    assert "expected duration" in done.stderr
+    assert "96 of 96 trials" in done.stderr
+    assert "disturbed simulation: total error [mm]" in done.stdout
+    assert "assumed in the spec" in done.stdout
+
+
+def test_a_study_killed_and_run_again_gives_the_same_table(whole, tmp_path):
+    write(tmp_path, LONGER)
+    out = tmp_path / "out"
+    for already in (5, 40):
+        with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 2) as running:
+            running.until_rows(out, already)
+            running.process.send_signal(signal.SIGKILL)
+            running.process.wait()
+        assert rows(out) < 96
+        assert not (out / "trials.csv").exists()
+    torn = next(out.glob("*/trials.jsonl"))
+    torn.write_bytes(torn.read_bytes()[:-20])  # as a power cut may leave a line
+    done = study("study.yaml", "--out", "out", "--jobs", 2, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "96 of 96 to run" not in done.stderr
+    assert results(out) == results(whole[0] / "out")
+
+
+def test_a_study_interrupted_is_gone_on_with(whole, tmp_path):
+    write(tmp_path, LONGER)
+    out = tmp_path / "out"
+    with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 2) as running:
+        running.until_rows(out, 5)
+        running.process.send_signal(signal.SIGINT)
+        assert running.end() == 130
+    told = (tmp_path / "err").read_text().splitlines()
+    assert told[-1] == "interrupted"
+    assert "trials are lacking; go on with the same command" in told[-2]
+    assert 5 <= len(table(out)) < 96
+    assert study("study.yaml", "--out", "out", cwd=tmp_path).returncode == 0
+    assert results(out) == results(whole[0] / "out")
+
+
+def test_shares_run_by_themselves_and_merged_give_the_same_table(whole, tmp_path):
+    write(tmp_path, LONGER)
+    for i in (1, 2, 3):
+        done = study("study.yaml", "--shard", f"{i}/3", "--jobs", 1, "-q", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    shares = sorted((tmp_path / "logs").iterdir())
+    assert [path.name for path in shares] == [f"quick-shard-{i}-of-3" for i in (1, 2, 3)]
+    assert [rows(path) for path in shares] == [32, 32, 32]
+    done = study("study.yaml", "--merge", *shares, "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "96 trials added" in done.stderr
+    assert results(tmp_path / "out") == results(whole[0] / "out")
+    for row in table(tmp_path / "out")[::11]:
+        assert read_result(tmp_path / "out" / row["log"]).digest == row["digest"]
+
+
+def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
+    write(tmp_path, FAILING)
+    done = study("study.yaml", "--out", "out", "--logs", "failed", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "failed: speed=1e+308/0: aborted: the cost is not finite" in done.stderr
+    assert "4 trials aborted" in done.stderr
+    found = table(tmp_path / "out")
+    assert [row["outcome"] == "aborted" for row in found] == [True] * 4 + [False] * 4
+    assert [bool(row["log"]) for row in found] == [True] * 4 + [False] * 4
+    for row in found[:4]:
+        assert read_result(tmp_path / "out" / row["log"]).digest == row["digest"]
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["--shard", "3/2"], "--shard 3/2: must be i/n"),
+        (["--logs", "some"], "--logs some: must be all, failed, sample:N or none"),
+        (["nowhere"], "--merge and the folders to gather go together"),
+        (["--merge", "nowhere"], "nowhere: holds no trial of this study"),
+        (["--trial", "many"], "--trial many: must be ARM/N"),
+        (["--trial", "few-dead_time=0.1-a=3/0"], "it has no row in"),
+        (["--shard", "1/2", "--trial", "a/0"], "give one of them"),
+    ],
+)
+def test_bad_usage_is_told_in_a_line(args, says, tmp_path):
+    write(tmp_path)
+    done = study("study.yaml", *args, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert says in done.stderr
+
+
+def test_two_runs_of_one_folder_are_refused(tmp_path):
+    write(tmp_path, STUDY.replace("{plant.dead_time: [0, 0.1], robots.r.a: [3, 6]}", "{plant.dead_time: [0]}"), ENDLESS)  # fmt: skip  # noqa: E501
+    with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 1) as running:
+        running.until(lambda: (tmp_path / "out" / ".tetractl-lock").exists())
+        done = study("study.yaml", "--out", "out", cwd=tmp_path)
+        assert done.returncode == 2
+        assert "in use by process" in done.stderr

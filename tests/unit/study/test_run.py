@@ -1,0 +1,233 @@
+import json
+import os
+import pickle
+from dataclasses import replace
+
+import pytest
+from support.studies import FAILING, SMALL, run
+
+from tetractl.core.errors import LogError, TetractlError, UsageError
+from tetractl.experiment.load import parse_spec
+from tetractl.log.read.reader import content_digest, read_result
+from tetractl.run.batch import log_path, run_trial
+from tetractl.run.interrupt import Interrupt
+from tetractl.study import local, work
+from tetractl.study.options import Logs, Shard
+from tetractl.study.repeat import repeat
+from tetractl.study.store import merge, read_rows
+
+ALL, NONE, FAILED = Logs(float("inf"), True), Logs(0, False), Logs(0, True)
+ARM = "dead_time=0.1"
+
+
+def edit(ran, **fields):
+    """Change fields of the rows of one arm on disk."""
+    path = ran.store.folder / ARM / "trials.jsonl"
+    lines = [json.loads(line) | fields for line in path.read_text().splitlines()]
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
+    ran = run(tmp_path)
+    assert not list(tmp_path.rglob("*.mcap*"))
+    arm = ran.loaded.arms[3]
+    sets = [*arm.sets, "trials.count=5", "trials.seed=7"]
+    alone = parse_spec((tmp_path / "spec.yaml").read_text(), "spec.yaml", sets)
+    run_trial(alone, tmp_path, 2, (), Interrupt())
+    found = read_result(log_path(tmp_path, 2))
+    row = ran.rows[arm.name, 2]
+    assert row.digest == found.digest
+    assert row.columns["total_error_mm"] == found.result.total_error
+    assert row.columns["warnings"] == found.warnings
+
+
+def test_a_log_kept_changes_no_row(tmp_path):
+    without, kept = (run(tmp_path, SMALL, out=out, logs=logs).rows
+                     for out, logs in (("none", NONE), ("all", ALL)))  # fmt: skip
+    assert len(kept) == 6
+    for key, row in kept.items():
+        assert replace(row, logged=False, times={}) == replace(without[key], times={})
+        log = log_path(tmp_path / "all" / key[0], key[1])
+        assert content_digest(log) == row.digest
+
+
+def test_trials_come_first_over_all_arms_and_the_duration_is_told(tmp_path):
+    ran = run(tmp_path, SMALL)
+    assert [(task.arm, task.trial) for task in ran.plan.tasks] == [
+        (arm, trial) for trial in range(3) for arm in range(2)
+    ]
+    assert ran.watcher.told == [3]
+    assert ran.watcher.left_s[-1] == 0
+    assert (ran.report.done, ran.report.failed, ran.report.left) == (6, 0, 0)
+
+
+def test_trials_of_older_code_are_named_and_run_again_only_on_demand(tmp_path):
+    before = run(tmp_path, SMALL, logs=ALL)
+    table = (tmp_path / "out" / "trials.csv").read_bytes()
+    edit(before, code="older")
+    kept = run(tmp_path, SMALL, logs=ALL)
+    assert (len(kept.plan.tasks), kept.plan.older) == (0, {ARM: 3})
+    assert (tmp_path / "out" / "trials.csv").read_bytes() != table
+    again = run(tmp_path, SMALL, logs=ALL, again=True)
+    assert (len(again.plan.tasks), again.plan.older) == (3, {})
+    assert (tmp_path / "out" / "trials.csv").read_bytes() == table
+    names = {path.name for path in (tmp_path / "out" / ARM).glob("*attempt*")}
+    assert names == {f"trial-00{i}.attempt-1.mcap" for i in range(3)}
+
+
+def test_a_study_of_another_spec_is_not_mixed_in(tmp_path):
+    run(tmp_path, SMALL)
+    with pytest.raises(UsageError, match="another spec or seed"):
+        run(tmp_path, SMALL.replace("seed: 7", "seed: 8"))
+
+
+def test_more_trials_and_values_are_added_to_those_there_are(tmp_path):
+    run(tmp_path, SMALL)
+    more = SMALL.replace("count: 3", "count: 4").replace("[0, 0.1]", "[0, 0.05, 0.1]")
+    ran = run(tmp_path, more)
+    assert len(ran.plan.tasks) == 3 * 4 - 2 * 3
+    assert len(ran.rows) == 12
+
+
+def test_lines_that_are_no_rows_are_passed_over(tmp_path):
+    before = run(tmp_path, SMALL)
+    path = tmp_path / "out" / ARM / "trials.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(lines[0] + b'{"trial": 1}\n\xff\xfe\n' + lines[2][:-9])
+    ran = run(tmp_path, SMALL)
+    assert [(task.arm, task.trial) for task in ran.plan.tasks] == [(1, 1), (1, 2)]
+    assert {key: row.digest for key, row in ran.rows.items()} == {
+        key: row.digest for key, row in before.rows.items()
+    }
+    assert path.read_bytes().count(b"\n") == 5
+
+
+def test_a_failed_trial_has_a_row_and_is_told(tmp_path):
+    ran = run(tmp_path, FAILING, logs=FAILED)
+    assert [(arm, trial) for arm, trial, _ in ran.watcher.failures] == [
+        ("speed=1e+308", i) for i in range(4)
+    ]
+    assert all("aborted: the cost is not finite" in why for *_, why in ran.watcher.failures)
+    assert [row.logged for row in ran.rows.values()] == [True] * 4 + [False] * 4
+    for (arm, trial), row in ran.rows.items():
+        if row.logged:
+            assert content_digest(log_path(tmp_path / "out" / arm, trial)) == row.digest
+    assert (ran.report.done, ran.report.failed) == (8, 0)
+
+
+def test_fail_fast_stops_at_the_first_failure(tmp_path):
+    ran = run(tmp_path, FAILING, fail_fast=True)
+    assert (ran.report.done, ran.report.left) == (1, 7)
+
+
+@pytest.mark.parametrize("error", [ValueError("an  odd\nthing"), TetractlError("the disk is full")])
+def test_a_trial_without_an_outcome_is_told_and_run_again_the_next_time(
+    tmp_path, monkeypatch, error
+):
+    real = work.run_with
+
+    def broken(writer, spec, trial, observers, interrupt):
+        if trial == 1:
+            raise error
+        return real(writer, spec, trial, observers, interrupt)
+
+    monkeypatch.setattr(work, "run_with", broken)
+    ran = run(tmp_path, SMALL)
+    assert (ran.report.done, ran.report.failed, ran.report.left) == (4, 2, 0)
+    why = ran.watcher.failures[0][2]
+    assert why in ("ValueError: an odd thing", "the disk is full")
+    monkeypatch.undo()
+    assert len(run(tmp_path, SMALL).plan.tasks) == 2
+
+
+def test_shares_are_disjoint_and_merge_to_the_whole(tmp_path):
+    whole = run(tmp_path, SMALL, out="whole", logs=ALL)
+    for i in (1, 2):
+        run(tmp_path, SMALL, out=f"share-{i}", logs=ALL, shard=Shard(i, 2))
+    shares = [tmp_path / "share-1", tmp_path / "share-2"]
+    with whole.store.opened(whole.loaded.arms):
+        assert merge(whole.store, whole.loaded.arms, shares) == 0  # it has them all
+    gathered = run(tmp_path, SMALL, out="gathered", shard=Shard(1, 10_000))
+    with gathered.store.opened(gathered.loaded.arms):
+        before = len(gathered.rows)
+        assert merge(gathered.store, gathered.loaded.arms, shares) == 6  # the one for its log
+        assert before == 1
+    assert {k: r.digest for k, r in gathered.rows.items()} == {
+        k: r.digest for k, r in whole.rows.items()
+    }
+    for (arm, trial), row in gathered.rows.items():
+        assert content_digest(log_path(tmp_path / "gathered" / arm, trial)) == row.digest
+
+
+def test_shares_that_contradict_each_other_are_refused(tmp_path):
+    mine, other = (run(tmp_path, SMALL, out=out) for out in ("mine", "other"))
+    edit(other, digest="0" * 64)
+    with (
+        mine.store.opened(mine.loaded.arms),
+        pytest.raises(UsageError, match=f"trial 0 of {ARM} differs from that in .*mine"),
+    ):
+        merge(mine.store, mine.loaded.arms, [tmp_path / "other"])
+    with pytest.raises(UsageError, match="holds no trial of this study"):
+        merge(mine.store, mine.loaded.arms, [tmp_path / "nowhere"])
+
+
+def test_a_trial_is_repeated_to_its_log(tmp_path):
+    ran = run(tmp_path, SMALL)
+    with ran.store.opened(ran.loaded.arms):
+        told = repeat(ran.loaded, ran.store, f"{ARM}/1")
+        row = ran.rows[ARM, 1]
+        log = log_path(tmp_path / "out" / ARM, 1)
+        assert row.logged
+        assert content_digest(log) == row.digest
+        assert row.digest in told
+        with pytest.raises(UsageError, match="has its log"):
+            repeat(ran.loaded, ran.store, f"{ARM}/1")
+        for wrong in (ARM, f"{ARM}/x", f"{ARM}/7", "dead_time=0.2/0"):
+            with pytest.raises(UsageError, match=f"--trial {wrong}"):
+                repeat(ran.loaded, ran.store, wrong)
+    assert read_rows(tmp_path / "out", ran.loaded.arms[1])[1].logged
+
+
+def test_a_trial_is_repeated_with_the_number_of_trials_it_was_run_with(tmp_path):
+    """The number is in the resolved spec of each log, and so in its digest."""
+    run(tmp_path, SMALL)
+    more = run(tmp_path, SMALL.replace("count: 3", "count: 4"))
+    with more.store.opened(more.loaded.arms):
+        for trial in (1, 3):
+            assert "digest as in its row" in repeat(more.loaded, more.store, f"{ARM}/{trial}")
+
+
+def test_a_repeated_trial_that_differs_is_set_aside(tmp_path):
+    ran = run(tmp_path, SMALL)
+    edit(ran, digest="0" * 64, code="older")
+    with (
+        ran.store.opened(ran.loaded.arms),
+        pytest.raises(LogError, match="the digest of its log is") as told,
+    ):
+        repeat(ran.loaded, ran.store, f"{ARM}/1")
+    assert told.value.hint == "the row is of older code"
+    logs = [path.name for path in (tmp_path / "out" / ARM).glob("*.mcap")]
+    assert logs == ["trial-001.attempt-1.mcap"]
+
+
+def kill_itself(item):
+    """As a worker's task: the processor's memory runs out at one trial."""
+    if item[0].trial == 1:
+        os._exit(9)
+    return work.run_task(*item, Interrupt())
+
+
+@pytest.mark.slow
+def test_a_trial_that_kills_its_process_fails_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(local, "_work", kill_itself)
+    ran = run(tmp_path, SMALL.replace("[0, 0.1]", "[0]"), jobs=2)
+    (failure,) = ran.watcher.failures
+    assert failure == ("dead_time=0", 1, "its process was killed, perhaps for want of memory")
+    assert sorted(trial for _, trial in ran.rows) == [0, 2]
+
+
+def test_the_specs_of_tasks_are_those_of_the_arms(tmp_path):
+    ran = run(tmp_path, SMALL, shard=Shard(2, 2))
+    for task in ran.plan.tasks:
+        assert pickle.loads(task.spec).experiment == ran.loaded.arms[task.arm].spec.experiment
+        assert (task.arm * 3 + task.trial) % 2 == 1

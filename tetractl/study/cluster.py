@@ -43,7 +43,7 @@ class Cluster:
     def __enter__(self) -> Self:
         try:
             from distributed import Client
-            from distributed.comm import get_address_host_port
+            from distributed.comm.addressing import get_address_host_port
         except ImportError:
             raise UsageError(
                 "--cluster needs Dask's distributed, which is not installed",

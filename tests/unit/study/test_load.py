@@ -1,0 +1,103 @@
+# ruff: noqa: E501 (the lines told are long)
+import pytest
+from support.paths import ROOT
+from support.running import QUICK
+from support.studies import STUDY, write
+
+from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.study.load import load_study, spec_of
+
+HEAD = "name: quick\nbase: spec.yaml\n"
+
+
+def problems(folder, study, spec=QUICK):
+    with pytest.raises(InvalidSpecError) as told:
+        load_study(write(folder, study, spec))
+    return [line.removeprefix(f"{folder}/") for line in told.value.lines()], told.value.hint
+
+
+def test_the_arms_are_every_point_with_every_controller(tmp_path):
+    loaded = load_study(write(tmp_path, STUDY))
+    assert [arm.name for arm in loaded.arms] == [
+        f"{who}-dead_time={time}-a={a}"
+        for who in ("many", "few") for time in ("0", "0.1") for a in ("3", "6")
+    ]  # fmt: skip
+    last = loaded.arms[-1]
+    assert last.values == {"plant.dead_time": 0.1, "robots.r.a": 6}
+    assert last.sets == (
+        "controller.optimizer.particles=5", "plant.dead_time=0.1", "robots.r.a=6"
+    )  # fmt: skip
+    experiment = last.spec.experiment
+    assert (experiment.plant.dead_time, experiment.robots[0].a) == (0.1, 6)
+    assert experiment.controller.optimizer.particles == 5
+    assert (experiment.trials.count, experiment.trials.seed) == (5, 7)
+    assert last.spec.text == QUICK
+    assert (loaded.unit, loaded.paths) == ("mm", ("plant.dead_time", "robots.r.a"))
+
+
+def test_the_number_of_trials_does_not_make_another_arm(tmp_path):
+    before = load_study(write(tmp_path, STUDY)).arms
+    after = load_study(write(tmp_path, STUDY.replace("count: 5", "count: 6"))).arms
+    seeds = load_study(write(tmp_path, STUDY.replace("seed: 7", "seed: 8"))).arms
+    assert [arm.hash for arm in before] == [arm.hash for arm in after]
+    assert not {arm.hash for arm in before} & {arm.hash for arm in seeds}
+    assert spec_of(before[0], 6) == after[0].spec
+
+
+def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
+    (arm,) = load_study(write(tmp_path, HEAD)).arms
+    assert (arm.name, arm.controller, arm.sets) == ("base", "", ())
+    assert arm.spec.experiment.trials.count == 20
+
+
+@pytest.mark.parametrize(
+    ("study", "told"),
+    [
+        ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: file of the spec that every arm starts from, beside the study's own"]),
+        ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no such file: {}/other.yaml"]),
+        (HEAD + "swep: {}\n", ["study.yaml:3:1: swep: unknown key; did you mean 'sweep'?"]),
+        (HEAD + "sweep: {type: gird, fields: {}}\n", ["study.yaml:3:15: sweep.type: gird: must be one of grid, list, random, sobol; did you mean 'grid'?"]),
+        (HEAD + "sweep: {type: random, count: 2, fields: {plant.dead_time: {low: 2, hgh: 1}}}\n", ["study.yaml:3:59: sweep.fields.plant.dead_time.high: is missing; add it: greatest value", "study.yaml:3:68: sweep.fields.plant.dead_time.hgh: unknown key; did you mean 'high'?"]),
+        (HEAD + "sweep: {type: random, count: 2, fields: {plant.dead_time: {low: 2, high: 1}}}\n", ["study.yaml:3:74: sweep.fields.plant.dead_time.high: 1: must be greater than low"]),
+        (HEAD + "sweep:\n  type: grid\n  fields:\n    plant.dead_tim: [0]\n    plant.a_error:\n      - 0\n      - -1\n", ["study.yaml:6:22: sweep.fields.plant.dead_tim.0: unknown key; did you mean 'dead_time'?", "study.yaml:9:9: sweep.fields.plant.a_error.1: -1: must be at least 0"]),
+        (HEAD + "sweep: {type: list, points: [{robots.s.a: 1}]}\n", ["study.yaml:3:43: sweep.points.0.robots.s.a: robots: has no entry 's'; its entries are 0 to 0 or r"]),
+        (HEAD + "controllers: {a: {controller.horizon_max: many}}\n", ["study.yaml:3:43: controllers.a.controller.horizon_max: \"many\": must be a whole number"]),
+        (HEAD + "sweep: {type: grid, fields: {trials.seed: [1, 2]}}\n", ["study.yaml:3:44: sweep.fields.trials.seed.0: is the study's own; give count and seed in its 'trials:'", "study.yaml:3:47: sweep.fields.trials.seed.1: is the study's own; give count and seed in its 'trials:'"]),
+        (HEAD + "sweep: {type: grid, fields: {plant.dead_time: [0, 0.0]}}\n", ["study.yaml:3:8: sweep: gives the arm dead_time=0 twice, once as dead_time=0; keep one"]),
+        (HEAD + "sweep: {type: grid, fields: {units.length: [mm, um]}}\n", ["study.yaml:3:8: sweep: has arms in mm and um; one table has one length unit"]),
+        (HEAD + "trials: {count: 0}\n", ["study.yaml:3:17: trials.count: 0: must be at least 1"]),
+    ],
+)  # fmt: skip
+def test_problems_are_told_at_their_place_in_the_study(tmp_path, study, told):
+    found, _ = problems(tmp_path, study)
+    assert found == [line.format(tmp_path) for line in told]
+
+
+def test_a_problem_of_the_base_is_told_at_its_place_there(tmp_path):
+    found, hint = problems(tmp_path, STUDY, QUICK.replace("speed: 200", "speed: -1"))
+    assert found == ["spec.yaml:3:72: robots.0.speed: -1: must be at least 0"]
+    found, hint = problems(tmp_path, STUDY, QUICK.replace("[300, 500]", "[3000, 500]"))
+    assert len(found) == 1
+    assert found[0].startswith("spec.yaml:3:")
+    assert "many-dead_time=0-a=3" in hint
+
+
+def test_a_lab_is_refused(tmp_path):
+    text = (ROOT / "experiments" / "three_m3pi_lab.yaml").read_text()
+    text = text.replace("plant: {type: sim, dead_time: 0.06}", "")
+    found, _ = problems(tmp_path, HEAD, text.replace("\nlab:\n", "\nplant:\n  type: lab\n"))
+    told = "drives a lab; a study simulates: name a spec whose plant has 'type: sim'"
+    assert found == [f"study.yaml:2:7: base: spec.yaml: {told}"]
+
+
+def test_names_that_several_arms_have_are_told_apart(tmp_path):
+    study = HEAD + "sweep: {type: grid, fields: {plant.dead_time: [0.10000001, 0.1]}}\n"
+    one, two = (arm.name for arm in load_study(write(tmp_path, study)).arms)
+    assert one != two
+    assert one.startswith("dead_time=0.1-")
+
+
+def test_the_shipped_studies_are_valid():
+    files = sorted((ROOT / "experiments" / "studies").glob("*.yaml"))
+    assert files
+    assert all(load_study(path).arms for path in files)

@@ -49,7 +49,8 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_a_figure_a_field(whole):
     assert "quick: 8 arms of 12 trials, 96 of 96 to run, 2 at a time" in done.stderr
     assert "expected duration" in done.stderr
     assert "96 of 96 trials" in done.stderr
-    assert "disturbed simulation: total error [mm]" in done.stdout
+    assert "quick: total error [mm]" in done.stdout
+    assert done.stdout.count("disturbed simulation") == 8
     assert "assumed in the spec" in done.stdout
 
 

@@ -1,4 +1,4 @@
-"""`tetractl schema`: the JSON schema of a spec."""
+"""`tetractl schema`: the JSON schema of a spec or a study."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,14 +10,21 @@ def schema(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="FILE", help="Write it to a file.")
     ] = None,
+    study: Annotated[bool, typer.Option("--study", help="That of a study.")] = False,
 ) -> None:
-    """Print the JSON schema of a spec, for editors.
+    """Print the JSON schema of a spec, or of a study, for editors.
 
     Example: tetractl schema -o experiment.schema.json
     """
-    from tetractl.experiment.yaml.schema import schema_json
+    from tetractl.experiment.yaml.schema import experiment_schema, schema_json
 
-    if out is None:
-        print(schema_json(), end="")
+    if study:
+        from tetractl.study.load import study_schema
+
+        text = schema_json(study_schema())
     else:
-        out.write_text(schema_json(), encoding="utf-8")
+        text = schema_json(experiment_schema())
+    if out is None:
+        print(text, end="")
+    else:
+        out.write_text(text, encoding="utf-8")

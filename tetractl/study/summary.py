@@ -6,7 +6,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tetractl.log.read.origin import Origin
-from tetractl.stats.text import lengths, span
+from tetractl.stats.text import NONE, lengths, span
 from tetractl.study.effect import error_of
 from tetractl.study.load import LoadedStudy
 from tetractl.study.store import Store
@@ -20,18 +20,19 @@ def print_summary(loaded: LoadedStudy, store: Store, console: Console) -> None:
     """Print n, mean, interval and deviation of the total error of each arm, and what aborted."""
     if not console.is_terminal:
         console = Console(file=console.file, width=PLAIN_WIDTH, color_system=None)
-    origins = sorted({row.columns["origin"] for _, row in counted_rows(loaded, store)})
+    origins = {row.columns["origin"] for _, row in counted_rows(loaded, store)}
     table = Table(box=box.SIMPLE_HEAD, show_edge=False)
-    for name in ("arm", "n", "mean", "95 % interval", "std", "aborted"):
-        table.add_column(name, justify="left" if name == "arm" else "right")
+    for name in ("arm", "n", "mean", "95 % interval", "std", "aborted", "what was steered"):
+        table.add_column(name, justify="left" if name in ("arm", "what was steered") else "right")
     for arm in loaded.arms[:MOST]:
         rows = [store.rows[arm.name].get(i) for i in range(loaded.study.trials.count)]
         aborted = sum(row is not None and not row.complete for row in rows)
         error = error_of(loaded, store, [arm])
         show = lengths(error.mean)
         cells = (str(error.n), show(error.mean), span(error.ci95, show), show(error.std))
-        table.add_row(Text(arm.name), *cells, str(aborted))
-    title = f"{loaded.study.name}, {' and '.join(origins)}: total error [{loaded.unit}]"
+        origin = next((str(row.columns["origin"]) for row in rows if row is not None), NONE)
+        table.add_row(Text(arm.name), *cells, str(aborted), origin)
+    title = f"{loaded.study.name}: total error [{loaded.unit}]"
     console.print(Text(title, style="bold"))
     if Origin.DISTURBED in origins:
         console.print("disturbances are assumed in the spec, not measured")

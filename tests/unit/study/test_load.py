@@ -5,7 +5,11 @@ from support.running import QUICK
 from support.studies import STUDY, write
 
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.study.load import load_study, spec_of
+from tetractl.experiment.yaml.schema import schema_json
+from tetractl.study.kinds import SWEEPS
+from tetractl.study.load import load_study, spec_of, study_schema
+from tetractl.study.study import Study
+from tetractl.study.sweeps.sample import Range
 
 HEAD = "name: quick\nbase: spec.yaml\n"
 
@@ -101,3 +105,17 @@ def test_the_shipped_studies_are_valid():
     files = sorted((ROOT / "experiments" / "studies").glob("*.yaml"))
     assert files
     assert all(load_study(path).arms for path in files)
+
+
+def test_the_committed_schema_is_that_of_the_models():
+    committed = ROOT / "experiments" / "studies" / "study.schema.json"
+    assert committed.read_text("utf-8") == schema_json(study_schema()), (
+        "run: tetractl schema --study -o experiments/studies/study.schema.json"
+    )
+
+
+def test_the_reference_names_every_field():
+    page = (ROOT / "docs" / "reference" / "study.md").read_text("utf-8")
+    models = [Study, Range, *map(SWEEPS.load, SWEEPS.names())]
+    for field in {name for model in models for name in model.model_fields}:
+        assert f"`{field}`" in page, field

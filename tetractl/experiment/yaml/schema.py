@@ -24,9 +24,9 @@ def schema_of(model: type[BaseModel]) -> dict[str, Any]:
     return _unwrapped({"$schema": DRAFT, **model.model_json_schema()})
 
 
-def schema_json() -> str:
-    """Return the schema as text, as committed in `experiments/experiment.schema.json`."""
-    return json.dumps(experiment_schema(), indent=2, ensure_ascii=False) + "\n"
+def schema_json(schema: dict[str, Any]) -> str:
+    """Return a schema as text, as committed in `experiments/experiment.schema.json`."""
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 def describe(loc: Loc, data: Any, root: dict[str, Any] | None = None) -> dict[str, Any]:

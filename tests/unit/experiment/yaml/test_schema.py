@@ -26,7 +26,7 @@ def reference():
 
 
 def test_the_committed_schema_is_that_of_the_models():
-    assert COMMITTED.read_text(encoding="utf-8") == schema_json(), (
+    assert COMMITTED.read_text(encoding="utf-8") == schema_json(experiment_schema()), (
         f"run: tetractl schema -o {COMMITTED.relative_to(ROOT)}"
     )
 

@@ -1,7 +1,6 @@
 """The log of a trial: its messages, and the records about it, added to an MCAP file."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Sequence
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Note, Sample
@@ -11,42 +10,11 @@ from tetractl.log.format import channels, layout
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.metadata import result_metadata, run_metadata, timing_metadata
 from tetractl.log.write.messages import Messages
+from tetractl.log.write.records import Records
 
 FLUSH_NS = SECOND
 """A chunk ends after this much trial time, so that a simulation that runs faster than the wall
 clock gives the same chunks again. A slower trial is flushed by the wall clock, `sink.CHUNK_S`."""
-
-
-class Records(Protocol):
-    """Where the records of a log go: `sink.Sink` describes each method."""
-
-    def messages(self, entries: Iterable[Entry]) -> None:
-        """Add messages."""
-        ...
-
-    def metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add a metadata record."""
-        ...
-
-    def last_host_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add the host record that states the digest of all host records."""
-        ...
-
-    def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add the record that states the content digest."""
-        ...
-
-    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Add an attachment."""
-        ...
-
-    def flush(self) -> None:
-        """End the chunk."""
-        ...
-
-    def sync(self) -> None:
-        """Wait until the disk has every record so far."""
-        ...
 
 
 class Encoder:

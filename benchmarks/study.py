@@ -2,16 +2,17 @@
 
 Run `python benchmarks/study.py` on an idle machine. Each round runs every case once, one after
 another, so that cases are compared within a round. A rate is that of the trials after the first
-ones, which also wait for processes to start. The CPU time is that of all processes, their start
-included.
+ones, which also wait for processes to start. CPU time depends less on what else the machine does:
+that of a trial is what its worker spends from its start to its end, that elsewhere is what this
+process spends on handing trials out and storing rows.
 """
 
 import argparse
-import resource
 import statistics
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from tetractl.run.interrupt import Interrupt
 from tetractl.study.load import load_study
@@ -47,14 +48,16 @@ class Clocked:
         raise SystemExit(f"{arm}/{trial}: {why}")
 
 
-def cpu_s() -> float:
-    """Return the CPU time of this process and of those that have ended [s]."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+class Measured(NamedTuple):
+    """Whole trials a minute, and CPU time a trial [ms]: in the trial, and elsewhere in here."""
+
+    rate: float
+    trial_ms: float
+    here_ms: float
 
 
-def measure(spec: Path, trials: int, jobs: int, logs: str) -> tuple[float, float]:
-    """Return whole trials a minute, and CPU time a trial [ms]."""
+def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
+    """Run a study of one arm."""
     with tempfile.TemporaryDirectory() as name:
         file = Path(name) / "study.yaml"
         file.write_text(f"name: rate\nbase: {spec}\ntrials: {{count: {trials}, seed: 1}}\n")
@@ -64,12 +67,16 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> tuple[float, float
             tasks = planned(loaded, store, Logs.parse(logs), Shard(), False).tasks
             arm = loaded.arms[0]
             local = Local(jobs, Interrupt(), lambda task: store.clear(arm, task.trial))
-            before_s = cpu_s()
+            before_s = time.process_time()
             run_study(loaded.arms, store, local, tasks, False, clocked)
-            used_s = cpu_s() - before_s
-    first = 2 * jobs
+            here_s = time.process_time() - before_s
+        first = 2 * jobs
+        used_s = [row.times["cpu_s"] for row in store.rows[arm.name].values()]
     took_s = clocked.ends_s[-1] - clocked.ends_s[first - 1]
-    return 60 * (trials - first) / took_s, 1e3 * used_s / trials
+    if jobs == 1:
+        here_s -= sum(used_s)
+    rate = 60 * (trials - first) / took_s
+    return Measured(rate, 1e3 * statistics.median(used_s), 1e3 * here_s / trials)
 
 
 def main() -> None:
@@ -79,24 +86,27 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=100, help="trials of each case in a round")
     parser.add_argument("--rounds", type=int, default=3)
     asked = parser.parse_args()
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in CASES}
+    found: dict[str, list[Measured]] = {name: [] for name in CASES}
     for _ in range(asked.rounds):
         for name, (jobs, logs) in CASES.items():
             found[name].append(measure(asked.spec.resolve(), asked.trials, jobs, logs))
     print(f"{asked.spec.name}, {asked.rounds} rounds of {asked.trials} trials, median (range)")
     for name, values in found.items():
-        rates, cpus = zip(*values, strict=True)
+        rates, trial_ms, here_ms = (list(one) for one in zip(*values, strict=True))
         print(
-            f"{name:22} {statistics.median(rates):6.0f} trials a minute"
-            f" ({min(rates):.0f} to {max(rates):.0f}), {statistics.median(cpus):.0f} ms CPU a trial"
+            f"{name:22} {_span(rates, 0)} trials a minute, CPU {_span(trial_ms, 0)} ms a trial"
+            f" and {_span(here_ms, 1)} ms elsewhere"
         )
     for logs in ("all logs", "no logs"):
         one, two = found[f"1 process, {logs}"], found[f"2 processes, {logs}"]
-        gains = [b[0] / a[0] for a, b in zip(one, two, strict=True)]
-        print(
-            f"2 processes against 1, {logs}: {statistics.median(gains):.2f}x"
-            f" ({min(gains):.2f} to {max(gains):.2f})"
-        )
+        gains = [b.rate / a.rate for a, b in zip(one, two, strict=True)]
+        print(f"2 processes against 1, {logs}: {_span(gains, 2)}x")
+
+
+def _span(values: list[float], digits: int) -> str:
+    """Return median and range of some values."""
+    middle, low, high = (f"{f(values):.{digits}f}" for f in (statistics.median, min, max))
+    return f"{middle} ({low} to {high})"
 
 
 if __name__ == "__main__":

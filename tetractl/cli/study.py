@@ -210,9 +210,9 @@ def _conclude(
 
     rows = [row for _, row in counted_rows(loaded, store)]
     if rows:
+        paths = [*write_tables(loaded, store), *write_figures(loaded, store)]
         print_summary(loaded, store, Console())
-        for path in (*write_tables(loaded, store), *write_figures(loaded, store)):
-            print(path)
+        print(*paths, sep="\n")
     count = loaded.study.trials.count
     wanted = sum(map(share.has, range(len(loaded.arms) * count)))
     lacking, aborted = wanted - len(rows), sum(not row.complete for row in rows)

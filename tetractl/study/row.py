@@ -35,16 +35,22 @@ class Row:
 
     @classmethod
     def of(
-        cls, found: ResultSummary, arm_hash: str, code: str, logged: bool, wall_s: float
+        cls,
+        found: ResultSummary,
+        arm_hash: str,
+        code: str,
+        logged: bool,
+        took_s: tuple[float, float],
     ) -> Self:
-        """Return the row of a trial whose log has a digest; `wall_s` is what it took."""
+        """Return the row of a trial whose log has a digest; it took wall and CPU time."""
         columns = {name: values[0] for name, values in trials(found).items() if name != "trial"}
         times = {name: columns.pop(name) for name in HOST_COLUMNS}
         solve_ms = [ns / MILLISECOND for ns in found.result.solve_ns]
         times |= {
             "solve_mean_ms": sum(solve_ms) / len(solve_ms) if solve_ms else None,
             "solve_max_ms": max(solve_ms, default=None),
-            "wall_s": wall_s,
+            "wall_s": took_s[0],
+            "cpu_s": took_s[1],
         }
         assert found.digest is not None, "a trial of a study has a digest"
         count = found.experiment.trials.count
@@ -57,7 +63,7 @@ class Row:
 
     def line(self) -> str:
         """Return the row as a line of JSON."""
-        return json.dumps(asdict(self), allow_nan=False, ensure_ascii=False) + "\n"
+        return json.dumps(asdict(self), allow_nan=False) + "\n"
 
     @property
     def complete(self) -> bool:

@@ -79,7 +79,7 @@ def read_rows(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
     rows: dict[int, Row] = {}
-    for line in text[:whole].decode(errors="replace").splitlines():
+    for line in text[:whole].decode(errors="replace").split("\n")[:-1]:
         try:
             row = Row.read(line)
         except (ValueError, TypeError):

@@ -56,9 +56,9 @@ def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | Non
     path = log_path(folder, task.trial)
     with ExitStack() as stack:
         writer = stack.enter_context(LogWriter(path)) if log else DigestWriter()
-        began_s = time.perf_counter()
+        began = time.perf_counter(), time.process_time()
         result = run_with(writer, spec, task.trial, (), interrupt)
-        wall_s = time.perf_counter() - began_s
+    took_s = time.perf_counter() - began[0], time.process_time() - began[1]
     if writer.failure is not None:
         raise writer.failure
     if result.outcome is Outcome.INTERRUPTED:
@@ -76,7 +76,7 @@ def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | Non
         digest=writer.digest,
         warnings=writer.warnings,
     )
-    return Row.of(found, task.arm_hash, trial_code(), log, wall_s)
+    return Row.of(found, task.arm_hash, trial_code(), log, took_s)
 
 
 @lru_cache(maxsize=64)

@@ -1,4 +1,4 @@
-"""`tetractl kinds`: what can stand behind a `type` in a spec."""
+"""`tetractl kinds`: what can stand behind a `type` in a spec or a study."""
 
 import json
 import sys
@@ -12,7 +12,7 @@ from tetractl.core.errors import Exit
 def kinds(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """List what a spec can name as a `type`: optimisers, controllers, shapes, cameras and so on.
+    """List what a spec or a study can name as a `type`: optimisers, shapes, sweeps and so on.
 
     Each line holds the seam, the `type`, the package that provides it, and its code.
     Exits with 2 where an installed package is broken.
@@ -21,9 +21,10 @@ def kinds(
     """
     from tetractl.core.registry import PluginError
     from tetractl.experiment.kinds import SEAMS
+    from tetractl.study.kinds import SWEEPS
 
     problems: dict[str, str] = {}
-    rows = [(seam, kind) for seam in SEAMS for kind in seam.kinds()]
+    rows = [(seam, kind) for seam in (*SEAMS, SWEEPS) for kind in seam.kinds()]
     for seam, kind in rows:
         try:
             seam.load(kind.name)

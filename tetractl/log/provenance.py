@@ -87,15 +87,15 @@ def versions() -> dict[str, str]:
 
 
 @cache
-def trial_code() -> str:
+def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
     """Return 12 hex digits that name all code behind a simulated trial and its log.
 
-    They cover tetractl's own sources from the spec to the log, and the versions of the libraries
-    that compute; those of packages that provide a kind are in the log.
+    They cover tetractl's own sources from the spec to the log, the versions of the libraries that
+    compute, and `packages`: name and version of those that provide a kind which the spec uses.
     """
     sources = [file for part in TRIAL_CODE for file in (_here() / part).rglob("*.py")]
-    computing = ("numpy", "numba", "llvmlite", "scipy")
-    return cache_name(sources, " ".join(metadata.version(name) for name in computing))
+    computing = [(name, metadata.version(name)) for name in ("numpy", "numba", "llvmlite", "scipy")]
+    return cache_name(sources, repr([*computing, *packages]))
 
 
 def host_metadata(packages: Mapping[str, str]) -> dict[str, str]:

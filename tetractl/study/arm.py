@@ -5,7 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tetractl.experiment.kinds import packages
 from tetractl.experiment.load import LoadedSpec, spec_hash
+from tetractl.log.provenance import trial_code
 from tetractl.study.cells import shown
 
 NAME_LENGTH = 100  # of a folder, far below what file systems take
@@ -26,6 +28,12 @@ class Arm:
     sets: tuple[str, ...]  # as `--set` takes them, after the base
     spec: LoadedSpec
     hash: str
+    code: str  # names the code here that its trials are run by
+
+
+def code_of(spec: LoadedSpec) -> str:
+    """Return what names the code that runs the trials of a spec on this machine."""
+    return trial_code(tuple(sorted(packages(spec.experiment).items())))
 
 
 def arm_hash(spec: LoadedSpec) -> str:

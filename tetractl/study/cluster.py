@@ -8,8 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from tetractl.core.errors import AbortError, TetractlError, UsageError
-from tetractl.log.provenance import trial_code
+from tetractl.core.errors import AbortError, UsageError
 from tetractl.run.batch import log_path
 from tetractl.run.interrupt import Interrupt
 from tetractl.study.local import Ended
@@ -82,7 +81,7 @@ class Cluster:
         while not self._stopping:
             window = max(AHEAD * self.workers, FEWEST) - len(running)
             for task in itertools.islice(waiting, max(window, 0)):
-                future = self._client.submit(_work, task, trial_code(), pure=False)
+                future = self._client.submit(_work, task, pure=False)
                 running[future] = task
                 future.add_done_callback(ended.put)
             if not running:
@@ -125,13 +124,8 @@ class Cluster:
         return task, found
 
 
-def _work(task: Task, code: str) -> tuple[Row | Exception | None, bytes | None]:
+def _work(task: Task) -> tuple[Row | Exception | None, bytes | None]:
     """Run a trial on a worker; return its row, or what kept it from its end, and its log."""
-    if trial_code() != code:
-        raise TetractlError(
-            "the worker has other code than this machine",
-            "install the same versions of tetractl, numpy, numba and scipy there",
-        )
     with tempfile.TemporaryDirectory(prefix="tetractl-") as name:
         try:
             found = run_task(task, Path(name), Interrupt())

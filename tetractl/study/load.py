@@ -19,7 +19,7 @@ from tetractl.experiment.yaml.frozen import frozen
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
 from tetractl.experiment.yaml.schema import schema_of
 from tetractl.run.limits import check
-from tetractl.study.arm import Arm, arm_hash, arm_name
+from tetractl.study.arm import Arm, arm_hash, arm_name, code_of
 from tetractl.study.cells import as_yaml
 from tetractl.study.study import Study
 from tetractl.study.sweep import Setting
@@ -144,7 +144,9 @@ def _arm(
     except SpecError as error:
         place = document.place(("base",))
         raise InvalidSpecError([place.problem(("base",), str(error), study.base)]) from None
-    return Arm(arm_name(controller, values), controller, values, sets, spec, arm_hash(spec))
+    return Arm(
+        arm_name(controller, values), controller, values, sets, spec, arm_hash(spec), code_of(spec)
+    )
 
 
 def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Document) -> SpecProblem:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.yaml.problems import did_you_mean
-from tetractl.log.provenance import trial_code
 from tetractl.log.read.reader import read_result
 from tetractl.run.batch import log_path, run_trial
 from tetractl.run.folder import set_aside
@@ -32,7 +31,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     digest = read_result(path).digest
     if digest != row.digest:
         set_aside(folder, row.trial)
-        older = row.code != trial_code()
+        older = row.code != arm.code
         raise LogError(
             f"{which}: the digest of its log is {digest}, that of its row {row.digest}",
             "the row is of older code" if older else "was it run on another type of processor?",

@@ -6,14 +6,13 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from tetractl.core.errors import TetractlError
-from tetractl.log.provenance import trial_code
 from tetractl.study.arm import Arm
 from tetractl.study.load import LoadedStudy
 from tetractl.study.local import Ended
 from tetractl.study.options import Logs, Shard
 from tetractl.study.row import Row
 from tetractl.study.store import Store
-from tetractl.study.work import Task
+from tetractl.study.work import OtherCodeError, Task
 
 FIRST = 3  # trials that the expected duration is computed from
 
@@ -71,7 +70,7 @@ class Plan:
 
 def planned(loaded: LoadedStudy, store: Store, logs: Logs, shard: Shard, again: bool) -> Plan:
     """Return the trials that have no row, and with `again` those of older code too."""
-    count, code = loaded.study.trials.count, trial_code()
+    count = loaded.study.trials.count
     specs = [pickle.dumps(arm.spec) for arm in loaded.arms]
     tasks: list[Task] = []
     older: dict[str, int] = {}
@@ -81,10 +80,10 @@ def planned(loaded: LoadedStudy, store: Store, logs: Logs, shard: Shard, again: 
             if not shard.has(i * count + trial):
                 continue
             row = rows.get(trial)
-            if row is None or (again and row.code != code):
+            if row is None or (again and row.code != arm.code):
                 keep = trial < logs.each
-                tasks.append(Task(i, trial, arm.hash, specs[i], keep, logs.failed))
-            elif row.code != code:
+                tasks.append(Task(i, trial, arm.hash, arm.code, specs[i], keep, logs.failed))
+            elif row.code != arm.code:
                 older[arm.name] = older.get(arm.name, 0) + 1
     tasks.sort(key=lambda task: task.trial)  # stable: an early end leaves all arms with as many
     return Plan(tasks, older)
@@ -101,13 +100,16 @@ def run_study(
     """Run tasks and store their rows; a failed trial ends the study only with `fail_fast`.
 
     A trial that aborts has a row, which says so. One that could not be run to any outcome has none
-    and is run again the next time.
+    and is run again the next time. Raises OtherCodeError of a worker.
     """
     report = Report()
     took_s: list[float] = []
     told = False
     for task, found in executor.run(tasks):
         arm, why = arms[task.arm], None
+        if isinstance(found, OtherCodeError):
+            executor.end()
+            raise found
         if isinstance(found, Row):
             store.add(arm, found)
             took_s.append(found.times["wall_s"])

@@ -23,7 +23,8 @@ def print_summary(loaded: LoadedStudy, store: Store, console: Console) -> None:
     origins = {row.columns["origin"] for _, row in counted_rows(loaded, store)}
     table = Table(box=box.SIMPLE_HEAD, show_edge=False)
     for name in ("arm", "n", "mean", "95 % interval", "std", "aborted", "what was steered"):
-        table.add_column(name, justify="left" if name in ("arm", "what was steered") else "right")
+        left = name in ("arm", "what was steered")
+        table.add_column(name, justify="left" if left else "right", overflow="fold")
     for arm in loaded.arms[:MOST]:
         rows = [store.rows[arm.name].get(i) for i in range(loaded.study.trials.count)]
         aborted = sum(row is not None and not row.complete for row in rows)

@@ -9,16 +9,16 @@ from pathlib import Path
 
 from tetractl.control.build import warm_up
 from tetractl.core.commands import PlantInfo
-from tetractl.core.errors import TetractlError
+from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import LoadedSpec
-from tetractl.log.provenance import trial_code
 from tetractl.log.read.origin import Origin
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.log.write.digest_writer import DigestWriter
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.batch import log_path, run_with
 from tetractl.run.interrupt import Interrupt
+from tetractl.study.arm import code_of
 from tetractl.study.row import Row
 
 
@@ -29,15 +29,21 @@ class Task:
     arm: int  # index in the study
     trial: int
     arm_hash: str
+    code: str  # that the worker must have
     spec: bytes
     log: bool
     log_if_failed: bool
 
 
+class OtherCodeError(UsageError):
+    """A worker whose trials would differ; no trial of the study can be run there."""
+
+
 def run_task(task: Task, folder: Path, interrupt: Interrupt) -> Row | None:
     """Run a trial, its log in `folder` where one is kept; None where it was interrupted.
 
-    Whatever keeps the trial from its end and is no outcome of it, such as a full disk, is raised.
+    Raises OtherCodeError where this process has other code than the task says, and whatever keeps
+    the trial from its end and is no outcome of it, such as a full disk.
     A log for a failure is that of the trial run again: it repeats.
     """
     try:
@@ -52,7 +58,7 @@ def run_task(task: Task, folder: Path, interrupt: Interrupt) -> Row | None:
 
 
 def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | None:
-    spec = _ready(task.spec)
+    spec = _ready(task.spec, task.code)
     path = log_path(folder, task.trial)
     with ExitStack() as stack:
         writer = stack.enter_context(LogWriter(path)) if log else DigestWriter()
@@ -76,13 +82,18 @@ def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | Non
         digest=writer.digest,
         warnings=writer.warnings,
     )
-    return Row.of(found, task.arm_hash, trial_code(), log, took_s)
+    return Row.of(found, task.arm_hash, task.code, log, took_s)
 
 
 @lru_cache(maxsize=64)
-def _ready(spec: bytes) -> LoadedSpec:
+def _ready(spec: bytes, code: str) -> LoadedSpec:
     """Return an arm's spec, its controller compiled; by the same bytes the same object."""
     loaded: LoadedSpec = pickle.loads(spec)
+    if code_of(loaded) != code:
+        raise OtherCodeError(
+            "the worker has other code than the machine that runs the study",
+            "install the same tetractl, numpy, numba, llvmlite, scipy and packages with kinds there",
+        )
     with suppress(TetractlError):  # the trial meets it again, and says so in its row
         warm_up(loaded.experiment, lambda text: None)
     return loaded

@@ -210,6 +210,14 @@ def test_a_repeated_trial_that_differs_is_set_aside(tmp_path):
     assert logs == ["trial-001.attempt-1.mcap"]
 
 
+def test_a_worker_with_other_code_ends_the_study(tmp_path, monkeypatch):
+    monkeypatch.setattr(work, "code_of", lambda spec: "other")
+    with pytest.raises(work.OtherCodeError, match="has other code"):
+        run(tmp_path, SMALL)
+    monkeypatch.undo()
+    assert len(run(tmp_path, SMALL).plan.tasks) == 6
+
+
 def kill_itself(item):
     """As a worker's task: the processor's memory runs out at one trial."""
     if item[0].trial == 1:

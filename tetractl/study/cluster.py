@@ -3,7 +3,7 @@
 import itertools
 import queue
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -74,7 +74,7 @@ class Cluster:
         threads: Any = self._client.nthreads()
         return max(sum(threads.values()), 1)
 
-    def run(self, tasks: Sequence[Task]) -> Iterator[Ended]:
+    def run(self, tasks: Sequence[Task]) -> Generator[Ended]:
         """Yield the tasks in the order in which they end."""
         waiting, running = iter(tasks), dict[Any, Task]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()

@@ -1,7 +1,7 @@
 """Runs the trials of a study on this machine, in this process or in several."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
@@ -28,7 +28,7 @@ class Local:
         self._pool: Pool | None = None
         self._ended = False
 
-    def run(self, tasks: Sequence[Task]) -> Iterator[Ended]:
+    def run(self, tasks: Sequence[Task]) -> Generator[Ended]:
         """Yield the tasks in the order in which they end."""
         if self.workers == 1:
             yield from self._here(tasks)

@@ -1,7 +1,8 @@
 """Runs the trials that a study lacks, whatever becomes of each of them."""
 
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -25,7 +26,7 @@ class Executor(Protocol):
         """The number of trials that run at a time."""
         ...
 
-    def run(self, tasks: Sequence[Task]) -> Iterator[Ended]:
+    def run(self, tasks: Sequence[Task]) -> Generator[Ended]:
         """Yield the tasks in the order in which they end."""
         ...
 
@@ -105,32 +106,33 @@ def run_study(
     report = Report()
     took_s: list[float] = []
     told = False
-    for task, found in executor.run(tasks):
-        arm, why = arms[task.arm], None
-        if isinstance(found, OtherCodeError):
-            executor.end()
-            raise found
-        if isinstance(found, Row):
-            store.add(arm, found)
-            took_s.append(found.times["wall_s"])
-            report.done += 1
-            if not found.complete:
-                why = f"aborted: {found.columns['reason']}"
-        elif found is not None:
-            why = _told(found)
-        else:
-            continue
-        left = len(tasks) - report.done - report.failed
-        left_s = sum(took_s) / len(took_s) * left / executor.workers if took_s else None
-        if why is not None:
-            report.failed += not isinstance(found, Row)
-            observer.failed(arm.name, task.trial, why)
-            if fail_fast:
+    with closing(executor.run(tasks)) as ended:
+        for task, found in ended:
+            arm, why = arms[task.arm], None
+            if isinstance(found, OtherCodeError):
                 executor.end()
-        if not told and len(took_s) >= FIRST and left_s is not None and left > 0:
-            told = True
-            observer.expected(left_s, len(took_s))
-        observer.ended(left_s)
+                raise found
+            if isinstance(found, Row):
+                store.add(arm, found)
+                took_s.append(found.times["wall_s"])
+                report.done += 1
+                if not found.complete:
+                    why = f"aborted: {found.columns['reason']}"
+            elif found is not None:
+                why = _told(found)
+            else:
+                continue
+            left = len(tasks) - report.done - report.failed
+            left_s = sum(took_s) / len(took_s) * left / executor.workers if took_s else None
+            if why is not None:
+                report.failed += not isinstance(found, Row)
+                observer.failed(arm.name, task.trial, why)
+                if fail_fast:
+                    executor.end()
+            if not told and len(took_s) >= FIRST and left_s is not None and left > 0:
+                told = True
+                observer.expected(left_s, len(took_s))
+            observer.ended(left_s)
     report.left = len(tasks) - report.done - report.failed
     return report
 

@@ -92,7 +92,7 @@ def _ready(spec: bytes, code: str) -> LoadedSpec:
     if code_of(loaded) != code:
         raise OtherCodeError(
             "the worker has other code than the machine that runs the study",
-            "install the same tetractl, numpy, numba, llvmlite, scipy and packages with kinds there",
+            "install the same tetractl, numpy, numba, llvmlite, scipy and packages there",
         )
     with suppress(TetractlError):  # the trial meets it again, and says so in its row
         warm_up(loaded.experiment, lambda text: None)

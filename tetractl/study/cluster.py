@@ -3,6 +3,7 @@
 import itertools
 import queue
 import tempfile
+import time
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 CONNECT_S = 10.0
 LOOK_S = 0.1  # how often an interruption is looked for
+COUNT_S = 1.0  # how often workers are counted: some come, some are lost
 AHEAD = 2  # tasks handed out for each thread of a worker, so that none waits for the next
 FEWEST = 8  # the same while no worker has come yet
 
@@ -38,6 +40,7 @@ class Cluster:
     def __init__(self, address: str, interrupt: Interrupt, place: Callable[[Task], Path]) -> None:
         self._address, self._interrupt, self._place = address, interrupt, place
         self._ended = False
+        self._workers, self._count_at_s = 1, 0.0
 
     def __enter__(self) -> Self:
         try:
@@ -70,9 +73,12 @@ class Cluster:
 
     @property
     def workers(self) -> int:
-        """The number of trials that run at a time, at least 1."""
-        threads: Any = self._client.nthreads()
-        return max(sum(threads.values()), 1)
+        """The number of trials that run at a time, at least 1; it is asked for now and then."""
+        now = time.monotonic()
+        if now >= self._count_at_s:
+            threads: Any = self._client.nthreads()
+            self._workers, self._count_at_s = max(sum(threads.values()), 1), now + COUNT_S
+        return self._workers
 
     def run(self, tasks: Sequence[Task]) -> Generator[Ended]:
         """Yield the tasks in the order in which they end."""

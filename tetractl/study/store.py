@@ -96,8 +96,9 @@ def read_rows(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
 def merge(store: Store, arms: Iterable[Arm], folders: Iterable[Path]) -> int:
     """Add the rows and logs of other folders of the same study; return how many rows were added.
 
-    Logs are linked where the file system can, else copied. Raises UsageError for a folder without a
-    row of the study, and for two rows of a trial by the same code that differ in their digest.
+    Of a trial that both have, the row here stays, unless only the other has the log of the same
+    digest. Logs are linked where the file system can, else copied. Raises UsageError for a folder
+    without a row of the study, and for two rows of a trial by the same code that differ.
     """
     added = 0
     for folder in folders:
@@ -113,13 +114,14 @@ def _take(store: Store, arm: Arm, folder: Path, row: Row) -> bool:
     mine: Mapping[int, Row] = store.rows[arm.name]
     twin = mine.get(row.trial)
     if twin is not None:
-        if twin.code == row.code and twin.digest != row.digest:
+        alike = (twin.code, twin.count) == (row.code, row.count)
+        if alike and twin.digest != row.digest:
             raise UsageError(
                 f"{folder}: trial {row.trial} of {arm.name} differs from that in {store.folder},"
                 " by the same code",
                 "were they run on processors of different types?",
             )
-        if twin.logged or not row.logged:
+        if twin.logged or not row.logged or twin.digest != row.digest:
             return False
     if row.logged:
         source = log_path(folder / arm.name, row.trial)

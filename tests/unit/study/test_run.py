@@ -167,6 +167,9 @@ def test_shares_that_contradict_each_other_are_refused(tmp_path):
         pytest.raises(UsageError, match=f"trial 0 of {ARM} differs from that in .*mine"),
     ):
         merge(mine.store, mine.loaded.arms, [tmp_path / "other"])
+    edit(other, code="older")
+    with mine.store.opened(mine.loaded.arms):  # of other code it may differ
+        assert merge(mine.store, mine.loaded.arms, [tmp_path / "other"]) == 0
     with pytest.raises(UsageError, match="holds no trial of this study"):
         merge(mine.store, mine.loaded.arms, [tmp_path / "nowhere"])
 

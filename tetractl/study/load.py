@@ -1,5 +1,6 @@
 """From a study's file to its arms, all problems reported at once."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -177,9 +178,9 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
 
 def _told_apart(arms: list[Arm]) -> Iterable[Arm]:
     """Yield the arms with a piece of their hash in names that several have."""
-    names = [arm.name.lower() for arm in arms]  # some file systems do not tell capitals apart
+    names = Counter(arm.name.lower() for arm in arms)  # as file systems that ignore case see them
     for arm in arms:
-        several = names.count(arm.name.lower()) > 1
+        several = names[arm.name.lower()] > 1
         yield replace(arm, name=f"{arm.name}-{arm.hash[:8]}") if several else arm
 
 

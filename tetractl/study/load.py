@@ -87,7 +87,9 @@ def _study(document: Document) -> Study:
         document.problems.extend(explain(error, document, study_schema()))
         study = None
     if document.found or study is None:
-        raise InvalidSpecError(document.found)
+        spec = "robots" in document.data and "base" not in document.data
+        hint = "this is a spec: a study names it as its 'base:'" if spec else None
+        raise InvalidSpecError(document.found, hint)
     return study
 
 

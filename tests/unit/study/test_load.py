@@ -86,6 +86,11 @@ def test_a_problem_of_the_base_is_told_at_its_place_there(tmp_path):
     assert "many-dead_time=0-a=3" in hint
 
 
+def test_a_spec_in_the_place_of_a_study_is_recognised(tmp_path):
+    _, hint = problems(tmp_path, QUICK)
+    assert hint == "this is a spec: a study names it as its 'base:'"
+
+
 def test_a_lab_is_refused(tmp_path):
     text = (ROOT / "experiments" / "three_m3pi_lab.yaml").read_text()
     text = text.replace("plant: {type: sim, dead_time: 0.06}", "")

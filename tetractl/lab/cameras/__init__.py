@@ -1,1 +1,1 @@
-"""TODO."""
+"""Cameras: what tracks the robots, one package or file each."""

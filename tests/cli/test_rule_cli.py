@@ -38,7 +38,7 @@ def tetractl(*words, cwd, **options):
 
 WITHOUT_JSON = [  # they write files, play, or give what has no form but its own
     *(("init",), ("schema",), ("plot",), ("replay",), ("export",), ("open",), ("report",)),
-    *(("lab", "stop"), ("lab", "calibrate")),
+    *(("study",), ("lab", "stop"), ("lab", "calibrate")),
 ]
 
 

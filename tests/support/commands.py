@@ -55,8 +55,19 @@ def call(command: str, log: Path, out: Path) -> Cost:
     ):
         code = run_app()
     seconds = time.perf_counter() - began
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    return Cost(stdout.getvalue(), stderr.getvalue(), code, seconds, memory)
+    return Cost(stdout.getvalue(), stderr.getvalue(), code, seconds, _most_memory_mb())
+
+
+def _most_memory_mb() -> float:
+    """Return the most memory that this process has had.
+
+    Linux counts the memory of who started a process among its `ru_maxrss`, but not in VmHWM.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        (line,) = (row for row in status.read_text().splitlines() if row.startswith("VmHWM"))
+        return float(line.split()[1]) / 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def check(command: str, log: Path, out: Path) -> Cost:

@@ -31,7 +31,7 @@ def tetractl(*args: object) -> None:
 
 def main() -> None:
     """Run the experiments and make every picture."""
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:  # Chromium lingers
         folder = Path(name)
         reference, paper, bench = (folder / part for part in ("reference", "paper", "bench"))
         for spec, out, trials in (

@@ -1,0 +1,35 @@
+"""How late a host wakes who sleeps: what spoils a play in real time, whatever is played."""
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+NAP_S = 0.005
+
+
+class Lateness:
+    """The most that a thread of this process was woken too late, `most_s` [s]."""
+
+    def __init__(self) -> None:
+        self.most_s = 0.0
+
+
+@contextmanager
+def lateness() -> Iterator[Lateness]:
+    """Watch how late a thread that sleeps again and again is woken, inside the block."""
+    found, over = Lateness(), threading.Event()
+
+    def watch() -> None:
+        while not over.is_set():
+            before = time.monotonic()
+            time.sleep(NAP_S)
+            found.most_s = max(found.most_s, time.monotonic() - before - NAP_S)
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield found
+    finally:
+        over.set()
+        thread.join()

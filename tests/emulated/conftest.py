@@ -29,12 +29,16 @@ def pytest_runtest_protocol(item, nextitem):
     if Path(__file__).parent not in item.path.parents:
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for play in range(1, PLAYS + 1):
-        with lateness() as host:
-            reports = runtestprotocol(item, nextitem=nextitem, log=False)
-        if play == PLAYS or host.most_s < LATE_S or not any(one.failed for one in reports):
-            break
-    for report in reports:
+    for report in _played(item, nextitem, PLAYS):
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
+
+
+def _played(item, nextitem, plays):
+    """Return the reports of the last of at most so many plays."""
+    with lateness() as host:
+        reports = runtestprotocol(item, nextitem=nextitem, log=False)
+    if plays > 1 and host.most_s >= LATE_S and any(report.failed for report in reports):
+        return _played(item, nextitem, plays - 1)
+    return reports

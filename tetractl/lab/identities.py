@@ -27,7 +27,7 @@ GAP_NS = 3 * SECOND // 20
 GAINS = (0.8, 1.25)  # of a robot's own commands, least and most
 APART = 0.1  # rad^2/s: commands that differ less, over all, cannot be told apart
 BETTER = 0.05  # share of that by which another robot's commands must fit each of a ring better
-ALONE_NS = 3 * SECOND // 4  # a robot alone must be watched for this long
+ALONE_NS = SECOND // 2  # a robot alone must be seen to follow another twice in a row for so long
 ALONE_GAINS = (-1.25, 1.25)  # its own commands are tried with: a wheel may be stuck, or inverted
 ALONE_BETTER = 0.25  # share of that by which another's commands must fit it better,
 EXPLAINED = 0.8  # and share of them that must be seen
@@ -46,11 +46,11 @@ class Identities:
 
     def restart(self) -> None:
         """Forget what was seen, as when robots start from rest."""
-        n, delays = len(self._names), len(DELAYS_NS)
-        self._told = np.zeros((delays, n, n))  # integral of w_j(t - d)^2 while i was seen
-        self._common = np.zeros((delays, n, n))  # integral of s_i(t) w_j(t - d)
-        self._apart = np.zeros((n, n))  # integral of (w_i - w_j)^2
-        self._watched_ns = np.zeros(n, dtype=np.int64)  # how long robot i was seen while told to
+        n = len(self._names)
+        self._all, self._stretch = _Evidence(n), _Evidence(n)
+        self._followed = np.zeros((n, n), dtype=np.bool_)  # by robot i, in its last stretch
+        self._alone = np.zeros((n, n), dtype=np.bool_)  # in its last two
+        self._watched_ns = np.zeros(n, dtype=np.int64)  # of the stretch, while told to turn
 
     def sent(self, now_ns: int, turning: Sequence[float]) -> None:
         """Note the turning rates of a transmission [rad/s], 0 for robots that stand."""
@@ -74,46 +74,26 @@ class Identities:
             told = np.array([self._mean(now_ns - delay, dt_ns) for delay in DELAYS_NS])
             self._shared = key, told
         told = self._shared[1]  # (D, N)
-        self._told[:, i] += told**2 * dt
-        self._common[:, i] += angle * told
+        self._all.add(i, told, angle, dt)
+        stretch = self._stretch
+        stretch.add(i, told, angle, dt)
         self._watched_ns[i] += dt_ns if told[0].any() else 0
-        self._apart[i] += (told[0] - told[0, i]) ** 2 * dt
+        if self._watched_ns[i] >= ALONE_NS:
+            followed = stretch.follows_alone(i)
+            self._alone[i] = followed & self._followed[i]
+            self._followed[i] = followed
+            self._watched_ns[i] = 0
+            stretch.forget(i)
 
     def fault(self) -> str:
         """Return which robots answer the commands of others, "" where none does."""
-        misfits = self._told - 2.0 * self._common
-        misfit = misfits.min(axis=0)
-        better = self._own(GAINS)[:, None] - misfit
-        follows = (self._apart > APART) & (better > BETTER * self._apart)
-        if not follows.any():
-            return ""
-        if ring := _ring(follows):
+        if ring := _ring(self._all.follows()):
             names = " and ".join(self._names[i] for i in ring)
             return f"{names} turn as one another is told: are their numbers or bodies swapped?"
-        told = np.take_along_axis(self._told, misfits.argmin(axis=0)[None], axis=0)[0]
-        return self._alone(misfit, told)
-
-    def _alone(self, misfit: Floats, told: Floats) -> str:
-        """Return who follows another and cannot have lost a wheel, or swapped its own."""
-        better = self._own(ALONE_GAINS)[:, None] - misfit
-        sure = (
-            (self._watched_ns > ALONE_NS)[:, None]
-            & (self._apart > APART)
-            & (told > APART)
-            & (better > ALONE_BETTER * self._apart)
-            & (misfit < -EXPLAINED * told)
-        )
-        for i, j in np.argwhere(sure):
+        for i, j in np.argwhere(self._alone):
             one, other = self._names[i], self._names[j]
             return f"{one} turns as {other} is told, not as {one} is: is its number wrong?"
         return ""
-
-    def _own(self, gains: tuple[float, float]) -> Floats:
-        """Return Q_ii (N,) of each robot's own commands, for the best gain between two."""
-        told = np.diagonal(self._told, axis1=1, axis2=2)
-        common = np.diagonal(self._common, axis1=1, axis2=2)
-        gain = np.clip(common / np.maximum(told, TINY), *gains)
-        return (gain**2 * told - 2.0 * gain * common).min(axis=0)
 
     def _mean(self, until_ns: int, dt_ns: int) -> Floats:
         """Return the mean turning rates (N,) in force within the `dt_ns` until a time, 0 before
@@ -128,6 +108,53 @@ class Identities:
             if since == first:
                 return total / dt_ns
             until_ns = since
+
+
+class _Evidence:
+    """The integrals of the module's Q over a stretch of time, for N robots and D delays."""
+
+    def __init__(self, n: int) -> None:
+        self._told = np.zeros((len(DELAYS_NS), n, n))  # of w_j(t - d)^2 while i was seen
+        self._common = np.zeros((len(DELAYS_NS), n, n))  # of s_i(t) w_j(t - d)
+        self._apart = np.zeros((n, n))  # of (w_i - w_j)^2
+
+    def add(self, i: int, told: Floats, angle: float, dt: float) -> None:
+        """Add that robot i turned by `angle` [rad] in `dt` [s], told (D, N) [rad/s]."""
+        self._told[:, i] += told**2 * dt
+        self._common[:, i] += angle * told
+        self._apart[i] += (told[0] - told[0, i]) ** 2 * dt
+
+    def forget(self, i: int) -> None:
+        """Forget what robot i did."""
+        self._told[:, i] = self._common[:, i] = 0.0
+        self._apart[i] = 0.0
+
+    def follows(self) -> np.ndarray:
+        """Return whether robot i follows j better than its own commands, (N, N)."""
+        misfit = (self._told - 2.0 * self._common).min(axis=0)
+        better = self._own(GAINS)[:, None] - misfit
+        return (self._apart > APART) & (better > BETTER * self._apart)
+
+    def follows_alone(self, i: int) -> np.ndarray:
+        """Return whom robot i follows, (N,), where it cannot have lost a wheel or swapped its
+        own."""
+        misfits = self._told[:, i] - 2.0 * self._common[:, i]
+        misfit = misfits.min(axis=0)
+        told = np.take_along_axis(self._told[:, i], misfits.argmin(axis=0)[None], axis=0)[0]
+        better = self._own(ALONE_GAINS)[i] - misfit
+        return (
+            (self._apart[i] > APART)
+            & (told > APART)
+            & (better > ALONE_BETTER * self._apart[i])
+            & (misfit < -EXPLAINED * told)
+        )
+
+    def _own(self, gains: tuple[float, float]) -> Floats:
+        """Return Q_ii (N,) of each robot's own commands, for the best gain between two."""
+        told = np.diagonal(self._told, axis1=1, axis2=2)
+        common = np.diagonal(self._common, axis1=1, axis2=2)
+        gain = np.clip(common / np.maximum(told, TINY), *gains)
+        return (gain**2 * told - 2.0 * gain * common).min(axis=0)
 
 
 def _ring(follows: np.ndarray) -> list[int]:

@@ -22,10 +22,12 @@ def drive(
     noise=0.003,
     lost=(),
     blind=(9.0, 9.0),
+    silent=9.0,
 ):
     """Robot i does what robot answers[i] is told, later by `delay`; None stands still, as do the
     `lost` after 0.2 s. No frame comes between the two times `blind` [s]; 0.1 s into it all robots
-    are stopped.
+    are stopped. From `silent` on [s] no robot hears anything: each does what it heard last for 0.25 s,
+    and then stands.
 
     Returns the fault found and the metres driven until then. The direction changes every 0.2 s.
     """
@@ -42,7 +44,10 @@ def drive(
             seen.sent(next_ns, told)
             queue.append((next_ns + round(delay * 1e9), told))
             next_ns += SEND
-        acted = [turning for t, turning in queue if t <= now]
+        deaf = round(silent * 1e9)
+        acted = [turning for t, turning in queue if t <= min(now, deaf)]
+        if now > deaf + 250_000_000:
+            acted = []
         for i in range(3):
             before = shown[i]
             if acted and answers[i] is not None and not (i in lost and now > 200_000_000):
@@ -90,6 +95,14 @@ def test_nor_are_robots_that_are_not_seen_for_a_while(pause, delay, directions):
     for begin in (0.1, 0.22, 0.34, 0.4, 0.57):
         blind = begin, begin + pause
         assert drive([0, 1, 2], delay, 2.0, directions, blind=blind)[0] == ""
+
+
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE, (1.7, 2.9, 2.5, -1.0)])
+@pytest.mark.parametrize("delay", [0.02, 0.08])
+def test_nor_are_robots_that_hear_nothing_any_more(delay, directions):
+    """Regression: what a robot heard last looked like what another was told."""
+    for silent in np.arange(0.1, 1.6, 0.1):
+        assert drive([0, 1, 2], delay, 3.0, directions, silent=silent)[0] == ""
 
 
 def test_nor_are_robots_that_all_stand_still():

@@ -26,8 +26,8 @@ def drive(
 ):
     """Robot i does what robot answers[i] is told, later by `delay`; None stands still, as do the
     `lost` after 0.2 s. No frame comes between the two times `blind` [s]; 0.1 s into it all robots
-    are stopped. From `silent` on [s] no robot hears anything: each does what it heard last for 0.25 s,
-    and then stands.
+    are stopped. From `silent` on [s] no robot hears anything: each does what it heard last for
+    0.25 s, and then stands.
 
     Returns the fault found and the metres driven until then. The direction changes every 0.2 s.
     """

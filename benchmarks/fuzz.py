@@ -141,7 +141,7 @@ def main() -> int:
             print(f"\n{place}: {message}\n\n{done.stderr}")
         failed |= bool(found["crashes"])
         sys.stdout.flush()
-    if not any(keep.iterdir()):
+    if keep.exists() and not any(keep.iterdir()):  # another run may have removed it
         keep.rmdir()
     return int(failed)
 

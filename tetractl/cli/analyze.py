@@ -6,18 +6,14 @@ from typing import Annotated, Literal
 
 import typer
 
+from tetractl.cli.options import Sets
 from tetractl.cli.spec import load
 from tetractl.core.errors import Exit
 
 
 def analyze(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="Experiment to analyse.")],
-    sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
-        ),
-    ] = None,
+    sets: Sets = None,
     plans: Annotated[
         int, typer.Option(min=1, max=1000, metavar="N", help="Plans searched for each result.")
     ] = 5,

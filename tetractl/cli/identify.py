@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli.caution import Yes, need_consent
+from tetractl.cli.options import Sets
 from tetractl.cli.run import PlantChoice
 from tetractl.core.errors import Exit, TetractlError, UsageError
 
@@ -33,12 +34,7 @@ def identify(
             "--design", metavar="SPEC", help="Propose an informative motion for its robots instead."
         ),
     ] = None,
-    sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
-        ),
-    ] = None,
+    sets: Sets = None,
     seconds: Annotated[
         float, typer.Option(min=1, max=120, metavar="S", help="How long the motion is to take.")
     ] = 10.0,

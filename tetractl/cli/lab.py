@@ -7,6 +7,7 @@ import typer
 
 from tetractl.cli import lab_emulate
 from tetractl.cli.caution import Yes, need_consent
+from tetractl.cli.options import Sets
 from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
@@ -24,12 +25,6 @@ app = typer.Typer(
 app.command("emulate")(lab_emulate.emulate)
 
 Spec = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")]
-Sets = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
-    ),
-]
 
 
 @app.command()

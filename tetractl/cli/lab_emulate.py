@@ -6,17 +6,13 @@ from typing import Annotated, Any
 
 import typer
 
+from tetractl.cli.options import Sets
 from tetractl.core.errors import Exit
 
 
 def emulate(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
-    sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
-        ),
-    ] = None,
+    sets: Sets = None,
     script: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Faults and true properties, a YAML file."),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli.caution import Strict, Yes, need_consent, refuse, warn
+from tetractl.cli.options import Sets
 from tetractl.cli.serving import Port, Serve, served_run, wanted_port
 from tetractl.core.errors import Exit, UsageError
 
@@ -42,12 +43,7 @@ def run(
     seed: Annotated[
         int | None, typer.Option(metavar="S", help="Root seed.  \\[spec: trials.seed]")
     ] = None,
-    sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
-        ),
-    ] = None,
+    sets: Sets = None,
     plant: Annotated[
         PlantChoice | None,
         typer.Option(

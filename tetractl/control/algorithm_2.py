@@ -10,7 +10,7 @@ Where each line of Algorithm 2 is:
     10      H = length of u_(warm)                                        lengths.candidates
     11, 22  for h = H - 1, H, H + 1                                       lengths.candidates
     12      feedback of the robots, once a step                           plan, _problem
-    13-15   break if the robots are close enough to their targets         _arrived
+    13-15   break if the robots are close enough to their targets         plan
     16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
     18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
     21      u_(h) = pso(u_gb^0), by any optimiser                         lengths.Searcher
@@ -27,8 +27,6 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from tetractl.control.cost import costs_along, evaluate, predict
 from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, longer
@@ -94,7 +92,8 @@ class Mpc:
         if self.warm is not None and phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
         problem = self._problem(observation, (self.section.hold - phase) * self.section.period)
-        if self._arrived(problem):  # lines 13-15
+        gaps = problem.poses.distances(problem.targets)
+        if self.section.arrived(gaps):  # lines 13-15
             return Outcome.ARRIVED
         if self.k > self.section.steps_max:  # line 9
             return Outcome.STEPS_MAX
@@ -127,11 +126,6 @@ class Mpc:
             obstacles=self.margins.obstacles(problem.poses, margin),
             separation=self.margins.separation(problem.poses, apart),
         )
-
-    def _arrived(self, problem: Problem) -> bool:
-        gaps = problem.poses.distances(problem.targets)
-        tolerance = self.section.arrival_tolerance
-        return tolerance > 0 and bool(np.all(gaps <= tolerance))
 
     def _ended(self, problem: Problem, observation: Observation) -> Outcome | End | None:
         """Return how the trial ends now: with its sequence, or where stopping is as good as that.

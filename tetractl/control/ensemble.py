@@ -20,10 +20,11 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import costs_along, predict
+from tetractl.control.given import plain_problem, search_of
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import Outcome, Plan, Search, StopReason
+from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
@@ -53,18 +54,7 @@ class EnsembleSection(ControllerSection):
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem whose cost the log states, for robots at their starts."""
-        return Problem(
-            poses=setup.starts,
-            targets=setup.targets,
-            a=setup.a,
-            speed=setup.speed,
-            motion="exact",
-            period=self.period,
-            first_period=self.period,
-            obstacles=Obstacles.of(setup.obstacles),
-            obstacle_weight=0.0,
-            swept=False,
-        )
+        return plain_problem(setup, self.period, Obstacles.of(setup.obstacles))
 
     def build(
         self,
@@ -94,7 +84,7 @@ class Ensemble:
         section = self.section
         problem = replace(self._problem, poses=self._when_acting(observation))
         gaps = problem.poses.distances(problem.targets)
-        if section.arrival_tolerance > 0 and bool(np.all(gaps <= section.arrival_tolerance)):
+        if section.arrived(gaps):
             return Outcome.ARRIVED
         if self._k > section.steps_max:
             return Outcome.STEPS_MAX
@@ -133,14 +123,13 @@ class Ensemble:
         path = np.stack([problem.poses.array(), end.array()])
         costs = costs_along(problem, path[:, None])
         cost = float(costs.total[0])
-        search = Search(1, signals, cost, np.array([cost]), 1, StopReason.GIVEN)
         return Plan(
             signals=signals,
             path=path,
             cost=cost,
             target_cost=float(costs.target[0]),
             obstacle_cost=float(costs.obstacle[0]),
-            searches=(search,),
+            searches=(search_of(signals, cost),),
             chosen=0,
             generator=mix(self._key, self._k),
             field_off=self._phase is None,

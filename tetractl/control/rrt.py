@@ -18,11 +18,12 @@ from pydantic import Field
 
 from tetractl.control.algorithm_2 import make_plan
 from tetractl.control.cost import evaluate
+from tetractl.control.given import given_search, plain_problem
 from tetractl.control.go_around import best_stop
 from tetractl.control.knowledge import Knowledge
 from tetractl.control.rng import mix, uniform
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
+from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.problem import Problem, Region
 from tetractl.core.protocols import Optimizer
@@ -67,18 +68,8 @@ class RrtSection(ControllerSection):
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem whose cost the log states, for the robot at its start."""
-        return Problem(
-            poses=setup.starts,
-            targets=setup.targets,
-            a=setup.a,
-            speed=setup.speed,
-            motion="exact",
-            period=self.period,
-            first_period=self.period,
-            obstacles=Obstacles.of(setup.obstacles, self.margin, setup.arena),
-            obstacle_weight=0.0,
-            swept=True,
-        )
+        obstacles = Obstacles.of(setup.obstacles, self.margin, setup.arena)
+        return plain_problem(setup, self.period, obstacles, swept=True)
 
     def build(
         self,
@@ -109,19 +100,17 @@ class Rrt:
         """Point the field at the next corner of the path, or end the trial."""
         section = self.section
         problem = self._knowledge.seen(observation)
-        gap = float(problem.poses.distances(problem.targets)[0])
-        if 0 < section.arrival_tolerance >= gap:
+        gaps = problem.poses.distances(problem.targets)
+        if section.arrived(gaps):
             return Outcome.ARRIVED
         if self._k > section.steps_max:
             return Outcome.STEPS_MAX
         step_key = mix(self._key, self._k)
         signals = np.array([self._towards(problem, step_key)])
-        if ended := self._passing(problem, observation, signals, gap):
+        if ended := self._passing(problem, observation, signals, float(gaps[0])):
             return ended
         self._k += 1
-        cost = float(evaluate(problem, signals[None]).total[0])
-        search = Search(1, signals, cost, np.array([cost]), 1, StopReason.GIVEN)
-        return make_plan(problem, [search], 0, step_key)
+        return make_plan(problem, [given_search(problem, signals)], 0, step_key)
 
     def sent(self, command: Command) -> None:
         """Note when the direction decided last was sent."""

@@ -9,11 +9,12 @@ from pydantic import Field
 
 from tetractl.control.algorithm_2 import make_plan
 from tetractl.control.cost import evaluate
+from tetractl.control.given import given_search, plain_problem
 from tetractl.control.knowledge import Knowledge
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
+from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
@@ -40,19 +41,7 @@ class SequenceSection(ControllerSection):
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem whose cost the log states, for robots at their starts."""
-        return Problem(
-            poses=setup.starts,
-            targets=setup.targets,
-            a=setup.a,
-            speed=setup.speed,
-            motion="exact",
-            period=self.period,
-            first_period=self.period,
-            obstacles=Obstacles.of(setup.obstacles),
-            obstacle_weight=0.0,
-            swept=False,
-            separation=0.0,
-        )
+        return plain_problem(setup, self.period, Obstacles.of(setup.obstacles))
 
     def build(
         self,
@@ -83,7 +72,7 @@ class Sequence:
         """Return the next direction, and where it and the following ones are predicted to lead."""
         problem, section = self._knowledge.seen(observation), self.section
         gaps = problem.poses.distances(problem.targets)
-        if section.arrival_tolerance > 0 and bool(np.all(gaps <= section.arrival_tolerance)):
+        if section.arrived(gaps):
             return Outcome.ARRIVED
         if self._k > section.steps_max:
             return Outcome.STEPS_MAX
@@ -94,9 +83,7 @@ class Sequence:
         signals = np.array(section.directions[self._k : self._k + AHEAD])
         step_key = mix(self._key, self._k)
         self._k += 1
-        cost = float(evaluate(problem, signals[None]).total[0])
-        search = Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.GIVEN)
-        return make_plan(problem, [search], 0, step_key)
+        return make_plan(problem, [given_search(problem, signals)], 0, step_key)
 
     def sent(self, command: Command) -> None:
         """Note when the direction decided last was sent."""

@@ -118,6 +118,10 @@ class ControllerSection(Model):
         """Largest number of iterations of one search, 0 where the controller does not search."""
         return 0
 
+    def arrived(self, gaps: Floats) -> bool:
+        """Return whether robots at distances (N,) from their targets have all arrived."""
+        return self.arrival_tolerance > 0 and bool((gaps <= self.arrival_tolerance).all())
+
     def bounds(self) -> dict[str, str]:
         """Return what else bounds a trial, as a name and words for people."""
         return {}

@@ -141,7 +141,7 @@ class _Comparison:
             theirs.facts,
         ):
             text = "the facts of the plant are not those of this seed"
-            self._judge(iter([Difference(None, "run.plant", text)]))
+            self._end_with(Difference(None, "run.plant", text))
 
     def on_step(self, step: Step) -> None:
         """Compare the command of a control step."""
@@ -152,8 +152,8 @@ class _Comparison:
         number = self._commands
         self._commands += 1
         if number >= len(self._logged):
-            extra = Difference(None, "commands", f"{len(self._logged)} logged, more are sent")
-            self._judge(iter([extra]))
+            text = f"{len(self._logged)} logged, more are sent"
+            self._end_with(Difference(None, "commands", text))
         else:
             name = f"commands.{number}"
             self._judge(_command(name, command, self._logged[number], self._exact))
@@ -186,10 +186,14 @@ class _Comparison:
             yield from _verdict(self._log.result.verdict, verdict, self._exact)
 
     def _judge(self, found: Iterator[Difference]) -> None:
-        """Keep the first difference and end the trial with it."""
-        self.difference = self.difference or next(found, None)
-        if self.difference is not None:
-            raise AbortError(self.difference.message)
+        """End the trial with the first difference found, if any."""
+        if (difference := next(found, None)) is not None:
+            self._end_with(difference)
+
+    def _end_with(self, difference: Difference) -> None:
+        """Keep the trial's first difference, and end the trial."""
+        self.difference = self.difference or difference
+        raise AbortError(self.difference.message)
 
 
 def _command(name: str, ours: Command, logged: Command, exact: bool) -> Iterator[Difference]:

@@ -5,9 +5,9 @@ from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import Progress
 
-from tetractl.view.terminal.progress import duration
+from tetractl.view.terminal.progress import duration, trials_bar
 
 LINES = 10  # that a study prints on its way, where there is no terminal
 
@@ -24,16 +24,7 @@ class StudyProgress:
     def __enter__(self) -> Self:
         live = self._console.is_terminal and not self._quiet
         if live and not self._console.is_dumb_terminal:
-            self._bar = self._stack.enter_context(
-                Progress(
-                    TextColumn("trials"),
-                    BarColumn(bar_width=30),
-                    MofNCompleteColumn(),
-                    TextColumn("{task.description}"),
-                    console=self._console,
-                    transient=True,
-                )
-            )
+            self._bar = self._stack.enter_context(trials_bar(self._console))
             self._task = self._bar.add_task("", total=self._total)
         return self
 

@@ -57,17 +57,7 @@ class BatchProgress:
 
     def __enter__(self) -> Self:
         if self._console.is_terminal and not self._console.is_dumb_terminal:
-            self._bar = self._stack.enter_context(
-                Progress(
-                    TextColumn("trials"),
-                    BarColumn(bar_width=30),
-                    MofNCompleteColumn(),
-                    _TimeLeft(),
-                    TextColumn("{task.description}"),
-                    console=self._console,
-                    transient=True,
-                )
-            )
+            self._bar = self._stack.enter_context(trials_bar(self._console, _TimeLeft()))
             self._task = self._bar.add_task("", total=self._total)
         return self
 
@@ -100,6 +90,19 @@ def trial_line(index: int, n: int, result: Result, unit: str) -> str:
     return (
         f"trial {index + 1} of {n}: {result.outcome}{why}, total error "
         f"{result.total_error:.1f} {unit}, {result.steps} steps, {result.duration_s:.1f} s{entered}"
+    )
+
+
+def trials_bar(console: Console, *columns: ProgressColumn) -> Progress:
+    """Return a bar of trials done, with further columns before its description."""
+    return Progress(
+        TextColumn("trials"),
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        *columns,
+        TextColumn("{task.description}"),
+        console=console,
+        transient=True,
     )
 
 

@@ -5,7 +5,10 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-settings.register_profile("tetractl", deadline=None)  # a slow machine is no failure
+# No deadline: a slow machine is no failure. The same cases every time: what passed here passes
+# there. New ones are looked for by `pytest --hypothesis-profile explore`.
+settings.register_profile("tetractl", deadline=None, derandomize=True)
+settings.register_profile("explore", deadline=None)
 settings.load_profile("tetractl")
 
 FOLDER = Path(__file__).parent

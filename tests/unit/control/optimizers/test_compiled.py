@@ -46,12 +46,24 @@ def compiled_costs(problem, signals):
     apart=st.sampled_from([0.0, 50.0, 400.0]),
 )
 @example(167, 1, 0, 60, 34, "exact", False, 0.2, 0.0)  # headings near -u again and again
+@example(0, 1, 1, 47, 15, "euler", False, 0.11354210870059285, 0.0)
 def test_costs_agree(seed, robots, obstacles, length, particles, model, swept, first, apart):
     world = problems.world(seed, robots, obstacles, model, swept)
     problem = replace(problems.problem(world, apart), first_period=first)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (particles, length))
     reference = evaluate(problem, signals).total
-    assert compiled_costs(problem, signals) == pytest.approx(reference, rel=1e-9)
+    allowed = 1e-9 * reference + spread(problem, signals, reference)
+    assert np.all(np.abs(compiled_costs(problem, signals) - reference) <= allowed)
+
+
+def spread(problem, signals, reference):
+    """Return how far costs (P,) move when each signal moves by 1e-12 rad.
+
+    A heading near -u doubles what it is off within a few signals, and rounding with it.
+    """
+    rng = np.random.default_rng(0)
+    moved = [signals + rng.choice([-1e-12, 1e-12], signals.shape) for _ in range(4)]
+    return np.max([np.abs(evaluate(problem, m).total - reference) for m in moved], axis=0)
 
 
 @pytest.mark.parametrize("model", ["euler", "arc", "exact"])

@@ -36,6 +36,8 @@ def plot(
     swarm: particles of the first search, its Figure 2.
     error: distances to the targets over time.
     errors: those of several trials, with their median.
+    arms: the medians of several folders over time.
+    ecdf: which share of each folder's trials ended with at most an error.
     scatter: where the robots of several trials ended.
     estimate: the controller's estimates of a, speed and so on over time.
     timing: solve time of each control step.

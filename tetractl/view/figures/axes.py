@@ -24,6 +24,25 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
     return logs[0]
 
 
+def by_folder(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
+    """Return the complete trials of each folder by its name, by its path where names clash.
+
+    Raises UsageError for errors in several units, and LogError where no trial is complete.
+    """
+    units = {log.start.setup.unit for log in logs}
+    if len(units) > 1:
+        raise UsageError(f"errors in {' and '.join(sorted(units))} cannot share an axis")
+    found: dict[str, list[TrialLog]] = {}
+    for log in logs:
+        if log.result is not None and log.result.outcome.complete:
+            found.setdefault(log.path.rpartition("/")[0], []).append(log)
+    if not found:
+        raise LogError("no complete trial to plot")
+    names = [folder.rpartition("/")[2] or "trials" for folder in found]
+    labels = names if len(set(names)) == len(names) else list(found)
+    return dict(zip(labels, found.values(), strict=True))
+
+
 def robot_labels(names: Sequence[str]) -> list[str]:
     """Return the robots' names for a figure: shortened, and numbered where they are many."""
     short = [name if len(name) <= NAME_LENGTH else name[: NAME_LENGTH - 1] + "…" for name in names]

@@ -13,12 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from tetractl.core.colors import PALETTE
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.stats.arms import Arms
 from tetractl.stats.estimate import CONFIDENCE
 from tetractl.view import style
+from tetractl.view.figures.axes import by_folder
 
 _BANDS = 4  # most batches whose bands can be told apart
 
@@ -30,18 +31,12 @@ def band(n: int) -> float:
 
 def ecdf_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw the final total errors of trials, one curve a folder; only complete trials count."""
-    units = {log.start.setup.unit for log in logs}
-    if len(units) > 1:
-        raise UsageError(f"errors in {' and '.join(sorted(units))} cannot share an axis")
-    batches: dict[str, list[float]] = {}
-    for log in logs:
-        folder = log.path.rpartition("/")[0]
-        if log.result is not None and log.result.outcome.complete:
-            batches.setdefault(folder, []).append(log.result.total_error)
-    names = [folder.rpartition("/")[2] or "trials" for folder in batches]
-    labels = names if len(set(names)) == len(names) else list(batches)
-    errors = [np.array(values) for values in batches.values()]
-    return _drawn(labels, errors, units.pop())
+    batches = by_folder(logs)
+    errors = [
+        np.array([log.result.total_error for log in found if log.result is not None])
+        for found in batches.values()
+    ]
+    return _drawn(list(batches), errors, logs[0].start.setup.unit)
 
 
 def arms_figure(arms: Arms) -> Figure:

@@ -42,7 +42,7 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
     unit = style.unit_of(setup.unit)
     end_s = max(1e-9, *(float(log.mocap_ns[-1] - log.began_ns) / SECOND for log in logs))
     time_s = np.linspace(0, end_s, POINTS)
-    errors = np.array([_over_time(log, time_s) for log in logs])  # (trials, POINTS, N)
+    errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, POINTS, N)
     whole = np.array([not unfinished(log) for log in logs])
     counted = errors[whole] if whole.any() else errors
     with style.styled():
@@ -74,8 +74,11 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
     return figure
 
 
-def _over_time(log: TrialLog, time_s: Floats) -> Floats:
-    """Return the robots' distances (M, N) at times: the last measured before each."""
+def errors_at(log: TrialLog, time_s: Floats) -> Floats:
+    """Return the robots' distances (M, N) at times (M,) since the first command [s].
+
+    Each is the last measured before its time; after the trial's end it is that of the result.
+    """
     gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
     rows = np.arange(len(gaps))[:, None] * np.isfinite(gaps)
     held = np.take_along_axis(gaps, np.maximum.accumulate(rows, axis=0), axis=0)

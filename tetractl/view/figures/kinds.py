@@ -19,6 +19,7 @@ FIGURES = Registry(
         "convergence": "tetractl.view.figures.convergence:convergence_figure",
         "error": "tetractl.view.figures.error:error_figure",
         "errors": "tetractl.view.figures.errors:errors_figure",
+        "arms": "tetractl.view.figures.arms:arms_figure",
         "ecdf": "tetractl.view.figures.ecdf:ecdf_figure",
         "scatter": "tetractl.view.figures.scatter:scatter_figure",
         "swarm": "tetractl.view.figures.swarm:swarm_figure",
@@ -40,7 +41,7 @@ def check_kind(kind: str) -> None:
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
     """Draw the figure of a kind, headed by what was steered and by what broke a trial off.
 
-    Only `trajectory`, `errors`, `ecdf` and `scatter` show several trials.
+    Only `trajectory`, `errors`, `arms`, `ecdf` and `scatter` show several trials.
     """
     from tetractl.view.figures.axes import broken_off
     from tetractl.view.style import headline

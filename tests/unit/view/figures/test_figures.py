@@ -22,10 +22,11 @@ from tetractl.view.figures.kinds import FIGURES, draw
 from tetractl.view.figures.labels import apart
 from tetractl.view.figures.trajectory import trajectory_figure
 
-SEVERAL = ("trajectory", "errors", "ecdf", "scatter")  # kinds that show several trials
+SEVERAL = ("trajectory", "errors", "arms", "ecdf", "scatter")  # kinds that show several trials
 ALONE = tuple(kind for kind in FIGURES.names() if kind not in SEVERAL)
 SHOWS_ROBOTS = tuple(kind for kind in FIGURES.names() if kind != "swarm")
-COURSES = tuple(kind for kind in FIGURES.names() if kind != "ecdf")  # not the result alone
+OF_BATCHES = ("arms", "ecdf")
+COURSES = tuple(kind for kind in FIGURES.names() if kind not in OF_BATCHES)
 
 
 @pytest.fixture
@@ -448,7 +449,7 @@ def test_every_figure_says_what_was_steered_without_printing_over_it(log, kind):
         assert not any(title.get_window_extent().overlaps(box) for box in boxes)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in SEVERAL if kind != "ecdf"])
+@pytest.mark.parametrize("kind", [kind for kind in SEVERAL if kind not in OF_BATCHES])
 def test_a_batch_of_different_experiments_is_refused(log, kind):
     with pytest.raises(UsageError, match="different experiments"):
         draw(kind, [log, replace(log, experiment=experiment(obstacles=[]))])
@@ -555,3 +556,36 @@ def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
     assert x[1:4].tolist() == [10.0, 20.0, 40.0]
     assert share.tolist() == pytest.approx([0, 1 / 3, 2 / 3, 1, 1])
     assert len(axes.collections) == 2
+
+
+def test_arms_have_the_median_of_each_folder_over_time(log):
+    def near(robot_errors, moved):
+        result = replace(log.result, robot_errors=robot_errors, total_error=sum(robot_errors))
+        return replace(log, mocap=log.mocap + moved, result=result)
+
+    ends = {"exact": (10.0, 20.0, 60.0), "arc": (5.0,)}
+    logs = [
+        replace(near((end, 0.0, 0.0), [end, 0, 0]), path=f"{folder}/trial-{i}.mcap")
+        for folder, errors in ends.items()
+        for i, end in enumerate(errors)
+    ]
+    (axes,) = draw("arms", logs).axes
+    medians = {line.get_label(): line.get_ydata() for line in axes.lines if line.get_gid()}
+    assert list(medians) == ["exact, n = 3", "arc, n = 1"]
+    assert [float(line[-1]) for line in medians.values()] == [20.0, 5.0]
+    setup, began = log.start.setup, log.mocap_ns.searchsorted(log.began_ns, side="right") - 1
+    first = [setup.distances(one.mocap[..., :2])[max(began, 0)].sum() for one in logs]
+    assert medians["exact, n = 3"][0] == pytest.approx(np.median(first[:3]))
+    assert medians["arc, n = 1"][0] == pytest.approx(first[3])
+
+
+def test_arms_without_a_complete_trial_or_in_several_units_are_refused(log):
+    aborted = replace(log, result=replace(log.result, outcome=Outcome.ABORTED))
+    with pytest.raises(LogError, match="no complete trial"):
+        draw("arms", [aborted])
+    cells = experiment(units={"length": "um"})
+    with pytest.raises(UsageError, match="mm and um"):
+        draw(
+            "arms",
+            [log, replace(log, experiment=cells, start=replace(log.start, setup=cells.setup))],
+        )

@@ -7,9 +7,11 @@ DIGITS = 6
 
 
 def shown(value: Any) -> str:
-    """Return a value as people read it, numbers to six digits."""
+    """Return a value as people read it: numbers to six digits, of a list of mappings its length."""
     if isinstance(value, float):
         return f"{value:.{DIGITS}g}"
+    if isinstance(value, list | tuple) and value and isinstance(value[0], dict):
+        return f"{len(value)}"  # such as the robots
     return value if isinstance(value, str) else as_yaml(value)
 
 

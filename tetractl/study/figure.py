@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
-from tetractl.study.cells import shown
+from tetractl.study.cells import as_yaml, shown
 from tetractl.study.effect import Group, groups, numeric
 from tetractl.study.load import LoadedStudy
 from tetractl.study.store import Store
@@ -59,7 +59,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
         axes = figure.subplots()
         places = _places(axes, every)
         for number, (name, found) in enumerate(curves.items()):
-            x = [places[shown(group.value)] for group in found]
+            x = [places[as_yaml(group.value)] for group in found]
             joined = numeric(every) and _alike(found, len(loaded.paths))
             look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
             aside_in = ASIDE_IN * (number - (len(curves) - 1) / 2)  # so that none hides another
@@ -81,16 +81,16 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
 def _places(axes: Axes, found: Sequence[Group]) -> dict[str, float]:
     """Return the place of each value on the x axis, which is labelled to fit."""
     if not numeric(found):
-        labels = list(dict.fromkeys(shown(group.value) for group in found))
-        axes.set_xticks(range(len(labels)), [label[:LABEL] for label in labels])
+        labels = {as_yaml(group.value): shown(group.value) for group in found}
+        axes.set_xticks(range(len(labels)), [label[:LABEL] for label in labels.values()])
         axes.set_xlim(-0.5, len(labels) - 0.5)
-        return {label: float(place) for place, label in enumerate(labels)}
+        return {value: float(place) for place, value in enumerate(labels)}
     values = sorted({float(group.value) for group in found})
     if min(values) > 0 and max(values) / min(values) >= 10**DECADES:
         axes.set_xscale("log")
     if len(values) <= TICKS:
         axes.set_xticks(values, [shown(value) for value in values])
-    return {shown(group.value): float(group.value) for group in found}
+    return {as_yaml(group.value): float(group.value) for group in found}
 
 
 def _alike(found: Sequence[Group], fields: int) -> bool:

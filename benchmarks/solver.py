@@ -20,7 +20,7 @@ from llvmlite import binding
 from solverbench import growth, loop, speed, success
 from solverbench.report import Report, Settings, bars_table, load, progress
 
-PEERS = ("pyswarms", "cma", "casadi")
+PEERS = ("pyswarms", "cma", "casadi", "tetractl_ipopt")
 
 
 def main() -> None:

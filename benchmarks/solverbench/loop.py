@@ -134,16 +134,18 @@ def closed(settings: Settings) -> Report:
         ("paper, to the letter", experiment(PAPER), build_controller),
         ("**ours**", ours, build_controller),
     ]
-    if available("casadi"):
+    if available(shooting.PACKAGE):
+        from tetractl_ipopt import Ipopt
+
         progress("(c) building the programmes of IPOPT")
         shooting.build_all(recommended(), LENGTH - 2 if settings.quick else 1)
         alone = replace_control(ours, steps_max=1) if settings.quick else ours
         ipopt = lambda e, key: shooting.Shrinking(  # noqa: E731
-            e.controller, e.setup, key, shooting.Ipopt()
+            e.controller, e.setup, key, Ipopt(type="ipopt", iterations=shooting.ITERATIONS)
         )
         contestants.append((f"CasADi + IPOPT, {LENGTH} signals, warm-started", alone, ipopt))
     else:
-        report.say("casadi is not installed: skipped.")
+        report.say("IPOPT: benchmarks/tetractl-ipopt is not installed: skipped.")
     rows = []
     for name, spec, build in contestants:
         progress(f"(c) closed loop: {name}")

@@ -27,7 +27,7 @@ def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
     for module, name, peer in (
         ("pyswarms", "pyswarms", peers.pyswarms),
         ("cma", "pycma", peers.pycma),
-        ("casadi", "CasADi + IPOPT", shooting.ipopt(cap_s)),
+        (shooting.PACKAGE, "CasADi + IPOPT", shooting.ipopt(cap_s)),
     ):
         if available(module):
             found.append((name, peer))

@@ -31,7 +31,7 @@ ROWS = {
 PEERS = {
     "pyswarms": ["pyswarms, J in plain NumPy", "pyswarms, J in tuned NumPy", "pyswarms"],
     "cma": ["pycma"],
-    "casadi": ["CasADi + IPOPT", "CasADi + IPOPT, 44 signals, warm-started"],
+    "tetractl_ipopt": ["CasADi + IPOPT", "CasADi + IPOPT, 44 signals, warm-started"],
 }
 
 

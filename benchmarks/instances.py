@@ -1,0 +1,285 @@
+"""Run every controller on every instance of experiments/benchmark, in the same worlds.
+
+    python benchmarks/instances.py                      100 trials each, into logs/benchmark
+    python benchmarks/instances.py --trials 20 --only paper,cells
+    python benchmarks/instances.py --ipopt --trials 10  IPOPT alone: half a minute a trial
+    python benchmarks/instances.py --report             print the page of what there is
+    python benchmarks/instances.py --report --figure benchmark.svg
+
+For each instance it writes a study and runs `tetractl study`, so it goes on where it was stopped.
+IPOPT is the package benchmarks/tetractl-ipopt, which is to be installed for it. Everything is
+simulated.
+"""
+
+import argparse
+import csv
+import hashlib
+import math
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from solverbench.problems import EXPERIMENTS
+from solverbench.report import progress
+
+from tetractl.core.poses import Floats
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import load_spec
+from tetractl.stats.difference import paired_t
+from tetractl.stats.estimate import describe, proportion_interval
+from tetractl.stats.ranks import holm, signed_rank
+
+SETTING = Mapping[str, Any]
+PUBLISHED: SETTING = {
+    "controller.motion": "euler",
+    "controller.estimate": False,
+    "controller.accept": 0,
+    "controller.stop_between": False,
+    "controller.first_lengths": "all",
+    "controller.collision": {"check": "samples"},
+    "controller.optimizer": {
+        "type": "pso",
+        "particles": 100,
+        "iterations": 100,
+        "inertia": 0.7,
+        "cognitive": 1.5,
+        "social": 1.5,
+        "stop": {"type": "paper"},
+    },
+}
+FINE = {"mm": 1.0, "um": 5.0, "m": 0.1}  # cost at which IPOPT's sequences are good enough
+OURS = "recommended"
+
+
+def controllers(name: str) -> dict[str, SETTING]:
+    """Return the arms of an instance; the first is the one in its spec."""
+    spec = instance(name)
+    steps = 5 * spec.controller.steps_max
+    found: dict[str, SETTING] = {OURS: {}, "published": PUBLISHED}
+    found["ensemble"] = {"controller": {"type": "ensemble", "steps_max": steps}}
+    if len(spec.robots) == 1:
+        margin = spec.controller.collision.margin  # pyright: ignore[reportAttributeAccessIssue]
+        found["rrt"] = {"controller": {"type": "rrt", "steps_max": steps, "margin": margin}}
+    return found
+
+
+def ipopt(name: str) -> dict[str, SETTING]:
+    """Return the arm of IPOPT, in the place of the recommended optimiser."""
+    tolerance = FINE[instance(name).units.length]
+    return {
+        "ipopt": {"controller.optimizer": {"type": "ipopt", "starts": 3, "tolerance": tolerance}}
+    }
+
+
+def instance(name: str) -> Experiment:
+    return load_spec(EXPERIMENTS / "benchmark" / f"{name}.yaml").experiment
+
+
+def run(name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: int) -> int:
+    """Write the study of an instance and run what it lacks; return its exit code."""
+    study = out.with_name(f"{out.name}.yaml")
+    text = {
+        "name": out.name,
+        "base": str(EXPERIMENTS / "benchmark" / f"{name}.yaml"),
+        "controllers": {arm: dict(settings) for arm, settings in arms.items()},
+        "trials": {"count": trials, "seed": 1},
+    }
+    study.write_text(yaml.safe_dump(text, sort_keys=False))
+    command = ["-m", "tetractl", "study", study, "--out", out, "--logs", "none"]
+    return subprocess.run([sys.executable, *command, "--jobs", str(jobs)]).returncode
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The trials of one controller on one instance, by number."""
+
+    name: str
+    unit: str
+    errors: dict[int, float]
+    entered: int
+    left: int
+    seconds: float
+    cpu_s: float
+    digest: str
+
+
+def arms(folder: Path) -> list[Arm]:
+    """Return the arms of a study's folder, with the trials that count."""
+    rows: dict[str, list[dict[str, str]]] = {}
+    for row in _read(folder / "trials.csv"):
+        if row["counted"] == "true":
+            rows.setdefault(row["arm"], []).append(row)
+    spent: dict[str, list[float]] = {}
+    for row in _read(folder / "times.csv"):
+        spent.setdefault(row["arm"], []).append(float(row["cpu_s"]))
+    return [_arm(name, found, spent[name]) for name, found in rows.items()]
+
+
+def _read(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _arm(name: str, rows: list[dict[str, str]], cpu_s: list[float]) -> Arm:
+    column = next(key for key in rows[0] if key.startswith("total_error_"))
+    every = "".join(row["digest"] for row in rows)
+    return Arm(
+        name,
+        column.rpartition("_")[2],
+        {int(row["trial"]): float(row[column]) for row in rows},
+        sum(row["entered_obstacle"] == "true" for row in rows),
+        sum(row["outside_arena"] == "true" for row in rows),
+        float(np.mean([float(row["duration_s"]) for row in rows])),
+        float(np.mean(cpu_s)),
+        hashlib.sha256(every.encode()).hexdigest()[:12],
+    )
+
+
+HEAD = (
+    "controller",
+    "n",
+    "total error, mean and 95 % interval",
+    "median",
+    "p95",
+    "more than recommended, pairs",
+    "p, Holm",
+    "entered",
+    "left the arena",
+    "trial [s]",
+    "CPU [s]",
+    "digest",
+)
+
+
+def table(found: Sequence[Arm]) -> list[str]:
+    """Return the lines of an instance's table."""
+    ours = next(arm for arm in found if arm.name == OURS)
+    against = [_differences(arm, ours) for arm in found]
+    p_values = holm([signed_rank(d) if len(d) else math.nan for d in against])
+    lines = [f"| {' | '.join(HEAD)} |", f"|{'---|' * len(HEAD)}"]
+    for arm, differences, p in zip(found, against, p_values, strict=True):
+        errors = np.array(list(arm.errors.values()))
+        n = len(errors)
+        cells = [
+            f"`{arm.name}`",
+            f"{n}",
+            f"{_mean(errors)} {arm.unit}",
+            f"{np.median(errors):.3g}",
+            f"{np.quantile(errors, 0.95):.3g}",
+            _more(differences),
+            "" if math.isnan(p) else f"{p:.1g}" if p >= 1e-4 else "< 0.0001",
+            _share(arm.entered, n),
+            _share(arm.left, n),
+            f"{arm.seconds:.1f}",
+            f"{arm.cpu_s:.2f}",
+            f"`{arm.digest}`",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def _differences(arm: Arm, ours: Arm) -> Floats:
+    both = arm.errors.keys() & ours.errors.keys() if arm is not ours else set()
+    return np.array([arm.errors[trial] - ours.errors[trial] for trial in sorted(both)])
+
+
+def _mean(errors: Floats) -> str:
+    (one,) = describe(errors[None])
+    if not one.ci95.known:
+        return f"{one.mean:.3g} [{'all alike' if one.std < 1e-9 * one.mean else 'n too small'}]"
+    return f"{one.mean:.3g} [{one.ci95.low:.3g}, {one.ci95.high:.3g}]"
+
+
+def _more(differences: Floats) -> str:
+    if not len(differences):
+        return ""
+    found = paired_t(differences)
+    return f"{found.value:.3g} [{found.ci95.low:.3g}, {found.ci95.high:.3g}]"
+
+
+def _share(count: int, n: int) -> str:
+    interval = proportion_interval(count, n)
+    return f"{count} [{100 * interval.low:.0f}, {100 * interval.high:.0f} %]"
+
+
+def found_in(folder: Path, name: str) -> list[Arm]:
+    """Return all arms of an instance, IPOPT's from a study of its own."""
+    both = folder / name, folder / f"{name}-ipopt"
+    return [arm for one in both if (one / "trials.csv").exists() for arm in arms(one)]
+
+
+def report(folder: Path, names: Sequence[str], figure: Path | None) -> None:
+    """Print the page of results, and draw the errors as distribution functions."""
+    drawn = {name: found for name in names if (found := found_in(folder, name))}
+    for name, found in drawn.items():
+        about = instance(name).description
+        print("\n".join([f"### `{name}`", "", about, "", *table(found), ""]))
+    if figure:
+        draw(drawn, figure)
+
+
+def draw(drawn: Mapping[str, Sequence[Arm]], path: Path) -> None:
+    """Draw a panel an instance: the share of trials up to an error, over the error."""
+    from tetractl.core.colors import PALETTE
+    from tetractl.view import style
+
+    with style.styled():
+        import matplotlib as mpl
+
+        mpl.rcParams["svg.fonttype"] = "none"
+        rows = math.ceil(len(drawn) / 3)
+        figure = style.figure(style.PAGE_IN, 1.7 * rows + 0.5)
+        panels = figure.subplots(rows, 3, squeeze=False)
+        names = dict.fromkeys(arm.name for found in drawn.values() for arm in found)
+        colors = dict(zip(names, PALETTE, strict=False))
+        for axes, (name, found) in zip(panels.flat, drawn.items(), strict=False):
+            for arm in found:
+                errors = np.sort(list(arm.errors.values()))
+                share = np.arange(1, len(errors) + 1) / len(errors)
+                axes.step(errors, share, where="post", color=colors[arm.name], label=arm.name)
+            axes.set(xscale="log", ylim=(0, 1.02))
+            axes.set_title(f"{name} [{style.unit_of(found[0].unit)}]", fontsize=8)
+        for axes in panels.flat[len(drawn) :]:
+            axes.set_axis_off()
+        handles = {
+            label: handle
+            for axes in panels.flat
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5)
+        figure.supylabel("share of the trials", fontsize=8)
+        figure.savefig(path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    every = sorted(path.stem for path in (EXPERIMENTS / "benchmark").glob("*.yaml"))
+    parser.add_argument("--trials", type=int, default=100)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", default=",".join(every), help="instances, such as paper,cells")
+    parser.add_argument("--out", type=Path, default=Path("logs/benchmark"))
+    parser.add_argument("--ipopt", action="store_true", help="run IPOPT, and it alone")
+    parser.add_argument("--report", action="store_true", help="print what there is; run nothing")
+    parser.add_argument("--figure", type=Path, help="with --report: of the errors (.svg or .png)")
+    asked = parser.parse_args()
+    names = asked.only.split(",")
+    if unknown := [name for name in names if name not in every]:
+        parser.error(f"--only: no instance {unknown[0]}; there are {', '.join(every)}")
+    if not asked.report:
+        asked.out.mkdir(parents=True, exist_ok=True)
+        for name in names:
+            progress(name)
+            if asked.ipopt:
+                run(name, asked.out / f"{name}-ipopt", ipopt(name), asked.trials, asked.jobs)
+            else:
+                run(name, asked.out / name, controllers(name), asked.trials, asked.jobs)
+    report(asked.out, names, asked.figure)
+
+
+if __name__ == "__main__":
+    main()

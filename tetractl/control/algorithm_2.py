@@ -28,8 +28,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tetractl.control.cost import costs_along, evaluate, predict
-from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, longer
+from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, driven, longer
 from tetractl.control.knowledge import Knowledge
 from tetractl.control.lengths import (
     Candidate,
@@ -51,6 +53,10 @@ from tetractl.core.setup import Setup
 
 if TYPE_CHECKING:
     from tetractl.control.mpc import MpcSection
+
+
+LATE = 2.0
+"""Dead times that a stop may come late: it may be lost once."""
 
 
 class Mpc:
@@ -81,6 +87,7 @@ class Mpc:
         self.accept = section.accept  # total error accepted now
         self.k = 0
         self.warm: Floats | None = None  # u_(warm), None before step 0
+        self.blocked = False  # whether the last plan touches an obstacle or its margin
         self.untold: tuple[int, float] | None = None  # a direction decided, not known to be sent
         self.resume = 0  # length from which to go on where the time for longer ones was up
 
@@ -101,7 +108,7 @@ class Mpc:
             return ended
         plan = self._decide(problem)
         self.untold = observation.received_ns, float(plan.signals[0])
-        self.warm = plan.signals
+        self.warm, self.blocked = plan.signals, plan.obstacle_cost > 0
         self.k += 1
         return plan
 
@@ -128,13 +135,19 @@ class Mpc:
         )
 
     def _ended(self, problem: Problem, observation: Observation) -> Outcome | End | None:
-        """Return how the trial ends now: with its sequence, or where stopping is as good as that.
+        """Return how the trial ends now: with its sequence, or where stopping is as good as that,
+        or safer.
 
         No search is done for it, so that a log tells all that the end depends on.
         """
         if self.warm is None or (len(self.warm) > 0 and self.section.accept == 0):
             return None
         direction, bias = self.knowledge.held_at_action(observation)
+        if self.accept > 0 and self.blocked:
+            ahead = np.full_like(direction, self.warm[0]) if len(self.warm) else direction
+            seconds = self.section.period + LATE * self.knowledge.predictor.dead_time_s
+            if self.margins.entered(problem.poses, *driven(problem, ahead, bias, seconds)):
+                return Outcome.NOTHING_BETTER
         period = self.section.period if self.section.stop_between else 0.0
         stopping = best_stop(problem, direction, bias, period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED

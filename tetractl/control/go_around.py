@@ -4,7 +4,8 @@ Algorithm 2 shortens its sequence from step to step. With few signals left, a la
 cannot be corrected any more: three robots have six coordinates. Where no length of H - 1, H, H + 1
 ends within an accepted total error, longer sequences are searched afresh, which lead the robots
 round and back. The trial ends where stopping is as good as any plan, at the best moment of the
-coming control period.
+coming control period; and where no plan was found that keeps clear of all obstacles and a robot is
+about to enter one.
 """
 
 from collections.abc import Iterator
@@ -47,13 +48,24 @@ def best_stop(
     The robots are at the problem's poses when a stop sent now acts, and follow `direction` (N,)
     [rad], NaN for a robot that stands, until a later one does.
     """
-    step, stands = MOTIONS.load(problem.motion).step, np.isnan(direction)
     delays = np.linspace(0.0, period_s, MOMENTS)[:-1]
-    seconds = np.where(stands, 0.0, delays[:, None])  # (M, N)
-    towards = np.where(stands, 0.0, direction) + bias
-    start = problem.poses
-    x, y, _ = step(start.x, start.y, start.heading, towards, problem.a, problem.speed, seconds)
+    x, y = driven(problem, direction, bias, delays[:, None])
     targets = problem.targets
     errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)
     best = int(np.argmin(errors))
     return Stopping(round(float(delays[best]) * SECOND), float(errors[best]))
+
+
+def driven(
+    problem: Problem, direction: Floats, bias: Floats | float, seconds: Floats | float
+) -> tuple[Floats, Floats]:
+    """Return where the robots are, x and y (..., N), after times (..., 1) or one time [s].
+
+    They start at the problem's poses and follow `direction` (N,) [rad], NaN for one that stands.
+    """
+    start, stands = problem.poses, np.isnan(direction)
+    moving = np.where(stands, 0.0, seconds)
+    towards = np.where(stands, 0.0, direction) + bias
+    step = MOTIONS.load(problem.motion).step
+    x, y, _ = step(start.x, start.y, start.heading, towards, problem.a, problem.speed, moving)
+    return x, y

@@ -42,14 +42,20 @@ class Margins:
     """The margins of a trial: `shapes` and, where given, the walls of an arena, and N targets."""
 
     def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
-        self._bare = Obstacles.of(shapes, 0.0, walls).shapes
+        self._bare = Obstacles.of(shapes, 0.0, walls)
         self._targets = targets
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or by what room the robots leave."""
         x = np.concatenate([poses.x, self._targets[:, 0]])
         y = np.concatenate([poses.y, self._targets[:, 1]])
-        return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare))
+        return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare.shapes))
+
+    def entered(self, poses: Poses, x: Floats, y: Floats) -> bool:
+        """Return whether a robot that is outside every shape, without any margin, touches one on
+        its straight way to (x, y) (N,)."""
+        crossed = self._bare.cross(poses.x, poses.y, x, y)
+        return bool((crossed & ~self._bare.contain(poses.x, poses.y)).any())
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the separation to keep: what is wanted, or the room there is between robots."""

@@ -90,7 +90,8 @@ class MpcSection(ControllerSection):
     accept: NonNegative = 0.0
     """Total error to accept [length unit]. Where no length H - 1, H, H + 1 ends within it, longer
     sequences are searched, and the trial ends where stopping is within it and as good as any plan:
-    the less, the longer a trial takes. Each time the robots go round a tenth more is accepted. 0 is
+    the less, the longer a trial takes. Each time the robots go round a tenth more is accepted. It
+    ends, too, where every plan found touches an obstacle and a robot is about to enter one. 0 is
     Algorithm 2, which only ends with its sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least

@@ -290,6 +290,37 @@ def test_without_a_signal_left_only_an_accepted_error_ends_the_trial():
     assert controller.plan(seen(near(19), now=400_000_000)) is Outcome.SEQUENCE_COMPLETED
 
 
+def beside_a_wall(gap, **fields):
+    """A controller with an empty plan, and robots of which green heads for the right wall."""
+    experiment = spec_around(collision={"check": "swept", "walls": True}, **fields)
+    controller = mpc(experiment, 99)
+    poses = STARTS.copy()
+    poses[0, 0] = experiment.setup.arena.right - gap
+    controller.plan(seen(poses))
+    controller.knowledge.sent(0, 0.0)
+    controller.untold, controller.warm = None, np.empty(0)
+    return controller, seen(poses, now=200_000_000)
+
+
+def test_robots_stop_rather_than_leave_where_every_plan_found_does():
+    """Green drives 36 mm in a control period."""
+    controller, there = beside_a_wall(30)
+    controller.blocked = True
+    assert controller.plan(there) is Outcome.NOTHING_BETTER
+
+
+@pytest.mark.parametrize(("gap", "blocked"), [(30, False), (50, True), (-30, True)])
+def test_robots_drive_on_where_a_plan_keeps_clear_or_no_wall_is_reached(gap, blocked):
+    controller, there = beside_a_wall(gap)
+    controller.blocked = blocked
+    assert isinstance(controller.plan(there), Plan)
+
+
+def test_a_plan_that_touches_an_obstacle_or_its_margin_is_known_as_blocked():
+    assert not beside_a_wall(1000)[0].blocked
+    assert beside_a_wall(1)[0].blocked  # no turn is tight enough
+
+
 def test_the_stop_comes_between_two_steps_where_that_is_best():
     """All robots drive along +x; blue is 200 mm/s fast and 20 mm short: in 0.1 s it is there."""
     poses = TARGETS.copy()

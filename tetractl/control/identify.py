@@ -29,8 +29,10 @@ least-squares", Communications in Statistics A6 (1977).
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Bools, Floats, wrap
@@ -41,6 +43,7 @@ HEADING_WALK = 0.1  # ... and of its random walk [rad/sqrt(s)], before anything 
 TRAVEL_STD = 0.01  # of a measured distance, in seconds of travel [s]
 CAUCHY = 2.385  # C: 95 % of the efficiency of least squares where no residual is an outlier
 FACTOR_MAX = 5.0  # a and speed stay within this factor of the prior's
+LN_FACTOR_MAX = float(np.log(FACTOR_MAX))
 SURE_S = 0.012  # deviation of the dead time from which on no grid is looked at [s]
 GRID_STEP_S = 0.02
 LOOK_LEAST = 8  # intervals from which on their doubling is a reason to look again
@@ -172,8 +175,7 @@ class _Turns:
     def residuals(self, acting: list[tuple[Floats, Floats]], ln_a: Floats, beta: Floats) -> Floats:
         """Return r (T, K, N) for what is `acting` by T dead times, and ln a and beta (T, N), over
         the unscaled sigma."""
-        headings = self.intervals.heading
-        now = np.broadcast_to(headings, (len(ln_a), *headings.shape))
+        now = headings = self.intervals.heading
         a = (self.prior.a * np.exp(ln_a))[:, None, :]
         for u, seconds in acting:
             towards = u[..., None] + beta[:, None, :]
@@ -219,8 +221,8 @@ class _Turns:
             ga = (w * by_a * r).sum(1) - ln_a / prior.a_std**2
             gb = (w * by_beta * r).sum(1) - beta / prior.heading_bias_std**2
             det = aa * bb - ab * ab
-            ln_a = _bounded(ln_a + np.clip((bb * ga - ab * gb) / det, -0.3, 0.3))
-            beta = beta + np.clip((aa * gb - ab * ga) / det, -0.3, 0.3)
+            ln_a = _bounded(ln_a + _within((bb * ga - ab * gb) / det, 0.3))
+            beta = beta + _within((aa * gb - ab * ga) / det, 0.3)
         r = self.residuals(acting, ln_a, beta) / scale
         total = CAUCHY**2 / 2 * np.log1p((r / CAUCHY) ** 2).sum(axis=(1, 2))
         total += ((grid - prior.dead_time) / prior.dead_time_std) ** 2 / 2
@@ -243,15 +245,14 @@ class _Turns:
             (base - by_beta) / NUDGE,
         )
         w = _weights(base)
-        each = np.arange(count)
         normal = np.zeros((1 + 2 * count, 1 + 2 * count))
         normal[0, 0] = (w * by_tau**2).sum() + prior.dead_time_std**-2
-        at_a, at_beta = 1 + each, 1 + count + each
+        at_a, at_beta = slice(1, 1 + count), slice(1 + count, 1 + 2 * count)
         normal[0, at_a] = normal[at_a, 0] = (w * by_tau * by_a).sum(0)
         normal[0, at_beta] = normal[at_beta, 0] = (w * by_tau * by_beta).sum(0)
-        normal[at_a, at_a] = (w * by_a**2).sum(0) + prior.a_std**-2
-        normal[at_beta, at_beta] = (w * by_beta**2).sum(0) + prior.heading_bias_std**-2
-        normal[at_a, at_beta] = normal[at_beta, at_a] = (w * by_a * by_beta).sum(0)
+        normal[at_a, at_a] = np.diag((w * by_a**2).sum(0) + prior.a_std**-2)
+        normal[at_beta, at_beta] = np.diag((w * by_beta**2).sum(0) + prior.heading_bias_std**-2)
+        normal[at_a, at_beta] = normal[at_beta, at_a] = np.diag((w * by_a * by_beta).sum(0))
         right = np.concatenate(
             [
                 [(w * by_tau * base).sum() - (tau - prior.dead_time) / prior.dead_time_std**2],
@@ -261,10 +262,10 @@ class _Turns:
         )
         inverse = np.linalg.inv(normal)
         change = inverse @ right
-        tau = float(np.clip(tau + np.clip(change[0], -0.03, 0.03), 0.0, self.tau_max))
-        ln_a = _bounded(ln_a + np.clip(change[at_a], -0.3, 0.3))
-        beta = beta + np.clip(change[at_beta], -0.3, 0.3)
-        return tau, ln_a, beta, np.sqrt(np.diag(inverse))
+        tau = min(max(tau + min(max(float(change[0]), -0.03), 0.03), 0.0), self.tau_max)
+        ln_a = _bounded(ln_a + _within(change[at_a], 0.3))
+        beta = beta + _within(change[at_beta], 0.3)
+        return tau, ln_a, beta, np.sqrt(inverse.diagonal())
 
     def _linearise(
         self, acting: list[tuple[Floats, Floats]], ln_a: Floats, beta: Floats, scale: float
@@ -282,7 +283,12 @@ def _weights(r: Floats) -> Floats:
 
 
 def _bounded(ln_a: Floats) -> Floats:
-    return np.clip(ln_a, -np.log(FACTOR_MAX), np.log(FACTOR_MAX))
+    return _within(ln_a, LN_FACTOR_MAX)
+
+
+def _within(values: NDArray[np.floating[Any]], most: float) -> Floats:
+    """Return the values brought into [-most, most], with less overhead than `np.clip`."""
+    return np.minimum(np.maximum(values, -most), most)
 
 
 def pieces(
@@ -293,24 +299,21 @@ def pieces(
     Each is a pair of u (T, K) [rad] and the seconds (T, K) for which it acts, 0 where there are
     fewer. Before the first direction acts, it is taken as acting.
     """
-    acting = directions.when[None, :] + tau[:, None]  # (T, C)
-    since, until = (
-        np.broadcast_to(t, (len(tau), t.size)) for t in (intervals.since, intervals.until)
-    )
+    since, until = intervals.since, intervals.until
     last = directions.u.size - 1
-    first = np.empty(since.shape, dtype=np.int64)
+    acting = np.full((len(tau), last + 2), np.inf)  # the last acts for ever
+    acting[:, :-1] = directions.when + tau[:, None]
+    first = np.empty((len(tau), since.size), dtype=np.int64)
     count = 1
-    for row, at in enumerate(acting):
-        first[row] = np.maximum(np.searchsorted(at, since[row], "right") - 1, 0)
-        after = np.searchsorted(at, until[row], "left") - 1
+    for row, at in enumerate(acting[:, :-1]):
+        first[row] = np.maximum(at.searchsorted(since, "right") - 1, 0)
+        after = at.searchsorted(until, "left") - 1
         count = max(count, int((after - first[row]).max(initial=0)) + 1)
-    found = []
-    begin = since
+    found: list[tuple[Floats, Floats]] = []
+    each, begin = np.arange(len(tau))[:, None], since
     for piece in range(count):
         index = np.minimum(first + piece, last)
-        following = np.minimum(index + 1, last)
-        end = np.take_along_axis(acting, following, axis=1)
-        end = np.where((index == last) | (end > until), until, end)
+        end = np.minimum(acting[each, index + 1], until)
         found.append((directions.u[index], np.maximum(end - begin, 0.0)))
         begin = np.maximum(begin, end)
     return found

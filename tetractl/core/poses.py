@@ -59,7 +59,7 @@ class Poses:
 
 def wrap(angles: Floats) -> Floats:
     """Return angles [rad] brought into [-pi, pi]."""
-    return angles - 2 * np.pi * np.round(angles / (2 * np.pi))
+    return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,9 +34,9 @@ def rates(heading: Floats, u: Floats, a: Floats, v: Floats) -> XYHeading:
 
 def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
     """Advance the headings alone; see `step`."""
-    half = (u - heading) / 2
+    half, exponent = (u - heading) / 2, -a * t
     c, s = np.cos(half), np.sin(half)
-    return heading + 2 * np.arctan2(-np.expm1(-a * t) * s * c, c * c + s * s * np.exp(-a * t))
+    return heading + 2 * np.arctan2(-np.expm1(exponent) * s * c, c * c + s * s * np.exp(exponent))
 
 
 def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:

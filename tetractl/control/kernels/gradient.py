@@ -17,20 +17,22 @@ EAST_H, NORTH_H, EAST_U, NORTH_U, KEEP = range(5)
 
 
 @compiled(**PIECE)
-def trace(u, start, a, v, first_period, period, motion, path, gradients):
+def trace(u, start, a, v, first_period, period, motion, headings, path, gradients):
     """Predict under signals u (L,): path (N, L, 2) of positions, gradients (N, L, 5).
 
-    The class of `motion`, constants of a motion, decides how the robots move.
+    headings (N,) are left as they are after the last signal. The class of `motion`, constants of a
+    motion, decides how the robots move. Robots take turns: each step waits for the heading before
+    it, and the processor works on the others meanwhile; a signal's sine and cosine serve them all.
     """
-    for i in range(a.size):
-        x, y, heading = start[i, 0], start[i, 1], start[i, 2]
-        for j in range(u.size):
-            t = first_period if j == 0 else period
-            step = derivatives(motion, heading, u[j], a[i], v[i], t)
-            x += step[0]
-            y += step[1]
-            heading += step[2]
-            path[i, j, 0], path[i, j, 1] = x, y
+    for j in range(u.size):
+        t, towards = first_period if j == 0 else period, u[j]
+        for i in range(a.size):
+            if j == 0:
+                x, y, heading = start[i, 0], start[i, 1], start[i, 2]
+            else:
+                x, y, heading = path[i, j - 1, 0], path[i, j - 1, 1], headings[i]
+            step = derivatives(motion, heading, towards, a[i], v[i], t)
+            path[i, j, 0], path[i, j, 1], headings[i] = x + step[0], y + step[1], heading + step[2]
             for k in range(5):
                 gradients[i, j, k] = step[3 + k]
 

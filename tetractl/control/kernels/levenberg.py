@@ -41,6 +41,7 @@ class Polish(NamedTuple):
     period: float
     motion: Any  # constants of the motion, `Lanes`: their class decides how the robots move
     obstacles: tuple[Any, ...]  # `PackedShapes`
+    headings: Floats  # (N,)
     path: Floats  # (N, L, 2)
     gradients: Floats  # (N, L, 5)
     depths: Floats  # (N, O) of the deepest position of each robot in each obstacle
@@ -72,6 +73,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         period=problem.period,
         motion=constants.of(problem.a, problem.speed, problem.period),
         obstacles=packs,
+        headings=np.empty(count),
         path=np.empty((count, length, 2)),
         gradients=np.empty((count, length, 5)),
         depths=np.empty((count, obstacles)),
@@ -86,6 +88,13 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         step=np.empty(rows),
         trial=np.empty(length),
     )
+
+
+@compiled(**PIECE)
+def _trace(work, u):
+    """Predict path and gradients under signals u."""
+    start, a, v, t0, t = work.start, work.a, work.v, work.first_period, work.period
+    trace(u, start, a, v, t0, t, work.motion, work.headings, work.path, work.gradients)
 
 
 @compiled(**PIECE)
@@ -243,8 +252,7 @@ def polish(work, u, tolerance, slack, iterations, patience, budget, factor, hist
     evaluations are exceeded. history[z] is the merit after z iterations, (iterations + 1,). A
     Jacobian counts as one evaluation for each of its rows.
     """
-    start, a, v, t0, t = work.start, work.a, work.v, work.first_period, work.period
-    trace(u, start, a, v, t0, t, work.motion, work.path, work.gradients)
+    _trace(work, u)
     merit = _merit(work)
     history[0] = merit
     evaluations, damping = 1, 1e-2
@@ -263,7 +271,7 @@ def polish(work, u, tolerance, slack, iterations, patience, budget, factor, hist
             history[z] = merit
             if _solve(work.gram, work.residual, work.step, r, damping * size, factor):
                 _propose(work, u, r)
-                trace(work.trial, start, a, v, t0, t, work.motion, work.path, work.gradients)
+                _trace(work, work.trial)
                 evaluations += 1
                 new = _merit(work)
                 if new < merit:

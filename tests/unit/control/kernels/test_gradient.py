@@ -24,6 +24,7 @@ def traced(problem, signals):
         work.first_period,
         work.period,
         work.motion,
+        work.headings,
         work.path,
         work.gradients,
     )

@@ -1,6 +1,7 @@
 """Smooth random sequences: few knots with straight lines between them."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
@@ -17,8 +18,15 @@ def interpolate(knots: Floats, length: int) -> Floats:
 
     The first signal is the first knot and the last one the last; K is at most `length`.
     """
-    count = len(knots)
+    below, part = places(len(knots), length)
+    share, after = part[:, None], np.minimum(below + 1, len(knots) - 1)
+    return knots[below] * (1 - share) + knots[after] * share
+
+
+def places(count: int, length: int) -> tuple[NDArray[np.int64], Floats]:
+    """Return, for each signal, the knot before it and its part of the way to the next, (length,)
+    each.
+    """
     at = np.linspace(0, count - 1, length)
     below = np.minimum(at.astype(np.int64), max(count - 2, 0))
-    share = (at - below)[:, None]
-    return knots[below] * (1 - share) + knots[np.minimum(below + 1, count - 1)] * share
+    return below, at - below

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.gradient import backward, trace
 from tetractl.control.kernels.obstacles import count_deepest, outward
-from tetractl.control.kernels.options import KERNEL, PIECE
+from tetractl.control.kernels.options import PIECE
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
@@ -243,7 +243,7 @@ def _propose(work, u, r):
         work.trial[j] = u[j] - shrink * work.trial[j]
 
 
-@compiled(**KERNEL)
+@compiled(**PIECE)
 def polish(work, u, tolerance, slack, iterations, patience, budget, factor, history):
     """Improve u (L,) in place; returns (merit, iterations used, evaluations).
 

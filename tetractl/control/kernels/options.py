@@ -14,6 +14,9 @@ PIECE: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "forceinl
 been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
 the cache: two machine codes, and results that differ in the last bits from run to run."""
 KERNEL: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy"}
+PLAIN: Any = {"nogil": True, "error_model": "numpy", "forceinline": True}
+PLAIN_KERNEL: Any = {"nogil": True, "error_model": "numpy"}
+"""The same for what has to round as NumPy does."""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """Of functions of scalars: compiled as if they were written where they are called."""
 

@@ -73,6 +73,12 @@ def lay_out(problem: Problem, particles: int) -> Rollout:
 @compiled(**KERNEL)
 def costs(rollout, signals, total):
     """Write J of each column of signals (L, P) to total (P,); return whether all are finite."""
+    return evaluate(rollout, signals, total)
+
+
+@compiled(**PIECE)
+def evaluate(rollout, signals, total):
+    """As `costs`, for kernels."""
     lanes, scratch = views(rollout)
     begin(rollout, lanes, scratch)
     for j in range(signals.shape[0]):

@@ -15,12 +15,13 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.control.curves import bearing, interpolate
+from tetractl.control.cost import require_finite
+from tetractl.control.curves import bearing, places
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.progress import Progress
-from tetractl.control.rng import mix, uniform
+from tetractl.control.rng import mix
 from tetractl.core.plan import Limits, Search, StopReason
-from tetractl.core.poses import Floats, wrap
+from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
@@ -83,97 +84,119 @@ class Multistart(OptimizerSection):
         around the warm start. The history holds J before and after each polish and, in between, the
         merit of its steps: (8) plus the depths inside obstacles.
         """
-        progress = _PolishedProgress(self, problem, length, limits)
+        progress = _PolishedProgress(self, problem, length, warm, limits)
         if warm is not None:
             progress.try_one(warm)
-            if progress.affords(2):
-                progress.polish(warm)
-        for number in range(self.rounds if warm is None else 1):
-            if progress.ended or (number > 0 and self._out_of_reach(problem, length)):
+            progress.polish(warm[None])
+        for number in range(self._rounds(problem, length) if warm is None else 1):
+            if progress.ended:
                 break
             if progress.history and not progress.affords(self.particles):
                 break
-            for start in progress.select(self._scatter(problem, length, warm, mix(key, number))):
-                if not progress.affords(2):
-                    break
-                progress.polish(start)
+            progress.polish(progress.select(mix(key, number)))
         return progress.search()
 
-    def _out_of_reach(self, problem: Problem, length: int) -> bool:
-        """Whether even straight lines at full speed leave a cost above the tolerance."""
+    def _rounds(self, problem: Problem, length: int) -> int:
+        """Return 1 where even straight lines at full speed leave a cost above the tolerance."""
         seconds = problem.first_period + (length - 1) * problem.period
         gaps = problem.poses.distances(problem.targets)
-        return float(np.maximum(gaps - problem.speed * seconds, 0.0).sum()) > self.tolerance
-
-    def _scatter(self, problem: Problem, length: int, warm: Floats | None, key: int) -> Floats:
-        """Draw smooth random sequences, shape (length, particles).
-
-        Each is linear between `knots` directions drawn uniformly from the circle around the mean
-        bearing of the targets; with a warm start, every other one is the warm start plus such a
-        curve of up to half a radian.
-        """
-        knots = min(round(self.knots * self.growth(problem)), length)
-        draws = uniform(key, 0, knots * self.particles).reshape(knots, self.particles) * 2 - 1
-        curve = interpolate(draws, length)
-        starts = bearing(problem) + np.pi * curve
-        if warm is not None:
-            starts[:, ::2] = warm[:, None] + 0.5 * curve[:, ::2]
-        return wrap(starts)  # into the bounds of (12)
+        beyond = float(np.maximum(gaps - problem.speed * seconds, 0.0).sum())
+        return 1 if beyond > self.tolerance else self.rounds
 
 
 class _PolishedProgress(Progress):
     """The progress of a search that polishes, with the workspace of the kernels."""
 
-    def __init__(self, section: Multistart, problem: Problem, length: int, limits: Limits) -> None:
-        from tetractl.control.kernels.levenberg import lay_out_polish, polish
+    def __init__(
+        self,
+        section: Multistart,
+        problem: Problem,
+        length: int,
+        warm: Floats | None,
+        limits: Limits,
+    ) -> None:
+        from tetractl.control.kernels import levenberg, multistart, rollout
 
         super().__init__(length, limits)
-        self.section, self.kernel = section, polish
-        self.problem = problem
+        self.section, self.problem, self.warm = section, problem, warm
+        self.kernels = multistart
         self.many: Callable[[Floats], Floats] | None = None  # few warm starts need it
-        self.one = compiled_costs(problem, 1)
-        self.work = lay_out_polish(problem, length)
+        self.one, self.costs = rollout.lay_out(problem, 1), rollout.costs
+        self.work = levenberg.lay_out_polish(problem, length)
         self.slack = SLACK * float(problem.speed.max()) * problem.period
-        rows = len(self.work.residual)
+        rows, growth = len(self.work.residual), section.growth(problem)
         self.factor = np.empty((rows, rows))
-        growth = section.growth(problem)
         self.patience = round(section.patience * growth)
-        self.steps = round(section.polish_steps * growth)
-        self.trace = np.empty(self.steps + 1)
+        steps = round(section.polish_steps * growth)
+        self.polished = multistart.room(section.polished, length, steps)
 
-    def select(self, starts: Floats) -> list[Floats]:
-        """Evaluate a round, (length, particles), and return its best sequences, best first."""
+    def select(self, key: int) -> Floats:
+        """Scatter and evaluate a round, and return its best sequences (K, length), best first."""
         if self.many is None:
-            self.many = compiled_costs(self.problem, self.section.particles)
-        found = self.many(starts)
-        self.add(starts, found)
+            particles = self.section.particles
+            self.many = compiled_costs(self.problem, particles)
+            count = round(self.section.knots * self.section.growth(self.problem))
+            self.knots = np.empty((min(count, self.length), particles))
+            self.places = places(len(self.knots), self.length)
+            self.middle = bearing(self.problem)
+            self.starts = np.empty((self.length, particles))
+        self._scatter(key)
+        found = self.many(self.starts)
+        self.add(self.starts, found)
         order = np.argsort(found, kind="stable")[: self.section.polished]
-        return [starts[:, n].copy() for n in order]
+        return np.ascontiguousarray(self.starts[:, order].T)
+
+    def _scatter(self, key: int) -> None:
+        """Draw smooth random sequences, within the bounds of (12).
+
+        Each is linear between `knots` directions drawn uniformly from the circle around the mean
+        bearing of the targets; with a warm start, every other one is the warm start plus such a
+        curve of up to half a radian.
+        """
+        warm = np.empty(0) if self.warm is None else self.warm
+        self.kernels.scatter(
+            np.uint64(key), *self.places, self.middle, warm, self.knots, self.starts
+        )
 
     def try_one(self, signals: Floats) -> None:
         """Evaluate one sequence."""
-        column = signals[:, None]
-        self.add(column, self.one(column))
+        found = np.empty(1)
+        self.costs(self.one, np.ascontiguousarray(signals[:, None]), found)
+        require_finite(found)
+        self.add(signals[:, None], found)
 
-    def polish(self, start: Floats) -> None:
-        """Polish one sequence, and keep it if it is the best."""
-        signals, before = start.copy(), self.cost
+    def polish(self, starts: Floats) -> None:
+        """Polish sequences (K, length) in turn until one is good enough; the best is kept."""
+        first = 0
+        while first < len(starts) and self.affords(2):
+            last = first + 1 if self.limits.timed else len(starts)
+            first += self._polish_some(starts[first:last])
+
+    def _polish_some(self, starts: Floats) -> int:
+        """Polish sequences, with no look at the time; return how many the limits allowed."""
         most = NO_LIMIT if self.limits.evaluations is None else self.limits.evaluations
-        _, steps, evaluations = self.kernel(
+        found = self.polished
+        done = self.kernels.polish_each(
             self.work,
-            signals,
+            self.one,
+            starts,
             self.section.tolerance,
             self.slack,
-            self.steps,
             self.patience,
-            most - self.evaluations - 1,
+            most - self.evaluations,
             self.factor,
-            self.trace,
+            found,
         )
-        self.evaluations += evaluations
-        self.try_one(wrap(signals))
-        if self.cost < before:
-            self.history[-1:] = np.clip(self.trace[:steps], self.cost, before).tolist()
-            self.history.append(self.cost)
+        require_finite(found.costs[:done])
+        costs, spent = found.costs[:done].tolist(), found.evaluations[:done].tolist()
+        for n in range(done):
+            before = self.cost
+            self.evaluations += spent[n] + 1
+            self.keep(found.signals[n], costs[n])
+            if self.cost < before:
+                merits = found.merits[n, : found.steps[n]]
+                self.history[-1:] = np.clip(merits, self.cost, before).tolist()
+                self.history.append(self.cost)
         if self.cost <= self.section.tolerance:
             self.ended = StopReason.TARGET
+        return done

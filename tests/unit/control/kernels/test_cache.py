@@ -12,7 +12,7 @@ from support.paths import ROOT
 SEARCH = """
 import hashlib, sys
 from pathlib import Path
-from tetractl.control.kernels.levenberg import polish
+from tetractl.control.kernels.multistart import polish_each
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.optimizers.pso import Pso
 from tetractl.core.plan import Limits
@@ -25,7 +25,7 @@ for name in ("three_m3pi", "three_m3pi_paper"):
     for optimizer in (Multistart(rounds=2), Pso(iterations=20)):
         search = optimizer.search(problem, 30, None, 1, Limits())
         digest.update(search.signals.tobytes() + search.history.tobytes())
-print(sum(polish.stats.cache_hits.values()), digest.hexdigest())
+print(sum(polish_each.stats.cache_hits.values()), digest.hexdigest())
 """
 
 

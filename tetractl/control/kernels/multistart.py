@@ -1,0 +1,96 @@
+"""One round of `tetractl.control.optimizers.multistart`: starts scattered, the best polished."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.levenberg import Integers, polish
+from tetractl.control.kernels.options import KERNEL, PLAIN, PLAIN_KERNEL
+from tetractl.control.kernels.rollout import evaluate
+from tetractl.control.kernels.update import GOLDEN, MIX_1, MIX_2, S27, S30, S31
+from tetractl.core.poses import Floats
+from tetractl.model.motion import polynomials
+
+S11 = np.uint64(11)
+UNIT_53 = 2.0**-53
+
+
+class Polished(NamedTuple):
+    """What became of each of up to K starts, updated in place."""
+
+    signals: Floats  # (K, L), within [-pi, pi]
+    costs: Floats  # (K,) J
+    steps: Integers  # (K,) iterations
+    evaluations: Integers  # (K,) that the polish took; J took one more
+    merits: Floats  # (K, steps_max + 1) after each iteration
+
+
+def room(count: int, length: int, steps_max: int) -> Polished:
+    """Return the arrays for so many starts."""
+    return Polished(
+        signals=np.empty((count, length)),
+        costs=np.empty(count),
+        steps=np.empty(count, dtype=np.int64),
+        evaluations=np.empty(count, dtype=np.int64),
+        merits=np.empty((count, steps_max + 1)),
+    )
+
+
+_wrap = compiled(**PLAIN)(polynomials.wrap)
+
+
+@compiled(**PLAIN_KERNEL)
+def scatter(key, below, share, middle, warm, knots, starts):
+    """Write smooth random sequences to starts (L, P), bit for bit those of NumPy's arithmetic.
+
+    knots (K, P) are overwritten by the draws 0 ... K P - 1 of the key, from -1 to 1; below (L,) and
+    share (L,) say between which of them each signal lies, as in `tetractl.control.curves`.
+    """
+    count, particles = knots.shape
+    for k in range(count):
+        base = key + np.uint64(k * particles + 1) * GOLDEN
+        for n in range(particles):
+            z = base + np.uint64(n) * GOLDEN
+            z = (z ^ (z >> S30)) * MIX_1
+            z = (z ^ (z >> S27)) * MIX_2
+            z = z ^ (z >> S31)
+            knots[k, n] = np.float64(np.int64(z >> S11)) * UNIT_53 * 2 - 1
+    for j in range(starts.shape[0]):
+        k, s = below[j], share[j]
+        after = min(k + 1, count - 1)
+        for n in range(particles):
+            starts[j, n] = knots[k, n] * (1 - s) + knots[after, n] * s
+        for n in range(particles if warm.size == 0 else 0):
+            starts[j, n] = _wrap(middle + math.pi * starts[j, n])
+        for n in range(0 if warm.size == 0 else particles):
+            around = warm[j] + 0.5 * starts[j, n]
+            starts[j, n] = _wrap(around if n % 2 == 0 else middle + math.pi * starts[j, n])
+
+
+@compiled(**KERNEL)
+def polish_each(work, one, starts, tolerance, slack, patience, budget, factor, polished):
+    """Polish starts (K, L) until one costs at most `tolerance`, within `budget` evaluations.
+
+    `one` is a rollout of one particle. Returns how many starts were polished; `polished` tells what
+    became of them.
+    """
+    iterations, spent, done = polished.merits.shape[1] - 1, 0, 0
+    while done < starts.shape[0] and spent + 2 <= budget:
+        u, cost = polished.signals[done], polished.costs[done : done + 1]
+        for j in range(u.size):
+            u[j] = starts[done, j]
+        left = budget - spent - 1
+        _, z, evaluations = polish(
+            work, u, tolerance, slack, iterations, patience, left, factor, polished.merits[done]
+        )
+        for j in range(u.size):
+            u[j] = _wrap(u[j])
+        evaluate(one, u.reshape(u.size, 1), cost)
+        polished.steps[done], polished.evaluations[done] = z, evaluations
+        spent += evaluations + 1
+        done += 1
+        if cost[0] <= tolerance:
+            break
+    return done

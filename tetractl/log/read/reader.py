@@ -186,8 +186,8 @@ def _start(contents: Contents) -> tuple[Experiment, Start]:
     if len(resolved) > MAX_BYTES:
         raise LogError(f"{contents.path}: its resolved spec has {len(resolved)} characters")
     try:
-        experiment, upgraded = _resolved(resolved)
-        hashed = run.items["spec_hash"] if upgraded else spec_hash(experiment)
+        experiment, own_hash = _resolved(resolved)
+        hashed = run.items["spec_hash"] if own_hash is None else own_hash
         believe_run(run, len(experiment.robots))
     except (SpecError, KeyError, RecursionError, ValueError) as error:
         used = [
@@ -218,10 +218,10 @@ def _start(contents: Contents) -> tuple[Experiment, Start]:
 
 
 @lru_cache(maxsize=16)
-def _resolved(text: str) -> tuple[Experiment, bool]:
-    """Return the experiment, and whether its spec has names of an earlier tetractl.
+def _resolved(text: str) -> tuple[Experiment, str | None]:
+    """Return the experiment and its hash, None where its spec has names of an earlier tetractl.
 
     The hash of such a spec cannot be computed again: it was taken over the names of that time.
     """
     spec = parse_spec(text, channels.RESOLVED_SPEC)
-    return spec.experiment, bool(spec.notices)
+    return spec.experiment, None if spec.notices else spec_hash(spec.experiment)

@@ -7,21 +7,20 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from functools import cache, wraps
+from functools import wraps
 from pathlib import Path
 from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
 
-from google.protobuf.message import Message
 from mcap.records import Channel, Schema
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap_protobuf.schema import build_file_descriptor_set
+from mcap.well_known import MessageEncoding
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import register_schema
 
 from tetractl import __version__
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import seal
-from tetractl.log.write.mcap_file import McapFile
 
 CHUNK_S = 0.7
 """The longest time a message waits in memory [s of wall time]. With a control period of 0.2 s, in
@@ -76,12 +75,13 @@ class Sink:
         try:
             self._file = _owned(self._part) if copied else self._part.open("x+b")
             _sync_folder(path.parent)
-            self._mcap = McapFile(self._file, f"tetractl {__version__}")
+            self._mcap = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
+            self._mcap.start(library=f"tetractl {__version__}")
         except OSError as error:
             self._fail(error)
         self._channels = {
-            topic: self._mcap.channel(
-                topic, MessageEncoding.Protobuf, self._mcap.schema(*_schema(message)), {}
+            topic: self._mcap.register_channel(
+                topic, MessageEncoding.Protobuf, register_schema(self._mcap, message)
             )
             for topic, message in CHANNELS.items()
         }
@@ -89,8 +89,8 @@ class Sink:
     def channel(self, channel: Channel, schema: Schema | None) -> None:
         """Add a channel of another log, unless there is one of that topic."""
         if channel.topic not in self._channels:
-            known = schema and self._mcap.schema(schema.name, schema.encoding, schema.data)
-            self._channels[channel.topic] = self._mcap.channel(
+            known = schema and self._mcap.register_schema(schema.name, schema.encoding, schema.data)
+            self._channels[channel.topic] = self._mcap.register_channel(
                 channel.topic, channel.message_encoding, known or 0, channel.metadata
             )
 
@@ -107,7 +107,7 @@ class Sink:
             self._digest.message(entry)
             self._host_digest.message(entry)
             channel = self._channels[entry.topic]
-            self._mcap.message(channel, entry.log_ns, entry.publish_ns, entry.data)
+            self._mcap.add_message(channel, entry.log_ns, entry.data, entry.publish_ns)
 
     @_while_open
     def metadata(self, name: str, items: Mapping[str, str]) -> None:
@@ -115,14 +115,14 @@ class Sink:
         self.flush()
         self._digest.metadata(name, items)
         self._host_digest.metadata(name, items)
-        self._mcap.metadata(name, seal(items))
+        self._mcap.add_metadata(name, seal(items))
 
     @_while_open
     def last_host_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add the host record that states the digest of all host records with this one."""
         self.flush()
         self._host_digest.metadata(name, items)
-        self._mcap.metadata(name, seal({**items, HOST_DIGEST: self._host_digest.hexdigest()}))
+        self._mcap.add_metadata(name, seal({**items, HOST_DIGEST: self._host_digest.hexdigest()}))
 
     @_while_open
     def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
@@ -130,7 +130,7 @@ class Sink:
         self.flush()
         self._digest.metadata(name, items)
         self._host_digest.metadata(name, items)
-        self._mcap.metadata(name, seal({**items, DIGEST: self._digest.hexdigest()}))
+        self._mcap.add_metadata(name, seal({**items, DIGEST: self._digest.hexdigest()}))
 
     @_while_open
     def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:
@@ -138,7 +138,7 @@ class Sink:
         self.flush()
         self._digest.metadata(name, items)
         self._host_digest.metadata(name, items)
-        self._mcap.metadata(name, items)
+        self._mcap.add_metadata(name, dict(items))
 
     @_while_open
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
@@ -146,7 +146,7 @@ class Sink:
         self.flush()
         self._digest.attachment(name, media_type, data)
         self._host_digest.attachment(name, media_type, data)
-        self._mcap.attachment(name, media_type, unix_ns, data)
+        self._mcap.add_attachment(0, unix_ns, name, media_type, data)
 
     @_while_open
     def flush(self) -> None:
@@ -236,13 +236,6 @@ class Sink:
         file, self._file = self._file, None
         if file:
             file.close()
-
-
-@cache
-def _schema(message: type[Message]) -> tuple[str, str, bytes]:
-    """Return name, encoding and data of the schema of a message."""
-    data = build_file_descriptor_set(message).SerializeToString()
-    return message.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, data
 
 
 def _owned(path: Path) -> BinaryIO:

@@ -1,6 +1,6 @@
 """Print what the logs of experiments/studies/claims.yaml say about the paper's claims.
 
-    tetractl study experiments/studies/claims.yaml      some forty minutes of a processor
+    tetractl study experiments/studies/claims.yaml      some half an hour of a processor
     python benchmarks/claims.py                         the tables, from logs/claims
     python benchmarks/claims.py --figure claims.svg
 

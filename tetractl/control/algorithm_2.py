@@ -18,9 +18,10 @@ Where each line of Algorithm 2 is:
 Beyond Algorithm 2, each by a field of its own: the plan's grid may be coarser than the control's
 (`hold`), the state may be predicted over the dead time, the motion identified while the robots
 drive (`estimate`) and lost commands believed in (`losses`), margins may follow the uncertainty
-(`collision.adaptive`), longer sequences be searched where no short one ends at the targets
-(`accept`), the stop come between two steps (`stop_between`), an optimiser may count costs as
-equally good, and the searches of a step may be limited.
+(`collision.adaptive`), robots stop before an obstacle that no plan avoids (`collision.stop`),
+longer sequences be searched where no short one ends at the targets (`accept`), the stop come
+between two steps (`stop_between`), an optimiser may count costs as equally good, and the searches
+of a step may be limited.
 """
 
 import time
@@ -140,14 +141,16 @@ class Mpc:
 
         No search is done for it, so that a log tells all that the end depends on.
         """
-        if self.warm is None or (len(self.warm) > 0 and self.section.accept == 0):
+        if self.warm is None:
             return None
         direction, bias = self.knowledge.held_at_action(observation)
-        if self.accept > 0 and self.blocked:
+        if self.section.collision.stop and self.blocked:
             ahead = np.full_like(direction, self.warm[0]) if len(self.warm) else direction
             seconds = self.section.period + LATE * self.knowledge.predictor.dead_time_s
             if self.margins.entered(problem.poses, *driven(problem, ahead, bias, seconds)):
                 return Outcome.NOTHING_BETTER
+        if len(self.warm) > 0 and self.section.accept == 0:
+            return None
         period = self.section.period if self.section.stop_between else 0.0
         stopping = best_stop(problem, direction, bias, period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED

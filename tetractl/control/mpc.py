@@ -42,6 +42,9 @@ class Collision(Model):
     """Whether the margin grows by how far off course a robot may come before the next command acts,
     by what is known of it, and shrinks to the room there is where a robot or a target is within
     it."""
+    stop: bool = False
+    """Whether all robots stop, and the trial ends, where the best plan found touches an obstacle or
+    its margin and a robot is about to enter one. For robots that can stand still."""
 
 
 class PriorSection(Model):
@@ -90,8 +93,7 @@ class MpcSection(ControllerSection):
     accept: NonNegative = 0.0
     """Total error to accept [length unit]. Where no length H - 1, H, H + 1 ends within it, longer
     sequences are searched, and the trial ends where stopping is within it and as good as any plan:
-    the less, the longer a trial takes. Each time the robots go round a tenth more is accepted. It
-    ends, too, where every plan found touches an obstacle and a robot is about to enter one. 0 is
+    the less, the longer a trial takes. Each time the robots go round a tenth more is accepted. 0 is
     Algorithm 2, which only ends with its sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least

@@ -290,9 +290,9 @@ def test_without_a_signal_left_only_an_accepted_error_ends_the_trial():
     assert controller.plan(seen(near(19), now=400_000_000)) is Outcome.SEQUENCE_COMPLETED
 
 
-def beside_a_wall(gap, **fields):
+def beside_a_wall(gap, stop=True):
     """A controller with an empty plan, and robots of which green heads for the right wall."""
-    experiment = spec_around(collision={"check": "swept", "walls": True}, **fields)
+    experiment = spec_around(collision={"check": "swept", "walls": True, "stop": stop})
     controller = mpc(experiment, 99)
     poses = STARTS.copy()
     poses[0, 0] = experiment.setup.arena.right - gap
@@ -309,9 +309,12 @@ def test_robots_stop_rather_than_leave_where_every_plan_found_does():
     assert controller.plan(there) is Outcome.NOTHING_BETTER
 
 
-@pytest.mark.parametrize(("gap", "blocked"), [(30, False), (50, True), (-30, True)])
-def test_robots_drive_on_where_a_plan_keeps_clear_or_no_wall_is_reached(gap, blocked):
-    controller, there = beside_a_wall(gap)
+@pytest.mark.parametrize(
+    ("gap", "blocked", "stop"),
+    [(30, False, True), (50, True, True), (-30, True, True), (30, True, False)],
+)
+def test_robots_drive_on_where_a_plan_keeps_clear_or_no_wall_is_reached(gap, blocked, stop):
+    controller, there = beside_a_wall(gap, stop)
     controller.blocked = blocked
     assert isinstance(controller.plan(there), Plan)
 

@@ -13,6 +13,7 @@ on. Everything is simulated.
 
 import argparse
 import csv
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -140,8 +141,6 @@ def report(found: dict[tuple[str, int, str], list[Measured]]) -> None:
 
 
 def _size(arena: str) -> str:
-    import json
-
     sides = json.loads(arena)
     return f"{sides['width']:.0f} x {sides['height']:.0f} mm"
 

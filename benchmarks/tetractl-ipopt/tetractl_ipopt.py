@@ -13,6 +13,7 @@ from pydantic import Field
 
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.curves import bearing, interpolate
+from tetractl.control.progress import Progress
 from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.problem import Problem
@@ -59,30 +60,20 @@ class Ipopt(OptimizerSection):
 
         J (7) of what IPOPT returns decides. The time of one solution is not limited.
         """
-        rng = np.random.default_rng(key)
-        best, cost, history = np.zeros(length), np.inf, list[float]()
+        rng, progress = np.random.default_rng(key), Progress(length, limits)
         programme = shooter(problem, length, self.iterations)
-        guesses = 1 if warm is not None else self.starts
-        stopped = StopReason.ITERATIONS
-        for k in range(guesses + (warm is not None)):
-            if history and not limits.allow(k + 1):
-                stopped = StopReason.EVALUATIONS
+        for k in range(self.starts if warm is None else 2):
+            if progress.history and not progress.affords(1):
                 break
-            if history and limits.expired():
-                stopped = StopReason.DEADLINE
-                break
-            if warm is not None:
-                found = warm if k == 0 else wrap(programme.solve(problem, warm))
-            else:
+            if warm is None:
                 found = wrap(programme.solve(problem, curve(problem, length, rng)))
-            j = float(evaluate(problem, found[None]).total[0])
-            if np.isfinite(j) and j < cost:
-                best, cost = found, j
-            history.append(cost)
-            if cost <= self.tolerance:
-                stopped = StopReason.TARGET
+            else:
+                found = warm if k == 0 else wrap(programme.solve(problem, warm))
+            progress.add(found[:, None], evaluate(problem, found[None]).total)
+            if progress.cost <= self.tolerance:
+                progress.ended = StopReason.TARGET
                 break
-        return Search(length, best, cost, np.array(history), len(history), stopped)
+        return progress.search()
 
 
 def curve(problem: Problem, length: int, rng: np.random.Generator) -> Floats:

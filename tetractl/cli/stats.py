@@ -95,10 +95,10 @@ def _several(folders: list[str], form: Format, plot: Path | None) -> int:
     )
     _show_arms(form, found)
     if plot:
-        from tetractl.view.figures.ecdf import arms_figure
+        from tetractl.view.figures.ecdf import distributions_figure
         from tetractl.view.style import save
 
-        save(arms_figure(found), plot)
+        save(distributions_figure(found), plot)
         print(f"wrote {plot}", file=sys.stderr)
     return Exit.DONE if all(arm.summary.whole for arm in found.arms) else Exit.FAILED
 

@@ -143,14 +143,12 @@ class Mpc:
         """
         if self.warm is None:
             return None
-        direction, bias = self.knowledge.held_at_action(observation)
-        if self.section.collision.stop and self.blocked:
-            ahead = np.full_like(direction, self.warm[0]) if len(self.warm) else direction
-            seconds = self.section.period + LATE * self.knowledge.predictor.dead_time_s
-            if self.margins.entered(problem.poses, *driven(problem, ahead, bias, seconds)):
-                return Outcome.NOTHING_BETTER
+        wary = self.blocked and self.section.collision.stop
+        if wary and self._enters(problem, observation, self.warm):
+            return Outcome.NOTHING_BETTER
         if len(self.warm) > 0 and self.section.accept == 0:
             return None
+        direction, bias = self.knowledge.held_at_action(observation)
         period = self.section.period if self.section.stop_between else 0.0
         stopping = best_stop(problem, direction, bias, period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
@@ -159,6 +157,14 @@ class Mpc:
         if len(self.warm) and float(evaluate(problem, self.warm[None]).total[0]) < stopping.error:
             return None
         return End(outcome, stopping.delay_ns) if stopping.delay_ns else outcome
+
+    def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
+        """Return whether a robot enters an obstacle before the next stop could act, under the plan
+        under way or, where that is used up, the direction held."""
+        held, bias = self.knowledge.held_at_action(observation)
+        ahead = np.full_like(held, warm[0]) if len(warm) else held
+        seconds = self.section.period + LATE * self.knowledge.predictor.dead_time_s
+        return self.margins.entered(problem.poses, *driven(problem, ahead, bias, seconds))
 
     def _decide(self, problem: Problem) -> Plan:
         """Search every horizon that is a candidate now, longer ones where need be, and choose.

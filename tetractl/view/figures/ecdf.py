@@ -39,7 +39,7 @@ def ecdf_figure(logs: Sequence[TrialLog]) -> Figure:
     return _drawn(list(batches), errors, logs[0].start.setup.unit)
 
 
-def arms_figure(arms: Arms) -> Figure:
+def distributions_figure(arms: Arms) -> Figure:
     """Draw the errors of the counted trials of every arm; a headline says what was steered."""
     figure = _drawn(
         [arm.name for arm in arms.arms], [arm.summary.totals for arm in arms.arms], arms.unit

@@ -29,6 +29,7 @@ class Interrupt:
     def __init__(self, notice: Callable[[], object] = lambda: None) -> None:
         self.count = 0
         self.notice = notice  # called at the first request, in the signal's handler
+        self.broke = False  # whether KeyboardInterrupt was raised in breakable code
         self._breakable = False
 
     @property
@@ -75,7 +76,7 @@ class Interrupt:
     def _break(self) -> None:
         """Raise KeyboardInterrupt in breakable code; the code it unwinds to is not breakable."""
         if self._breakable:
-            self._breakable = False
+            self._breakable, self.broke = False, True
             raise KeyboardInterrupt
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:

@@ -17,6 +17,8 @@ from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.square import directions
 
+AT_ONCE = "stopped at once by a second interruption"
+
 Decision = Plan | Outcome | End
 
 
@@ -60,14 +62,20 @@ class Trial:
                 observer.on_start(start)
             outcome, reason = self._steps(info)
         except KeyboardInterrupt:
-            at_once = "stopped at once by a second interruption"
-            reason = at_once if self.interrupt.count > 1 else "interrupted before the first step"
+            reason = AT_ONCE if self.interrupt.count > 1 else "interrupted before the first step"
             outcome = Outcome.INTERRUPTED
         except TetractlError as error:
-            outcome, reason = Outcome.ABORTED, str(error)
+            outcome, reason = self._failed(str(error))
         except Exception as error:
-            outcome, reason, bug = Outcome.ABORTED, f"{type(error).__name__}: {error}", error
+            outcome, reason = self._failed(f"{type(error).__name__}: {error}")
+            bug = error if outcome is Outcome.ABORTED else None
         return self._end(outcome, reason, bug, opened_ns)
+
+    def _failed(self, why: str) -> tuple[Outcome, str]:
+        """Return how a trial ends after an error: with the interruption that it is a form of, or
+        aborted. A KeyboardInterrupt in the middle of an import or of compiling comes out of numba
+        as an error of any kind."""
+        return (Outcome.INTERRUPTED, AT_ONCE) if self.interrupt.broke else (Outcome.ABORTED, why)
 
     def _steps(self, info: PlantInfo) -> tuple[Outcome, str]:
         """Run the control loop of Algorithm 2 until something ends it."""

@@ -1,5 +1,6 @@
 import threading
 import time
+from contextlib import suppress
 from itertools import pairwise
 
 import pytest
@@ -184,6 +185,23 @@ def test_a_second_interruption_breaks_off_what_may_be_broken_off(where):
     at_once, finished = "stopped at once by a second interruption", "interrupted; the step was"
     assert result.reason.startswith(at_once if planning else finished)
     assert not made.interrupt._breakable
+
+
+@pytest.mark.parametrize("error", [AttributeError("no 'misc'"), ControlError("no finite cost")])
+def test_what_a_library_makes_of_an_interruption_is_an_interruption_too(error):
+    """Regression: torn in an import or a compilation, numba raises errors of other kinds."""
+    made = bench(5)
+
+    def torn():
+        made.interrupt.request()
+        with suppress(KeyboardInterrupt):
+            made.interrupt.request()
+        raise error
+
+    made.happenings.actions["plan", 2] = torn
+    result = made.run()
+    assert_ended_well(made, Outcome.INTERRUPTED)
+    assert result.reason == "stopped at once by a second interruption"
 
 
 def test_interruptions_while_the_robots_stop_tear_nothing():

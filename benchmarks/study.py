@@ -49,11 +49,15 @@ class Clocked:
 
 
 class Measured(NamedTuple):
-    """Whole trials a minute, and CPU time a trial [ms]: in the trial, and elsewhere in here."""
+    """Whole trials a minute, and CPU time a trial [ms]: in the trial, and elsewhere in here; the
+    longest control step of a trial, which is its first plan [ms], and the share of a trial's CPU
+    time that is none of its control steps'."""
 
     rate: float
     trial_ms: float
     here_ms: float
+    first_ms: float
+    outside: float
 
 
 def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
@@ -71,12 +75,16 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
             run_study(loaded.arms, store, local, tasks, False, clocked)
             here_s = time.process_time() - before_s
         first = 2 * jobs
-        used_s = [row.times["cpu_s"] for row in store.rows[arm.name].values()]
+        rows = list(store.rows[arm.name].values())
+        used_s = [row.times["cpu_s"] for row in rows]
+        first_ms = [row.times["solve_max_ms"] for row in rows]
+        solved_s = sum(1e-3 * row.times["solve_mean_ms"] * row.columns["steps"] for row in rows)
     took_s = clocked.ends_s[-1] - clocked.ends_s[first - 1]
     if jobs == 1:
         here_s -= sum(used_s)
     rate = 60 * (trials - first) / took_s
-    return Measured(rate, 1e3 * statistics.median(used_s), 1e3 * here_s / trials)
+    trial_ms, outside = 1e3 * statistics.median(used_s), 1 - solved_s / sum(used_s)
+    return Measured(rate, trial_ms, 1e3 * here_s / trials, statistics.mean(first_ms), outside)
 
 
 def main() -> None:
@@ -92,10 +100,11 @@ def main() -> None:
             found[name].append(measure(asked.spec.resolve(), asked.trials, jobs, logs))
     print(f"{asked.spec.name}, {asked.rounds} rounds of {asked.trials} trials, median (range)")
     for name, values in found.items():
-        rates, trial_ms, here_ms = (list(one) for one in zip(*values, strict=True))
+        rates, trial_ms, here_ms, first_ms, outside = map(list, zip(*values, strict=True))
         print(
-            f"{name:22} {_span(rates, 0)} trials a minute, CPU {_span(trial_ms, 0)} ms a trial"
-            f" and {_span(here_ms, 1)} ms elsewhere"
+            f"{name:22} {_span(rates, 0)} trials a minute, CPU {_span(trial_ms, 0)} ms a trial,"
+            f" {_span([100 * share for share in outside], 0)} % of it outside the solver, and"
+            f" {_span(here_ms, 1)} ms elsewhere; first plan {_span(first_ms, 1)} ms on average"
         )
     for logs in ("all logs", "no logs"):
         one, two = found[f"1 process, {logs}"], found[f"2 processes, {logs}"]

@@ -141,7 +141,7 @@ def closed(settings: Settings) -> Report:
         shooting.build_all(recommended(), LENGTH - 2 if settings.quick else 1)
         alone = replace_control(ours, steps_max=1) if settings.quick else ours
         ipopt = lambda e, key: shooting.Shrinking(  # noqa: E731
-            e.controller, e.setup, key, Ipopt(type="ipopt", iterations=shooting.ITERATIONS)
+            e.controller, e.setup, key, Ipopt(type="ipopt")
         )
         contestants.append((f"CasADi + IPOPT, {LENGTH} signals, warm-started", alone, ipopt))
     else:

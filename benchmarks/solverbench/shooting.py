@@ -21,12 +21,13 @@ def ipopt(cap_s: float) -> Callable[[Meter, int], NoReturn]:
     """Return the peer of a race that lasts `cap_s`."""
 
     def run(meter: Meter, seed: int) -> NoReturn:
-        from tetractl_ipopt import curve
+        from tetractl_ipopt import promising
 
         rng, problem = np.random.default_rng(seed), meter.problem
         programme = shooter(problem, meter.length, cap_s)
         while True:
-            found = programme.solve(problem, curve(problem, meter.length, rng))
+            (start,) = promising(problem, meter.length, rng, 1)
+            found = programme.solve(problem, start)
             meter.note(float(evaluate(problem, found[None]).total[0]))
 
     return run
@@ -50,5 +51,7 @@ def build_all(problem: Problem, shortest: int) -> None:
     """Build the programmes a closed loop needs, outside its time."""
     import tetractl_ipopt
 
+    section = tetractl_ipopt.Ipopt(type="ipopt")
+    tetractl_ipopt.shooter(problem, LENGTH, section.iterations)
     for length in range(shortest, LENGTH + 1):
-        tetractl_ipopt.shooter(problem, length, ITERATIONS)
+        tetractl_ipopt.shooter(problem, length, section.polish, warm=True)

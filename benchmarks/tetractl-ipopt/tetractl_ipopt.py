@@ -3,10 +3,20 @@
 States and directions are the variables, the motion is a constraint between neighbours in time, and
 the cost is the sum of the squared distances to the targets. Obstacles are constraints at the
 samples: a disc as it is, any other shape as a smooth curve round its bounds, since IPOPT
-differentiates twice.
+differentiates twice. A shape that no robot can get round in time is a wall: bounds of the places.
+
+A programme depends on numbers alone that seldom change: of robots, signals, discs and boxes. All
+else, what is estimated of the robots too, is a parameter, so that programmes are built once.
+
+There are two for each size, for what was measured to converge. From a random start IPOPT
+approximates the Hessian by BFGS: with exact ones few starts converge. From a warm start, which is
+near a solution, it takes exact Hessians and a barrier that begins small: a third of the iterations.
 """
 
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -20,28 +30,50 @@ from tetractl.core.problem import Problem
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
-POWER = 6  # of the curve |x/hx|^p + |y/hy|^p = 2, which passes through the corners of a box
+BEND = 0.02  # units within which a box's corner is rounded
 SWEPT = 0.4  # of the way of a period: so much are obstacles grown, that no step cuts a corner
-KNOTS = 6  # of a random start
+KNOTS = 4  # of a random start, a robot ...
+LEAST_KNOTS = 12  # ... and at least
+SCATTERED = 64  # random starts of which the best are taken
+TOUCH = 1e-3  # units that walls are kept away from: their edges belong to them
+NEAR = 1e-6  # weight of what a warm start is changed by: it makes the Hessian regular
 ENDLESS = 1e9  # s
-FAR = 10.0  # shapes are a wall from this many times the robots' gaps on
+KEPT = 40_000  # poses in the programmes kept, some 10 kB each
+
+SHARED = {"print_level": 0, "sb": "yes"}
+COLD = {"hessian_approximation": "limited-memory", "tol": 1e-6}
+WARM = {
+    "tol": 1e-5,
+    "constr_viol_tol": 1e-4,
+    "mu_strategy": "adaptive",
+    "mu_init": 1e-4,
+    "bound_mult_init_method": "mu-based",
+    "bound_push": 1e-3,
+    "bound_frac": 1e-3,
+    "slack_bound_push": 1e-3,
+    "slack_bound_frac": 1e-3,
+}
 
 
 class Ipopt(OptimizerSection):
     """IPOPT on the states and directions of all robots, from the warm start or random curves."""
 
     type: Literal["ipopt"]
-    starts: int = Field(default=10, ge=1, le=1000)
-    """Random starts of a search that has no warm start."""
-    iterations: int = Field(default=300, ge=1, le=100_000)
-    """Iterations of IPOPT from one start."""
+    starts: int = Field(default=3, ge=1, le=1000)
+    """Random starts of a search that has no warm start, the best of many."""
+    iterations: int = Field(default=60, ge=1, le=100_000)
+    """Iterations of IPOPT from one random start."""
+    polish: int = Field(default=40, ge=1, le=100_000)
+    """Iterations of IPOPT from a warm start, and from what a random start has led to."""
+    iterations_all: int = Field(default=150, ge=1, le=1_000_000)
+    """Iterations of IPOPT in one search, after which no further start is made."""
     tolerance: Positive = 1.0
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
     @property
     def iterations_max(self) -> int:
-        """A start is an iteration, and so is a warm start."""
-        return self.starts + 1
+        """The best random start as it is, and each start solved twice."""
+        return 2 * self.starts + 1
 
     @property
     def evaluations_min(self) -> int:
@@ -60,150 +92,298 @@ class Ipopt(OptimizerSection):
 
         J (7) of what IPOPT returns decides. The time of one solution is not limited.
         """
-        rng, progress = np.random.default_rng(key), Progress(length, limits)
-        programme = shooter(problem, length, self.iterations)
-        for k in range(self.starts if warm is None else 2):
-            if progress.history and not progress.affords(1):
-                break
-            if warm is None:
-                found = wrap(programme.solve(problem, curve(problem, length, rng)))
-            else:
-                found = warm if k == 0 else wrap(programme.solve(problem, warm))
-            progress.add(found[:, None], evaluate(problem, found[None]).total)
-            if progress.cost <= self.tolerance:
-                progress.ended = StopReason.TARGET
-                break
-        return progress.search()
+        found = _Solutions(self, problem, length, limits)
+        if warm is not None:
+            found.note(warm)
+            found.solve(warm, self.polish, warm=True)
+            return found.search()
+        rng = np.random.default_rng(key)
+        starts = promising(problem, length, rng, self.starts if in_reach(problem, length) else 1)
+        found.note(starts[0])
+        for start in starts:
+            first = found.solve(start, self.iterations, warm=False)
+            if first is not None:
+                found.solve(first, self.polish, warm=True)
+        return found.search()
 
 
-def curve(problem: Problem, length: int, rng: np.random.Generator) -> Floats:
-    """Return a random curve (L,) through a few directions around the bearing of the targets."""
-    knots = rng.uniform(-np.pi / 2, np.pi / 2, (min(KNOTS, length), 1))
-    return bearing(problem) + interpolate(knots, length)[:, 0]
+class _Solutions(Progress):
+    """The progress of a search, and the iterations of IPOPT that are left to it."""
+
+    def __init__(self, section: Ipopt, problem: Problem, length: int, limits: Limits) -> None:
+        super().__init__(length, limits)
+        self.problem, self.tolerance, self.left = problem, section.tolerance, section.iterations_all
+
+    def note(self, signals: Floats) -> None:
+        """Evaluate one sequence; the search is over where it is good enough."""
+        self.add(signals[:, None], evaluate(self.problem, signals[None]).total)
+        if self.cost <= self.tolerance:
+            self.ended = StopReason.TARGET
+
+    def solve(self, guess: Floats, iterations: int, warm: bool) -> Floats | None:
+        """Solve from a guess and return what was found; None where the search is over."""
+        if self.left <= 0 or not self.affords(1):
+            return None
+        programme = shooter(self.problem, self.length, iterations, warm=warm)
+        signals = wrap(programme.solve(self.problem, guess))
+        self.left -= programme.iterations
+        self.note(signals)
+        return signals
 
 
-class Shooter:
-    """The programme for sequences of one length; poses, a, speed and periods are its parameters.
-
-    Lengths are in units of `unit`, so that variables are near 1. `cap_s` ends a solution [s].
-    """
-
-    def __init__(self, problem: Problem, length: int, iterations: int, cap_s: float) -> None:
-        import casadi as ca
-
-        self.unit, self.length = scale(problem), length
-        count = problem.a.size
-        u, states = ca.MX.sym("u", length), ca.MX.sym("s", 3 * count, length)
-        start, robots = ca.MX.sym("p", 3 * count), ca.MX.sym("r", 2 * count + 2)
-        before = ca.horzcat(start, states[:, :-1])
-        held = ca.horzcat(robots[-2], ca.repmat(robots[-1], 1, length - 1))
-        step = _step(ca, problem.motion, count).map(length)
-        after = step(before, u.T, ca.repmat(robots[:-2], 1, length), held)
-        x, y = states[0::3, :], states[1::3, :]
-        targets = problem.targets / self.unit
-        kept, low, high = [ca.vec(after - states)], [0.0], [0.0]
-        for shape in problem.obstacles.shapes:
-            kept.append(ca.vec(_outside(ca, problem, shape, x, y, self.unit)))
-            low.append(0.0)
-            high.append(np.inf)
-        programme = {
-            "x": ca.vertcat(u, ca.vec(states)),
-            "p": ca.vertcat(start, robots),
-            "f": ca.sumsqr(x[:, -1] - targets[:, 0]) + ca.sumsqr(y[:, -1] - targets[:, 1]),
-            "g": ca.vertcat(*kept),
-        }
-        ipopt = {
-            "print_level": 0,
-            "sb": "yes",
-            "max_iter": iterations,
-            "tol": 1e-7,
-            "hessian_approximation": "limited-memory",  # exact Hessians seldom converged
-            "max_wall_time": cap_s,
-        }
-        self.solver = ca.nlpsol("shoot", "ipopt", programme, {"print_time": 0, "ipopt": ipopt})
-        sizes = [part.numel() for part in kept]
-        self.low, self.high = np.repeat(low, sizes), np.repeat(high, sizes)
-
-    def solve(self, problem: Problem, guess: Floats) -> Floats:
-        """Return the directions (L,) found from a guess (L,)."""
-        path = predict(problem, guess)[1:]  # (L, N, 3)
-        path[..., :2] /= self.unit
-        at = problem.poses.array()
-        at[:, :2] /= self.unit
-        periods = [problem.first_period, problem.period]
-        found = self.solver(
-            x0=np.concatenate([guess, path.ravel()]),
-            p=np.concatenate([at.ravel(), problem.a, problem.speed / self.unit, periods]),
-            lbg=self.low,
-            ubg=self.high,
-        )
-        return np.array(found["x"]).ravel()[: self.length]
+def in_reach(problem: Problem, length: int) -> bool:
+    """Return whether every robot could reach its target on a straight line in time."""
+    gaps = problem.poses.distances(problem.targets)
+    return bool((gaps <= problem.speed * problem.seconds(length)).all())
 
 
-def scale(problem: Problem) -> float:
+def promising(
+    problem: Problem, length: int, rng: np.random.Generator, count: int
+) -> Sequence[Floats]:
+    """Return those `count` of many random curves (length,) that cost least, best first."""
+    knots = max(LEAST_KNOTS, KNOTS * problem.a.size)
+    size = min(knots, length), max(SCATTERED, count)
+    curves = bearing(problem) + interpolate(rng.uniform(-np.pi, np.pi, size), length)
+    costs = evaluate(problem, curves.T).total
+    return [curves[:, i] for i in np.argsort(costs, kind="stable")[:count]]
+
+
+def unit_of(problem: Problem) -> float:
     """Return the unit of length of a programme: five seconds' way of the fastest robot."""
     return 5.0 * float(problem.speed.max())
 
 
-def _step(ca: Any, motion: str, count: int) -> Any:
-    """Return one step of every robot, a function of (states, u, a and speed, T)."""
-    s, u = ca.SX.sym("s", 3 * count), ca.SX.sym("u")
-    robots, t = ca.SX.sym("r", 2 * count), ca.SX.sym("t")
-    new = []
-    for i in range(count):
-        x, y, heading = s[3 * i], s[3 * i + 1], s[3 * i + 2]
-        a, v = robots[i], robots[count + i]
-        phi = u - heading
-        if motion == "euler":
-            east, north = t * v * ca.cos(heading), t * v * ca.sin(heading)
-            turn = t * a * ca.sin(phi)
-        else:
-            e, c, sin = ca.exp(-a * t), ca.cos(phi), ca.sin(phi)
-            d = (1 + c) + (1 - c) * e * e
-            turn = 2 * ca.atan2(sin * (1 - e), (1 + c) + (1 - c) * e)
-            along, right = v * (t + ca.log(d / 2) / a), v * turn / a
-            east = along * ca.cos(u) + right * ca.sin(u)
-            north = along * ca.sin(u) - right * ca.cos(u)
-        new += [x + east, y + north, heading + turn]
-    return ca.Function("step", [s, u, robots, t], [ca.vertcat(*new)])
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What is in the way of robots, in a programme's unit.
 
-
-def _outside(ca: Any, problem: Problem, shape: Any, x: Any, y: Any, unit: float) -> Any:
-    """Return a function of the places (N, L) that is >= 0 where they are outside a shape.
-
-    A shape many times the size of the scene is a wall: the half-plane beyond its nearest side.
+    Discs are (x, y, radius), boxes and `field` (left, bottom, right, top). Robots are to keep to
+    the field; infinite sides are open.
     """
-    grown = shape.grown(SWEPT * problem.period * float(problem.speed.max()) * problem.swept)
-    numbers = [value / unit for value in grown.row()]
-    if shape.type == "circle":
-        cx, cy, radius = numbers
-        return ((x - cx) / radius) ** 2 + ((y - cy) / radius) ** 2 - 1
-    left, bottom, right, top = numbers if shape.type == "rectangle" else _bounds(grown, unit)
-    if max(right - left, top - bottom) > FAR * float(np.ptp(problem.targets) / unit + 1):
-        at_x, at_y = problem.poses.x / unit, problem.poses.y / unit
-        if right < at_x.min():
-            return x - right
-        if left > at_x.max():
-            return left - x
-        return y - top if top < at_y.min() else bottom - y
-    hx, hy, cx, cy = (right - left) / 2, (top - bottom) / 2, (right + left) / 2, (top + bottom) / 2
-    return ((x - cx) / hx) ** POWER + ((y - cy) / hy) ** POWER - 2
+
+    discs: Sequence[Floats]
+    boxes: Sequence[Floats]
+    field: Floats
+
+    @classmethod
+    def of(cls, problem: Problem, length: int) -> Self:
+        """Return what robots can meet in a sequence of `length` signals.
+
+        A box that spans all they can reach, with all robots and targets on the same side, is a
+        wall, which is not grown: it has no corners.
+        """
+        unit = unit_of(problem)
+        xy = np.vstack([problem.poses.xy, problem.targets]) / unit
+        way = problem.seconds(length) * float(problem.speed.max()) / unit
+        start = problem.poses.xy / unit
+        low, high = start.min(axis=0) - way, start.max(axis=0) + way
+        grown = SWEPT * problem.period * float(problem.speed.max()) * problem.swept
+        field = np.array([-np.inf, -np.inf, np.inf, np.inf])
+        discs: list[Floats] = []
+        boxes: list[Floats] = []
+        shapes: Sequence[Any] = problem.obstacles.shapes
+        for shape in shapes:
+            if shape.type == "circle":
+                discs.append(np.array(shape.grown(grown).row()) / unit)
+                continue
+            if shape.type == "half-plane":  # beyond a wall of the arena
+                *normal, offset = shape.grown(TOUCH * unit).row()
+                axis = int(abs(normal[1]) > abs(normal[0]))
+                edge = offset / normal[axis] / unit
+                if normal[axis] > 0:
+                    field[axis] = max(field[axis], edge)
+                else:
+                    field[axis + 2] = min(field[axis + 2], edge)
+                continue
+            bare, box = (
+                _bounds(shape.grown(TOUCH * unit)) / unit,
+                _bounds(shape.grown(grown)) / unit,
+            )
+            if (box[:2] > high).any() or (box[2:] < low).any():
+                continue
+            side = _side(bare, xy, low, high)
+            if side is None:
+                boxes.append(box)
+            elif side < 2:
+                field[side] = max(field[side], bare[side + 2])
+            else:
+                field[side] = min(field[side], bare[side - 2])
+        field[:2] = np.minimum(field[:2], xy.min(axis=0))  # who is beyond a wall may be there
+        field[2:] = np.maximum(field[2:], xy.max(axis=0))
+        return cls(discs, boxes, field)
 
 
-def _bounds(shape: Any, unit: float) -> tuple[float, float, float, float]:
+def _side(box: Floats, xy: Floats, low: Floats, high: Floats) -> int | None:
+    """Return which side of the field a box is beyond as a wall, None where it is no wall.
+
+    Sides count as in `field`; xy (M, 2) are on one side of a wall, and it spans `low` to `high`.
+    """
+    for axis in (0, 1):
+        across = 1 - axis
+        if box[across] <= low[across] and box[across + 2] >= high[across]:
+            if box[axis + 2] < xy[:, axis].min():
+                return axis
+            if box[axis] > xy[:, axis].max():
+                return axis + 2
+    return None
+
+
+def _bounds(shape: Any) -> Floats:
     """Return the sides of a shape's bounding box, its margin included."""
-    corners, margin = shape.outline() / unit, shape.margin / unit
-    (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
-    return left - margin, bottom - margin, right + margin, top + margin
+    if shape.type == "rectangle":
+        return np.array(shape.row())
+    corners = shape.outline()
+    return np.concatenate([corners.min(axis=0) - shape.margin, corners.max(axis=0) + shape.margin])
+
+
+class Shooter:
+    """The programme for sequences of one length; everything but counts is its parameter.
+
+    Lengths are in `unit_of` the problem, so that variables are near 1. `near` weighs the change of
+    the directions; `options` are IPOPT's. `iterations` are those of the last solution, and `size`
+    is the number of poses.
+    """
+
+    def __init__(
+        self,
+        motion: str,
+        count: int,
+        length: int,
+        discs: int,
+        boxes: int,
+        near: float,
+        options: Mapping[str, Any],
+    ) -> None:
+        import casadi as ca
+
+        self.length, self.near, self.iterations = length, near, 0
+        self.size = each = count * length
+        u, states = ca.MX.sym("u", 1, length), ca.MX.sym("s", 3, each)
+        start, targets = ca.MX.sym("p", 3, count), ca.MX.sym("t", 2, count)
+        robots, held = ca.MX.sym("r", 2, count), ca.MX.sym("h", 1, length)
+        guess = ca.MX.sym("n", 1, length)
+        scene = ca.MX.sym("d", 3, discs), ca.MX.sym("b", 4, boxes)
+        signal = np.repeat(np.arange(length), count).tolist()  # of each column of `states`
+        before = ca.horzcat(start, states[:, : each - count])
+        step = _step(motion).map(each)
+        after = step(before, u[:, signal], ca.repmat(robots, 1, length), held[:, signal])
+        kept = [ca.vec(after - states)]
+        for outside, shapes in zip(_outside(), scene, strict=True):
+            for i in range(shapes.shape[1]):
+                every = ca.repmat(shapes[:, i], 1, each)
+                kept.append(ca.vec(outside.map(each)(states[:2, :], every)))
+        cost = ca.sumsqr(states[:2, each - count :] - targets)
+        programme = {
+            "x": ca.vertcat(ca.vec(u), ca.vec(states)),
+            "p": ca.vertcat(*map(ca.vec, (start, robots, held, targets, *scene, guess))),
+            "f": cost + near * ca.sumsqr(u - guess),
+            "g": ca.vertcat(*kept),
+        }
+        settings = {"print_time": False, "ipopt": dict(options)}
+        self.solver = ca.nlpsol("shoot", "ipopt", programme, settings)
+
+    def solve(self, problem: Problem, guess: Floats) -> Floats:
+        """Return the directions (L,) found from a guess (L,).
+
+        A robot that starts, or is to end, within a curve round an obstacle may come as near to it.
+        """
+        unit, length, scene = unit_of(problem), self.length, Scene.of(problem, self.length)
+        path = predict(problem, guess)[1:]  # (L, N, 3)
+        path[..., :2] /= unit
+        at, targets = problem.poses.array(), problem.targets / unit
+        at[:, :2] /= unit
+        held = np.full(length, problem.period)
+        held[0] = problem.first_period
+        robots = np.column_stack([problem.a, problem.speed / unit])
+        low, high = np.full_like(path, -np.inf), np.full_like(path, np.inf)
+        low[..., :2], high[..., :2] = scene.field[:2], scene.field[2:]
+        free = np.full(length, np.inf)
+        least = [np.zeros(path.size)]
+        for outside, shapes in zip(_outside(), (scene.discs, scene.boxes), strict=True):
+            for shape in shapes:
+                ends = np.vstack([at[:, :2], targets])
+                room = np.array(outside(ends.T, np.tile(shape[:, None], len(ends)))).ravel()
+                robot = np.minimum(room, 0.0).reshape(2, -1).min(axis=0)
+                least.append(np.tile(robot, length))
+        lowest = np.concatenate(least)
+        parts = at, robots, held, targets, *scene.discs, *scene.boxes, guess
+        found = self.solver(
+            x0=np.concatenate([guess, path.ravel()]),
+            p=np.concatenate([np.ravel(part) for part in parts]),
+            lbx=np.concatenate([-free, low.ravel()]),
+            ubx=np.concatenate([free, high.ravel()]),
+            lbg=lowest,
+            ubg=np.where(np.arange(lowest.size) < path.size, 0.0, np.inf),
+        )
+        self.iterations = self.solver.stats()["iter_count"]
+        return np.array(found["x"]).ravel()[:length]
+
+
+def shooter(
+    problem: Problem, length: int, iterations: int, cap_s: float = ENDLESS, warm: bool = False
+) -> Shooter:
+    """Return the programme for a length, from random starts or warm ones, built once in a
+    process, unless it was dropped for KEPT others.
+
+    A solution ends after so many iterations or `cap_s` [s].
+    """
+    scene = Scene.of(problem, length)
+    counts = problem.a.size, length, len(scene.discs), len(scene.boxes)
+    key = (problem.motion, *counts, iterations, cap_s, warm)
+    found = _built.pop(key, None)
+    if found is None:
+        options = SHARED | (WARM if warm else COLD)
+        options |= {"max_iter": iterations, "max_wall_time": cap_s}
+        found = Shooter(problem.motion, *counts, NEAR if warm else 0.0, options)
+    _built[key] = found  # as the latest used
+    while len(_built) > 1 and sum(one.size for one in _built.values()) > KEPT:
+        del _built[next(iter(_built))]
+    return found
 
 
 _built: dict[tuple[Any, ...], Shooter] = {}
 
 
-def shooter(problem: Problem, length: int, iterations: int, cap_s: float = ENDLESS) -> Shooter:
-    """Return the programme for a length, built once in a process."""
-    scene = problem.obstacles.shapes, problem.swept, problem.targets.tobytes(), scale(problem)
-    key = (problem.motion, *scene, length, iterations, cap_s)
-    if key not in _built:
-        _built[key] = Shooter(problem, length, iterations, cap_s)
-    return _built[key]
+@cache
+def _step(motion: str) -> Any:
+    """Return one step of one robot, a function of (state, u, (a, speed), T)."""
+    import casadi as ca
+
+    s, u = ca.SX.sym("s", 3), ca.SX.sym("u")
+    robot, t = ca.SX.sym("r", 2), ca.SX.sym("t")
+    x, y, heading = s[0], s[1], s[2]
+    a, v = robot[0], robot[1]
+    phi = u - heading
+    if motion == "euler":
+        east, north = t * v * ca.cos(heading), t * v * ca.sin(heading)
+        turn = t * a * ca.sin(phi)
+    else:
+        e, c, sin = ca.exp(-a * t), ca.cos(phi), ca.sin(phi)
+        d = (1 + c) + (1 - c) * e * e
+        turn = 2 * ca.atan2(sin * (1 - e), (1 + c) + (1 - c) * e)
+        along, right = v * (t + ca.log(d / 2) / a), v * turn / a
+        east = along * ca.cos(u) + right * ca.sin(u)
+        north = along * ca.sin(u) - right * ca.cos(u)
+    new = ca.vertcat(x + east, y + north, heading + turn)
+    return ca.Function("step", [s, u, robot, t], [new])
+
+
+@cache
+def _outside() -> tuple[Any, Any]:
+    """Return functions of a place and a disc, and of a place and a box, >= 0 outside of them.
+
+    Both are near the distance, in units, where they are 0. A box's is a smooth maximum of the
+    distances to its sides: it is 0 at the corners, and within BEND of the sides.
+    """
+    import casadi as ca
+
+    at, disc, box = ca.SX.sym("at", 2), ca.SX.sym("disc", 3), ca.SX.sym("box", 4)
+    x, y = at[0], at[1]
+    round_one = (((x - disc[0]) ** 2 + (y - disc[1]) ** 2) / disc[2] - disc[2]) / 2
+    sides = ca.vertcat(box[0] - x, x - box[2], box[1] - y, y - box[3]) / BEND
+    largest = ca.mmax(sides)
+    soft = largest + ca.log(ca.sum1(ca.exp(sides - largest))) - np.log(2)
+    return (
+        ca.Function("disc", [at, disc], [round_one]),
+        ca.Function("box", [at, box], [BEND * soft]),
+    )

@@ -9,6 +9,7 @@ and likewise for its a and speed. The derivatives of a step are those that the o
 use, of the problem's motion; those by a and speed are central differences.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,9 +85,13 @@ def _steps(
     """
     lanes = MOTIONS.load(problem.motion).lanes(problem.a, float(seconds.max()))
     robots = list(zip(problem.a.tolist(), problem.speed.tolist(), strict=True))
+    steps = zip(np.exp(1j * heading).tolist(), signals.tolist(), seconds.tolist(), strict=True)
     rows = [
-        [lanes.differentiate(theta, u, a, v, t) for theta, (a, v) in zip(row, robots, strict=True)]
-        for row, u, t in zip(heading.tolist(), signals.tolist(), seconds.tolist(), strict=True)
+        [
+            lanes.differentiate(at.real, at.imag, math.cos(u), math.sin(u), a, v, t)
+            for at, (a, v) in zip(row, robots, strict=True)
+        ]
+        for row, u, t in steps
     ]
     found = np.array(rows)  # (L, N, 8)
     return found[..., 3:5], found[..., 5:7], found[..., 7]

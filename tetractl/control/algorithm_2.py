@@ -8,7 +8,8 @@ Where each line of Algorithm 2 is:
     7, 25   exert u_(opt)(1)                                              run.trial, from plan
     9, 26   for k = 1 ... k_max                                           plan, by run.trial
     10      H = length of u_(warm)                                        lengths.candidates
-    11, 22  for h = H - 1, H, H + 1                                       lengths.candidates
+    11, 22  for h = H - 1, H, H + 1                                       lengths.candidates,
+            H first where an optimiser tells whether that is good enough  Searcher.search_all
     12      feedback of the robots, once a step                           plan, _problem
     13-15   break if the robots are close enough to their targets         plan
     16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
@@ -31,7 +32,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tetractl.control.cost import costs_along, evaluate, predict
+from tetractl.control.cost import Foreseen, evaluate, foresee
+from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, driven, longer
 from tetractl.control.knowledge import Knowledge
 from tetractl.control.lengths import (
@@ -105,7 +107,7 @@ class Mpc:
             return Outcome.ARRIVED
         if self.k > self.section.steps_max:  # line 9
             return Outcome.STEPS_MAX
-        if ended := self._ended(problem, observation):
+        if ended := self._ended(problem, observation, gaps):
             return ended
         plan = self._decide(problem)
         self.untold = observation.received_ns, float(plan.signals[0])
@@ -135,9 +137,11 @@ class Mpc:
             separation=self.margins.separation(problem.poses, apart),
         )
 
-    def _ended(self, problem: Problem, observation: Observation) -> Outcome | End | None:
+    def _ended(
+        self, problem: Problem, observation: Observation, gaps: Floats
+    ) -> Outcome | End | None:
         """Return how the trial ends now: with its sequence, or where stopping is as good as that,
-        or safer.
+        or safer. `gaps` (N,) are the distances to the targets.
 
         No search is done for it, so that a log tells all that the end depends on.
         """
@@ -148,8 +152,10 @@ class Mpc:
             return Outcome.NOTHING_BETTER
         if len(self.warm) > 0 and self.section.accept == 0:
             return None
-        direction, bias = self.knowledge.held_at_action(observation)
         period = self.section.period if self.section.stop_between else 0.0
+        if 0 < self.accept < float((gaps - problem.speed * period).sum()):
+            return None  # at full speed no stop would be near enough
+        direction, bias = self.knowledge.held_at_action(observation)
         stopping = best_stop(problem, direction, bias, period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
         if 0 < self.accept < stopping.error:
@@ -180,18 +186,21 @@ class Mpc:
             self.optimizer, section.optimizer, problem, step_key, most, self._expired()
         )
         good_enough = section.optimizer.good_enough
+        count = 0 if self.warm is None else len(self.warm)
         if self.warm is None and section.first_lengths == "spread" and good_enough is not None:
             searcher.search_spread(least_length(problem), section.horizon_max, good_enough)
         else:
-            searcher.search_all(wanted)
+            enough = good_enough
+            if enough is not None and self.accept > 0:
+                enough = min(enough, self.accept)  # what is not accepted makes the robots go round
+            searcher.search_all(wanted, enough, count)
         least = min(search.cost for search in searcher.found)
         if self.warm is not None and least > self.accept > 0:
             self._go_around(searcher)
-        count = 0 if self.warm is None else len(self.warm)
         chosen = choose(searcher.found, good_enough, count)
         if self.warm is not None and searcher.found[chosen].length > count + 1:
             self.accept *= 1 + RELENTS
-        plan = make_plan(problem, searcher.found, chosen, step_key)
+        plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
         return replace(plan, estimate=self.knowledge.estimate)
 
     def _candidates(self) -> Iterable[Candidate]:
@@ -219,17 +228,22 @@ class Mpc:
                 return
 
 
-def make_plan(problem: Problem, searches: list[Search], chosen: int, step_key: int) -> Plan:
+def make_plan(
+    problem: Problem,
+    searches: list[Search],
+    chosen: int,
+    step_key: int,
+    foreseen: Callable[[Problem, Floats], Foreseen] = foresee,
+) -> Plan:
     """Assemble the decision from its searches, with the predicted path and the terms of (7)."""
     best = searches[chosen]
-    path = predict(problem, best.signals)
-    costs = costs_along(problem, path[:, None])
+    ahead = foreseen(problem, best.signals)
     return Plan(
         signals=best.signals,
-        path=path,
+        path=ahead.path,
         cost=best.cost,
-        target_cost=float(costs.target[0]),
-        obstacle_cost=float(costs.obstacle[0]),
+        target_cost=ahead.target,
+        obstacle_cost=ahead.obstacle,
         searches=tuple(searches),
         chosen=chosen,
         generator=step_key,

@@ -32,6 +32,22 @@ class Costs:
     obstacle: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """Where one sequence of L signals leads: poses (L + 1, N, 3), the start first, f and P."""
+
+    path: Floats
+    target: float
+    obstacle: float
+
+
+def foresee(problem: Problem, signals: Floats) -> Foreseen:
+    """Return where a sequence (L,) leads; raises as `evaluate`."""
+    path = predict(problem, signals)
+    costs = costs_along(problem, path[:, None])
+    return Foreseen(path, float(costs.target[0]), float(costs.obstacle[0]))
+
+
 def predict(problem: Problem, signals: Floats) -> Floats:
     """Predict the poses under sequences (..., L); returns (L + 1, ..., N, 3), the start first."""
     motion: Motion = MOTIONS.load(problem.motion)

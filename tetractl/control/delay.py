@@ -28,14 +28,15 @@ class Predictor:
     """The directions sent so far, each of which acts `dead_time_s` after it was sent.
 
     Before the first one acts the robots stand still. A robot that a direction did not arrive at
-    follows the one before.
+    follows the one before. `before` (N,) [rad] is what the robots held before the recent ones, NaN
+    for one that stands.
     """
 
     def __init__(self, dead_time_s: float, count: int) -> None:
         self.dead_time_s = dead_time_s
         self.recent: deque[Sent] = deque()
+        self.before = np.full(count, np.nan)
         self._count = count
-        self._before = np.full(count, np.nan)  # what the robots held before the recent ones
 
     @property
     def delay_ns(self) -> int:
@@ -49,7 +50,7 @@ class Predictor:
     def held(self, since: int, until: int) -> list[Held]:
         """Return the directions that act between two times [ns], oldest first."""
         found: list[Held] = []
-        held, begin, delay = self._before, since, self.delay_ns
+        held, begin, delay = self.before, since, self.delay_ns
         for sent in self.recent:
             acts = min(sent.sent_ns + delay, until)
             if acts > begin:
@@ -60,15 +61,11 @@ class Predictor:
             found.append((begin, until, held))
         return found
 
-    def ahead(self, problem: Problem, since: int, until: int) -> Poses:
-        """Return the problem's poses, seen at `since`, as predicted for `until` [ns]."""
-        return advance(problem, problem.poses, self.held(since, until))
-
     def forget(self, before: int) -> None:
         """Drop the directions that stopped acting before a time [ns]."""
         while len(self.recent) > 1 and self.recent[1].sent_ns + self.delay_ns <= before:
             dropped = self.recent.popleft()
-            self._before = np.where(dropped.arrived, dropped.u, self._before)
+            self.before = np.where(dropped.arrived, dropped.u, self.before)
 
 
 def turned(problem: Problem, heading: Floats, held: list[Held], bias: Floats | float) -> Floats:

@@ -1,10 +1,10 @@
-"""J of many sequences at once, for optimisers: the compiled rollout behind one call."""
+"""J of many sequences at once, for optimisers, and where one leads: compiled, behind one call."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-from tetractl.control.cost import require_finite
+from tetractl.control.cost import Foreseen, require_finite
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 
@@ -26,3 +26,20 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
         return found
 
     return evaluate
+
+
+def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
+    """Return where a sequence (L,) leads and what it costs: the twin of `cost.foresee`."""
+    from tetractl.control.kernels.prediction import predict
+    from tetractl.control.kernels.rollout import costs, lay_out
+
+    rollout, total = lay_out(problem, 1), np.empty(1)
+    path = np.empty((signals.size + 1, problem.a.size, 3))
+    path[0] = problem.poses.array()
+    periods = problem.first_period, problem.period
+    predict(np.ascontiguousarray(signals), problem.a, problem.speed, *periods, rollout.rest, path)
+    costs(rollout, np.ascontiguousarray(signals[:, None]), total)
+    require_finite(total)
+    missed = path[-1, :, :2] - problem.targets
+    target = float(np.hypot(missed[:, 0], missed[:, 1]).sum())  # (8)
+    return Foreseen(path, target, float(rollout.lanes[4].sum()))  # (9)

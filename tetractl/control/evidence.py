@@ -25,11 +25,14 @@ class Evidence:
     def __init__(self, speed: Floats, period_s: float, settled_s: float) -> None:
         self._speed, self._period_s, self._settled_s = speed, period_s, settled_s
         count = len(speed)
-        self._rows = np.empty((2 * KEPT, 2 + 4 * count))
+        usable = np.empty((2 * KEPT, count), dtype=np.bool_)
+        times, values = np.empty((2, 2 * KEPT)), np.empty((3, 2 * KEPT, count))
+        self._kept = Intervals(*times, *values, usable=usable)
         self._size = 0
-        self._sent = np.empty((2 * KEPT, 2))
+        self._sent = Directions(*np.empty((2, 2 * KEPT)))
         self._sent_size = 0
         self._driving = np.zeros(count, dtype=np.bool_)
+        self._all_drive = False
         self._last: Observation | None = None
         self._settled_from = -np.inf
 
@@ -39,10 +42,11 @@ class Evidence:
             waited = (sent_ns - self._last.sampled_ns) / SECOND
             if waited > self._period_s:
                 self._settled_from = sent_ns / SECOND + self._settled_s
-        if self._sent_size == len(self._sent):
-            self._sent[:KEPT] = self._sent[-KEPT:]
+        if self._sent_size == len(self._sent.when):
+            for column in self._sent:
+                column[:KEPT] = column[-KEPT:]
             self._sent_size = KEPT
-        self._sent[self._sent_size] = sent_ns / SECOND, u
+        self._sent.when[self._sent_size], self._sent.u[self._sent_size] = sent_ns / SECOND, u
         self._sent_size += 1
 
     def seen(self, observation: Observation) -> bool:
@@ -58,30 +62,29 @@ class Evidence:
         self._last = observation
         turned = wrap(observation.poses.heading - last.poses.heading)
         travelled = np.hypot(observation.poses.x - last.poses.x, observation.poses.y - last.poses.y)
-        known = bool(self._sent_size) and since >= self._sent[0, 0] and since >= self._settled_from
-        usable = last.valid & observation.valid & self._driving & known
-        chord = self._speed * t * np.sinc(turned / (2 * np.pi))
-        self._driving = self._driving | (
-            last.valid & observation.valid & (travelled >= DRIVING * chord)
-        )
-        if not usable.any():
+        tracked = last.valid & observation.valid
+        usable = tracked & self._driving
+        if not self._all_drive:
+            chord = self._speed * t * np.sinc(turned / (2 * np.pi))
+            self._driving = self._driving | (tracked & (travelled >= DRIVING * chord))
+            self._all_drive = bool(self._driving.all())
+        known = self._sent_size and since >= self._sent.when[0] and since >= self._settled_from
+        if not known or not usable.any():
             return False
-        if self._size == len(self._rows):
-            self._rows[:KEPT] = self._rows[-KEPT:]
+        if self._size == len(self._kept.since):
+            for column in self._kept:
+                column[:KEPT] = column[-KEPT:]
             self._size = KEPT
-        row = self._rows[self._size]
-        row[0], row[1] = since, until
-        row[2:] = np.concatenate([last.poses.heading, turned, travelled, usable])
+        values = (since, until, last.poses.heading, turned, travelled, usable)
+        for column, value in zip(self._kept, values, strict=True):
+            column[self._size] = value
         self._size += 1
         return True
 
     def intervals(self) -> Intervals:
         """Return the latest intervals, at most KEPT."""
-        rows = self._rows[max(0, self._size - KEPT) : self._size]
-        heading, turned, travelled, usable = np.split(rows[:, 2:], 4, axis=1)
-        return Intervals(rows[:, 0], rows[:, 1], heading, turned, travelled, usable > 0)
+        return self._kept.part(slice(max(0, self._size - KEPT), self._size))
 
     def directions(self) -> Directions:
         """Return the directions sent, oldest first."""
-        sent = self._sent[: self._sent_size]
-        return Directions(sent[:, 0], sent[:, 1])
+        return Directions(*(column[: self._sent_size] for column in self._sent))

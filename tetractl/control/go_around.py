@@ -21,7 +21,7 @@ from tetractl.experiment.kinds import MOTIONS
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
 RELENTS = 0.1  # share by which the accepted error grows each time the robots go round
-MOMENTS = 41  # of the coming control period that are looked at for the stop
+MOMENTS = 40  # of the coming control period that are looked at for the stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def best_stop(
     The robots are at the problem's poses when a stop sent now acts, and follow `direction` (N,)
     [rad], NaN for a robot that stands, until a later one does.
     """
-    delays = np.linspace(0.0, period_s, MOMENTS)[:-1]
+    delays = np.arange(MOMENTS, dtype=np.float64) * (period_s / MOMENTS)
     x, y = driven(problem, direction, bias, delays[:, None])
     targets = problem.targets
     errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)

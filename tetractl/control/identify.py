@@ -18,18 +18,20 @@ one more control period of dead time.
 
 The function has several minima by tau. While its deviation is above SURE_S, and again whenever the
 number of intervals has doubled, tau is looked for on a grid, with a and beta fitted at each of its
-points; then a few Gauss-Newton steps of iteratively
-reweighted least squares follow, and the deviations are those of the last step's normal equations.
+points; then a few Gauss-Newton steps of iteratively reweighted least squares follow, and the
+deviations are those of the last step's normal equations.
 
 The speed follows separately, by the same function, from the distances |d_ki| of the intervals,
 |d_ki| = v_i t_k sinc(turn measured / 2): the chord of a steady turn, whatever the direction was.
+
+The controller runs the compiled twin of this fit, `tetractl.control.kernels.identify`, which must
+agree with it; logs, with their many intervals, are fitted by this one.
 
 Source of the weights: Holland and Welsch, "Robust regression using iteratively reweighted
 least-squares", Communications in Statistics A6 (1977).
 """
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +54,7 @@ NUDGE_S, NUDGE = 0.002, 1e-4  # of tau [s], ln a and beta, for derivatives
 SCALE_WEIGHT = 20  # residuals that the scale before anything is seen counts for
 
 
-@dataclass(frozen=True, slots=True)
-class Prior:
+class Prior(NamedTuple):
     """What is known of N robots before a trial: means and standard deviations.
 
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] with relative deviations, dead time [s]; the
@@ -82,8 +83,7 @@ class Prior:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Intervals:
+class Intervals(NamedTuple):
     """K intervals between two camera frames of N robots.
 
     `since`, `until` (K,) [s]; `heading` (K, N) at `since` [rad]; `turned` (K, N) [rad] and
@@ -98,13 +98,12 @@ class Intervals:
     travelled: Floats
     usable: Bools
 
-    def latest(self, count: int) -> "Intervals":
-        """Return the last `count` of them."""
-        return Intervals(*(getattr(self, name)[-count:] for name in Intervals.__dataclass_fields__))
+    def part(self, kept: slice) -> "Intervals":
+        """Return the intervals of a slice."""
+        return Intervals._make(column[kept] for column in self)
 
 
-@dataclass(frozen=True, slots=True)
-class Directions:
+class Directions(NamedTuple):
     """C directions u (C,) [rad], and the times `when` (C,) [s] of the frames they answer."""
 
     when: Floats
@@ -133,7 +132,7 @@ def fit(
     count = len(intervals.since)
     doubled = count >= LOOK_LEAST and count & (count - 1) == 0
     if guess.dead_time_std > SURE_S or doubled:
-        some = _Turns(intervals.latest(LOOK_MAX), directions, prior, turn)
+        some = _Turns(intervals.part(slice(-LOOK_MAX, None)), directions, prior, turn)
         tau, ln_a, beta = some.look(tau, scale)
         near = None
     std = np.zeros(0)
@@ -178,8 +177,8 @@ class _Turns:
         now = headings = self.intervals.heading
         a = (self.prior.a * np.exp(ln_a))[:, None, :]
         for u, seconds in acting:
-            towards = u[..., None] + beta[:, None, :]
-            now = self.turn(now, towards, a, seconds[..., None])
+            towards, t = u[..., None] + beta[:, None, :], seconds[..., None]
+            now = np.where(t > 0, self.turn(now, towards, a, t), now)
         missed = wrap(self.intervals.turned - (now - headings))
         return np.where(self.intervals.usable, missed / self.sigma, 0.0)
 

@@ -6,16 +6,17 @@ identified while they drive, the dead time, and which commands arrived.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from tetractl.control.delay import Predictor, advance
 from tetractl.control.evidence import Evidence
-from tetractl.control.identify import Prior, fit
+from tetractl.control.identify import Prior
 from tetractl.control.losses import Arrivals
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Estimate
-from tetractl.core.poses import Floats, Observation
+from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
 
@@ -43,10 +44,14 @@ class Knowledge:
         self.period = round(period_s * SECOND)
         self.estimate: Estimate | None = None if prior is None else prior.estimate()
         self._prior = prior
-        self._turn = MOTIONS.load(problem.motion).headings
-        self._arrivals = Arrivals(self.predictor) if losses else None
+        lanes = MOTIONS.load(problem.motion).lanes(problem.a, problem.period)
+        lanes = lanes.of(problem.a, problem.speed, problem.period)
+        self._arrivals = Arrivals(self.predictor, lanes) if losses else None
         self._evidence: Evidence | None = None
         if prior is not None:
+            from tetractl.control.kernels.identify import fit
+
+            self._fit = partial(fit, prior=prior, lanes=lanes)
             settled = prior.dead_time + 3 * prior.dead_time_std
             self._evidence = Evidence(problem.speed, period_s, settled)
         self._last_sent: int | None = None
@@ -64,10 +69,9 @@ class Knowledge:
         now, estimate = observation.sampled_ns, self.estimate
         self._newest_ns = now
         if self._evidence and self._evidence.seen(observation):
-            assert self._prior is not None and estimate is not None
+            assert estimate is not None
             intervals, directions = self._evidence.intervals(), self._evidence.directions()
-            estimate = fit(intervals, directions, self._prior, estimate, self._turn)
-            self.estimate = estimate
+            self.estimate = estimate = self._fit(intervals, directions, guess=estimate)
             self.problem = replace(self.problem, a=estimate.a, speed=estimate.speed)
             assert estimate.dead_time is not None
             self.predictor.dead_time_s = estimate.dead_time
@@ -77,11 +81,10 @@ class Knowledge:
             if estimate is None or (estimate.dead_time_std or 0.0) < BELIEVABLE_S:
                 self._arrivals.believe(self.problem, bias)
         self.predictor.forget(now - REMEMBERED)
-        here = replace(self.problem, poses=observation.poses)
-        acts = self.acts(observation)
-        if acts is None:
-            return here
-        return replace(here, poses=advance(here, here.poses, self.predictor.held(now, acts), bias))
+        poses, acts = observation.poses, self.acts(observation)
+        if acts is not None:
+            poses = advance(self.problem, poses, self.predictor.held(now, acts), bias)
+        return replace(self.problem, poses=poses)
 
     def held_at_action(self, observation: Observation) -> tuple[Floats, Floats]:
         """Return the directions (N,) [rad] held when one decided on a frame will act, NaN for a
@@ -111,3 +114,21 @@ class Knowledge:
             if send <= due <= send + 3 * self.period // 2:
                 send = due
         return send + self.predictor.delay_ns
+
+
+def warm_up(problem: Problem, period_s: float, prior: Prior | None, losses: bool) -> None:
+    """Compile, or load from the cache, what a `Knowledge` of these runs.
+
+    It is shown robots that go straight on. Where the motion is identified, losses are believed in
+    only once the dead time is known: another `Knowledge`, which is told it, believes in them.
+    """
+    several = [] if prior is None else [Knowledge(problem, period_s, 0.0, prior, losses=False)]
+    if losses:
+        several.append(Knowledge(problem, period_s, 0.0, None, losses=True))
+    start, valid = problem.poses, np.ones(len(problem.a), dtype=np.bool_)
+    for knowledge in several:
+        for k in range(3):
+            way, now = problem.speed * (k * period_s), k * knowledge.period
+            x, y = start.x + way * np.cos(start.heading), start.y + way * np.sin(start.heading)
+            knowledge.seen(Observation(k, now, now, Poses(x, y, start.heading), valid))
+            knowledge.sent(now, 0.0)

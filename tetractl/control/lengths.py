@@ -17,7 +17,6 @@ from tetractl.experiment.controller import OptimizerSection
 
 WORTHWHILE = 4
 """How many times the least evaluations of a search each horizon of step 0 gets under a limit."""
-SPREAD = 1.3  # ... and at step 0
 GROWTH = 1.2  # of one length to the next, where they are spread: on the way ...
 SPREAD = 1.3  # ... and at step 0
 FINE = 0.05  # share of a length to which the shortest one is looked for
@@ -112,10 +111,18 @@ class Searcher:
             self._left -= found.evaluations
         return found
 
-    def search_all(self, wanted: list[Candidate]) -> None:
-        """Search every candidate, in order, until the limits are reached."""
+    def search_all(self, wanted: list[Candidate], good_enough: float | None, count: int) -> None:
+        """Search the candidates until the limits are reached.
+
+        Where the optimiser counts costs up to `good_enough` as equally good, they are searched in
+        the order in which `choose` prefers them by `count`, until one is that good: the others
+        could not be chosen any more.
+        """
+        if good_enough is not None:
+            wanted = sorted(wanted, key=lambda one: abs(one[0] - count))
         for i, (length, start) in enumerate(wanted):
-            if self.search(length, start, len(wanted) - i) is None:
+            found = self.search(length, start, len(wanted) - i)
+            if found is None or (good_enough is not None and found.cost <= good_enough):
                 break
 
     def search_spread(self, least: int, most: int, good_enough: float) -> None:

@@ -8,10 +8,15 @@ the most probable one is believed, by
 
 with the residuals of the turns r_k, sigma_k as in `tetractl.control.identify`, and LOST for the
 probability that a command gets lost. What is older is believed for good.
+
+`add_doubts` is the reference of the compiled `tetractl.control.kernels.losses`, which must agree
+with it.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -30,10 +35,16 @@ DOUBT = np.array([-sum(np.log(1 - LOST if yes else LOST) for yes in one) for one
 
 
 class Arrivals:
-    """Believes in a predictor's commands, frame by frame."""
+    """Believes in a predictor's commands, frame by frame.
 
-    def __init__(self, predictor: Predictor) -> None:
-        self._predictor = predictor
+    `lanes` are constants of the motion, `tetractl.model.motion.base.Lanes`.
+    """
+
+    def __init__(self, predictor: Predictor, lanes: Any) -> None:
+        from tetractl.control.kernels.losses import add_doubts
+
+        self._predictor, self._lanes = predictor, lanes
+        self._add_doubts = add_doubts
         self._frames: deque[Observation] = deque(maxlen=FRAMES)
 
     def seen(self, observation: Observation) -> None:
@@ -47,26 +58,44 @@ class Arrivals:
         `problem` has a and speed as known, and `bias` (N,) [rad] is each robot's heading bias.
         """
         predictor, now = self._predictor, self._frames[-1].sampled_ns
-        acting = [one for one in predictor.recent if one.sent_ns + predictor.delay_ns < now][-2:]
+        acting = [one for one in predictor.recent if one.sent_ns + predictor.delay_ns < now]
         if len(acting) < 2:
             return
+        last, acting = len(acting) - 1, acting[-2:]
         began = acting[0].sent_ns + predictor.delay_ns
-        frames = list(self._frames)
-        first = max((i for i, f in enumerate(frames) if f.sampled_ns <= began), default=None)
+        first = max((i for i, f in enumerate(self._frames) if f.sampled_ns <= began), default=None)
         if first is None:
             return
-        frames = frames[first:]
-        doubt = np.repeat(DOUBT[:, None], len(problem.a), axis=1)  # (H, N)
-        for one, arrived in zip(acting, ARRIVED.T, strict=True):
-            one.arrived = arrived[:, None]  # by hypothesis, for the predictions below
-        for last, new in pairwise(frames):
-            held = predictor.held(last.sampled_ns, new.sampled_ns)
-            predicted = turned(problem, last.poses.heading, held, bias)
-            t = (new.sampled_ns - last.sampled_ns) / SECOND
-            sigma2 = 2 * HEADING_STD**2 + HEADING_WALK**2 * t
-            missed = wrap(new.poses.heading - predicted)
-            doubt += np.where(last.valid & new.valid, missed**2 / (2 * sigma2), 0.0)
-        best = np.argmin(doubt, axis=0)
-        believed = ARRIVED[best]  # (N, 2)
+        frames = list(self._frames)[first:]
+        doubt = np.repeat(DOUBT[:, None], len(problem.a), axis=1)
+        self._add_doubts(doubt, problem, frames, predictor, last, bias, self._lanes)
+        believed = ARRIVED[np.argmin(doubt, axis=0)]  # (N, 2)
         for one, arrived in zip(acting, believed.T, strict=True):
             one.arrived = arrived
+
+
+def add_doubts(
+    doubt: Floats,
+    problem: Problem,
+    frames: Sequence[Observation],
+    predictor: Predictor,
+    last: int,
+    bias: Floats,
+) -> None:
+    """Add to doubt (H, N) by how much each hypothesis misses the turns between frames.
+
+    The hypotheses are about the predictor's recent commands `last` - 1 and `last`; what is believed
+    of these is ignored.
+    """
+    believed = [sent.arrived for sent in predictor.recent]
+    for one, arrived in zip((last - 1, last), ARRIVED.T, strict=True):
+        predictor.recent[one].arrived = arrived[:, None]  # by hypothesis
+    for before, after in pairwise(frames):
+        held = predictor.held(before.sampled_ns, after.sampled_ns)
+        predicted = turned(problem, before.poses.heading, held, bias)
+        t = (after.sampled_ns - before.sampled_ns) / SECOND
+        sigma2 = 2 * HEADING_STD**2 + HEADING_WALK**2 * t
+        missed = wrap(after.poses.heading - predicted)
+        doubt += np.where(before.valid & after.valid, missed**2 / (2 * sigma2), 0.0)
+    for sent, arrived in zip(predictor.recent, believed, strict=True):
+        sent.arrived = arrived

@@ -35,7 +35,7 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
         blind = dead_time_s + period_s
         doubt = speed * known.a_std / known.a + known.speed_std
         found = found + SIGMAS * (speed * (known.dead_time_std or 0.0) + doubt * blind)
-    return float(np.max(found))
+    return float(found.max())
 
 
 class Margins:
@@ -44,6 +44,8 @@ class Margins:
     def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
         self._bare = Obstacles.of(shapes, 0.0, walls)
         self._targets = targets
+        self._one, self._other = np.triu_indices(len(targets), 1)  # of each pair
+        self._apart = self._least(targets[:, 0], targets[:, 1])
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or by what room the robots leave."""
@@ -59,11 +61,14 @@ class Margins:
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the separation to keep: what is wanted, or the room there is between robots."""
-        one, other = np.triu_indices(len(self._targets), 1)
-        if not one.size or wanted <= 0:
+        if not self._one.size or wanted <= 0:
             return 0.0
-        between = [np.hypot(*(xy[one] - xy[other]).T) for xy in (poses.xy, self._targets)]
-        return float(min(wanted, ROOM * np.min(between)))
+        return min(wanted, ROOM * min(self._least(poses.x, poses.y), self._apart))
+
+    def _least(self, x: Floats, y: Floats) -> float:
+        """Return the least distance between two of N points, inf where there is but one."""
+        one, other = self._one, self._other
+        return float(np.hypot(x[one] - x[other], y[one] - y[other]).min(initial=np.inf))
 
 
 def _grown(shape: Shape, x: Floats, y: Floats, margin: float) -> Shape:

@@ -8,7 +8,9 @@ import numpy as np
 from pydantic import Field, PositiveInt, model_validator
 
 from tetractl.control.algorithm_2 import Mpc
+from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.identify import Prior
+from tetractl.control.knowledge import warm_up as warm_up_knowledge
 from tetractl.core.plan import Limits
 from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
@@ -102,9 +104,10 @@ class MpcSection(ControllerSection):
     """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
     horizon h = length - 1."""
     first_lengths: Literal["all", "spread"] = "all"
-    """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2, or `spread`,
-    with an optimiser that knows when a sequence is good enough: ever wider apart from the shortest
-    that could reach the targets, until one is good enough, and then by halves."""
+    """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2, from the
+    shortest to the first that is good enough, where the optimiser tells; or `spread`, with such an
+    optimiser: ever wider apart from the shortest that could reach the targets, until one is good
+    enough, and then by halves."""
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in (7) [length unit]."""
     collision: Collision = Collision()
@@ -172,5 +175,10 @@ class MpcSection(ControllerSection):
         return Mpc(self, setup, key, wrap(self.optimizer), timer)
 
     def warm_up(self, setup: Setup) -> None:
-        """Search one signal for the robots at their starts."""
-        self.optimizer.search(self.problem(setup), 1, np.zeros(1), 0, Limits())
+        """Search one signal for the robots at their starts, predict where it leads, and identify
+        the robots from a few frames."""
+        problem = self.problem(setup)
+        found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
+        compiled_foresee(problem, found.signals)
+        prior = self.prior.of(problem, self.dead_time) if self.estimate else None
+        warm_up_knowledge(problem, self.period, prior, self.losses)

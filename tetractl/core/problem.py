@@ -29,7 +29,7 @@ class Region(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Problem:
     """What one control step has to solve for N robots; lengths in the spec's unit.
 
@@ -37,7 +37,8 @@ class Problem:
     prediction. Signal j is held for `period` seconds, except the first, held for `first_period`.
     `obstacle_weight` is omega_p of (7). `swept` tests the segments between predicted positions
     instead of the positions alone. Two robots are to keep `separation` between their centres at the
-    predicted positions; 0 for robots that may meet.
+    predicted positions; 0 for robots that may meet. A problem is equal to itself alone, so that
+    what is computed from it can be kept by it.
     """
 
     poses: Poses
@@ -51,3 +52,7 @@ class Problem:
     obstacle_weight: float
     swept: bool
     separation: float = 0.0
+
+    def seconds(self, length: int) -> float:
+        """Return how long a sequence of so many signals is held [s]."""
+        return self.first_period + (length - 1) * self.period

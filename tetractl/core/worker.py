@@ -20,7 +20,8 @@ class Worker:
     these or of a call itself, is `failure`. The next `put`, `drain` or `check` raises it, once; of
     the calls after it none is done. After each call, and whenever the time it returned has passed,
     the thread calls `tend`, which returns the time until it wants to be called again [s], None for
-    after the next call.
+    after the next call. With `gather_s` the thread lets calls gather for so long: where the other
+    thread computes, taking turns at every call costs more than the calls do.
     """
 
     def __init__(
@@ -32,11 +33,13 @@ class Worker:
         patience_s: float,
         too_slow: TetractlError,
         tend: Callable[[], float | None] = _idle,
+        gather_s: float = 0.0,
     ) -> None:
         self._wait_s, self._patience_s = wait_s, patience_s
         self._too_slow, self._tend = too_slow, tend
         self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
         self._places = threading.Semaphore(size)
+        self._gather_s, self._awaited = gather_s, threading.Event()
         self.failure: Exception | None = None
         self._raised = False
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
@@ -46,7 +49,11 @@ class Worker:
         """Queue `call(*args)`."""
         self.check()
         if self.failure is None:
-            if self._places.acquire(timeout=self._wait_s):
+            place = self._places.acquire(blocking=False)
+            if not place:
+                self._awaited.set()
+                place = self._places.acquire(timeout=self._wait_s)
+            if place:
                 self._calls.put(lambda: self._do(call, *args))
             else:
                 self._fail(self._too_slow)
@@ -58,6 +65,7 @@ class Worker:
         if self.failure is None:
             done = threading.Event()
             self._calls.put(done.set)
+            self._awaited.set()
             if not done.wait(self._patience_s):
                 self._fail(self._too_slow)
         self.check()
@@ -78,6 +86,7 @@ class Worker:
             return
         self._calls.put(last)
         self._calls.put(None)
+        self._awaited.set()
         if self.failure is not self._too_slow:
             self._thread.join(self._patience_s)
             if self._thread.is_alive():
@@ -94,6 +103,9 @@ class Worker:
     def _work(self) -> None:
         wait_s: float | None = None
         while True:
+            if self._gather_s and self._calls.empty():
+                self._awaited.wait(self._gather_s)
+                self._awaited.clear()
             try:
                 call = self._calls.get(timeout=wait_s)
             except queue.Empty:

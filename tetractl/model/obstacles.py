@@ -10,7 +10,8 @@ import numpy as np
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Shape
 from tetractl.model.shapes.circle import PackedCircles
-from tetractl.model.shapes.rectangle import PackedRectangles, Rectangle
+from tetractl.model.shapes.half_plane import HalfPlane
+from tetractl.model.shapes.rectangle import PackedRectangles
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Obstacles:
     def of(cls, shapes: Sequence[Shape], margin: float = 0.0, walls: Bounds | None = None) -> Self:
         """Return the union of shapes, each grown by `margin` [length unit].
 
-        With `walls`, everything outside that arena belongs to it too, as four broad rectangles.
+        With `walls`, everything outside that arena belongs to it too, as four half-planes.
         """
         every = [*shapes, *(_walls(walls) if walls else ())]
         return cls(tuple(shape.grown(margin) for shape in every))
@@ -53,7 +54,8 @@ class Obstacles:
         """Return the shapes as the kernels take them: one `PackedShapes` a kind.
 
         Rectangles and circles are always among them, if need be none, so that one compiled kernel
-        serves most experiments. Every call returns the same arrays, which are not to be written to.
+        serves most experiments, and another those with walls. Every call returns the same arrays,
+        which are not to be written to.
         """
         return self._packed
 
@@ -73,18 +75,11 @@ def _table(width: int, rows: list[tuple[float, ...]]) -> Floats:
     return table
 
 
-def _walls(arena: Bounds) -> list[Rectangle]:
-    """Four rectangles round an arena, as broad as three arenas: no robot crosses them in a step."""
-    broad = 3 * max(arena.width, arena.height)
-
-    def wall(left: float, bottom: float, right: float, top: float) -> Rectangle:
-        sides = {"left": left, "bottom": bottom, "width": right - left, "height": top - bottom}
-        return Rectangle(type="rectangle", **sides)
-
-    low, high = arena.bottom - broad, arena.top + broad
+def _walls(arena: Bounds) -> list[HalfPlane]:
+    """Return what lies beyond each side of an arena."""
     return [
-        wall(arena.left - broad, low, arena.left, high),
-        wall(arena.right, low, arena.right + broad, high),
-        wall(arena.left - broad, low, arena.right + broad, arena.bottom),
-        wall(arena.left - broad, arena.top, arena.right + broad, high),
+        HalfPlane((1.0, 0.0), arena.left),
+        HalfPlane((-1.0, 0.0), -arena.right),
+        HalfPlane((0.0, 1.0), arena.bottom),
+        HalfPlane((0.0, -1.0), -arena.top),
     ]

@@ -81,7 +81,8 @@ class SimCamera:
         valid = np.ones(truth.x.size, dtype=np.bool_)
         for disturbance in self._measured:
             measured, valid = disturbance.measured(measured, valid, when / SECOND)
-        if self._shown is not None and not valid.all():  # who is not tracked keeps the last pose
+        lost = bool(self._measured) and not valid.all()
+        if lost and self._shown is not None:  # who is not tracked keeps the last pose
             last, now = self._shown.array(), measured.array()
             measured = Poses.of(np.where(valid[:, None], now, last))
         received: int | None = when

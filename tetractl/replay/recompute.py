@@ -67,8 +67,7 @@ class Rerun:
         self._wall, self._limit_s = wall, limit_s
         self._until: float | None = None
         self.wrong: list[tuple[str, str]] = []
-        self._logged: Sequence[Search] = ()
-        self._done = 0
+        self._left: list[tuple[int, Search]] = []
 
     @property
     def started(self) -> bool:
@@ -85,22 +84,26 @@ class Rerun:
 
     def begin(self, searches: Sequence[Search]) -> None:
         """Go on with the searches that a step logged."""
-        self._logged, self._done, self.wrong = searches, 0, []
+        self._left, self.wrong = list(enumerate(searches)), []
 
     def timer(self) -> int:
         """Return a time [ns] that passes the deadline once the logged searches are done."""
-        return _LONG_AGO if self._done >= len(self._logged) else 0
+        return 0 if self._left else _LONG_AGO
 
     def wrap(self, optimizer: OptimizerSection) -> Optimizer:
         """Return the optimiser that does the logged searches by this one."""
         return _Repeated(optimizer, self)
 
-    def next(self) -> tuple[int, Search]:
-        """Return the next logged search and its index in its step."""
-        if self._done >= len(self._logged):
+    def next(self, length: int) -> tuple[int, Search]:
+        """Return the next logged search and its index in its step.
+
+        Where searches are given back it is the next of this length: earlier versions of tetractl
+        searched them in another order.
+        """
+        if not self._left:
             raise NoSearchError
-        self._done += 1
-        return self._done - 1, self._logged[self._done - 1]
+        alike = (n for n, (_, one) in enumerate(self._left) if one.length == length)
+        return self._left.pop(0 if self.again else next(alike, 0))
 
 
 class _Repeated:
@@ -113,7 +116,7 @@ class _Repeated:
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
         """Do the next logged search."""
-        index, logged = self._rerun.next()
+        index, logged = self._rerun.next(length)
         if not self._rerun.again:
             self._evaluate(problem, length, warm is not None, limits, index, logged)
             return logged
@@ -231,6 +234,8 @@ def recompute(
             return Difference(step.k, "generator", text)
         if step.plan.estimate is None and (log.damage or not estimated):
             decision = replace(decision, estimate=None)  # lost, or written before there were any
+        if decision.search is step.plan.search:  # earlier versions searched other lengths as well
+            decision = replace(decision, searches=step.plan.searches, chosen=step.plan.chosen)
         found = [*rerun.wrong, *_differences(decision, step.plan, "", room)]
         if found:
             return Difference(step.k, *found[0])

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from tetractl.control.build import build_controller, warm_up
+from tetractl.core.commands import Command
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.load import load_spec
@@ -17,12 +18,15 @@ spec = load_spec(Path("experiments/{name}.yaml"), small).experiment
 warm_up(spec, print)
 late, compile = [], Dispatcher.compile
 Dispatcher.compile = lambda self, types: late.append(self.py_func.__name__) or compile(self, types)
-poses = Poses.of(np.array([[*robot.start, robot.heading] for robot in spec.robots]))
+poses = np.array([[*robot.start, robot.heading] for robot in spec.robots])
 controller = build_controller(spec, 1)
-for k in range(2):
+for k in range(4):
     ns = 200_000_000 * k
-    seen = Observation(24 * k, ns, ns, poses, np.ones(len(spec.robots), bool))
-    assert isinstance(controller.plan(seen), Plan)
+    seen = Observation(24 * k, ns, ns, Poses.of(poses), np.ones(len(spec.robots), bool))
+    plan = controller.plan(seen)
+    assert isinstance(plan, Plan)
+    controller.sent(Command(plan.direction, ns, (True,) * len(spec.robots)))
+    poses = plan.path[1]
 print(late)
 """
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from tetractl.control.delay import Predictor
+from tetractl.control.delay import Predictor, advance
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
@@ -34,6 +34,11 @@ def reference_problem():
     return experiment.controller.problem(experiment.setup)
 
 
+def ahead(predictor, problem, since, until):
+    """The problem's poses, seen at `since`, as predicted for `until` [ns]."""
+    return advance(problem, problem.poses, predictor.held(since, until))
+
+
 @pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.2, 0.325])
 def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
     """What is predicted on a frame is what the cameras see one dead time later."""
@@ -43,7 +48,7 @@ def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
 
     def after_step(k, plant, observation, direction):
         here, now = replace(problem, poses=observation.poses), observation.sampled_ns
-        predicted.append((now, predictor.ahead(here, now, now + predictor.delay_ns)))
+        predicted.append((now, ahead(predictor, here, now, now + predictor.delay_ns)))
         predictor.sent(now, direction)
         seen.extend(plant.samples())
 
@@ -63,10 +68,10 @@ def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
 def test_robots_stand_before_the_first_command_acts():
     problem = reference_problem()
     predictor = Predictor(0.3, 3)
-    assert np.array_equal(predictor.ahead(problem, 0, SECOND).x, problem.poses.x)
+    assert np.array_equal(ahead(predictor, problem, 0, SECOND).x, problem.poses.x)
     predictor.sent(0, 0.0)
-    assert np.array_equal(predictor.ahead(problem, 0, 3 * SECOND // 10).x, problem.poses.x)
-    moved = predictor.ahead(problem, 0, 4 * SECOND // 10).x - problem.poses.x
+    assert np.array_equal(ahead(predictor, problem, 0, 3 * SECOND // 10).x, problem.poses.x)
+    moved = ahead(predictor, problem, 0, 4 * SECOND // 10).x - problem.poses.x
     assert moved == pytest.approx(0.1 * problem.speed, rel=1e-3)
 
 

@@ -94,6 +94,44 @@ def test_later_steps_try_one_less_as_many_and_one_more_from_the_warm_start():
     ]
 
 
+def lengths_asked(costs, good_enough):
+    """Lengths searched at step 0 and at the next step, where an optimiser has a tolerance."""
+    search = Scripted(dict.fromkeys(range(1, 7), 50.0) | costs[0])
+    optimizer = {"type": "multistart", "tolerance": good_enough}
+    controller = mpc(spec(optimizer=optimizer), 99, search)
+    controller.plan(seen())
+    first = [length for length, *_ in search.forget()]
+    search.costs |= costs[1]
+    plan = controller.plan(seen(now=200_000_000))
+    assert isinstance(plan, Plan)
+    return first, [length for length, *_ in search.forget()], plan.search.length
+
+
+def test_lengths_that_could_not_be_chosen_are_not_searched():
+    """Among good ones step 0 takes the shortest, and later steps the length under way."""
+    assert lengths_asked(({4: 1.0}, {3: 1.0}), 1.0) == ([1, 2, 3, 4], [3], 3)
+
+
+def test_one_less_is_searched_before_one_more():
+    assert lengths_asked(({4: 1.0}, {2: 0.5, 3: 2.0, 4: 0.1}), 1.0)[1:] == ([3, 2], 2)
+    assert lengths_asked(({4: 1.0}, {2: 1.5, 3: 2.0, 4: 0.1}), 1.0)[1:] == ([3, 2, 4], 4)
+
+
+def test_a_length_that_is_not_accepted_does_not_end_the_step():
+    search = Scripted({4: 0.5})
+    optimizer = {"type": "multistart", "tolerance": 1.0}
+    controller = mpc(spec(optimizer=optimizer, accept=0.2), 99, search)
+    controller.plan(seen())
+    search.forget()
+    search.costs |= {3: 0.5, 2: 0.1}
+    assert isinstance(controller.plan(seen(now=200_000_000)), Plan)
+    assert [length for length, *_ in search.forget()] == [3, 2]
+
+
+def test_where_none_is_good_the_least_cost_is_taken():
+    assert lengths_asked(({4: 1.0}, {2: 1.5, 3: 2.0, 4: 1.6}), 1.0)[1:] == ([3, 2, 4], 2)
+
+
 def test_horizons_may_outgrow_horizon_max():
     search = Scripted({n: 100.0 - n for n in range(20)})
     controller = mpc(spec(), 99, search)
@@ -162,7 +200,7 @@ def test_the_plan_states_the_terms_of_its_cost_and_its_path():
     costs = evaluate(problem, plan.signals[None])
     assert plan.cost == pytest.approx(costs.total[0], rel=1e-9)
     assert plan.cost == pytest.approx(plan.target_cost + 50 * plan.obstacle_cost, rel=1e-9)
-    assert np.array_equal(plan.path, predict(problem, plan.signals))
+    assert plan.path == pytest.approx(predict(problem, plan.signals), rel=1e-9, abs=1e-9)
     assert plan.path.shape == (len(plan.signals) + 1, 3, 3)
     assert plan.path[0].tolist() == STARTS.tolist()
     for search in plan.searches:

@@ -41,6 +41,19 @@ def test_a_full_queue_fails_at_once_and_what_waits_is_still_done():
     assert 1 <= len(done) <= 2
 
 
+def test_calls_that_gather_wait_for_whoever_waits_for_them():
+    done: list[int] = []
+    worker = make(size=3, wait_s=10.0, gather_s=3600.0)
+    worker.put(done.append, 0)
+    assert done == []
+    worker.drain()
+    assert done == [0]
+    for i in range(1, 9):  # more than there are places for
+        worker.put(done.append, i)
+    worker.close(lambda: done.append(9))
+    assert done == list(range(10))
+
+
 def test_a_failure_is_raised_once_and_ends_the_calls_but_not_the_last():
     done: list[str] = []
     worker = make()

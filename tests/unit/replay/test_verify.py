@@ -124,6 +124,28 @@ def test_every_decision_comes_out_with_the_same_bits(tmp_path: Path, sets: list[
     assert recompute(log, again=False) is None
 
 
+def older(log: TrialLog, chosen: int = 1) -> TrialLog:
+    """The log as an earlier version wrote it, which searched H - 1 before H at every step."""
+    steps = []
+    for step in log.steps:
+        plan = step.plan
+        if step.k and len(plan.searches) == 1 and len(plan.signals) > 1:
+            shorter = replace(plan.search, length=plan.search.length - 1, signals=plan.signals[1:])
+            plan = replace(plan, searches=(shorter, plan.search), chosen=chosen)
+        steps.append(replace(step, plan=plan))
+    return replace(log, steps=tuple(steps))
+
+
+def test_searches_that_are_not_done_any_more_are_taken_as_logged(tmp_path: Path) -> None:
+    sets = [*SETTINGS["multistart"], "controller.horizon_max=20", "controller.steps_max=40"]
+    log = read_trial(run(tmp_path, sets))
+    assert any(len(step.plan.searches) == 2 for step in older(log).steps)
+    assert recompute(older(log), again=False) is None
+    found = recompute(older(log, chosen=0), again=False)
+    assert found is not None
+    assert found.field.startswith("searches")
+
+
 class Late:
     """A clock that is past every deadline after so many looks at it."""
 

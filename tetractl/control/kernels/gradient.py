@@ -7,34 +7,93 @@ robot and signal, the partial derivatives of d and of the next heading g:
 
 (the turn depends on phi alone). The derivative of a later position by an earlier signal follows by
 the chain rule backwards in time, in `backward`.
+
+Only the headings wait for the step before. They are followed first, as cosine and sine; then the
+steps of a robot are independent of each other, and the loop over them is vector code. So arrays
+over the signals are as long as whole vectors, `width` (L); what is beyond the last signal means
+nothing. Each quantity is an array (N, M) of its own: rows of different ones that lie between each
+other keep the compiler from vector code, as it looks for overlaps over all robots at once.
 """
 
+from typing import NamedTuple
+
+import numpy as np
+
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.motion import derivatives
-from tetractl.control.kernels.options import PIECE
+from tetractl.control.kernels.motion import derivatives, turned
+from tetractl.control.kernels.options import PIECE, inlined
+from tetractl.core.poses import Floats
+from tetractl.model.motion.polynomials import sincos, wrap
 
 EAST_H, NORTH_H, EAST_U, NORTH_U, KEEP = range(5)
+VECTOR = 8  # float64 numbers in the widest vector of any processor
+
+_sincos, _wrap = inlined(sincos), inlined(wrap)
+
+
+class Trace(NamedTuple):
+    """What `trace` fills, for N robots and L signals, M = width(L)."""
+
+    cos: Floats  # (N + 1, M) of the headings before each signal and, last, of the signals
+    sin: Floats  # (N + 1, M)
+    path: Floats  # (2, N, M) x and y after each signal
+    gradients: Floats  # (5, N, M)
+
+
+def width(length: int) -> int:
+    """Return the length of arrays over so many signals."""
+    return -(-length // VECTOR) * VECTOR
+
+
+def room(headings: Floats, length: int) -> Trace:
+    """Return the arrays for robots that start with these headings (N,) [rad]."""
+    count, across = len(headings), width(length)
+    cos, sin = np.ones((count + 1, across)), np.zeros((count + 1, across))
+    cos[:-1, 0], sin[:-1, 0] = np.cos(headings), np.sin(headings)
+    return Trace(cos, sin, np.empty((2, count, across)), np.empty((5, count, across)))
 
 
 @compiled(**PIECE)
-def trace(u, start, a, v, first_period, period, motion, headings, path, gradients):
-    """Predict under signals u (L,): path (N, L, 2) of positions, gradients (N, L, 5).
+def trace(u, start, a, v, first_period, period, first, rest, traced):
+    """Predict under signals u (L,) from start (N, 3), with a and v (N,).
 
-    headings (N,) are left as they are after the last signal. The class of `motion`, constants of a
-    motion, decides how the robots move. Robots take turns: each step waits for the heading before
-    it, and the processor works on the others meanwhile; a signal's sine and cosine serve them all.
+    `first` and `rest` are constants of the motion for the two periods, whose class decides how the
+    robots move.
     """
+    cos, sin, path, gradients = traced.cos, traced.sin, traced.path, traced.gradients
+    count, across = a.size, cos.shape[1]
     for j in range(u.size):
-        t, towards = first_period if j == 0 else period, u[j]
-        for i in range(a.size):
-            if j == 0:
-                x, y, heading = start[i, 0], start[i, 1], start[i, 2]
-            else:
-                x, y, heading = path[i, j - 1, 0], path[i, j - 1, 1], headings[i]
-            step = derivatives(motion, heading, towards, a[i], v[i], t)
-            path[i, j, 0], path[i, j, 1], headings[i] = x + step[0], y + step[1], heading + step[2]
+        sin[count, j], cos[count, j] = _sincos(_wrap(u[j]))
+    for j in range(u.size - 1):
+        cu, su = cos[count, j], sin[count, j]
+        for i in range(count):
+            lanes = first if j == 0 else rest
+            cos[i, j + 1], sin[i, j + 1] = turned(lanes, cos[i, j], sin[i, j], cu, su, i)
+    x, y, cu, su = path[0], path[1], cos[count], sin[count]
+    east_h, north_h = gradients[EAST_H], gradients[NORTH_H]
+    east_u, north_u, keep = gradients[EAST_U], gradients[NORTH_U], gradients[KEEP]
+    for i in range(count):
+        a_i, v_i = a[i], v[i]
+        for j in range(across):
+            (
+                x[i, j],
+                y[i, j],
+                _,
+                east_h[i, j],
+                north_h[i, j],
+                east_u[i, j],
+                north_u[i, j],
+                keep[i, j],
+            ) = derivatives(rest, cos[i, j], sin[i, j], cu[j], su[j], a_i, v_i, period)
+    for i in range(count):
+        if first_period != period:
+            step = derivatives(first, cos[i, 0], sin[i, 0], cu[0], su[0], a[i], v[i], first_period)
+            x[i, 0], y[i, 0] = step[0], step[1]
             for k in range(5):
-                gradients[i, j, k] = step[3 + k]
+                gradients[k, i, 0] = step[3 + k]
+        x[i, 0], y[i, 0] = start[i, 0] + x[i, 0], start[i, 1] + y[i, 0]
+        for j in range(1, u.size):
+            x[i, j], y[i, j] = x[i, j - 1] + x[i, j], y[i, j - 1] + y[i, j]
 
 
 @compiled(**PIECE)
@@ -44,8 +103,8 @@ def backward(gradients, i, last, east, north, row):
     for j in range(row.size - 1, last, -1):
         row[j] = 0.0
     for j in range(last, -1, -1):
-        keep = gradients[i, j, KEEP]
-        by_u = east * gradients[i, j, EAST_U] + north * gradients[i, j, NORTH_U]
+        keep = gradients[KEEP, i, j]
+        by_u = east * gradients[EAST_U, i, j] + north * gradients[NORTH_U, i, j]
         row[j] = by_u + by_heading * (1 - keep)
-        by_h = east * gradients[i, j, EAST_H] + north * gradients[i, j, NORTH_H]
+        by_h = east * gradients[EAST_H, i, j] + north * gradients[NORTH_H, i, j]
         by_heading = by_h + by_heading * keep

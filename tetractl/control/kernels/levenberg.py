@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.gradient import backward, trace
+from tetractl.control.kernels.gradient import Trace, backward, room, trace
+from tetractl.control.kernels.motion import constants
 from tetractl.control.kernels.obstacles import count_deepest, outward
 from tetractl.control.kernels.options import PIECE
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
-from tetractl.experiment.kinds import MOTIONS
 
 Integers = NDArray[np.int64]
 
@@ -39,11 +39,10 @@ class Polish(NamedTuple):
     v: Floats
     first_period: float
     period: float
-    motion: Any  # constants of the motion, `Lanes`: their class decides how the robots move
+    first: Any  # constants of the motion, `Lanes`: for the first signal
+    rest: Any  # and for the others
     obstacles: tuple[Any, ...]  # `PackedShapes`
-    headings: Floats  # (N,)
-    path: Floats  # (N, L, 2)
-    gradients: Floats  # (N, L, 5)
+    traced: Trace
     depths: Floats  # (N, O) of the deepest position of each robot in each obstacle
     where: Integers  # (N, O) its index
     separation: float  # of two robots, 0 for robots that may meet
@@ -63,7 +62,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
     obstacles = sum(len(pack.rows) for pack in packs)
     pairs = count * (count - 1) // 2 if problem.separation > 0 else 0
     rows = 2 * count + count * obstacles + pairs
-    constants = MOTIONS.load(problem.motion).lanes(problem.a, problem.period)
+    first, rest = constants(problem, single=False)
     return Polish(
         start=problem.poses.array(),
         target=np.ascontiguousarray(problem.targets),
@@ -71,11 +70,10 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         v=problem.speed,
         first_period=problem.first_period,
         period=problem.period,
-        motion=constants.of(problem.a, problem.speed, problem.period),
+        first=first,
+        rest=rest,
         obstacles=packs,
-        headings=np.empty(count),
-        path=np.empty((count, length, 2)),
-        gradients=np.empty((count, length, 5)),
+        traced=room(problem.poses.heading, length),
         depths=np.empty((count, obstacles)),
         where=np.empty((count, obstacles), dtype=np.int64),
         separation=float(problem.separation),
@@ -93,19 +91,20 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
 @compiled(**PIECE)
 def _trace(work, u):
     """Predict path and gradients under signals u."""
-    start, a, v, t0, t = work.start, work.a, work.v, work.first_period, work.period
-    trace(u, start, a, v, t0, t, work.motion, work.headings, work.path, work.gradients)
+    t0, t = work.first_period, work.period
+    trace(u, work.start, work.a, work.v, t0, t, work.first, work.rest, work.traced)
 
 
 @compiled(**PIECE)
 def _merit(work):
     """The bound of f(u) + DEPTH_WEIGHT times the depth of each robot and obstacle, and meeting."""
-    count_deepest(work.obstacles, work.path, work.depths, work.where)
+    path, length = work.traced.path, work.rows.shape[1]
+    count_deepest(work.obstacles, path, length, work.depths, work.where)
     merit = 0.0
-    last = work.path.shape[1] - 1
+    last = length - 1
     for i in range(work.a.size):
-        dx = work.path[i, last, 0] - work.target[i, 0]
-        dy = work.path[i, last, 1] - work.target[i, 1]
+        dx = path[0, i, last] - work.target[i, 0]
+        dy = path[1, i, last] - work.target[i, 1]
         merit += dx * dx + dy * dy
     merit = math.sqrt(work.a.size * merit)
     for i in range(work.a.size):
@@ -121,12 +120,12 @@ def _merit(work):
 @compiled(**PIECE)
 def _find_meetings(work):
     """Find where each pair of robots is nearest, and how far within the separation."""
-    path, m = work.path, 0
-    for i in range(path.shape[0]):
+    path, m = work.traced.path, 0
+    for i in range(work.a.size):
         for k in range(i):
             least, at = math.inf, 0
-            for j in range(path.shape[1]):
-                dx, dy = path[i, j, 0] - path[k, j, 0], path[i, j, 1] - path[k, j, 1]
+            for j in range(work.rows.shape[1]):
+                dx, dy = path[0, i, j] - path[0, k, j], path[1, i, j] - path[1, k, j]
                 square = dx * dx + dy * dy
                 if square < least:
                     least, at = square, j
@@ -140,27 +139,32 @@ def _linearise(work, floor, slack):
 
     Obstacles are grown by `slack`, so that what ends on their edge ends outside.
     """
-    rows, residual, path = work.rows, work.residual, work.path
-    last, r = path.shape[1] - 1, 0
+    rows, residual, path, gradients = (
+        work.rows,
+        work.residual,
+        work.traced.path,
+        work.traced.gradients,
+    )
+    last, r = rows.shape[1] - 1, 0
     squares = 0.0
     for i in range(work.a.size):
-        dx, dy = path[i, last, 0] - work.target[i, 0], path[i, last, 1] - work.target[i, 1]
+        dx, dy = path[0, i, last] - work.target[i, 0], path[1, i, last] - work.target[i, 1]
         squares += dx * dx + dy * dy
     scale = 1 / math.sqrt(max(math.sqrt(squares / work.a.size), floor))
     for i in range(work.a.size):
-        dx, dy = path[i, last, 0] - work.target[i, 0], path[i, last, 1] - work.target[i, 1]
+        dx, dy = path[0, i, last] - work.target[i, 0], path[1, i, last] - work.target[i, 1]
         residual[r], residual[r + 1] = scale * dx, scale * dy
-        backward(work.gradients, i, last, scale, 0.0, rows[r])
-        backward(work.gradients, i, last, 0.0, scale, rows[r + 1])
+        backward(gradients, i, last, scale, 0.0, rows[r])
+        backward(gradients, i, last, 0.0, scale, rows[r + 1])
         r += 2
     for i in range(work.a.size):
         for o in range(work.depths.shape[1]):
             deepest, at = work.depths[i, o], work.where[i, o]
             if deepest > -slack:
-                east, north = outward(work.obstacles, o, path[i, at, 0], path[i, at, 1])
+                east, north = outward(work.obstacles, o, path[0, i, at], path[1, i, at])
                 scale = DEPTH_WEIGHT / math.sqrt(max(deepest + slack, floor))
                 residual[r] = scale * (deepest + slack)
-                backward(work.gradients, i, at, -scale * east, -scale * north, rows[r])
+                backward(gradients, i, at, -scale * east, -scale * north, rows[r])
                 r += 1
     if work.meetings.size:
         r = _linearise_meetings(work, floor, slack, r)
@@ -170,19 +174,19 @@ def _linearise(work, floor, slack):
 @compiled(**PIECE)
 def _linearise_meetings(work, floor, slack, r):
     """Add a residual and its row for each pair of robots within the separation; return the rows."""
-    path, m = work.path, 0
-    for i in range(path.shape[0]):
+    path, gradients, m = work.traced.path, work.traced.gradients, 0
+    for i in range(work.a.size):
         for k in range(i):
             depth, at = work.meetings[m] + slack, work.nearest[m]
             m += 1
             if depth > 0:
-                dx, dy = path[i, at, 0] - path[k, at, 0], path[i, at, 1] - path[k, at, 1]
+                dx, dy = path[0, i, at] - path[0, k, at], path[1, i, at] - path[1, k, at]
                 apart = math.sqrt(dx * dx + dy * dy)
                 scale = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
                 share = scale / apart if apart > 0 else 0.0
                 work.residual[r] = scale * depth
-                backward(work.gradients, i, at, -share * dx, -share * dy, work.rows[r])
-                backward(work.gradients, k, at, share * dx, share * dy, work.other)
+                backward(gradients, i, at, -share * dx, -share * dy, work.rows[r])
+                backward(gradients, k, at, share * dx, share * dy, work.other)
                 for j in range(work.other.size):
                     work.rows[r, j] += work.other[j]
                 r += 1

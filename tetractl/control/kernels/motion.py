@@ -5,11 +5,30 @@ rotation. Then cos and sin of the direction u (P,), the same for every robot. `l
 constants of a motion, whose class decides what is compiled.
 """
 
+import math
+from functools import lru_cache
 from typing import Any
 
 from numba.extending import overload
 
 from tetractl.control.kernels.options import PIECE, entries, inlined
+from tetractl.core.problem import Problem
+from tetractl.experiment.kinds import MOTIONS
+
+
+@lru_cache(maxsize=2)  # the searches of one control step ask for the same ones
+def constants(problem: Problem, *, single: bool) -> tuple[Any, Any]:
+    """Return the constants of a problem's motion, `Lanes`, for its first signal and the others.
+
+    They are of one class; with `single` of the one that the motion has for single precision. Every
+    call for a problem returns the same arrays, which are not to be written to.
+    """
+    a, v, times = problem.a, problem.speed, (problem.first_period, problem.period)
+    kind: Any = MOTIONS.load(problem.motion).lanes(a, max(times))
+    if single:
+        kind = getattr(kind, "single", kind)
+    rest = kind.of(a, v, times[1])
+    return rest if times[0] == times[1] else kind.of(a, v, times[0]), rest
 
 
 def advance(lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: Any, i: int) -> None:
@@ -19,7 +38,7 @@ def advance(lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: A
 @overload(advance, jit_options=PIECE)
 def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
     kind = lanes.instance_class
-    step, columns = inlined(kind.advance), tuple(range(kind.size))
+    step, columns = inlined(kind.advance, x.dtype), tuple(range(kind.size))
 
     def advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
         k = entries(lanes.rows, i, columns)
@@ -32,11 +51,51 @@ def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
     return advance
 
 
-def derivatives(lanes: Any, heading: Any, u: Any, a: Any, v: Any, t: Any) -> Any:
+def turned(lanes: Any, c: Any, s: Any, cu: Any, su: Any, i: int) -> Any:
+    """Return cos and sin of the heading of robot i after one signal."""
+
+
+@overload(turned, jit_options=PIECE)
+def _turned(lanes, c, s, cu, su, i):
+    kind = lanes.instance_class
+    step, columns = inlined(kind.advance), tuple(range(kind.size))
+
+    def turned(lanes, c, s, cu, su, i):
+        k, x, y = entries(lanes.rows, i, columns), 0.0, 0.0
+        for _ in range(lanes.pieces):
+            x, y, c, s = step(x, y, c, s, cu, su, k)
+        return c, s
+
+    return turned
+
+
+def derivatives(lanes: Any, c: Any, s: Any, cu: Any, su: Any, a: Any, v: Any, t: Any) -> Any:
     """Return one step of one robot and its derivatives, by the motion of `lanes`."""
 
 
 @overload(derivatives, jit_options=PIECE)
-def _derivatives(lanes, heading, u, a, v, t):
+def _derivatives(lanes, c, s, cu, su, a, v, t):
     step = inlined(lanes.instance_class.differentiate)
-    return lambda lanes, heading, u, a, v, t: step(heading, u, a, v, t)
+    return lambda lanes, c, s, cu, su, a, v, t: step(c, s, cu, su, a, v, t)
+
+
+def turn(lanes: Any, heading: Any, u: Any, a: Any, t: Any) -> Any:
+    """Return the heading of one robot after a time t under direction u, by the motion of `lanes`.
+
+    A motion that has no `turn` of scalars is differentiated as well.
+    """
+
+
+@overload(turn, jit_options=PIECE)
+def _turn(lanes, heading, u, a, t):
+    kind = lanes.instance_class
+    if hasattr(kind, "turn"):
+        alone = inlined(kind.turn)
+        return lambda lanes, heading, u, a, t: alone(heading, u, a, t)
+    step = inlined(kind.differentiate)
+
+    def turn(lanes, heading, u, a, t):
+        c, s, cu, su = math.cos(heading), math.sin(heading), math.cos(u), math.sin(u)
+        return heading + step(c, s, cu, su, a, 1.0, t)[2]
+
+    return turn

@@ -9,7 +9,7 @@ from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.levenberg import Integers, polish
 from tetractl.control.kernels.options import KERNEL, PLAIN, PLAIN_KERNEL
 from tetractl.control.kernels.rollout import evaluate
-from tetractl.control.kernels.update import GOLDEN, MIX_1, MIX_2, S27, S30, S31
+from tetractl.control.kernels.update import GOLDEN, mixed
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 
@@ -52,10 +52,7 @@ def scatter(key, below, share, middle, warm, knots, starts):
     for k in range(count):
         base = key + np.uint64(k * particles + 1) * GOLDEN
         for n in range(particles):
-            z = base + np.uint64(n) * GOLDEN
-            z = (z ^ (z >> S30)) * MIX_1
-            z = (z ^ (z >> S27)) * MIX_2
-            z = z ^ (z >> S31)
+            z = mixed(base + np.uint64(n) * GOLDEN)
             knots[k, n] = np.float64(np.int64(z >> S11)) * UNIT_53 * 2 - 1
     for j in range(starts.shape[0]):
         k, s = below[j], share[j]

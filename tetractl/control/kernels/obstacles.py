@@ -46,9 +46,10 @@ def count_hits(
 def _count_hits(packs, x0, y0, x, y, i, swept, gap, hits):
     def count_hits(packs, x0, y0, x, y, i, swept, gap, hits):
         narrow(packs, x0, y0, x, y, i, swept, gap)
+        one, zero = gap.dtype.type(1), gap.dtype.type(0)
         for n in range(gap.size):
-            hits[i, n] += 1.0 if gap[n] <= 0 else 0.0
-            gap[n] = 1.0
+            hits[i, n] += one if gap[n] <= zero else zero
+            gap[n] = one
 
     return count_hits
 
@@ -62,7 +63,7 @@ def _narrow(packs, x0, y0, x, y, i, swept, gap):
     if len(packs) == 0:
         return lambda packs, x0, y0, x, y, i, swept, gap: None
     kind = packs[-1].instance_class
-    point, segment = inlined(kind.gap), inlined(kind.gap_between)
+    point, segment = inlined(kind.gap, gap.dtype), inlined(kind.gap_between, gap.dtype)
 
     def narrow_to_kind(packs, x0, y0, x, y, i, swept, gap):
         narrow(packs[:-1], x0, y0, x, y, i, swept, gap)
@@ -79,30 +80,30 @@ def _narrow(packs, x0, y0, x, y, i, swept, gap):
     return narrow_to_kind
 
 
-def count_deepest(packs: Any, path: Any, depths: Any, where: Any) -> Any:
+def count_deepest(packs: Any, path: Any, length: int, depths: Any, where: Any) -> Any:
     """Find each robot's deepest position in each obstacle; return the number of obstacles.
 
-    path (N, L, 2); depths (N, O) [length unit], at most 0 where no position is inside; where
-    (N, O), the index of the first deepest position.
+    path (2, N, M), of which the first `length` count; depths (N, O) [length unit], at most 0 where
+    no position is inside; where (N, O), the index of the first deepest position.
     """
     raise NotImplementedError("called by compiled code only")
 
 
 @overload(count_deepest, jit_options=PIECE)
-def _count_deepest(packs, path, depths, where):
+def _count_deepest(packs, path, length, depths, where):
     if len(packs) == 0:
-        return lambda packs, path, depths, where: 0
+        return lambda packs, path, length, depths, where: 0
     depth_of = inlined(packs[-1].instance_class.depth)
 
-    def count_deepest_in_kind(packs, path, depths, where):
-        first = count_deepest(packs[:-1], path, depths, where)
+    def count_deepest_in_kind(packs, path, length, depths, where):
+        first = count_deepest(packs[:-1], path, length, depths, where)
         rows = packs[-1].rows
         for o in range(rows.shape[0]):
             p = row(packs[-1], o)
-            for i in range(path.shape[0]):
+            for i in range(path.shape[1]):
                 deepest, at = -math.inf, 0
-                for j in range(path.shape[1]):
-                    depth = depth_of(path[i, j, 0], path[i, j, 1], p)
+                for j in range(length):
+                    depth = depth_of(path[0, i, j], path[1, i, j], p)
                     if depth > deepest:
                         deepest, at = depth, j
                 depths[i, first + o], where[i, first + o] = deepest, at

@@ -5,7 +5,8 @@ from functools import cache
 from types import FunctionType
 from typing import Any
 
-from numba import njit
+import numpy as np
+from numba import njit, types
 from numba.extending import overload
 
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
@@ -22,17 +23,31 @@ INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "al
 
 
 @cache
-def inlined(function: FunctionType) -> Callable[..., Any]:
+def inlined(function: FunctionType, kind: Any = types.float64) -> Callable[..., Any]:
     """Return a plain function of scalars, compiled together with the plain functions it calls.
 
     Motions and shapes are written in plain Python and know no compiler: specs are checked without
-    one.
+    one. `kind` is the type of their numbers. For float32 their constants are made so, too, for
+    Numba takes float32 times a Python float as float64; a module's SINGLE replaces globals by name.
     """
-    names = function.__code__.co_names
-    called = {name: function.__globals__.get(name) for name in names}
-    compiled = {name: inlined(f) for name, f in called.items() if isinstance(f, FunctionType)}
-    scope = {**function.__globals__, **compiled}
-    return njit(**INLINE)(FunctionType(function.__code__, scope, function.__name__))
+    code, scope = function.__code__, function.__globals__
+    if kind == types.float32:
+        code = code.replace(co_consts=tuple(map(_single, code.co_consts)))
+        own = {**scope, **scope.get("SINGLE", {})}
+        scope = {**scope, **{name: _single(own[name]) for name in code.co_names if name in own}}
+    called = {name: scope.get(name) for name in code.co_names}
+    compiled = {name: inlined(f, kind) for name, f in called.items() if isinstance(f, FunctionType)}
+    return njit(**INLINE)(FunctionType(code, {**scope, **compiled}, function.__name__))
+
+
+def _single(constant: Any) -> Any:
+    match constant:
+        case float():
+            return np.float32(constant)
+        case tuple():
+            return tuple(map(_single, constant))
+        case _:
+            return constant
 
 
 def entries(rows: Any, i: int, columns: Any) -> Any:

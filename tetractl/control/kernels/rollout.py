@@ -11,15 +11,14 @@ import numpy as np
 from numba.extending import overload
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.motion import advance
+from tetractl.control.kernels.motion import advance, constants
 from tetractl.control.kernels.obstacles import Sole, count_hits, row
 from tetractl.control.kernels.options import KERNEL, PIECE, entries, inlined
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
-from tetractl.experiment.kinds import MOTIONS
 from tetractl.model.motion.polynomials import sincos
 
-LINE = 8  # numbers in a cache line
+LINE = 64  # bytes in a cache line
 
 
 class Rollout(NamedTuple):
@@ -30,43 +29,43 @@ class Rollout(NamedTuple):
     first: Any  # constants of the motion, `Lanes`: for the first signal
     rest: Any  # and for the others
     obstacles: Any  # `Sole`, or a tuple of `PackedShapes`
-    weight: float
+    weight: Any  # a scalar of the kind of the arrays
     swept: bool
-    separation: float
+    separation: Any
     lanes: Floats  # (5, N, P): x, y, cos, sin, hits
     scratch: Floats  # (5, P): cos and sin of the direction; x, y before the step; gap
 
 
-def aligned(shape: tuple[int, ...]) -> Floats:
+def aligned(shape: tuple[int, ...], kind: Any = np.float64) -> Any:
     """Return an array that begins with a cache line: vectors across two take twice the time."""
-    size = math.prod(shape)
-    raw = np.empty(size + LINE)
-    first = -raw.ctypes.data // raw.itemsize % LINE
+    size, line = math.prod(shape), LINE // np.dtype(kind).itemsize
+    raw = np.empty(size + line, kind)
+    first = -raw.ctypes.data // raw.itemsize % line
     return raw[first : first + size].reshape(shape)
 
 
-def lay_out(problem: Problem, particles: int) -> Rollout:
-    """Prepare a problem for rollouts of so many particles at once."""
-    p, a, v = problem.poses, problem.a, problem.speed
-    times = problem.first_period, problem.period
-    constants = MOTIONS.load(problem.motion).lanes(a, max(times))
-    packs = problem.obstacles.packed()
+def lay_out(problem: Problem, particles: int, kind: Any = np.float64) -> Rollout:
+    """Prepare a problem for rollouts of so many particles at once, with numbers of a `kind`."""
+    p, packs, single = problem.poses, problem.obstacles.packed(), kind == np.float32
+    first, rest = constants(problem, single=single)
+    if single:
+        first, rest = (one._replace(rows=one.rows.astype(kind)) for one in (first, rest))
+        packs = tuple(pack._replace(rows=pack.rows.astype(kind)) for pack in packs)
     filled = [pack for pack in packs if len(pack.rows)]
     sole = len(filled) == len(filled[0].rows) == 1 if filled else False
-    if sole and not problem.swept and not problem.separation and hasattr(constants, "finish"):
+    if sole and not problem.swept and not problem.separation:
         packs = Sole(filled[0])
-    first = constants.of(a, v, times[0])
     return Rollout(
-        start=np.stack([p.x, p.y, np.cos(p.heading), np.sin(p.heading)]),
-        target=np.ascontiguousarray(problem.targets.T),
+        start=np.array([p.x, p.y, np.cos(p.heading), np.sin(p.heading)], kind),
+        target=np.ascontiguousarray(problem.targets.T, kind),
         first=first,
-        rest=first if times[0] == times[1] else constants.of(a, v, times[1]),
+        rest=rest,
         obstacles=packs,
-        weight=float(problem.obstacle_weight),
+        weight=kind(problem.obstacle_weight),
         swept=problem.swept,
-        separation=float(problem.separation),
-        lanes=aligned((5, a.size, particles)),
-        scratch=aligned((5, particles)),
+        separation=kind(problem.separation),
+        lanes=aligned((5, problem.a.size, particles), kind),
+        scratch=aligned((5, particles), kind),
     )
 
 
@@ -117,8 +116,8 @@ def follow(rollout: Any, lanes: Any, scratch: Any, signals: Any, j: int) -> None
 def _follow(rollout, lanes, scratch, signals, j):
     fields = dict(zip(rollout.fields, rollout.types, strict=True))
     if getattr(fields["obstacles"], "instance_class", None) is Sole:
-        return _follow_past_sole(fields["rest"], fields["obstacles"])
-    sincos_of = inlined(sincos)
+        return _follow_past_sole(fields["rest"], fields["obstacles"], signals.dtype)
+    sincos_of = inlined(sincos, signals.dtype)
 
     def follow(rollout, lanes, scratch, signals, j):
         x, y, cos, sin, hits = lanes
@@ -138,35 +137,43 @@ def _follow(rollout, lanes, scratch, signals, j):
     return follow
 
 
-def _follow_past_sole(constants, obstacles):
+def _follow_past_sole(constants, obstacles, number):
     """Return `follow` for a sole obstacle, tested at the samples: one loop does it all."""
     kind, shape = constants.instance_class, obstacles[0].instance_class
-    step, finish, gap_of = inlined(kind.advance), inlined(kind.finish), inlined(shape.gap)
-    sincos_of, columns = inlined(sincos), tuple(range(kind.size))
+    step, gap_of = inlined(kind.advance, number), inlined(shape.gap, number)
+    ends_early = hasattr(kind, "finish")
+    finish: Any = inlined(kind.finish, number) if ends_early else None
+    sincos_of, columns = inlined(sincos, number), tuple(range(kind.size))
 
     def follow(rollout, lanes, scratch, signals, j):
         x, y, cos, sin, hits = lanes
         cos_u, sin_u = scratch[0], scratch[1]
         constants = rollout.first if j == 0 else rollout.rest
         p = row(rollout.obstacles.shape, 0)
-        last = j == signals.shape[0] - 1
+        last = ends_early and j == signals.shape[0] - 1
+        one, zero = cos_u.dtype.type(1), cos_u.dtype.type(0)
         if not last:
             for n in range(cos_u.size):
                 sin_u[n], cos_u[n] = sincos_of(signals[j, n])
         for i in range(x.shape[0]):
             k = entries(constants.rows, i, columns)
+            for _ in range(constants.pieces - 1):
+                for n in range(cos_u.size):
+                    x[i, n], y[i, n], cos[i, n], sin[i, n] = step(
+                        x[i, n], y[i, n], cos[i, n], sin[i, n], cos_u[n], sin_u[n], k
+                    )
             if last:
                 for n in range(cos_u.size):
                     new_x, new_y = finish(x[i, n], y[i, n], cos[i, n], sin[i, n], k)
                     x[i, n], y[i, n] = new_x, new_y
-                    hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
+                    hits[i, n] += one if gap_of(new_x, new_y, p) <= zero else zero
             else:
                 for n in range(cos_u.size):
                     new_x, new_y, c, s = step(
                         x[i, n], y[i, n], cos[i, n], sin[i, n], cos_u[n], sin_u[n], k
                     )
                     x[i, n], y[i, n], cos[i, n], sin[i, n] = new_x, new_y, c, s
-                    hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
+                    hits[i, n] += one if gap_of(new_x, new_y, p) <= zero else zero
 
     return follow
 
@@ -175,11 +182,12 @@ def _follow_past_sole(constants, obstacles):
 def count_meetings(x, y, separation, hits):
     """Add 1 to hits[i, n] for each robot before i that is within the separation of it."""
     least = separation * separation
+    one, zero = x.dtype.type(1), x.dtype.type(0)
     for i in range(x.shape[0]):
         for k in range(i):
             for n in range(x.shape[1]):
                 dx, dy = x[i, n] - x[k, n], y[i, n] - y[k, n]
-                hits[i, n] += 1.0 if dx * dx + dy * dy <= least else 0.0
+                hits[i, n] += one if dx * dx + dy * dy <= least else zero
 
 
 @compiled(**PIECE)

@@ -16,25 +16,35 @@ SPAN = 2 * math.pi  # |ub - lb|, (15)
 
 
 @compiled(**PIECE)
+def mixed(z):
+    """Return the 64 bits that the generator makes of its state z; see `tetractl.control.rng`."""
+    z = (z ^ (z >> S30)) * MIX_1
+    z = (z ^ (z >> S27)) * MIX_2
+    return z ^ (z >> S31)
+
+
+@compiled(**PIECE)
 def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
     """(14)-(17) of signal j of every particle, with draws first, first + 1, ...
 
     Before it moves, a particle that had just improved leaves its coordinate as its local best,
-    (18): done here, while the row is in the processor's cache.
+    (18): done here, while the row is in the processor's cache. A velocity that has died away to
+    what has no normal float, some 400 iterations on in single precision, is 0: those are slow.
     """
-    c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1 and r2 are integers here, of 31 bits
+    kind = u.dtype.type
+    w, span, bound, rest = kind(inertia), kind(SPAN), kind(math.pi), kind(0)
+    least = np.finfo(kind).tiny
+    c1, c2 = kind(cognitive * UNIT_31), kind(social * UNIT_31)  # r1, r2 are integers, of 31 bits
     base = key + np.uint64(first + 1) * GOLDEN
     for n in range(u.shape[1]):
-        z = base + np.uint64(n) * GOLDEN
-        z = (z ^ (z >> S30)) * MIX_1
-        z = (z ^ (z >> S27)) * MIX_2
-        z = z ^ (z >> S31)
-        r1 = np.float64(np.int32(z >> S33))
-        r2 = np.float64(np.int32(z & LOW_31))
+        z = mixed(base + np.uint64(n) * GOLDEN)
+        r1 = kind(np.int32(z >> S33))
+        r2 = kind(np.int32(z & LOW_31))
         at = u[j, n]
         own = at if better[n] > 0.5 else best[j, n]
         best[j, n] = own
-        velocity = inertia * v[j, n] + c1 * r1 * (own - at) + c2 * r2 * (u_gb - at)
-        velocity = max(-SPAN, min(velocity, SPAN))
+        velocity = w * v[j, n] + c1 * r1 * (own - at) + c2 * r2 * (u_gb - at)
+        velocity = max(-span, min(velocity, span))
+        velocity = velocity if abs(velocity) >= least else rest
         v[j, n] = velocity
-        u[j, n] = max(-math.pi, min(at + velocity, math.pi))
+        u[j, n] = max(-bound, min(at + velocity, bound))

@@ -5,7 +5,7 @@ import numpy as np
 from tetractl.control.cost import require_finite
 from tetractl.control.kernels import pso as kernel
 from tetractl.control.kernels.rollout import Rollout, aligned, costs, lay_out
-from tetractl.control.optimizers.pso import Pso, Swarm
+from tetractl.control.optimizers.pso import LOWER, UPPER, Pso, Swarm
 from tetractl.control.rng import mix
 from tetractl.control.stop import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
 from tetractl.core.plan import Limits, Search, StopReason
@@ -27,8 +27,11 @@ REASONS = {
 def pso(
     section: Pso, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
 ) -> Search:
-    """Algorithm 1 with the same draws as the reference, to which it agrees but for rounding."""
-    rollout = lay_out(problem, section.particles)
+    """Algorithm 1 with the same draws as the reference, to which it agrees but for rounding.
+
+    In single precision that is enough to part them after some moves.
+    """
+    rollout = lay_out_swarm(section, problem)
     swarm, evaluations = scatter(section, problem, rollout, length, warm, key)
     rules = make_rules(section, key, evaluations, limits)
     work = BETWEEN_LOOKS if limits.timed else BETWEEN_SIGNALS
@@ -43,29 +46,41 @@ def pso(
     return Search(length, swarm.u_gb, float(history[-1]), history, evaluations, REASONS[reason])
 
 
+def lay_out_swarm(section: Pso, problem: Problem) -> Rollout:
+    """Prepare the rollouts of the particles, in the precision they are to have."""
+    kind = np.float32 if section.precision == "single" else np.float64
+    return lay_out(problem, section.particles, kind)
+
+
 def scatter(
     section: Pso, problem: Problem, rollout: Rollout, length: int, warm: Floats | None, key: int
 ) -> tuple[kernel.SwarmArrays, int]:
     """Algorithm 1, lines 1-6: return the swarm and the evaluations spent."""
     drawn = Swarm.scatter(section, length, key)
-    u, v, best = (aligned((length, section.particles)) for _ in range(3))
+    kind = rollout.lanes.dtype
+    u, v, best = (aligned((length, section.particles), kind) for _ in range(3))
     u[:], v[:], best[:] = drawn.u.T, drawn.v.T, drawn.best.T
-    best_cost = np.empty(section.particles)
+    best_cost = np.empty(section.particles, kind)
     costs(rollout, best, best_cost)
     require_finite(best_cost)
     evaluations = section.particles
     history = np.empty(section.iterations + 1)
-    if warm is None:
-        leader = int(np.argmin(best_cost))
+    single, judge = kind == np.float32, None
+    leader = int(np.argmin(best_cost))
+    if warm is None and not single:
         u_gb, history[0] = best[:, leader].copy(), best_cost[leader]
     else:
-        first = np.empty(1)
-        costs(lay_out(problem, 1), np.ascontiguousarray(warm[:, None]), first)
-        require_finite(first)
-        u_gb, history[0] = warm.copy(), first[0]
-        evaluations += 1
-    cost, better = np.zeros((2, section.particles))
-    return kernel.SwarmArrays(u, v, best, cost, best_cost, better, u_gb, history), evaluations
+        judge = kernel.Judge(lay_out(problem, 1), np.empty((length, 1)), np.empty(1))
+        u_gb = np.clip(best[:, leader], LOWER, UPPER, dtype=float) if warm is None else warm.copy()
+        costs(judge.rollout, np.ascontiguousarray(u_gb[:, None]), judge.cost)
+        require_finite(judge.cost)
+        history[0] = judge.cost[0]
+        evaluations += warm is not None
+    cost, better = np.zeros((2, section.particles), kind)
+    swarm = kernel.SwarmArrays(
+        u, v, best, cost, best_cost, better, u_gb, history, judge if single else None
+    )
+    return swarm, evaluations
 
 
 def make_rules(section: Pso, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:

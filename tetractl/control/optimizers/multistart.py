@@ -98,9 +98,8 @@ class Multistart(OptimizerSection):
 
     def _rounds(self, problem: Problem, length: int) -> int:
         """Return 1 where even straight lines at full speed leave a cost above the tolerance."""
-        seconds = problem.first_period + (length - 1) * problem.period
         gaps = problem.poses.distances(problem.targets)
-        beyond = float(np.maximum(gaps - problem.speed * seconds, 0.0).sum())
+        beyond = float(np.maximum(gaps - problem.speed * problem.seconds(length), 0.0).sum())
         return 1 if beyond > self.tolerance else self.rounds
 
 

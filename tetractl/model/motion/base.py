@@ -83,11 +83,18 @@ class Lanes(Protocol):
     A `NamedTuple` with the fields `rows` and `pieces`. Each class is a type of its own to the
     compiler, which makes one kernel for each. The functions are compiled where a kernel calls them,
     with the plain functions they call; they may use arithmetic, `math` and
-    `tetractl.model.motion.polynomials`. `advance` runs in a loop over particles that is to become
-    vector code: conditional values rather than branches, polynomials rather than calls to `math`.
+    `tetractl.model.motion.polynomials`. `advance` runs in a loop over particles and `differentiate`
+    in one over signals, which are to become vector code: conditional values rather than branches,
+    polynomials rather than calls to `math`.
 
-    A class whose last signal cannot move the last position may add `finish(x, y, c, s, k)`, which
-    returns x, y after the last piece: then a sole obstacle is tested in the same loop as well.
+    Where a swarm is to be computed in single precision, all numbers are, constants in the functions
+    too, if they are written as floats: an integer times a number makes a double of it. A class may
+    name as `single` another one, which takes its place then.
+
+    A class of one piece whose last signal cannot move the last position may add
+    `finish(x, y, c, s, k)`, which returns x, y after that. A class may add `turn(heading, u, a, t)`
+    too, a `TurnFunction` of scalars, which may use `np` as well: without it robots are identified
+    by `differentiate`, which is slower.
     """
 
     size: int
@@ -113,8 +120,10 @@ class Lanes(Protocol):
         ...
 
     @staticmethod
-    def differentiate(heading: float, u: float, a: float, v: float, t: float) -> Derivatives:
-        """Return a step and its derivatives."""
+    def differentiate(
+        c: float, s: float, cu: float, su: float, a: float, v: float, t: float
+    ) -> Derivatives:
+        """Return a step of t [s], whatever its pieces, and its derivatives."""
         ...
 
 
@@ -125,7 +134,7 @@ class Motion:
     `lanes(a, longest)` returns the class of constants for robots that turn at a (N,) [rad/s] in
     steps of at most `longest` [s]: a motion may have a faster one for robots that turn slowly.
     `turn` returns the headings of `step`, and `strides` what it adds to the start, both bit for
-    bit; a motion without them is slower to identify and to predict.
+    bit; a motion without them is slower to predict.
     """
 
     name: str

@@ -42,12 +42,13 @@ def hold(
     return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
 
 
-def differentiate(heading: float, u: float, a: float, v: float, t: float) -> Derivatives:
+def differentiate(
+    c: float, s: float, cu: float, su: float, a: float, v: float, t: float
+) -> Derivatives:
     """Return a step of (4)-(6) and its derivatives."""
-    c, s = math.cos(heading), math.sin(heading)
-    phi = u - heading
-    keep = 1 - t * a * math.cos(phi)
-    return t * v * c, t * v * s, t * a * math.sin(phi), -t * v * s, t * v * c, 0.0, 0.0, keep
+    way, most = t * v, t * a
+    keep = 1 - most * (cu * c + su * s)
+    return way * c, way * s, most * (su * c - cu * s), -way * s, way * c, 0.0, 0.0, keep
 
 
 class EulerLanes(NamedTuple):
@@ -70,19 +71,11 @@ class EulerLanes(NamedTuple):
         return x + step * c, y + step * s, c * cw - s * sw, s * cw + c * sw
 
     differentiate = staticmethod(differentiate)
+    turn = staticmethod(turn)
 
 
-class EulerSmallTurnLanes(NamedTuple):
-    """Constants of (4)-(6) for robots that turn by T a <= pi/2 in a step: T v and T a."""
-
-    rows: Floats  # (N, size)
-    pieces: int = 1
-    size = 2
-
-    @classmethod
-    def of(cls, a: Floats, v: Floats, t: float) -> Self:
-        """Return the constants of robots with a, v (N,) for steps of t [s]."""
-        return cls(np.column_stack([v * t, a * t]))
+class EulerSmallTurnLanes(EulerLanes):
+    """The same for robots that turn by T a <= pi/2 in a step."""
 
     @staticmethod
     def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
@@ -96,10 +89,8 @@ class EulerSmallTurnLanes(NamedTuple):
         """Return x, y after the last step of a sequence, whose signal cannot move them."""
         return x + k[0] * c, y + k[0] * s
 
-    differentiate = staticmethod(differentiate)
 
-
-def lanes(a: Floats, longest: float) -> type[EulerLanes] | type[EulerSmallTurnLanes]:
+def lanes(a: Floats, longest: float) -> type[EulerLanes]:
     """Return the constants' class for robots with a (N,) [rad/s] in steps of up to `longest` s."""
     return EulerSmallTurnLanes if float(a.max()) * longest <= math.pi / 2 else EulerLanes
 

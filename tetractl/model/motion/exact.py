@@ -3,24 +3,38 @@
 With phi = u - heading, (3) reads d phi/dt = -a sin phi, so tan(phi/2) decays by E = exp(-a t). With
 c = cos(phi/2), s = sin(phi/2) and h = c^2 + s^2 E^2, the robot moves v (t + ln(h)/a) along u and
 v (phi - phi')/a to the right of it, where tan((phi - phi')/2) = s c (1 - E) / (c^2 + s^2 E).
+
+Seen from phi_m, the angle at t/2, the same displacement is odd in both components,
+
+    along u:  2 v/a artanh(tanh(a t/2) cos phi_m)     right:  2 v/a arctan(sinh(a t/2) sin phi_m),
+
+the real and the imaginary part of 4 v/a artanh(r exp(i phi_m)), r = tanh(a t/4). Its series in r
+gains a factor of r^2, below 0.1, with each term: rollouts need no logarithm and no arc tangent.
 """
 
 import math
+from functools import cache
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl.model.motion.base import Derivatives, Held, Motion, Strides, Time, XYHeading
-from tetractl.model.motion.polynomials import (
-    ARCTAN_MAX,
-    arctan,
-    log_from_ratio,
-    mantissa,
-)
+from tetractl.model.motion.polynomials import alternating, arctan, log_from_ratio, mantissa
 
-LARGEST_TURN = 2 * math.asinh(ARCTAN_MAX)
-"""Largest a t of one piece of a step: tan((phi - phi')/2) is at most sinh(a t/2), over all phi."""
+LARGEST_TURN = 1.25
+"""Largest a t of one piece of a step: r^2 is at most 0.092 then."""
+LARGEST_PLAIN = 6.5
+"""Largest a t of a step whose derivatives are taken from 1 + cos phi: near phi = pi the step is off
+by up to 1e-9 of its way there, and by less for less."""
+SMALLEST_DECAY = 1e-100
+"""Least E that steps are divided by the cube of."""
+TERMS = 10
+"""Of the series in r: the rest is at most 2.2e-12 of a piece's way."""
+ODD = 2 * np.arange(TERMS) + 1
+"""The powers of r in the series."""
+TERMS_SINGLE = 6
+"""In single precision, which resolves 6e-8: the rest is at most 5e-8."""
 
 
 def rates(heading: Floats, u: Floats, a: Floats, v: Floats) -> XYHeading:
@@ -72,65 +86,144 @@ def hold(
     return step(x, y, heading, held.direction, a, v, t)
 
 
-class ExactLanes(NamedTuple):
-    """Constants of one piece of a step: t v, v/a and E = exp(-a t)."""
+@cache
+def odd_multiples(count: int) -> tuple[Floats, Floats]:
+    """Return sin(n t)/sin t and cos(n t)/cos t, n = 1, 3, 5, ..., as polynomials of cos^2 t.
+
+    Both are (count, count), a row for each n, lowest coefficient first.
+    """
+    sines, cosines = np.zeros((2, count, count))
+    for rows, before in ((sines, -1.0), (cosines, 1.0)):  # of n = -1
+        rows[0, 0] = 1.0
+        for k in range(1, count):  # sin(n t) = 2 cos(2 t) sin((n - 2) t) - sin((n - 4) t)
+            rows[k, 1:] = 4 * rows[k - 1, :-1]
+            rows[k] -= 2 * rows[k - 1]
+            rows[k] -= rows[k - 2] if k > 1 else before * (np.arange(count) == 0)
+    return sines, cosines
+
+
+def constants(a: Floats, v: Floats, t: float, terms: int) -> tuple[Floats, int]:
+    """Return `rows` and `pieces` for robots with a, v (N,) and steps of t [s]; see `advance`."""
+    pieces = max(1, math.ceil(float(a.max()) * t / LARGEST_TURN))
+    turn = a * t / pieces
+    middle, end, odd = np.tanh(turn / 4), np.tanh(turn / 2), ODD[:terms]
+    series = (4 * v / a)[:, None] * middle[:, None] ** odd / odd
+    sines, cosines = odd_multiples(terms)
+    right, along = series @ sines, series @ cosines
+    rows = np.empty((a.size, 3 + 2 * terms))
+    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = middle, 1 - middle**2, end, 1 - end**2
+    rows[:, 4 : 4 + terms], rows[:, 4 + terms :] = right, (right - along)[:, :-1]
+    return rows, pieces
+
+
+def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
+    """Return x, y, cos and sin of the heading after a piece.
+
+    With H the heading and U the direction as unit vectors, r = tanh(a t/2) and G = H + r U, the
+    heading after t is (1 - r^2) G/|G|^2 + r U; so is M, that after t/2, with tanh(a t/4). |G|
+    is taken from H as it is: rounding off the circle then grows no faster than a turn does.
+    The displacement is A(q) M - B(q) (M.U) U with polynomials of q = (M.U)^2, where A sin phi_m
+    is the way to the right and (A - B) cos phi_m that along u.
+    """
+    middle, still, end, rest = k[0], k[1], k[2], k[3]
+    near = c * cu + s * su
+    f = still / (2.0 - still + 2.0 * middle * near)
+    wx, wy = end * cu, end * su
+    gx, gy = c + wx, s + wy
+    g = rest / (gx * gx + gy * gy)
+    p = f * middle + middle  # M = f H + p U
+    m = f * near + p
+    q = m * m
+    first_b = (len(k) + 5) // 2
+    a = alternating(k, 4, first_b, q)
+    along, through = a * p - m * alternating(k, first_b, len(k), q), a * f
+    x, y = x + (through * c + along * cu), y + (through * s + along * su)
+    return x, y, g * gx + wx, g * gy + wy
+
+
+def differentiate(
+    c: float, s: float, cu: float, su: float, a: float, v: float, t: float
+) -> Derivatives:
+    """Return a step and its derivatives, for a t up to LARGEST_PLAIN."""
+    e = math.exp(-a * t)
+    c, s = cu * c + su * s, su * c - cu * s  # of phi
+    return _derive(max(0.0, 1 + c), (1 - c) * e, s, e, cu, su, a, v, t)
+
+
+def differentiate_fast(
+    c: float, s: float, cu: float, su: float, a: float, v: float, t: float
+) -> Derivatives:
+    """Return a step and its derivatives, for robots that turn as fast as may be.
+
+    Near phi = pi, 1 + cos phi loses what decides how far such a robot turns.
+    """
+    e = max(math.exp(-a * t), SMALLEST_DECAY)
+    c, s = cu * c + su * s, su * c - cu * s
+    near = 1 + c if c > 0.0 else s * s / (1 - c)
+    return _derive(near, (1 - c) * e, s, e, cu, su, a, v, t)
+
+
+def _derive(
+    near: float,
+    far: float,
+    s: float,
+    e: float,
+    cu: float,
+    su: float,
+    a: float,
+    v: float,
+    t: float,
+) -> Derivatives:
+    """Return a step and its derivatives, from near = 1 + cos phi, far = (1 - cos phi) E, sin phi
+    and E."""
+    d, across = near + far * e, near + far
+    m, exponent = mantissa(0.5 * d)
+    m1 = m + 1
+    inverse = 1 / (d * m1 * across)
+    log_half_d = log_from_ratio((m - 1) * (inverse * d * across), exponent)
+    turn = 2 * arctan(s * (1 - e) * (inverse * d * m1))
+    radius, over_d = v / a, inverse * m1 * across
+    along, right = v * t + radius * log_half_d, radius * turn
+    keep = 2 * e * over_d
+    along_phi, right_phi = -radius * s * (1 - e * e) * over_d, radius * (1 - keep)
+    east, north = along * cu + right * su, along * su - right * cu
+    east_phi, north_phi = along_phi * cu + right_phi * su, along_phi * su - right_phi * cu
+    return east, north, turn, -east_phi, -north_phi, east_phi - north, north_phi + east, keep
+
+
+class ExactSingleLanes(NamedTuple):
+    """Constants of one piece of a step: see `advance`; as many terms as single precision tells."""
 
     rows: Floats  # (N, size)
     pieces: int  # each with a t <= LARGEST_TURN
-    size = 3
+    size = 4 + 2 * TERMS_SINGLE - 1
 
     @classmethod
     def of(cls, a: Floats, v: Floats, t: float) -> Self:
         """Return the constants of robots with a, v (N,) for steps of t [s]."""
-        pieces = max(1, math.ceil(float(a.max()) * t / LARGEST_TURN))
-        piece = t / pieces
-        return cls(np.column_stack([v * piece, v / a, np.exp(-a * piece)]), pieces)
+        return cls(*constants(a, v, t, (cls.size - 3) // 2))
 
-    @staticmethod
-    def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
-        """Return x, y, cos and sin of the heading after a piece.
+    advance = staticmethod(advance)
+    differentiate = staticmethod(differentiate)
+    turn = staticmethod(turn)
 
-        With D = 2 h = (1 + cos phi) + (1 - cos phi) E^2. The three quotients share one division.
-        """
-        step, radius, e = k
-        c, s = cu * c + su * s, su * c - cu * s  # of phi
-        near, far = 1 + c, (1 - c) * e
-        d = near + far * e
-        across = near + far
-        m, exponent = mantissa(0.5 * d)
-        m1 = m + 1
-        inverse = 1 / (d * m1 * across)
-        log_half_d = log_from_ratio((m - 1) * (inverse * d * across), exponent)
-        half_turn = arctan(s * (1 - e) * (inverse * d * m1))
-        along = step + radius * log_half_d
-        right = 2 * radius * half_turn
-        x = x + (along * cu + right * su)
-        y = y + (along * su - right * cu)
-        over_d = inverse * m1 * across
-        c, s = (near - far * e) * over_d, 2 * e * s * over_d  # of phi'
-        unit = 1.5 - 0.5 * (c * c + s * s)  # near phi = pi, rounding off the circle would grow
-        c, s = c * unit, s * unit
-        return x, y, cu * c + su * s, su * c - cu * s
 
-    @staticmethod
-    def differentiate(heading: float, u: float, a: float, v: float, t: float) -> Derivatives:
-        """Return a step and its derivatives."""
-        e = math.exp(-a * t)
-        phi, cu, su = u - heading, math.cos(u), math.sin(u)
-        c, s = math.cos(phi), math.sin(phi)
-        d = (1 + c) + (1 - c) * e * e
-        turn = 2 * math.atan2(s * (1 - e), (1 + c) + (1 - c) * e)
-        along, right = v * (t + math.log(0.5 * d) / a), v * turn / a
-        keep = 2 * e / d
-        along_phi, right_phi = -v / a * s * (1 - e * e) / d, v / a * (1 - keep)
-        east, north = along * cu + right * su, along * su - right * cu
-        east_phi, north_phi = along_phi * cu + right_phi * su, along_phi * su - right_phi * cu
-        return east, north, turn, -east_phi, -north_phi, east_phi - north, north_phi + east, keep
+class ExactLanes(ExactSingleLanes):
+    """The same with as many terms as double precision tells."""
+
+    size = 4 + 2 * TERMS - 1
+    single = ExactSingleLanes
+
+
+class ExactFastLanes(ExactLanes):
+    """As `ExactLanes`, for robots that turn by a t > LARGEST_PLAIN in a step."""
+
+    differentiate = staticmethod(differentiate_fast)
 
 
 def lanes(a: Floats, longest: float) -> type[ExactLanes]:
-    """Return the class of constants, one for all robots."""
-    return ExactLanes
+    """Return the constants' class for robots with a (N,) [rad/s] in steps of up to `longest` s."""
+    return ExactLanes if float(a.max()) * longest <= LARGEST_PLAIN else ExactFastLanes
 
 
 EXACT = Motion("exact", step, hold, lanes, turn, strides)

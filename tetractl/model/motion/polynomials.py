@@ -5,6 +5,8 @@ They are plain functions of scalars, which kernels compile and which work withou
 Coefficients are fitted when the module is imported: interpolation at Chebyshev points of the
 degree that brings the error below 1e-13 on the range named, in the squared argument: errors of a
 step only add up, and a path is to agree with the readable model to 1e-9.
+
+Constants are floats rather than integers, so that kernels may take them in single precision.
 """
 
 import math
@@ -15,7 +17,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 
 LOG_2 = math.log(2.0)
-ARCTAN_MAX = math.sinh(0.625)  # largest argument of `arctan`
+TAN_EIGHTH = math.tan(math.pi / 8)
 
 
 def fit(function: Callable[[Floats], Floats], top: float, degree: int) -> tuple[float, ...]:
@@ -34,12 +36,23 @@ def _atan_ratio(q: Floats) -> Floats:
     return np.arctan(root) / root
 
 
-SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), (math.pi / 4) ** 2, 5)  # sin(t)/t, t = sqrt(q)
-COSINE = fit(lambda q: np.cos(np.sqrt(q)), (math.pi / 4) ** 2, 5)
-HALF_SINE = fit(lambda q: np.sinc(np.sqrt(q) / (2 * np.pi)), (math.pi / 2) ** 2, 5)  # 2 sin(x/2)/x
-HALF_COSINE = fit(lambda q: np.cos(np.sqrt(q) / 2), (math.pi / 2) ** 2, 5)
+def fit_sines(degree: int) -> dict[str, tuple[float, ...]]:
+    """Return sin(t)/t and cos t of q = t^2, t <= pi/4; 2 sin(x/2)/x and cos(x/2) of q = x^2."""
+    quarter, half = (math.pi / 4) ** 2, (math.pi / 2) ** 2
+    return {
+        "SINE": fit(lambda q: np.sinc(np.sqrt(q) / np.pi), quarter, degree),
+        "COSINE": fit(lambda q: np.cos(np.sqrt(q)), quarter, degree),
+        "HALF_SINE": fit(lambda q: np.sinc(np.sqrt(q) / (2 * np.pi)), half, degree),
+        "HALF_COSINE": fit(lambda q: np.cos(np.sqrt(q) / 2), half, degree),
+    }
+
+
+SINE, COSINE, HALF_SINE, HALF_COSINE = fit_sines(5).values()
+SINGLE = fit_sines(3)
+"""What stands for the globals of these names in single precision: errors below 3e-8."""
+TURN = 2 * math.pi
 ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
-ATAN = fit(_atan_ratio, ARCTAN_MAX**2, 11)  # atan(z)/z
+ATAN = fit(_atan_ratio, TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z
 
 
 def horner(coefficients, q):
@@ -50,25 +63,37 @@ def horner(coefficients, q):
     return value
 
 
+def alternating(k, first, end, q):
+    """Value of the polynomial of two terms or more with coefficients k[first:end], lowest first.
+
+    Even and odd powers are summed apart: half as long a chain of operations that wait for another.
+    """
+    q2 = q * q
+    odd, even = k[end - 1], k[end - 2]
+    for i in range(end - 3, first - 1, -1):
+        odd, even = even, odd * q2 + k[i]
+    return odd * q + even
+
+
 def sincos(x):
     """(sin x, cos x) for |x| <= pi, by two halvings."""
     t = 0.25 * x
     q = t * t
     s, c = t * horner(SINE, q), horner(COSINE, q)
-    s, c = 2 * s * c, 1 - 2 * s * s
-    return 2 * s * c, 1 - 2 * s * s
+    s, c = 2.0 * s * c, 1.0 - 2.0 * s * s
+    return 2.0 * s * c, 1.0 - 2.0 * s * s
 
 
 def sincos_quarter(x):
     """(sin x, cos x) for |x| <= pi/2, by one halving."""
     q = x * x
     s, c = x * horner(HALF_SINE, q), horner(HALF_COSINE, q)
-    return s * c, 1 - 0.5 * s * s
+    return s * c, 1.0 - 0.5 * s * s
 
 
 def wrap(x):
     """The angle x within [-pi, pi]."""
-    return x - 2 * math.pi * np.rint(x / (2 * math.pi))
+    return x - TURN * np.rint(x / TURN)
 
 
 def mantissa(y):
@@ -84,5 +109,11 @@ def log_from_ratio(f, k):
 
 
 def arctan(z):
-    """Return atan z for |z| <= ARCTAN_MAX."""
-    return z * horner(ATAN, z * z)
+    """Return atan z, by its distance from 0, pi/4 or pi/2."""
+    size = abs(z)
+    low, high = min(size, 1.0), max(size, 1.0)
+    middle = 1.0 if low > TAN_EIGHTH * high else 0.0
+    ratio = (low - middle * high) / (high + middle * low)
+    value = ratio * horner(ATAN, ratio * ratio) + middle * (math.pi / 4)
+    value = math.pi / 2 - value if size > 1.0 else value
+    return value if z >= 0 else -value

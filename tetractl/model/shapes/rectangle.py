@@ -25,9 +25,9 @@ class PackedRectangles(NamedTuple):
     def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
         """Return the largest gap along a separating axis: two of the box and the normal."""
         left, bottom, right, top = p
-        hx, hy, dx, dy = (right - left) / 2, (top - bottom) / 2, x1 - x0, y1 - y0
-        mx, my = x0 + dx / 2 - (left + right) / 2, y0 + dy / 2 - (bottom + top) / 2
-        beside = max(abs(mx) - (hx + abs(dx) / 2), abs(my) - (hy + abs(dy) / 2))
+        hx, hy, dx, dy = (right - left) / 2.0, (top - bottom) / 2.0, x1 - x0, y1 - y0
+        mx, my = x0 + dx / 2.0 - (left + right) / 2.0, y0 + dy / 2.0 - (bottom + top) / 2.0
+        beside = max(abs(mx) - (hx + abs(dx) / 2.0), abs(my) - (hy + abs(dy) / 2.0))
         return max(beside, abs(dx * my - dy * mx) - (hx * abs(dy) + hy * abs(dx)))
 
     @staticmethod

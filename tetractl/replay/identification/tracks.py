@@ -126,7 +126,7 @@ def drives_of(tracks: list[Track]) -> Drives:
     intervals = Intervals(
         *(
             np.concatenate([getattr(one.intervals, name) for one in parts])
-            for name in Intervals.__dataclass_fields__
+            for name in Intervals._fields
         )
     )
     directions = Directions(

@@ -12,6 +12,7 @@ from support.paths import ROOT
 SEARCH = """
 import hashlib, sys
 from pathlib import Path
+from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.kernels.multistart import polish_each
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.optimizers.pso import Pso
@@ -22,26 +23,63 @@ digest = hashlib.sha256()
 for name in ("three_m3pi", "three_m3pi_paper"):
     experiment = load_spec(Path(sys.argv[1]) / f"{name}.yaml").experiment
     problem = experiment.controller.problem(experiment.setup)
-    for optimizer in (Multistart(rounds=2), Pso(iterations=20)):
+    for optimizer in (
+        Multistart(rounds=2),
+        Pso(iterations=20),
+        Pso(iterations=20, precision="single"),
+    ):
         search = optimizer.search(problem, 30, None, 1, Limits())
         digest.update(search.signals.tobytes() + search.history.tobytes())
+        digest.update(compiled_foresee(problem, search.signals).path.tobytes())
 print(sum(polish_each.stats.cache_hits.values()), digest.hexdigest())
 """
 
 
+KNOW = """
+import hashlib, sys
+from dataclasses import astuple
+from pathlib import Path
+import numpy as np
+from tetractl.control.identify import Prior
+from tetractl.control.kernels.identify import _fit
+from tetractl.control.kernels.losses import _add_doubts
+from tetractl.control.knowledge import Knowledge
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.experiment.load import load_spec
+from tetractl.plant.simulation import SimPlant
+
+settings = ["plant.dead_time=0.14", "plant.a_error=0.1", "plant.lost_commands=0.1"]
+spec = load_spec(Path(sys.argv[1]) / "three_m3pi.yaml", settings).experiment
+clock = VirtualClock()
+plant = SimPlant(spec.plant, spec.setup, clock, np.random.SeedSequence(1))
+plant.open()
+problem = spec.controller.problem(spec.setup)
+prior = spec.controller.prior.of(problem, 0.0)
+knowledge, digest = Knowledge(problem, 0.2, 0.0, prior, losses=True), hashlib.sha256()
+for k, u in enumerate(np.random.default_rng(1).uniform(-2, 2, 40)):
+    clock.sleep_until(k * SECOND // 5)
+    digest.update(knowledge.seen(plant.observe()).poses.array().tobytes())
+    knowledge.sent(plant.steer(float(u)).sent_ns, float(u))
+    digest.update(b"".join(np.asarray(value).tobytes() for value in astuple(knowledge.estimate)))
+hits = [sum(kernel.stats.cache_hits.values()) for kernel in (_fit, _add_doubts)]
+print(sum(hits), digest.hexdigest())
+"""
+
+
 @pytest.mark.slow
-def test_compiling_and_loading_give_the_same_bits(tmp_path):
+@pytest.mark.parametrize("script", [SEARCH, KNOW], ids=["search", "identification"])
+def test_compiling_and_loading_give_the_same_bits(tmp_path, script):
     """Regression: a callee that was not inlined had two machine codes, one for each."""
     experiments = ROOT / "experiments"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", SEARCH, str(experiments)]
+    command = [sys.executable, "-c", script, str(experiments)]
     found = [
         subprocess.run(
             command, env=environment, capture_output=True, text=True, check=True
         ).stdout.split()
         for _ in range(2)
     ]
-    assert [hits for hits, _ in found] == ["0", "2"]  # a kernel for each motion
+    assert [hits for hits, _ in found] == ["0", "2"]  # a kernel for each motion, or two kernels
     assert found[0][1] == found[1][1]
 
 

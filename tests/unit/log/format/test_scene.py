@@ -160,6 +160,21 @@ def test_nothing_that_is_not_finite_is_drawn(bad: float) -> None:
         assert all(map(math.isfinite, _numbers(message)))
 
 
+def test_a_message_filled_anew_is_as_one_made_anew() -> None:
+    """Plans get shorter and longer; nothing of the one before is left."""
+    setup, rng = experiment(2).setup, np.random.default_rng(1)
+    kept = Scene(setup)
+    for now, length in enumerate((6, 3, 9, 1, 9)):
+        path = rng.uniform(-1, 1, (length + 1, 2, 3))
+        path[0, :, 2] = 0.0
+        path[length // 2, 1] = np.nan
+        for name in ("plan_poses", "plan_lines"):
+            filled, fresh = (
+                getattr(one, name)(path, EPOCH_NS + now) for one in (kept, Scene(setup))
+            )
+            assert filled.SerializeToString() == fresh.SerializeToString()
+
+
 def test_a_robot_that_is_not_tracked_has_no_transform() -> None:
     seen = Observation(0, 0, 0, Poses.of(np.ones((2, 3))), np.array([False, True]))
     transforms = Scene(experiment(2).setup).transforms(seen, EPOCH_NS).transforms

@@ -1,0 +1,91 @@
+"""Where one sequence leads: the compiled path and costs against the readable ones."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support import problems
+
+from tetractl.control.cost import evaluate, foresee
+from tetractl.control.evaluate import compiled_costs, compiled_foresee
+from tetractl.core.errors import ControlError
+from tetractl.core.setup import Bounds
+from tetractl.model.obstacles import Obstacles
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 5),
+    length=st.integers(1, 30),
+    motion=st.sampled_from(["euler", "arc", "exact"]),
+    swept=st.booleans(),
+    separation=st.sampled_from([0.0, 120.0]),
+    first=st.floats(0.01, 0.3),
+)
+def test_it_leads_where_the_readable_prediction_does(
+    seed, robots, length, motion, swept, separation, first
+):
+    world = problems.world(seed, robots, 2, motion, swept)
+    problem = replace(problems.problem(world, separation), first_period=first)
+    signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, length)
+    slow, fast = foresee(problem, signals), compiled_foresee(problem, signals)
+    assert fast.path == pytest.approx(slow.path, rel=1e-9, abs=1e-9)
+    assert fast.path[0].tolist() == problem.poses.array().tolist()
+    assert fast.target == pytest.approx(slow.target, rel=1e-9)
+    assert fast.obstacle == slow.obstacle
+
+
+@pytest.mark.parametrize(
+    ("motion", "period"),
+    [("euler", 0.2), ("arc", 0.2), ("arc", 1.0), *(("exact", t) for t in (0.2, 1.0, 4.0, 40.0))],
+)
+def test_robots_that_turn_fast_against_the_direction_go_where_they_should(motion, period):
+    """Swarms clamp signals to pi, against which a robot stands that heads for 0. Where it heads on
+    a circle's far side by a rounding error, the error grows by e^(a T) in a step."""
+    world = problems.world(4, 3, 0, motion, period=period)
+    problem = problems.problem(world)
+    poses = replace(problem.poses, heading=np.array([0.0, 0.3, -math.pi]))
+    problem = replace(problem, poses=poses, a=np.array([6.0, 4.0, 3.0]))
+    signals = np.array([math.pi, 0.7, -math.pi, 2.0, 2.2, -1.0])
+    slow, fast = foresee(problem, signals), compiled_foresee(problem, signals)
+    assert fast.path == pytest.approx(slow.path, rel=1e-6, abs=1e-4)
+    assert fast.target == pytest.approx(slow.target, rel=1e-6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32), swept=st.booleans(), margin=st.sampled_from([0.0, 30.0]))
+def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
+    """Some robots start outside, and many leave."""
+    world = problems.world(seed, 3, 1, "exact", swept)
+    walls = Obstacles.of(world.obstacles, margin, Bounds(50, 50, 750, 750))
+    problem = replace(problems.problem(world), obstacles=walls)
+    signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (20, 12))
+    for one in signals[:3]:
+        assert compiled_foresee(problem, one).obstacle == foresee(problem, one).obstacle
+    found = compiled_costs(problem, 20)(np.ascontiguousarray(signals.T))
+    assert found == pytest.approx(evaluate(problem, signals).total, rel=1e-9)
+    assert evaluate(problem, signals).obstacle.max() > 3
+
+
+def test_some_of_these_paths_touch_something():
+    """The agreement above would mean little where nothing is ever counted."""
+    counts = [
+        compiled_foresee(
+            problems.problem(problems.world(seed, swept=True), 120.0),
+            np.random.default_rng(seed).uniform(-1, 1, 20),
+        ).obstacle
+        for seed in range(20)
+    ]
+    assert min(counts) == 0
+    assert max(counts) > 3
+
+
+def test_a_pose_that_is_no_number_is_told():
+    problem = problems.problem(problems.world(1))
+    problem.poses.x[0] = np.nan
+    with pytest.raises(ControlError, match="not finite"):
+        compiled_foresee(problem, np.zeros(3))

@@ -1,0 +1,23 @@
+"""The predicted path of one sequence: the twin of `tetractl.control.cost.predict`."""
+
+import math
+
+from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.motion import derivatives
+from tetractl.control.kernels.options import KERNEL
+
+
+@compiled(**KERNEL)
+def predict(u, a, v, first_period, period, motion, path):
+    """Fill path (L + 1, N, 3), whose first row is the start, with the poses under u (L,).
+
+    The class of `motion`, constants of a motion, decides how the robots move.
+    """
+    for j in range(u.size):
+        t, cu, su = first_period if j == 0 else period, math.cos(u[j]), math.sin(u[j])
+        for i in range(a.size):
+            x, y, heading = path[j, i, 0], path[j, i, 1], path[j, i, 2]
+            c, s = math.cos(heading), math.sin(heading)
+            step = derivatives(motion, c, s, cu, su, a[i], v[i], t)
+            path[j + 1, i, 0], path[j + 1, i, 1] = x + step[0], y + step[1]
+            path[j + 1, i, 2] = heading + step[2]

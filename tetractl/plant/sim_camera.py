@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Sample
-from tetractl.core.poses import Observation, Poses
+from tetractl.core.poses import Bools, Observation, Poses
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import Disturbance
 
@@ -36,6 +36,7 @@ class SimCamera:
 
     def __init__(
         self,
+        robots: int,
         rate_hz: float,
         noise: MeasurementNoise,
         rng: np.random.Generator,
@@ -45,6 +46,8 @@ class SimCamera:
         overriding = [d for d in disturbances if type(d).measured is not Disturbance.measured]
         self._measured = overriding
         self._received = [d for d in disturbances if type(d).received is not Disturbance.received]
+        self._tracked = np.ones(robots, dtype=np.bool_)
+        self._tracked.setflags(write=False)  # one array for all frames
         self._exposed = 0  # frames so far
         self._shown: Poses | None = None  # what the last frame measured
         self._under_way: deque[Sample] = deque()
@@ -78,13 +81,9 @@ class SimCamera:
                 truth.y + self._noise.position * y,
                 truth.heading + self._noise.heading * heading,
             )
-        valid = np.ones(truth.x.size, dtype=np.bool_)
-        for disturbance in self._measured:
-            measured, valid = disturbance.measured(measured, valid, when / SECOND)
-        lost = bool(self._measured) and not valid.all()
-        if lost and self._shown is not None:  # who is not tracked keeps the last pose
-            last, now = self._shown.array(), measured.array()
-            measured = Poses.of(np.where(valid[:, None], now, last))
+        valid = self._tracked
+        if self._measured:
+            measured, valid = self._disturb(measured, when)
         received: int | None = when
         # The robots stand before the trial and the camera has shown them: the host has frame 0.
         for disturbance in self._received if number else ():
@@ -99,6 +98,16 @@ class SimCamera:
             received = max(received, self.newest.received_ns)
         seen = Observation(number, when, received, measured, valid)
         self._under_way.append(Sample(seen, truth))
+
+    def _disturb(self, measured: Poses, when: int) -> tuple[Poses, Bools]:
+        """Return the poses as disturbed at a time [ns], and which robots are tracked."""
+        valid = self._tracked.copy()
+        for disturbance in self._measured:
+            measured, valid = disturbance.measured(measured, valid, when / SECOND)
+        if self._shown is not None and not valid.all():  # who is not tracked keeps the last pose
+            last, now = self._shown.array(), measured.array()
+            measured = Poses.of(np.where(valid[:, None], now, last))
+        return measured, valid
 
     def receive(self, until: int) -> None:
         """Let the host have every frame that reaches it up to `until` [ns]."""

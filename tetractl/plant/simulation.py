@@ -144,7 +144,7 @@ class SimPlant:
             starts = disturbance.placed(starts)
         self._moving = [d for d in disturbances if type(d).moved is not Disturbance.moved]
         self._camera = SimCamera(
-            section.camera_rate, section.measurement_noise, measuring, disturbances
+            self.a.size, section.camera_rate, section.measurement_noise, measuring, disturbances
         )
         self._drive = self._driven(starts, seed)
         self._by_frame = bool(self._moving) or (

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.yaml.problems import did_you_mean
-from tetractl.log.read.reader import read_result
+from tetractl.log.read.reader import read_trial
+from tetractl.log.trial_digest import trial_digest
 from tetractl.run.batch import log_path, run_trial
 from tetractl.run.folder import set_aside
 from tetractl.run.interrupt import Interrupt, interrupted_once
@@ -28,7 +29,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     folder = store.clear(arm, row.trial)
     with interrupted_once():
         result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())
-    digest = read_result(path).digest
+    digest = trial_digest(read_trial(path))
     if digest != row.digest:
         set_aside(folder, row.trial)
         older = row.code != arm.code

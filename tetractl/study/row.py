@@ -18,8 +18,8 @@ HOST_COLUMNS = ("deadline_misses",)
 class Row:
     """One trial of an arm.
 
-    `arm_hash` and `code` name the experiment and the code that ran it, `digest` is the content
-    digest of the trial's log, and `count` the number of trials that this log states. `columns` are
+    `arm_hash` and `code` name the experiment and the code that ran it, `digest` is the trial's, as
+    in `log.trial_digest`, and `count` the number of trials that its log states. `columns` are
     those of `tetractl export` that repeat whenever the trial is run again, `times` those that do
     not.
     """
@@ -39,10 +39,11 @@ class Row:
         found: ResultSummary,
         arm_hash: str,
         code: str,
+        digest: str,
         logged: bool,
         took_s: tuple[float, float],
     ) -> Self:
-        """Return the row of a trial whose log has a digest; it took wall and CPU time."""
+        """Return the row of a trial with its digest; it took wall and CPU time."""
         columns = {name: values[0] for name, values in trials(found).items() if name != "trial"}
         times = {name: columns.pop(name) for name in HOST_COLUMNS}
         solve_ms = [ns / MILLISECOND for ns in found.result.solve_ns]
@@ -52,9 +53,8 @@ class Row:
             "wall_s": took_s[0],
             "cpu_s": took_s[1],
         }
-        assert found.digest is not None, "a trial of a study has a digest"
         count = found.experiment.trials.count
-        return cls(found.trial, arm_hash, code, found.digest, count, logged, columns, times)
+        return cls(found.trial, arm_hash, code, digest, count, logged, columns, times)
 
     @classmethod
     def read(cls, line: str) -> Self:

@@ -59,14 +59,14 @@ def run_task(task: Task, folder: Path, interrupt: Interrupt) -> Row | None:
 
 def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | None:
     spec = _ready(task.spec, task.code)
-    path = log_path(folder, task.trial)
+    path, digest = log_path(folder, task.trial), DigestWriter()
     with ExitStack() as stack:
-        writer = stack.enter_context(LogWriter(path)) if log else DigestWriter()
+        writers = [stack.enter_context(LogWriter(path))] if log else []
         began = time.perf_counter(), time.process_time()
-        result = run_with(writer, spec, task.trial, (), interrupt)
+        result = run_with(digest, spec, task.trial, writers, interrupt)
     took_s = time.perf_counter() - began[0], time.process_time() - began[1]
-    if writer.failure is not None:
-        raise writer.failure
+    for failure in [writer.failure for writer in writers if writer.failure]:
+        raise failure
     if result.outcome is Outcome.INTERRUPTED:
         path.unlink(missing_ok=True)
         return None
@@ -79,10 +79,10 @@ def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | Non
         origin=Origin.of(experiment, PlantInfo("", True, 0.0, {})),
         result=result,
         recovered=False,
-        digest=writer.digest,
-        warnings=writer.warnings,
+        digest=None,
+        warnings=digest.warnings,
     )
-    return Row.of(found, task.arm_hash, task.code, log, took_s)
+    return Row.of(found, task.arm_hash, task.code, digest.digest, log, took_s)
 
 
 @lru_cache(maxsize=64)

@@ -8,7 +8,8 @@ from support.studies import FAILING, SMALL, run
 
 from tetractl.core.errors import LogError, TetractlError, UsageError
 from tetractl.experiment.load import parse_spec
-from tetractl.log.read.reader import content_digest, read_result
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.trial_digest import trial_digest
 from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.study import local, work
@@ -18,6 +19,11 @@ from tetractl.study.store import merge, read_rows
 
 ALL, NONE, FAILED = Logs(float("inf"), True), Logs(0, False), Logs(0, True)
 ARM = "dead_time=0.1"
+
+
+def logged(log):
+    """The digest of the trial in a log."""
+    return trial_digest(read_trial(log))
 
 
 def edit(ran, **fields):
@@ -36,7 +42,7 @@ def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
     run_trial(alone, tmp_path, 2, (), Interrupt())
     found = read_result(log_path(tmp_path, 2))
     row = ran.rows[arm.name, 2]
-    assert row.digest == found.digest
+    assert row.digest == logged(log_path(tmp_path, 2))
     assert row.columns["total_error_mm"] == found.result.total_error
     assert row.columns["warnings"] == found.warnings
 
@@ -48,7 +54,7 @@ def test_a_log_kept_changes_no_row(tmp_path):
     for key, row in kept.items():
         assert replace(row, logged=False, times={}) == replace(without[key], times={})
         log = log_path(tmp_path / "all" / key[0], key[1])
-        assert content_digest(log) == row.digest
+        assert logged(log) == row.digest
 
 
 def test_trials_come_first_over_all_arms_and_the_duration_is_told(tmp_path):
@@ -111,7 +117,7 @@ def test_a_failed_trial_has_a_row_and_is_told(tmp_path):
     assert [row.logged for row in ran.rows.values()] == [True] * 4 + [False] * 4
     for (arm, trial), row in ran.rows.items():
         if row.logged:
-            assert content_digest(log_path(tmp_path / "out" / arm, trial)) == row.digest
+            assert logged(log_path(tmp_path / "out" / arm, trial)) == row.digest
     assert (ran.report.done, ran.report.failed) == (8, 0)
 
 
@@ -156,7 +162,7 @@ def test_shares_are_disjoint_and_merge_to_the_whole(tmp_path):
         k: r.digest for k, r in whole.rows.items()
     }
     for (arm, trial), row in gathered.rows.items():
-        assert content_digest(log_path(tmp_path / "gathered" / arm, trial)) == row.digest
+        assert logged(log_path(tmp_path / "gathered" / arm, trial)) == row.digest
 
 
 def test_shares_that_contradict_each_other_are_refused(tmp_path):
@@ -181,7 +187,7 @@ def test_a_trial_is_repeated_to_its_log(tmp_path):
         row = ran.rows[ARM, 1]
         log = log_path(tmp_path / "out" / ARM, 1)
         assert row.logged
-        assert content_digest(log) == row.digest
+        assert logged(log) == row.digest
         assert row.digest in told
         with pytest.raises(UsageError, match="has its log"):
             repeat(ran.loaded, ran.store, f"{ARM}/1")

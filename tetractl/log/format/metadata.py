@@ -20,6 +20,7 @@ from tetractl.log.format.channels import FORMAT_VERSION
 from tetractl.log.format.digest import CHECKSUM
 from tetractl.log.read.trial_log import Damage
 
+FORMAT = "format_version"
 WARNINGS = "warnings"
 _PLANT = "plant."
 _STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # what readers of format 1 know
@@ -47,7 +48,7 @@ def run_metadata(start: Start) -> dict[str, str]:
     if not plant.simulated:  # the same trial in the lab twice is two runs
         run_id += f"-{start.start_unix_ns}"
     return {
-        "format_version": str(FORMAT_VERSION),
+        FORMAT: str(FORMAT_VERSION),
         "run_id": run_id,
         "mode": "sim" if plant.simulated else "lab",
         "name": setup.name,

@@ -14,7 +14,14 @@ from tetractl.log import provenance
 from tetractl.log.format import channels
 from tetractl.log.format.channels import FORMAT_VERSION, Entry
 from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST, ContentDigest
-from tetractl.log.format.metadata import WARNINGS, RunRecord, read_damage, read_result, read_run
+from tetractl.log.format.metadata import (
+    FORMAT,
+    WARNINGS,
+    RunRecord,
+    read_damage,
+    read_result,
+    read_run,
+)
 from tetractl.log.read.believe import believe_result
 from tetractl.log.read.bounds import TEXT, Budget
 from tetractl.log.read.trial_log import Damage
@@ -74,7 +81,7 @@ class Contents:
                 raise LogError(f"{self.path}: damaged: the record of the run is lost")
             raise LogError(f"{self.path}: an MCAP file, but no log of tetractl's")
         try:
-            version = int(items["format_version"])
+            version = int(items[FORMAT])
             if version <= FORMAT_VERSION:
                 return read_run(items)
         except (KeyError, RecursionError, TypeError, ValueError) as error:

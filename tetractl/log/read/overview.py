@@ -14,6 +14,7 @@ from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import ALTERED, Damage, Event
+from tetractl.log.trial_digest import trial_digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +33,10 @@ class Overview:
     """What is in a log.
 
     `digest` is the content digest computed from the file, `stated_digest` the one that the result
-    record states. `run`, `host` and `provenance` are the metadata of the run, `attachments` their
-    sizes [byte]. `estimate` is the controller's last estimate of the robots, at control step
-    `estimate_step`; None where it estimated nothing.
+    record states, and `trial_digest` that of the trial, as a study's row states it. `run`, `host`
+    and `provenance` are the metadata of the run, `attachments` their sizes [byte]. `estimate` is
+    the controller's last estimate of the robots, at control step `estimate_step`; None where it
+    estimated nothing.
     """
 
     path: str
@@ -51,6 +53,7 @@ class Overview:
     provenance: dict[str, str]
     digest: str
     stated_digest: str | None
+    trial_digest: str
     damage: Damage | None
 
     def as_json(self) -> str:
@@ -81,6 +84,7 @@ def overview(path: Path) -> Overview:
         provenance=trial.provenance,
         digest=trial.content_digest,
         stated_digest=trial.digest,
+        trial_digest=trial_digest(trial),
         damage=Damage(problems, lost) if problems else None,
     )
 

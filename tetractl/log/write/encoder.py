@@ -10,7 +10,7 @@ from tetractl.log.format import channels, layout
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.metadata import result_metadata, run_metadata, timing_metadata
 from tetractl.log.write.messages import Messages
-from tetractl.log.write.records import Records
+from tetractl.log.write.sink import Sink
 
 FLUSH_NS = SECOND
 """A chunk ends after this much trial time, so that a simulation that runs faster than the wall
@@ -18,19 +18,14 @@ clock gives the same chunks again. A slower trial is flushed by the wall clock, 
 
 
 class Encoder:
-    """Adds the records of one trial to a `Sink`, or to what takes its place."""
+    """Adds the records of one trial to a `Sink`."""
 
-    def __init__(self, sink: Records, start: Start) -> None:
+    def __init__(self, sink: Sink, start: Start) -> None:
         self._sink = sink
         self._start_ns = start.start_unix_ns
         self._unit = start.setup.unit
         self._messages = Messages(start)
         self._flushed_ns = 0
-
-    @property
-    def warnings(self) -> int:
-        """How many warnings and errors for people there are."""
-        return self._messages.warnings
 
     def start(self, start: Start) -> None:
         """Add metadata, specs and scene, and sync the file."""
@@ -70,7 +65,7 @@ class Encoder:
         timing = timing_metadata(result) | {"ended": provenance.now()}
         self._sink.last_host_metadata(channels.TIMING, timing)
         self._sink.last_metadata(
-            channels.RESULT, result_metadata(result, self._unit, self.warnings)
+            channels.RESULT, result_metadata(result, self._unit, self._messages.warnings)
         )
 
     def _write(self, entries: Sequence[Entry], trial_ns: int | None = None) -> None:

@@ -94,11 +94,6 @@ class Sink:
                 channel.topic, channel.message_encoding, known or 0, channel.metadata
             )
 
-    @property
-    def digest(self) -> str:
-        """The content digest of the records so far."""
-        return self._digest.hexdigest()
-
     @_while_open
     def messages(self, entries: Iterable[Entry]) -> None:
         """Add messages."""

@@ -34,16 +34,6 @@ class LogWriter:
         """Why the log can no longer be written, None while it can."""
         return self._worker.failure if self._worker else None
 
-    @property
-    def digest(self) -> str:
-        """The content digest of the records so far."""
-        return self._sink.digest
-
-    @property
-    def warnings(self) -> int:
-        """The number of messages for people so far that warn or tell of an error."""
-        return self._encoder.warnings
-
     def on_start(self, start: Start) -> None:
         """Create the file; store metadata, specs and scene, and wait until the disk has them."""
         self._sink = Sink(self._path)

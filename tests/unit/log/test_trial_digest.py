@@ -1,0 +1,145 @@
+"""The digest of a trial: the same from the records as they are made and from the log read back,
+and another one for any other record."""
+
+import dataclasses
+from dataclasses import replace
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.random_trials import Made, trial, write
+
+from tetractl.core.commands import Note
+from tetractl.core.plan import Estimate, Outcome
+from tetractl.log.read.reader import read_trial
+from tetractl.log.trial_digest import TrialDigest, trial_digest
+from tetractl.log.write.digest_writer import DigestWriter
+
+HOST = {"solve_ns", "deadline_missed", "deadline_misses", "packages"}
+SETUP = {"setup", "start_unix_ns"}  # told by the text of the spec and by its hash
+UNREST = {"unrest"}  # the reason of a trial that aborts for it
+OTHERS = {Outcome.SEQUENCE_COMPLETED: Outcome.ARRIVED}
+
+
+def digest(made: Made) -> str:
+    """The digest of a trial as its loop would emit it."""
+    writer = DigestWriter()
+    writer.on_start(made.start)
+    for samples, step in made.rounds:
+        writer.on_samples(samples)
+        writer.on_step(step)
+    writer.on_stop(made.stop, made.result)
+    return writer.digest
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 5),
+    steps=st.integers(1, 6),
+    simulated=st.booleans(),
+)
+def test_the_log_of_a_trial_gives_its_digest(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, robots: int, steps: int, simulated: bool
+) -> None:
+    made = trial(seed, robots=robots, steps=steps, simulated=simulated)
+    path = write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
+    assert trial_digest(read_trial(path)) == digest(made)
+
+
+def others(record):
+    """Every record that differs in one number or text from a record, with the way to it."""
+    if dataclasses.is_dataclass(record):
+        for field in dataclasses.fields(record):
+            if field.name not in HOST | SETUP | UNREST:
+                for way, other in others(getattr(record, field.name)):
+                    yield f"{field.name}.{way}", replace(record, **{field.name: other})
+    elif isinstance(record, np.ndarray):
+        for i in np.ndindex(record.shape):
+            other = record.copy()
+            other[i] = ~other[i] if other.dtype == bool else np.nextafter(other[i], np.inf)
+            yield str(i), other
+    elif isinstance(record, tuple):
+        for i, item in enumerate(record):
+            for way, other in others(item):
+                yield f"{i}.{way}", (*record[:i], other, *record[i + 1 :])
+    elif isinstance(record, bool):
+        yield "", not record
+    elif isinstance(record, Enum):
+        yield "", OTHERS.get(record, str(record) + "?")
+    elif isinstance(record, int):
+        yield "", record ^ 1
+    elif isinstance(record, float):
+        yield "", float(np.nextafter(record, -np.inf))
+    elif isinstance(record, str):
+        yield "", record + "?"
+
+
+def test_any_other_number_gives_another_digest():
+    made = trial(steps=2, frames=2, robots=2, first=2, iterations=2, length=3)
+    samples, step = made.rounds[1]
+    numbers = np.array([1.5, 2.5])
+    estimate = Estimate(*(numbers + i for i in range(6)), 0.1, 0.01)
+    step = replace(step, plan=replace(step.plan, estimate=estimate))
+
+    def again(samples=samples, step=step, **fields):
+        return digest(replace(made, rounds=[made.rounds[0], (samples, step)], **fields))
+
+    seen = {again(): "the trial itself"}
+    tried = [
+        *((f"sample.{way}", again(samples=[samples[0], o])) for way, o in others(samples[1])),
+        *((f"step.{way}", again(step=o)) for way, o in others(step)),
+        *((f"stop.{way}", again(stop=o)) for way, o in others(made.stop)),
+        *((f"start.{way}", again(start=o)) for way, o in others(made.start)),
+        *((f"result.{way}", again(result=o)) for way, o in others(made.result)),
+        ("no estimate", again(step=replace(step, plan=replace(step.plan, estimate=None)))),
+        ("no truth", again(samples=[replace(s, truth=None) for s in samples])),
+        ("a frame less", again(samples=samples[1:])),
+    ]
+    for way, found in tried:
+        assert found not in seen, f"{way} gives the digest of {seen[found]}"
+        seen[found] = way
+    assert len(tried) > 150
+
+
+def test_times_of_solving_are_left_out():
+    one, two = trial(host_ns=1), trial(host_ns=10**9)
+    assert digest(one) == digest(two)
+
+
+@pytest.mark.parametrize(
+    "other", [Note(1, "info", "a"), Note(0, "warning", "a"), Note(0, "info", "b")]
+)
+def test_messages_for_people_count(other):
+    made, notes = trial(), (Note(0, "info", "a"), other)
+    with_notes = []
+    for note in notes:
+        found = TrialDigest(made.start)
+        found.note(note)
+        with_notes.append(found.digest(made.result))
+    assert with_notes[0] != with_notes[1]
+
+
+def test_kinds_may_follow_one_another_in_any_order():
+    made = trial(steps=2)
+    found = []
+    for kinds in (("samples", "steps"), ("steps", "samples")):
+        one = TrialDigest(made.start)
+        for kind in kinds:
+            if kind == "samples":
+                one.samples(made.samples)
+            else:
+                for step in made.steps:
+                    one.step(step)
+        found.append(one.digest(None))
+    assert found[0] == found[1] != TrialDigest(made.start).digest(None)
+
+
+def test_a_log_that_lost_its_end_has_another_digest(tmp_path: Path):
+    path = write(trial(), tmp_path / "trial.mcap")
+    whole, data = trial_digest(read_trial(path)), path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    assert trial_digest(read_trial(path)) != whole

@@ -20,6 +20,8 @@ from tetractl.log.format.metadata import FORMAT, result_metadata, run_metadata
 from tetractl.log.read.bounds import TEXT
 from tetractl.log.read.trial_log import TrialLog
 
+FLOAT64 = np.dtype("<f8")
+
 
 class TrialDigest:
     """SHA-256 over the records of one trial of N robots but the times of solving.
@@ -100,7 +102,7 @@ def _observation(seen: Observation) -> bytes:
 
 
 def _poses(poses: Poses) -> bytes:
-    return poses.x.tobytes() + poses.y.tobytes() + poses.heading.tobytes()
+    return _bytes(poses.x) + _bytes(poses.y) + _bytes(poses.heading)
 
 
 def _plan(plan: Plan) -> bytes:
@@ -132,9 +134,14 @@ def _numbers(*values: Floats | float | None) -> bytes:
         if value is None:
             parts.append(pack("<q", -1))
         else:
-            array = np.asarray(value, dtype="<f8")
-            parts += (pack("<q", array.size), array.tobytes())
+            data = _bytes(value)
+            parts += (pack("<q", len(data) // FLOAT64.itemsize), data)
     return b"".join(parts)
+
+
+def _bytes(value: Floats | float) -> bytes:
+    """Return numbers as a log stores them, whatever a plugin's arrays are of."""
+    return np.asarray(value, dtype=FLOAT64).tobytes()
 
 
 def _items(items: Mapping[str, str]) -> bytes:

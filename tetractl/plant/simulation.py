@@ -363,7 +363,8 @@ class SimPlant:
         ticks = due_ns(self._ticks, self.spec.truth_rate, end)
         self._ticks += len(ticks)
         ends = [end] if event or isinstance(self._drive, DirectDrive) else []
-        times = np.unique(np.concatenate([frames, ticks, np.array(ends, dtype=np.int64)]))
+        times = np.sort(np.concatenate([frames, ticks, np.array(ends, dtype=np.int64)]))
+        times = times[np.diff(times, prepend=-1) > 0]  # as np.unique, in half the time
         if not len(times):
             return
         is_tick = np.zeros(len(times))

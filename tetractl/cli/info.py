@@ -58,7 +58,8 @@ def _lines(found: "Overview") -> "Iterator[str]":
     yield from _section("host", found.host)
     yield from _section("provenance", found.provenance)
     yield from _section("content digest", _digest(found))
-    yield from _section("digest of the trial", {"computed": found.trial_digest})
+    if found.trial_digest:
+        yield from _section("digest of the trial", {"computed": found.trial_digest})
     if found.damage:
         yield ""
         yield "damage"

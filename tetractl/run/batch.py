@@ -78,18 +78,18 @@ def run_trial(
     """
     log = LogWriter(log_path(folder, trial), real_time=not spec.experiment.plant.simulated)
     with log:
-        return run_with(log, spec, trial, observers, interrupt, operators)
+        return run_with([log], spec, trial, observers, interrupt, operators)
 
 
 def run_with(
-    log: Observer,
+    writers: Sequence[Observer],
     spec: LoadedSpec,
     trial: int,
     observers: Sequence[Observer],
     interrupt: Interrupt,
     operators: Operators | None = None,
 ) -> Result:
-    """Run one trial as `run_trial` does, with another writer in the place of its log's."""
+    """Run one trial as `run_trial` does, with other writers in the place of its log's."""
     experiment = spec.experiment
     plant, real_time = experiment.plant, not experiment.plant.simulated
     clock, start_unix_ns = plant.clock(), _unix_ns() if real_time else EPOCH_NS
@@ -103,7 +103,7 @@ def run_with(
             controller=build_controller(experiment, key),
             first_plan=experiment.controller.first_plan,
             clock=clock,
-            observers=[log, *observers],
+            observers=[*writers, *observers],
             interrupt=interrupt,
         ).run()
 

@@ -59,14 +59,15 @@ def run_task(task: Task, folder: Path, interrupt: Interrupt) -> Row | None:
 
 def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | None:
     spec = _ready(task.spec, task.code)
-    path, digest = log_path(folder, task.trial), DigestWriter()
+    path, weighed = log_path(folder, task.trial), DigestWriter()
     with ExitStack() as stack:
-        writers = [stack.enter_context(LogWriter(path))] if log else []
+        writer = stack.enter_context(LogWriter(path)) if log else None
         began = time.perf_counter(), time.process_time()
-        result = run_with(digest, spec, task.trial, writers, interrupt)
+        writers = [writer, weighed] if writer else [weighed]
+        result = run_with(writers, spec, task.trial, (), interrupt)
     took_s = time.perf_counter() - began[0], time.process_time() - began[1]
-    for failure in [writer.failure for writer in writers if writer.failure]:
-        raise failure
+    if writer and writer.failure:
+        raise writer.failure
     if result.outcome is Outcome.INTERRUPTED:
         path.unlink(missing_ok=True)
         return None
@@ -80,9 +81,9 @@ def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | Non
         result=result,
         recovered=False,
         digest=None,
-        warnings=digest.warnings,
+        warnings=weighed.warnings,
     )
-    return Row.of(found, task.arm_hash, task.code, digest.digest, log, took_s)
+    return Row.of(found, task.arm_hash, task.code, weighed.trial_digest, log, took_s)
 
 
 @lru_cache(maxsize=64)

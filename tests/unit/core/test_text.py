@@ -1,6 +1,8 @@
 """Text of others on a terminal and in a spreadsheet."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tetractl.core.text import cell, printable
 
@@ -25,6 +27,14 @@ def test_nothing_is_left_that_a_terminal_obeys(text: str, shown: str) -> None:
 
 def test_long_text_is_cut() -> None:
     assert printable("x" * 50, 10) == "xxxxxxx..."
+    assert printable("x" * 10, 10) == "x" * 10
+
+
+@given(st.text(), st.integers(3, 30))
+def test_text_once_printable_stays_as_it_is(text: str, length: int) -> None:
+    shown = printable(text, length)
+    assert len(shown) <= length
+    assert printable(shown, length) == shown
 
 
 @pytest.mark.parametrize("text", ["=cmd()", "+1", "-1", "@sum", "\tx", "\rx"])

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -75,3 +76,27 @@ def test_the_environment_lists_packages() -> None:
     facts = json.loads(provenance.environment())
     assert facts["packages"]["numpy"] == np.__version__
     assert facts["host"] == provenance.host()
+
+
+def test_the_code_of_a_trial_covers_what_makes_its_digest():
+    """Rows by the same code must have digests that can be compared."""
+    modules = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys, tetractl.log.format.trial_digest\n"
+            "print(*(name for name in sys.modules if name.startswith('tetractl.')))",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split()
+    parts = {part.replace("/", ".") for part in provenance.TRIAL_CODE}
+    mine = {name for name in modules if name.startswith("tetractl.log.")}
+    packages = {"tetractl.log.format", "tetractl.log.read"}
+    kept = {"tetractl.log.read.trial_log", "tetractl.log.read.origin"}  # records, not code
+    assert {
+        name
+        for name in mine - packages - kept
+        if not any(name.startswith(f"tetractl.{part}") for part in parts)
+    } == set()

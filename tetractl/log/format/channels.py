@@ -23,6 +23,9 @@ from tetractl.log.format.tetractl_pb2 import (
 
 FORMAT_VERSION = 1
 
+TEXT = 2000
+"""Characters of a text for people that are read back, control characters as escapes."""
+
 MOCAP = "/mocap"
 TRUTH = "/truth"
 TRANSFORMS = "/tf"

@@ -11,6 +11,8 @@ from tetractl.core.text import printable
 from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
 
+STOPPED = 60  # characters of why a search ended that are read back
+
 
 def encode_observation(
     observation: Observation, into: pb.MocapSample | None = None
@@ -197,7 +199,7 @@ def _decode_search(message: pb.Search) -> Search:
         cost=message.cost,
         history=_floats(message.history),
         evaluations=message.evaluations,
-        stopped=StopReason.read(printable(message.stopped, 60)),
+        stopped=StopReason.read(printable(message.stopped, STOPPED)),
     )
 
 

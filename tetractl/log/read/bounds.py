@@ -29,8 +29,6 @@ KEY = 200
 """Most characters of a key of a metadata record."""
 ATTACHMENT = 1 << 22
 """Most bytes of an attachment; a spec may have a quarter of that."""
-TEXT = 2000
-"""Most characters of a message for people or a reason that are shown."""
 PROBLEMS = 50
 """Most damaged records of a log that are named one by one."""
 OVERLAP = 8

@@ -23,7 +23,7 @@ from tetractl.log.format.metadata import (
     read_run,
 )
 from tetractl.log.read.believe import believe_result
-from tetractl.log.read.bounds import TEXT, Budget
+from tetractl.log.read.bounds import Budget
 from tetractl.log.read.trial_log import Damage
 
 
@@ -116,7 +116,7 @@ class Contents:
                 raise ValueError(f"its unit is {items['unit']!r}, that of the run another")
         except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError) as error:
             return None, f"the result is not as tetractl writes it: {_reason(error)}"
-        return replace(result, reason=printable(result.reason, TEXT)), ""
+        return replace(result, reason=printable(result.reason, channels.TEXT)), ""
 
     @property
     def warnings(self) -> int:

@@ -105,7 +105,7 @@ def notes(contents: Contents, start_unix_ns: int) -> Iterator[Note]:
     for data in _messages(contents, channels.LOG):
         note = decode_note(Log.FromString(data), start_unix_ns)
         believe_note(note)
-        yield replace(note, text=printable(note.text, bounds.TEXT))
+        yield replace(note, text=printable(note.text, channels.TEXT))
 
 
 def _messages(contents: Contents, topic: str) -> list[bytes]:

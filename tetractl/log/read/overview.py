@@ -13,8 +13,8 @@ from tetractl.log.format.channels import CHANNELS
 from tetractl.log.read.contents import Contents
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
+from tetractl.log.read.trial_digest import trial_digest
 from tetractl.log.read.trial_log import ALTERED, Damage, Event
-from tetractl.log.trial_digest import trial_digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,8 @@ class Overview:
     """What is in a log.
 
     `digest` is the content digest computed from the file, `stated_digest` the one that the result
-    record states, and `trial_digest` that of the trial, as a study's row states it. `run`, `host`
+    record states, and `trial_digest` that of the trial, as a study's row states it, None for a
+    damaged log. `run`, `host`
     and `provenance` are the metadata of the run, `attachments` their sizes [byte]. `estimate` is
     the controller's last estimate of the robots, at control step `estimate_step`; None where it
     estimated nothing.
@@ -53,7 +54,7 @@ class Overview:
     provenance: dict[str, str]
     digest: str
     stated_digest: str | None
-    trial_digest: str
+    trial_digest: str | None
     damage: Damage | None
 
     def as_json(self) -> str:
@@ -84,7 +85,7 @@ def overview(path: Path) -> Overview:
         provenance=trial.provenance,
         digest=trial.content_digest,
         stated_digest=trial.digest,
-        trial_digest=trial_digest(trial),
+        trial_digest=None if problems else trial_digest(trial),
         damage=Damage(problems, lost) if problems else None,
     )
 

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.trial import Result, Start, Step
-from tetractl.log.trial_digest import TrialDigest
+from tetractl.log.format.trial_digest import TrialDigest
 from tetractl.log.write.notes import Notes
 
 
 class DigestWriter:
-    """Computes the digest of one trial, `digest`, which is whole after `on_stop`."""
+    """Computes the digest of one trial; `trial_digest` is "" until `on_stop`."""
 
-    digest = ""
+    trial_digest = ""
 
     def on_start(self, start: Start) -> None:
         """Add what is known before the first step."""
@@ -42,7 +42,7 @@ class DigestWriter:
         """Add the stop and the result."""
         self._trial.command(stop)
         self._trial.note(self._notes.ended(stop, result))
-        self.digest = self._trial.digest(result)
+        self.trial_digest = self._trial.hexdigest(result)
 
     @property
     def warnings(self) -> int:

@@ -3,7 +3,7 @@ from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.log.trial_digest import trial_digest
+from tetractl.log.read.trial_digest import trial_digest
 from tetractl.log.write.digest_writer import DigestWriter
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.batch import log_path, run_with
@@ -15,9 +15,9 @@ from tetractl.run.interrupt import Interrupt
 def test_a_trial_has_the_same_digest_with_a_log_and_without(tmp_path, name):
     spec = load_spec(ROOT / "experiments" / f"{name}.yaml", ["controller.steps_max=12"])
     alone, beside, path = DigestWriter(), DigestWriter(), log_path(tmp_path, 3)
-    result = run_with(alone, spec, 3, (), Interrupt())
+    result = run_with([alone], spec, 3, (), Interrupt())
     with LogWriter(path) as written:
-        again = run_with(beside, spec, 3, [written], Interrupt())
+        again = run_with([beside, written], spec, 3, (), Interrupt())
     assert again.robot_errors == result.robot_errors
-    assert alone.digest == beside.digest == trial_digest(read_trial(path))
+    assert alone.trial_digest == beside.trial_digest == trial_digest(read_trial(path))
     assert alone.warnings == beside.warnings == read_result(path).warnings

@@ -10,17 +10,20 @@ from collections.abc import Iterable, Mapping
 from struct import pack
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.plan import Estimate, Plan
-from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.text import printable
 from tetractl.core.trial import Result, Start, Step
+from tetractl.log.format.channels import TEXT
+from tetractl.log.format.codec import STOPPED
 from tetractl.log.format.metadata import FORMAT, result_metadata, run_metadata
-from tetractl.log.read.bounds import TEXT
-from tetractl.log.read.trial_log import TrialLog
 
-FLOAT64 = np.dtype("<f8")
+Integers = NDArray[np.int64]
+FLOAT64, INT64 = np.dtype("<f8"), np.dtype("<i8")
+BLOCK = 10_000  # frames hashed at a time
 
 
 class TrialDigest:
@@ -28,17 +31,17 @@ class TrialDigest:
 
     Frames, commands, control steps and messages for people each have a hash of their own, in their
     order; the digest is over those and over start and result, so that it makes no difference how
-    the kinds follow one another. Numbers are hashed as little-endian float64 and int64.
+    the kinds follow one another. Numbers are hashed as little-endian float64 and int64, and texts
+    for people as a log gives them back: in characters that a terminal can show, and cut.
     """
 
     def __init__(self, start: Start) -> None:
         self._unit = start.setup.unit
         stated = run_metadata(start)
         del stated[FORMAT]  # how a log stores a trial is none of its records
-        self._first = hashlib.sha256(_items(stated))
         attached = [text for pair in start.attached for text in pair]
-        for text in (start.spec_text, start.resolved, *attached):
-            self._first.update(_text(text))
+        texts = (start.spec_text, start.resolved, *attached)
+        self._first = hashlib.sha256(_items(stated) + b"".join(map(_text, texts)))
         self._frames, self._commands = hashlib.sha256(), hashlib.sha256()
         self._steps, self._notes = hashlib.sha256(), hashlib.sha256()
 
@@ -46,11 +49,27 @@ class TrialDigest:
         """Add camera frames, with the true poses where they are known."""
         self._frames.update(b"".join([_sample(sample) for sample in samples]))
 
+    def frames(self, numbers: Integers, poses: Floats, valid: Bools, truth: Floats | None) -> None:
+        """Add M camera frames in columns, with the same effect as their `samples`.
+
+        `numbers` (M, 3) are the frames' numbers, times of exposure and times received [ns], `poses`
+        and `truth` (M, N, 3), `valid` (M, N).
+        """
+        count = len(numbers)
+        for begin in range(0, count, BLOCK):
+            part = slice(begin, begin + BLOCK)
+            known = np.full((len(numbers[part]), 1), truth is not None)
+            columns = [numbers[part].astype(INT64), known, _by_axis(poses[part]), valid[part]]
+            if truth is not None:
+                columns.append(_by_axis(truth[part]))
+            data = [np.ascontiguousarray(column).view(np.uint8) for column in columns]
+            self._frames.update(np.concatenate(data, axis=1).tobytes())
+
     def command(self, command: Command) -> None:
         """Add a command: of a control step, between two, or the stop."""
         self._commands.update(
-            pack("<q??", command.sent_ns, command.stops, command.field_off)
-            + bytes(command.delivered)
+            pack("<q?", command.sent_ns, command.stops)
+            + _flags(command.delivered)
             + _numbers(command.direction, command.left, command.right)
         )
 
@@ -59,60 +78,51 @@ class TrialDigest:
         self._steps.update(pack("<q", step.k) + _observation(step.observation) + _plan(step.plan))
 
     def note(self, note: Note) -> None:
-        """Add a message for people, as text that a terminal can show."""
+        """Add a message for people."""
         text = printable(note.text, TEXT)
         self._notes.update(pack("<q", note.t_ns) + _text(note.level) + _text(text))
 
-    def digest(self, result: Result | None) -> str:
+    def hexdigest(self, result: Result | None) -> str:
         """Return the digest of the trial with its result, None where it has none."""
-        last = hashlib.sha256(_items(result_metadata(result, self._unit)) if result else b"")
+        last = hashlib.sha256()
+        if result is not None:
+            items = result_metadata(result, self._unit)
+            last.update(_items({**items, "reason": printable(result.reason, TEXT)}))
         kinds = (self._first, self._frames, self._commands, self._steps, self._notes, last)
         return hashlib.sha256(b"".join([kind.digest() for kind in kinds])).hexdigest()
 
 
-def trial_digest(trial: TrialLog) -> str:
-    """Return the digest of a trial that was read from its log."""
-    digest = TrialDigest(trial.start)
-    digest.samples(_samples(trial))
-    for command in trial.commands:
-        digest.command(command)
-    for step in trial.steps:
-        digest.step(step)
-    for note in trial.notes:
-        digest.note(note)
-    return digest.digest(trial.result)
-
-
-def _samples(trial: TrialLog) -> Iterable[Sample]:
-    numbers = zip(trial.frames, trial.mocap_ns, trial.received_ns, strict=True)
-    for i, (frame, sampled_ns, received_ns) in enumerate(numbers):
-        poses, valid = Poses.of(trial.mocap[i]), trial.valid[i]
-        seen = Observation(int(frame), int(sampled_ns), int(received_ns), poses, valid)
-        yield Sample(seen, None if trial.truth is None else Poses.of(trial.truth[i]))
-
-
 def _sample(sample: Sample) -> bytes:
-    truth = b"" if sample.truth is None else _poses(sample.truth)
-    return _observation(sample.observation) + truth
+    seen, truth = sample.observation, sample.truth
+    head = pack("<qqq?", seen.frame, seen.sampled_ns, seen.received_ns, truth is not None)
+    measured = head + _poses(seen.poses) + _flags(seen.valid)
+    return measured if truth is None else measured + _poses(truth)
 
 
 def _observation(seen: Observation) -> bytes:
     head = pack("<qqq", seen.frame, seen.sampled_ns, seen.received_ns)
-    return head + _poses(seen.poses) + seen.valid.tobytes()
+    return head + _poses(seen.poses) + _flags(seen.valid)
 
 
 def _poses(poses: Poses) -> bytes:
     return _bytes(poses.x) + _bytes(poses.y) + _bytes(poses.heading)
 
 
+def _by_axis(poses: Floats) -> Floats:
+    """Return poses (M, N, 3) as (M, 3 N): x of every robot, then y, then heading."""
+    return poses.transpose(0, 2, 1).reshape(len(poses), -1).astype(FLOAT64)
+
+
 def _plan(plan: Plan) -> bytes:
+    """Return a plan; that the field is off is told by the command."""
     costs = (plan.cost, plan.target_cost, plan.obstacle_cost)
     parts = [
-        pack("<qQ?", plan.chosen, plan.generator, plan.field_off),
+        pack("<qqQ", len(plan.searches), plan.chosen, plan.generator),
         _numbers(*costs, plan.signals, plan.path, *_estimate(plan.estimate)),
     ]
     for search in plan.searches:
-        parts.append(pack("<qq", search.length, search.evaluations) + _text(search.stopped))
+        parts.append(pack("<qq", search.length, search.evaluations))
+        parts.append(_text(printable(search.stopped, STOPPED)))
         parts.append(_numbers(search.cost, search.signals, search.history))
     return b"".join(parts)
 
@@ -144,10 +154,15 @@ def _bytes(value: Floats | float) -> bytes:
     return np.asarray(value, dtype=FLOAT64).tobytes()
 
 
+def _flags(value: Bools | tuple[bool, ...]) -> bytes:
+    return np.asarray(value, dtype=np.bool_).tobytes()
+
+
 def _items(items: Mapping[str, str]) -> bytes:
-    return b"".join([_text(text) for pair in sorted(items.items()) for text in pair])
+    pairs = [_text(text) for pair in sorted(items.items()) for text in pair]
+    return pack("<q", len(pairs)) + b"".join(pairs)
 
 
 def _text(text: str) -> bytes:
-    data = text.encode(errors="replace")
+    data = text.encode()
     return pack("<q", len(data)) + data

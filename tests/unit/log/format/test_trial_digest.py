@@ -12,15 +12,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.random_trials import Made, trial, write
 
-from tetractl.core.commands import Note
+from tetractl.core.commands import Note, Sample
 from tetractl.core.plan import Estimate, Outcome
+from tetractl.core.poses import Poses
+from tetractl.core.text import printable
+from tetractl.log.format import trial_digest as trial_digest_module
+from tetractl.log.format.channels import TEXT
+from tetractl.log.format.trial_digest import TrialDigest
 from tetractl.log.read.reader import read_trial
-from tetractl.log.trial_digest import TrialDigest, trial_digest
+from tetractl.log.read.trial_digest import trial_digest
 from tetractl.log.write.digest_writer import DigestWriter
 
 HOST = {"solve_ns", "deadline_missed", "deadline_misses", "packages"}
 SETUP = {"setup", "start_unix_ns"}  # told by the text of the spec and by its hash
-UNREST = {"unrest"}  # the reason of a trial that aborts for it
+TOLD = {"unrest", "field_off"}  # by the result's reason, and by a command without direction
 OTHERS = {Outcome.SEQUENCE_COMPLETED: Outcome.ARRIVED}
 
 
@@ -32,7 +37,7 @@ def digest(made: Made) -> str:
         writer.on_samples(samples)
         writer.on_step(step)
     writer.on_stop(made.stop, made.result)
-    return writer.digest
+    return writer.trial_digest
 
 
 @settings(max_examples=25, deadline=None)
@@ -54,7 +59,7 @@ def others(record):
     """Every record that differs in one number or text from a record, with the way to it."""
     if dataclasses.is_dataclass(record):
         for field in dataclasses.fields(record):
-            if field.name not in HOST | SETUP | UNREST:
+            if field.name not in HOST | SETUP | TOLD:
                 for way, other in others(getattr(record, field.name)):
                     yield f"{field.name}.{way}", replace(record, **{field.name: other})
     elif isinstance(record, np.ndarray):
@@ -98,11 +103,70 @@ def test_any_other_number_gives_another_digest():
         ("no estimate", again(step=replace(step, plan=replace(step.plan, estimate=None)))),
         ("no truth", again(samples=[replace(s, truth=None) for s in samples])),
         ("a frame less", again(samples=samples[1:])),
+        ("the field off", again(stop=replace(made.stop, field_off=True))),
     ]
     for way, found in tried:
         assert found not in seen, f"{way} gives the digest of {seen[found]}"
         seen[found] = way
     assert len(tried) > 150
+
+
+TEXTS = ("solver:\n  none", "\x1b[2J", "x" * 1999 + "\n", "y" * 2001, "nbsp\xa0", "\udce9")
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_texts_are_hashed_as_a_log_gives_them_back(tmp_path: Path, text: str):
+    made = trial(steps=2)
+    written = text.encode(errors="replace").decode() if "\udce9" in text else text
+    made = replace(made, result=replace(made.result, outcome=Outcome.ABORTED, reason=written))
+    path = write(made, tmp_path / "trial.mcap")
+    assert trial_digest(read_trial(path)) == digest(made)
+    noted, shown = (TrialDigest(made.start) for _ in range(2))
+    noted.note(Note(0, "info", text))
+    shown.note(Note(0, "info", printable(text, TEXT)))
+    assert noted.hexdigest(None) == shown.hexdigest(None)
+
+
+def test_a_plugins_arrays_may_be_of_any_type(tmp_path: Path):
+    made = trial(steps=1)
+    ((samples, step),) = made.rounds
+    seen = samples[0].observation
+    columns = (seen.poses.x, seen.poses.y, seen.poses.heading)
+    poses = Poses(*(np.rint(column).astype(np.int32) for column in columns))
+    seen = replace(seen, poses=poses, valid=seen.valid.astype(np.int64))
+    command = replace(step.command, delivered=tuple(np.array(step.command.delivered)))
+    searches = tuple(replace(search, stopped="because\n" * 20) for search in step.plan.searches)
+    plan = replace(step.plan, searches=searches, path=step.plan.path.astype(np.float32))
+    step = replace(step, command=command, plan=plan)
+    samples = [Sample(seen, samples[0].truth), *samples[1:]]
+    made = replace(made, rounds=[(samples, step)])
+    path = write(made, tmp_path / "trial.mcap")
+    assert trial_digest(read_trial(path)) == digest(made)
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_columns_of_frames_have_the_digest_of_their_samples(monkeypatch, simulated: bool):
+    made = trial(steps=3, simulated=simulated)
+    one, two = (TrialDigest(made.start) for _ in range(2))
+    one.samples(made.samples)
+    seen = [sample.observation for sample in made.samples]
+    numbers = np.array([(item.frame, item.sampled_ns, item.received_ns) for item in seen])
+    poses, valid = np.array([i.poses.array() for i in seen]), np.array([i.valid for i in seen])
+    truth = np.array([s.truth.array() for s in made.samples]) if simulated else None
+    monkeypatch.setattr(trial_digest_module, "BLOCK", 7)
+    two.frames(numbers, poses, valid, truth)
+    assert one.hexdigest(None) == two.hexdigest(None)
+
+
+def test_searches_are_told_from_steps():
+    made = trial(steps=1, first=2)
+    step = made.steps[0]
+    first, second = step.plan.searches[:2]
+    one, two = (TrialDigest(made.start) for _ in range(2))
+    one.step(replace(step, plan=replace(step.plan, searches=(first, second))))
+    two.step(replace(step, plan=replace(step.plan, searches=(first,))))
+    two.step(replace(step, plan=replace(step.plan, searches=(second,))))
+    assert one.hexdigest(None) != two.hexdigest(None)
 
 
 def test_times_of_solving_are_left_out():
@@ -119,7 +183,7 @@ def test_messages_for_people_count(other):
     for note in notes:
         found = TrialDigest(made.start)
         found.note(note)
-        with_notes.append(found.digest(made.result))
+        with_notes.append(found.hexdigest(made.result))
     assert with_notes[0] != with_notes[1]
 
 
@@ -134,8 +198,8 @@ def test_kinds_may_follow_one_another_in_any_order():
             else:
                 for step in made.steps:
                     one.step(step)
-        found.append(one.digest(None))
-    assert found[0] == found[1] != TrialDigest(made.start).digest(None)
+        found.append(one.hexdigest(None))
+    assert found[0] == found[1] != TrialDigest(made.start).hexdigest(None)
 
 
 def test_a_log_that_lost_its_end_has_another_digest(tmp_path: Path):

@@ -12,6 +12,9 @@ import pytest
 from support import random_trials
 from support.trials import SEED, three_robots, write_torn, write_trial
 
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.trial_digest import trial_digest
+
 TETRACTL = Path(sys.executable).with_name("tetractl")
 
 
@@ -52,6 +55,7 @@ def test_it_says_what_is_in_a_log(folder: Path) -> None:
         f"  8.20 s  info     sequence completed after {trial.result.steps} control steps\n",
         "spec.resolved.yaml",
         "stated and computed  ",
+        f"digest of the trial\n  computed  {trial_digest(read_trial(folder / 'whole.mcap'))}\n",
     ):
         assert text in done.stdout
     assert "damage" not in done.stdout
@@ -75,6 +79,7 @@ def test_json_holds_the_same(folder: Path) -> None:
     assert channels["/truth"]["messages"] == len(trial.mocap)
     assert channels["/controller/step"]["hz"] == pytest.approx(5, rel=0.01)
     assert found["digest"] == found["stated_digest"]
+    assert found["trial_digest"] == trial_digest(read_trial(folder / "whole.mcap"))
     assert set(found["attachments"]) == {
         "spec.yaml",
         "spec.resolved.yaml",
@@ -126,6 +131,7 @@ def test_damage_is_told_and_fails(folder: Path, log: str, said: str) -> None:
     assert "\ndamage\n" in done.stdout
     found = json.loads(tetractl(folder, f"info {log} --json").stdout)
     assert found["damage"]["problems"]
+    assert found["trial_digest"] is None
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_a_figure_a_field(whole):
     assert len(found) == 96
     for row in found[::7]:
         log = out / row["log"]
-        assert row["digest"] == trial_digest(read_trial(log))
+        assert row["trial_digest"] == trial_digest(read_trial(log))
         assert float(row["total_error_mm"]) == read_result(log).result.total_error
     assert found[0]["controller"] == "many"
     assert {row["plant.dead_time"] for row in found} == {"0", "0.1"}
@@ -101,7 +101,7 @@ def test_shares_run_by_themselves_and_merged_give_the_same_table(whole, tmp_path
     assert "96 trials added" in done.stderr
     assert results(tmp_path / "out") == results(whole[0] / "out")
     for row in table(tmp_path / "out")[::11]:
-        assert trial_digest(read_trial(tmp_path / "out" / row["log"])) == row["digest"]
+        assert trial_digest(read_trial(tmp_path / "out" / row["log"])) == row["trial_digest"]
 
 
 def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
@@ -114,7 +114,7 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     assert [row["outcome"] == "aborted" for row in found] == [True] * 4 + [False] * 4
     assert [bool(row["log"]) for row in found] == [True] * 4 + [False] * 4
     for row in found[:4]:
-        assert trial_digest(read_trial(tmp_path / "out" / row["log"])) == row["digest"]
+        assert trial_digest(read_trial(tmp_path / "out" / row["log"])) == row["trial_digest"]
 
 
 @pytest.mark.parametrize(

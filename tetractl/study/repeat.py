@@ -30,11 +30,11 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     with interrupted_once():
         result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())
     digest = trial_digest(read_trial(path))
-    if digest != row.digest:
+    if digest != row.trial_digest:
         set_aside(folder, row.trial)
         older = row.code != arm.code
         raise LogError(
-            f"{which}: the digest of its log is {digest}, that of its row {row.digest}",
+            f"{which}: the digest of its log is {digest}, that of its row {row.trial_digest}",
             "the row is of older code" if older else "was it run on another type of processor?",
         )
     store.add(arm, replace(row, logged=True))

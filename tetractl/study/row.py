@@ -18,8 +18,8 @@ HOST_COLUMNS = ("deadline_misses",)
 class Row:
     """One trial of an arm.
 
-    `arm_hash` and `code` name the experiment and the code that ran it, `digest` is the trial's, as
-    in `log.trial_digest`, and `count` the number of trials that its log states. `columns` are
+    `arm_hash` and `code` name the experiment and the code that ran it, `trial_digest` is that of
+    `log.format.trial_digest`, and `count` the number of trials that its log states. `columns` are
     those of `tetractl export` that repeat whenever the trial is run again, `times` those that do
     not.
     """
@@ -27,7 +27,7 @@ class Row:
     trial: int
     arm_hash: str
     code: str
-    digest: str
+    trial_digest: str
     count: int
     logged: bool  # whether the log was kept
     columns: Mapping[str, Any]
@@ -39,7 +39,7 @@ class Row:
         found: ResultSummary,
         arm_hash: str,
         code: str,
-        digest: str,
+        trial_digest: str,
         logged: bool,
         took_s: tuple[float, float],
     ) -> Self:
@@ -54,12 +54,15 @@ class Row:
             "cpu_s": took_s[1],
         }
         count = found.experiment.trials.count
-        return cls(found.trial, arm_hash, code, digest, count, logged, columns, times)
+        return cls(found.trial, arm_hash, code, trial_digest, count, logged, columns, times)
 
     @classmethod
     def read(cls, line: str) -> Self:
         """Return the row of a line; ValueError or TypeError where it is none."""
-        return cls(**json.loads(line))
+        fields = json.loads(line)
+        if "digest" in fields:  # that of the log's bytes, which rows of older code state
+            fields["trial_digest"] = fields.pop("digest")
+        return cls(**fields)
 
     def line(self) -> str:
         """Return the row as a line of JSON."""

@@ -115,13 +115,13 @@ def _take(store: Store, arm: Arm, folder: Path, row: Row) -> bool:
     twin = mine.get(row.trial)
     if twin is not None:
         alike = (twin.code, twin.count) == (row.code, row.count)
-        if alike and twin.digest != row.digest:
+        if alike and twin.trial_digest != row.trial_digest:
             raise UsageError(
                 f"{folder}: trial {row.trial} of {arm.name} differs from that in {store.folder},"
                 " by the same code",
                 "were they run on processors of different types?",
             )
-        if twin.logged or not row.logged or twin.digest != row.digest:
+        if twin.logged or not row.logged or twin.trial_digest != row.trial_digest:
             return False
     if row.logged:
         source = log_path(folder / arm.name, row.trial)

@@ -28,8 +28,8 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write the tables and return their paths; the same rows give the same `trials.csv`.
 
     Its columns are `log` (a path from the study's folder, empty where no log was kept), `trial`,
-    `arm`, `controller`, the swept fields by their paths, those of `tetractl export`, `digest` and
-    `code`. `times.csv` has what differs from run to run.
+    `arm`, `controller`, the swept fields by their paths, those of `tetractl export`, `trial_digest`
+    and `code`. `times.csv` has what differs from run to run.
     """
     found = list(counted_rows(loaded, store))
     paths = {"trials": store.folder / TRIALS, "times": store.folder / TIMES}
@@ -43,7 +43,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
             head: dict[str, Any] = {"arm": arm.name}
             swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
             columns = {name: row.columns.get(name) for name in names["trials"]}
-            tail = {"digest": row.digest, "code": row.code}
+            tail = {"trial_digest": row.trial_digest, "code": row.code}
             cells = head | {"controller": arm.controller} | swept | columns | tail
             tables.add(log, row.trial, "trials", _one(cells))
             times = {name: row.times.get(name) for name in names["times"]}

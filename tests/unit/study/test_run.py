@@ -42,7 +42,7 @@ def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
     run_trial(alone, tmp_path, 2, (), Interrupt())
     found = read_result(log_path(tmp_path, 2))
     row = ran.rows[arm.name, 2]
-    assert row.digest == logged(log_path(tmp_path, 2))
+    assert row.trial_digest == logged(log_path(tmp_path, 2))
     assert row.columns["total_error_mm"] == found.result.total_error
     assert row.columns["warnings"] == found.warnings
 
@@ -54,7 +54,7 @@ def test_a_log_kept_changes_no_row(tmp_path):
     for key, row in kept.items():
         assert replace(row, logged=False, times={}) == replace(without[key], times={})
         log = log_path(tmp_path / "all" / key[0], key[1])
-        assert logged(log) == row.digest
+        assert logged(log) == row.trial_digest
 
 
 def test_trials_come_first_over_all_arms_and_the_duration_is_told(tmp_path):
@@ -102,8 +102,8 @@ def test_lines_that_are_no_rows_are_passed_over(tmp_path):
     path.write_bytes(lines[0] + b'{"trial": 1}\n\xff\xfe\n' + lines[2][:-9])
     ran = run(tmp_path, SMALL)
     assert [(task.arm, task.trial) for task in ran.plan.tasks] == [(1, 1), (1, 2)]
-    assert {key: row.digest for key, row in ran.rows.items()} == {
-        key: row.digest for key, row in before.rows.items()
+    assert {key: row.trial_digest for key, row in ran.rows.items()} == {
+        key: row.trial_digest for key, row in before.rows.items()
     }
     assert path.read_bytes().count(b"\n") == 5
 
@@ -117,7 +117,7 @@ def test_a_failed_trial_has_a_row_and_is_told(tmp_path):
     assert [row.logged for row in ran.rows.values()] == [True] * 4 + [False] * 4
     for (arm, trial), row in ran.rows.items():
         if row.logged:
-            assert logged(log_path(tmp_path / "out" / arm, trial)) == row.digest
+            assert logged(log_path(tmp_path / "out" / arm, trial)) == row.trial_digest
     assert (ran.report.done, ran.report.failed) == (8, 0)
 
 
@@ -158,16 +158,29 @@ def test_shares_are_disjoint_and_merge_to_the_whole(tmp_path):
         before = len(gathered.rows)
         assert merge(gathered.store, gathered.loaded.arms, shares) == 6  # the one for its log
         assert before == 1
-    assert {k: r.digest for k, r in gathered.rows.items()} == {
-        k: r.digest for k, r in whole.rows.items()
+    assert {k: r.trial_digest for k, r in gathered.rows.items()} == {
+        k: r.trial_digest for k, r in whole.rows.items()
     }
     for (arm, trial), row in gathered.rows.items():
-        assert logged(log_path(tmp_path / "gathered" / arm, trial)) == row.digest
+        assert logged(log_path(tmp_path / "gathered" / arm, trial)) == row.trial_digest
+
+
+def test_rows_of_older_code_are_read(tmp_path):
+    """They state a digest of the log's bytes, under another name."""
+    ran = run(tmp_path, SMALL)
+    path = ran.store.folder / ARM / "trials.jsonl"
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    for line in lines:
+        line |= {"digest": line.pop("trial_digest"), "code": "older"}
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    found = read_rows(tmp_path / "out", ran.loaded.arms[1])
+    assert [(row.trial, row.code) for row in found.values()] == [(i, "older") for i in range(3)]
+    assert found[1].trial_digest == ran.rows[ARM, 1].trial_digest
 
 
 def test_shares_that_contradict_each_other_are_refused(tmp_path):
     mine, other = (run(tmp_path, SMALL, out=out) for out in ("mine", "other"))
-    edit(other, digest="0" * 64)
+    edit(other, trial_digest="0" * 64)
     with (
         mine.store.opened(mine.loaded.arms),
         pytest.raises(UsageError, match=f"trial 0 of {ARM} differs from that in .*mine"),
@@ -187,8 +200,8 @@ def test_a_trial_is_repeated_to_its_log(tmp_path):
         row = ran.rows[ARM, 1]
         log = log_path(tmp_path / "out" / ARM, 1)
         assert row.logged
-        assert logged(log) == row.digest
-        assert row.digest in told
+        assert logged(log) == row.trial_digest
+        assert row.trial_digest in told
         with pytest.raises(UsageError, match="has its log"):
             repeat(ran.loaded, ran.store, f"{ARM}/1")
         for wrong in (ARM, f"{ARM}/x", f"{ARM}/7", "dead_time=0.2/0"):
@@ -208,7 +221,7 @@ def test_a_trial_is_repeated_with_the_number_of_trials_it_was_run_with(tmp_path)
 
 def test_a_repeated_trial_that_differs_is_set_aside(tmp_path):
     ran = run(tmp_path, SMALL)
-    edit(ran, digest="0" * 64, code="older")
+    edit(ran, trial_digest="0" * 64, code="older")
     with (
         ran.store.opened(ran.loaded.arms),
         pytest.raises(LogError, match="the digest of its log is") as told,

@@ -11,6 +11,9 @@ from tetractl.core.setup import Setup
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01 UTC: virtual trials start here, so logs repeat
 
+OWN_FILES = frozenset({"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"})
+"""The names of what every log has attached; a file that a spec draws on has another."""
+
 
 @dataclass(frozen=True, slots=True)
 class Start:

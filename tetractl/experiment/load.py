@@ -13,6 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from tetractl.core.commands import PlantInfo
 from tetractl.core.text import printable
 from tetractl.core.trial import Start
+from tetractl.experiment.attached import Attached, attach
 from tetractl.experiment.choice import STRICT
 from tetractl.experiment.consistency import contradictions, section_contradictions, too_large
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
@@ -38,7 +39,7 @@ class LoadedSpec:
     text: str
     name: str  # file name, without its folder
     path: Path | None = None
-    attached: tuple[tuple[str, str], ...] = ()  # name and text of files the spec draws on
+    attached: Attached = ()  # name and text of files the spec draws on
     notices: tuple[str, ...] = ()  # lines for people on names that have changed
 
     @cached_property
@@ -126,10 +127,10 @@ def document_of(
 
 def _experiment(
     text: str, origin: str, sets: Sequence[str], folder: Path | None
-) -> tuple[Experiment, tuple[str, ...], tuple[tuple[str, str], ...]]:
+) -> tuple[Experiment, tuple[str, ...], Attached]:
     """Return the experiment, what names have changed, and the files in `folder` it draws on."""
     document = document_of(text, origin, sets)
-    attached: tuple[tuple[str, str], ...] = ()
+    attached: Attached = ()
     named = document.data.get("identified")
     if isinstance(named, str) and folder is None:
         place = document.place(("identified",))
@@ -138,7 +139,7 @@ def _experiment(
     elif isinstance(named, str) and folder is not None:
         path = folder / named
         found, held = read_identified(path)
-        attached = ((printable(path.name), held),)
+        attached = attach((), path, held)
         document = document_of(text, origin, sets, (found, str(path)))
         del document.data["identified"]  # the spec has its values now
     experiment = None

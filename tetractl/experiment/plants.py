@@ -9,6 +9,7 @@ from pydantic import Field, ValidationError
 
 from tetractl.core.errors import SpecError
 from tetractl.core.text import printable
+from tetractl.experiment.attached import attach
 from tetractl.experiment.base import Model
 from tetractl.experiment.choice import STRICT, Choice
 from tetractl.experiment.consistency import section_contradictions
@@ -59,7 +60,7 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     path = (loaded.path.parent if loaded.path else Path()) / lab.calibration
     text = read_text(path)
     experiment = calibrated(loaded.experiment, text, str(path))
-    attached = (*loaded.attached, (printable(path.name), text))
+    attached = attach(loaded.attached, path, text)
     return replace(loaded, experiment=experiment, attached=attached)
 
 

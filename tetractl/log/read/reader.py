@@ -11,7 +11,7 @@ from tetractl.core.commands import Verdict
 from tetractl.core.errors import LogError, SpecError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
-from tetractl.core.trial import Result, Start
+from tetractl.core.trial import OWN_FILES, Result, Start
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec, spec_hash
 from tetractl.experiment.yaml.document import MAX_BYTES
@@ -25,8 +25,6 @@ from tetractl.log.read.origin import Origin
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
-
-_OWN = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT, channels.LAYOUT}
 
 
 def read_trial(path: Path) -> TrialLog:
@@ -212,7 +210,7 @@ def _start(contents: Contents) -> tuple[Experiment, Start]:
         attached=tuple(
             (name, item.data.decode(errors="replace"))
             for name, item in contents.attachments.items()
-            if name not in _OWN
+            if name not in OWN_FILES
         ),
     )
 

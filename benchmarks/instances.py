@@ -15,6 +15,7 @@ import argparse
 import csv
 import hashlib
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -52,6 +53,7 @@ PUBLISHED: SETTING = {
         "stop": {"type": "paper"},
     },
 }
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # IPOPT's only wait for work
 FINE = 0.1  # share of the accepted error at which IPOPT's sequences are good enough
 OURS = "recommended"
 
@@ -89,7 +91,9 @@ def run(name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: in
     }
     study.write_text(yaml.safe_dump(text, sort_keys=False))
     command = ["-m", "tetractl", "study", study, "--out", out, "--logs", "none"]
-    return subprocess.run([sys.executable, *command, "--jobs", str(jobs)]).returncode
+    return subprocess.run(
+        [sys.executable, *command, "--jobs", str(jobs)], env=os.environ | ONE_THREAD
+    ).returncode
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,8 @@ NEAR = 1e-6  # weight of what a warm start is changed by: it makes the Hessian r
 ENDLESS = 1e9  # s
 KEPT = 40_000  # poses in the programmes kept, some 10 kB each
 
-SHARED = {"print_level": 0, "sb": "yes"}
+PIVOT = 1e-8  # as IPOPT has it for MA57; with MUMPS's 1e-6 some solutions take eight times as long
+SHARED = {"print_level": 0, "sb": "yes", "mumps_pivtol": PIVOT}
 COLD = {"hessian_approximation": "limited-memory", "tol": 1e-6}
 WARM = {
     "tol": 1e-5,

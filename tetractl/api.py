@@ -131,11 +131,12 @@ class Batch(NamedTuple):
 def read_batch(*paths: str | Path) -> Batch:
     """Read how trials ended, about a millisecond a log; paths are logs, folders or patterns.
 
-    Raises UsageError for a path without a log.
+    Trials of a study that have no log are read from its rows. Raises UsageError for a path without
+    a trial.
     """
     from tetractl.stats.trials import load_trials
 
-    return Batch(*load_trials(paths))
+    return Batch(*load_trials(paths, rows=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -143,3 +143,18 @@ def test_two_runs_of_one_folder_are_refused(tmp_path):
         done = study("study.yaml", "--out", "out", cwd=tmp_path)
         assert done.returncode == 2
         assert "in use by process" in done.stderr
+
+
+def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):
+    write(tmp_path, LONGER)
+    assert study("study.yaml", "--out", "out", "--logs", "none", cwd=tmp_path).returncode == 0
+    assert not list(tmp_path.rglob("*.mcap"))
+    folder, _ = whole
+    printed = []
+    for where in (folder, tmp_path):
+        found = tetractl("stats", "out", "--format", "csv", cwd=where)
+        assert found.returncode == 0, found.stderr
+        printed.append(found.stdout)
+    assert printed[0] == printed[1]
+    one = tetractl("stats", "out/few-dead_time=0-a=3", cwd=tmp_path)
+    assert "12 of 12 trials complete" in one.stdout

@@ -24,7 +24,8 @@ def stats(
         list[str],
         typer.Argument(
             metavar="PATH",
-            help="Logs, folders or globs: one batch. Several folders are several batches.",
+            help="Logs, folders or globs: one batch. Several folders, or the folder of a study, are"
+            " several batches.",
         ),
     ],
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = "table",
@@ -44,7 +45,7 @@ def stats(
     """Print statistics of a batch: errors with intervals, the published result beside them.
 
     Of several folders every two are compared, by their names: paired where the worlds match, with
-    tests corrected for their number.
+    tests corrected for their number. Of a study's trials without logs the rows are read.
 
     Trials that were aborted or interrupted are listed and counted, but stay out of the means; so
     are attempts that --resume set aside.
@@ -53,6 +54,8 @@ def stats(
     Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
 
     Example: tetractl stats logs/exact logs/arc logs/euler --plot ecdf.pdf
+
+    Example: tetractl stats logs/slip
     """
 
     if plot:
@@ -60,9 +63,18 @@ def stats(
 
         file_format(plot)  # before the logs are read
     form = "json" if as_json else form
-    if not against and len(paths) > 1 and all(Path(path).is_dir() for path in paths):
-        return _several(paths, form, plot)
+    arms = paths if against or len(paths) > 1 else _arms_in(paths[0])
+    if not against and len(arms) > 1 and all(Path(arm).is_dir() for arm in arms):
+        return _several(arms, form, plot)
     return _one(paths, against, form, plot)
+
+
+def _arms_in(folder: str) -> list[str]:
+    """Return the folders of the arms of a study, or the path as it is."""
+    from tetractl.log.read.rows import find_rows
+
+    arms = [str(rows.parent) for rows in find_rows(Path(folder))]
+    return arms if len(arms) > 1 else [folder]
 
 
 def _one(paths: list[str], against: list[str] | None, form: Format, plot: Path | None) -> int:
@@ -110,7 +122,7 @@ def _summary(paths: list[str]) -> "Summary":
     from tetractl.stats.trials import load_trials, split_attempts
 
     with _progress() as on_log:
-        trials, damaged = load_trials(paths, on_log)
+        trials, damaged = load_trials(paths, on_log, rows=True)
     for trial in split_attempts(trials)[0]:
         if trial.recovered:
             print(f"damaged: {printable(trial.path)}: read as far as possible", file=sys.stderr)

@@ -8,8 +8,9 @@ from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.read.find import find_logs, is_set_aside
+from tetractl.log.read.find import find_logs, has_logs, is_set_aside
 from tetractl.log.read.reader import read_result
+from tetractl.log.read.rows import find_rows, read_rows
 from tetractl.log.read.trial_log import ResultSummary
 
 _BOOKKEEPING = {"trials", "description"}  # fields that do not change a trial
@@ -31,21 +32,41 @@ class Damaged:
 def load_trials(
     paths: Iterable[Path | str],
     on_log: Callable[[int, int], object] = lambda done, count: None,
+    rows: bool = False,
 ) -> tuple[list[ResultSummary], list[Damaged]]:
     """Read the results of the logs in files, folders and patterns, those set aside too.
 
-    `on_log` is called after each log with the numbers of logs read and of all. Raises UsageError
-    for a path without a log.
+    With `rows`, trials of a study that have no log in their folder are read from its rows. `on_log`
+    is called after each log with the numbers of logs read and of all. Raises UsageError for a path
+    without a trial.
     """
     trials: list[ResultSummary] = []
     damaged: list[Damaged] = []
-    logs = find_logs(paths, attempts=True)
+    paths = [Path(path) for path in paths]
+    kept = {path: find_rows(path) for path in paths} if rows else {}
+    logs = find_logs([p for p in paths if not kept.get(p) or has_logs(p)], attempts=True)
     for done, log in enumerate(logs, start=1):
         try:
             trials.append(read_result(log))
         except LogError as error:
             damaged.append(Damaged(str(log), str(error).removeprefix(f"{log}: ")))
         on_log(done, len(logs))
+    files = dict.fromkeys(file for found in kept.values() for file in found)
+    logged: dict[tuple[Path, int], bool] = {}  # whether the trial of a log ran to its end
+    for trial in trials if files else ():
+        place = Path(trial.path).parent, trial.trial
+        logged[place] = logged.get(place, False) or trial.outcome.complete
+    for file in files:
+        try:
+            found, problem = read_rows(file)
+        except LogError as error:
+            found, problem = [], str(error).removeprefix(f"{file}: ")
+        for row in found:
+            whole = logged.get((file.parent, row.trial))
+            if whole is None or (row.outcome.complete and not whole):
+                trials.append(row)
+        if problem:
+            damaged.append(Damaged(str(file), problem))
     return trials, damaged
 
 

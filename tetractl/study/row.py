@@ -2,12 +2,13 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.experiment.experiment import Experiment
 from tetractl.export.tables import trials
+from tetractl.log.format.metadata import result_metadata, timing_metadata
 from tetractl.log.read.trial_log import ResultSummary
 
 HOST_COLUMNS = ("deadline_misses",)
@@ -21,7 +22,8 @@ class Row:
     `arm_hash` and `code` name the experiment and the code that ran it, `trial_digest` is that of
     `log.format.trial_digest`, and `count` the number of trials that its log states. `columns` are
     those of `tetractl export` that repeat whenever the trial is run again, `times` those that do
-    not.
+    not. `result` and `timing` are the records of those names in a log, for `log.read.rows`; rows of
+    older code have neither.
     """
 
     trial: int
@@ -32,6 +34,8 @@ class Row:
     logged: bool  # whether the log was kept
     columns: Mapping[str, Any]
     times: Mapping[str, Any]
+    result: Mapping[str, str] = field(default_factory=dict)
+    timing: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -53,8 +57,19 @@ class Row:
             "wall_s": took_s[0],
             "cpu_s": took_s[1],
         }
-        count = found.experiment.trials.count
-        return cls(found.trial, arm_hash, code, trial_digest, count, logged, columns, times)
+        experiment = found.experiment
+        return cls(
+            trial=found.trial,
+            arm_hash=arm_hash,
+            code=code,
+            trial_digest=trial_digest,
+            count=experiment.trials.count,
+            logged=logged,
+            columns=columns,
+            times=times,
+            result=result_metadata(found.result, experiment.units.length, found.warnings),
+            timing=timing_metadata(found.result),
+        )
 
     @classmethod
     def read(cls, line: str) -> Self:

@@ -6,14 +6,12 @@ from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.load import resolved_yaml
+from tetractl.log.read.rows import ROWS, SPEC
 from tetractl.run.batch import log_path
 from tetractl.run.folder import make_folder, set_aside
 from tetractl.run.folder_lock import locked
 from tetractl.study.arm import Arm
 from tetractl.study.row import Row
-
-ROWS = "trials.jsonl"
-SPEC = "spec.resolved.yaml"
 
 
 class Store:

@@ -8,11 +8,11 @@ from functools import lru_cache
 from pathlib import Path
 
 from tetractl.control.build import warm_up
-from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import LoadedSpec
 from tetractl.log.read.origin import Origin
+from tetractl.log.read.rows import SIMULATED
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.log.write.digest_writer import DigestWriter
 from tetractl.log.write.writer import LogWriter
@@ -77,7 +77,7 @@ def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | Non
         experiment=experiment,
         seed=experiment.trials.seed,
         trial=task.trial,
-        origin=Origin.of(experiment, PlantInfo("", True, 0.0, {})),
+        origin=Origin.of(experiment, SIMULATED),
         result=result,
         recovered=False,
         digest=None,

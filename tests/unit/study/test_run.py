@@ -52,7 +52,9 @@ def test_a_log_kept_changes_no_row(tmp_path):
                      for out, logs in (("none", NONE), ("all", ALL)))  # fmt: skip
     assert len(kept) == 6
     for key, row in kept.items():
-        assert replace(row, logged=False, times={}) == replace(without[key], times={})
+        assert replace(row, logged=False, times={}, timing={}) == replace(
+            without[key], times={}, timing={}
+        )
         log = log_path(tmp_path / "all" / key[0], key[1])
         assert logged(log) == row.trial_digest
 

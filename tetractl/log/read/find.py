@@ -44,6 +44,11 @@ def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]
     return [log for real, log in found.items() if not _sources(real) & found.keys()]
 
 
+def has_logs(folder: Path) -> bool:
+    """Return whether `find_logs` with attempts finds a log in a folder or its sub-folders."""
+    return bool(_in_folder(folder, attempts=True))
+
+
 def find_log(path: Path | str) -> Path:
     """Return the one log of a path, which is as in `find_logs`; UsageError where it has several."""
     logs = find_logs([path])

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from tetractl.replay.verify import Verification
     from tetractl.run.interrupt import Interrupt
     from tetractl.stats.comparison import Comparison
+    from tetractl.stats.damaged import Damaged
     from tetractl.stats.summary import Summary
-    from tetractl.stats.trials import Damaged
 
 Strings = NDArray[np.str_]
 
@@ -122,7 +122,10 @@ def read_log(path: str | Path) -> TrialLog:
 
 
 class Batch(NamedTuple):
-    """How the trials of a batch ended, and the logs from which no result could be read."""
+    """How the trials of a batch ended, and logs and rows that results could not be read from.
+
+    `path` of a trial read from a row of a study is the file and line of the row.
+    """
 
     trials: list[ResultSummary]
     damaged: "list[Damaged]"

@@ -158,3 +158,16 @@ def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):
     assert printed[0] == printed[1]
     one = tetractl("stats", "out/few-dead_time=0-a=3", cwd=tmp_path)
     assert "12 of 12 trials complete" in one.stdout
+    two = tetractl("stats", "out/few-dead_time=0-a=3", "out/many-dead_time=0-a=3", cwd=tmp_path)
+    assert "Final total errors of 2 arms" in two.stdout
+    with_it = tetractl("stats", "out/few-dead_time=0-a=3", "--against", "out", cwd=tmp_path)
+    assert (with_it.returncode, with_it.stdout) == (2, "")
+    assert "out: is the folder of a study" in with_it.stderr
+
+
+def test_shares_of_one_arm_are_one_batch(tmp_path):
+    write(tmp_path, "name: one\nbase: spec.yaml\ntrials: {count: 5, seed: 7}\n")
+    for share in ("1/2", "2/2"):
+        to = ("--out", f"parts/{share[0]}", "--shard", share, "--logs", "none")
+        assert study("study.yaml", *to, cwd=tmp_path).returncode == 0
+    assert "5 of 5 trials complete" in tetractl("stats", "parts", cwd=tmp_path).stdout

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from tetractl.core.errors import Exit
+from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -63,18 +63,29 @@ def stats(
 
         file_format(plot)  # before the logs are read
     form = "json" if as_json else form
-    arms = paths if against or len(paths) > 1 else _arms_in(paths[0])
-    if not against and len(arms) > 1 and all(Path(arm).is_dir() for arm in arms):
-        return _several(arms, form, plot)
+    arms = [_arms_in(path) for path in (*paths, *(against or ()))]
+    if len(arms) == 1 and arms[0]:
+        return _several(arms[0], form, plot)
+    if study := next(
+        (path for path, several in zip((*paths, *(against or ())), arms, strict=True) if several),
+        None,
+    ):
+        raise UsageError(f"{study}: is the folder of a study", "name the folders of its arms")
+    if not against and len(paths) > 1 and all(Path(path).is_dir() for path in paths):
+        return _several(paths, form, plot)
     return _one(paths, against, form, plot)
 
 
 def _arms_in(folder: str) -> list[str]:
-    """Return the folders of the arms of a study, or the path as it is."""
-    from tetractl.log.read.rows import find_rows
+    """Return the folders of the arms where a folder is a study's, with nothing else in it."""
+    from tetractl.log.read.find import find_logs, find_rows
 
-    arms = [str(rows.parent) for rows in find_rows(Path(folder))]
-    return arms if len(arms) > 1 else [folder]
+    place = Path(folder)
+    arms = [rows.parent for rows in find_rows(place) if place.is_dir()]
+    if len(arms) < 2 or any(arm.parent != place for arm in arms):
+        return []
+    logs = find_logs([place], attempts=True, bare=[place])
+    return [str(arm) for arm in arms] if {log.parent for log in logs} <= set(arms) else []
 
 
 def _one(paths: list[str], against: list[str] | None, form: Format, plot: Path | None) -> int:
@@ -130,7 +141,7 @@ def _summary(paths: list[str]) -> "Summary":
         if not log.set_aside:
             print(f"damaged: {printable(log.path)}: {printable(log.problem)}", file=sys.stderr)
     if not trials:
-        raise LogError(f"none of {len(damaged)} logs can be read")
+        raise LogError(f"{' '.join(paths)}: none of {len(damaged)} logs can be read")
     return summarise(trials, damaged)
 
 

@@ -86,6 +86,12 @@ def spec_hash(experiment: Experiment) -> str:
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
+def arm_hash(experiment: Experiment) -> str:
+    """Return the hash of an experiment but for its number of trials, which changes no trial."""
+    trials = experiment.trials.model_copy(update={"count": 1})
+    return spec_hash(experiment.model_copy(update={"trials": trials}))
+
+
 def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
     """Return the start of a trial of a spec; `plant` may be replaced once it is opened."""
     experiment = spec.experiment

@@ -11,11 +11,12 @@ from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment, Reference, Scale
 from tetractl.log.read.origin import Origin
 from tetractl.log.read.trial_log import ResultSummary
+from tetractl.stats.damaged import Damaged
 from tetractl.stats.difference import MeanDifference, welch
 from tetractl.stats.estimate import Distribution, Interval, describe
 from tetractl.stats.kinds import statistics
 from tetractl.stats.statistic import Value
-from tetractl.stats.trials import Damaged, counts, one_batch, split_attempts
+from tetractl.stats.trials import counts, one_batch, split_attempts
 
 
 @dataclass(frozen=True, slots=True)

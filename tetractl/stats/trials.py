@@ -2,31 +2,18 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.read.find import find_logs, has_logs, is_set_aside
+from tetractl.log.read.find import find_logs, find_rows, is_set_aside
 from tetractl.log.read.reader import read_result
-from tetractl.log.read.rows import find_rows, read_rows
 from tetractl.log.read.trial_log import ResultSummary
+from tetractl.stats.damaged import Damaged
+from tetractl.stats.unlogged import add_unlogged
 
 _BOOKKEEPING = {"trials", "description"}  # fields that do not change a trial
-
-
-@dataclass(frozen=True, slots=True)
-class Damaged:
-    """A log from which no trial could be read, and why."""
-
-    path: str
-    problem: str
-
-    @property
-    def set_aside(self) -> bool:
-        """Whether it is an attempt that was set aside, so that the batch lacks nothing."""
-        return is_set_aside(Path(self.path).name)
 
 
 def load_trials(
@@ -43,30 +30,15 @@ def load_trials(
     trials: list[ResultSummary] = []
     damaged: list[Damaged] = []
     paths = [Path(path) for path in paths]
-    kept = {path: find_rows(path) for path in paths} if rows else {}
-    logs = find_logs([p for p in paths if not kept.get(p) or has_logs(p)], attempts=True)
+    kept = {path: found for path in paths if (found := find_rows(path))} if rows else {}
+    logs = find_logs(paths, attempts=True, bare=kept)
     for done, log in enumerate(logs, start=1):
         try:
             trials.append(read_result(log))
         except LogError as error:
             damaged.append(Damaged(str(log), str(error).removeprefix(f"{log}: ")))
         on_log(done, len(logs))
-    files = dict.fromkeys(file for found in kept.values() for file in found)
-    logged: dict[tuple[Path, int], bool] = {}  # whether the trial of a log ran to its end
-    for trial in trials if files else ():
-        place = Path(trial.path).parent, trial.trial
-        logged[place] = logged.get(place, False) or trial.outcome.complete
-    for file in files:
-        try:
-            found, problem = read_rows(file)
-        except LogError as error:
-            found, problem = [], str(error).removeprefix(f"{file}: ")
-        for row in found:
-            whole = logged.get((file.parent, row.trial))
-            if whole is None or (row.outcome.complete and not whole):
-                trials.append(row)
-        if problem:
-            damaged.append(Damaged(str(file), problem))
+    add_unlogged((file for found in kept.values() for file in found), trials, damaged)
     return trials, damaged
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tetractl.experiment.kinds import packages
-from tetractl.experiment.load import LoadedSpec, spec_hash
+from tetractl.experiment.load import LoadedSpec
 from tetractl.log.provenance import trial_code
 from tetractl.study.cells import shown
 
@@ -34,12 +34,6 @@ class Arm:
 def code_of(spec: LoadedSpec) -> str:
     """Return what names the code that runs the trials of a spec on this machine."""
     return trial_code(tuple(sorted(packages(spec.experiment).items())))
-
-
-def arm_hash(spec: LoadedSpec) -> str:
-    """Return the hash by which the trials of an arm are known again."""
-    trials = spec.experiment.trials.model_copy(update={"count": 1})
-    return spec_hash(spec.experiment.model_copy(update={"trials": trials}))
 
 
 def arm_name(controller: str, values: Mapping[str, Any]) -> str:

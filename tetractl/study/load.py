@@ -13,14 +13,14 @@ from pydantic import ValidationError
 from tetractl.core.errors import SpecError
 from tetractl.core.text import printable
 from tetractl.experiment.choice import STRICT
-from tetractl.experiment.load import LoadedSpec, load_spec
+from tetractl.experiment.load import LoadedSpec, arm_hash, load_spec
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.frozen import frozen
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
 from tetractl.experiment.yaml.schema import schema_of
 from tetractl.run.limits import check
-from tetractl.study.arm import Arm, arm_hash, arm_name, code_of
+from tetractl.study.arm import Arm, arm_name, code_of
 from tetractl.study.cells import as_yaml
 from tetractl.study.study import Study
 from tetractl.study.sweep import Setting
@@ -147,9 +147,8 @@ def _arm(
     except SpecError as error:
         place = document.place(("base",))
         raise InvalidSpecError([place.problem(("base",), str(error), study.base)]) from None
-    return Arm(
-        arm_name(controller, values), controller, values, sets, spec, arm_hash(spec), code_of(spec)
-    )
+    name, known_by = arm_name(controller, values), arm_hash(spec.experiment)
+    return Arm(name, controller, values, sets, spec, known_by, code_of(spec))
 
 
 def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Document) -> SpecProblem:

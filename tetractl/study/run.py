@@ -74,20 +74,21 @@ def planned(loaded: LoadedStudy, store: Store, logs: Logs, shard: Shard, again: 
     count = loaded.study.trials.count
     specs = [pickle.dumps(arm.spec) for arm in loaded.arms]
     tasks: list[Task] = []
-    older: dict[str, int] = {}
+    kept: dict[str, int] = {}
     for i, arm in enumerate(loaded.arms):
         rows = store.rows[arm.name]
         for trial in range(count):
             if not shard.has(i * count + trial):
                 continue
             row = rows.get(trial)
-            if row is None or (again and row.code != arm.code):
+            older = row is not None and (row.code != arm.code or not row.result)
+            if row is None or (older and again):
                 keep = trial < logs.each
                 tasks.append(Task(i, trial, arm.hash, arm.code, specs[i], keep, logs.failed))
-            elif row.code != arm.code:
-                older[arm.name] = older.get(arm.name, 0) + 1
+            elif older:
+                kept[arm.name] = kept.get(arm.name, 0) + 1
     tasks.sort(key=lambda task: task.trial)  # stable: an early end leaves all arms with as many
-    return Plan(tasks, older)
+    return Plan(tasks, kept)
 
 
 def run_study(

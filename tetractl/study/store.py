@@ -6,7 +6,8 @@ from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.load import resolved_yaml
-from tetractl.log.read.rows import ROWS, SPEC
+from tetractl.log.read.find import ROWS
+from tetractl.log.read.rows import SPEC
 from tetractl.run.batch import log_path
 from tetractl.run.folder import make_folder, set_aside
 from tetractl.run.folder_lock import locked
@@ -24,6 +25,7 @@ class Store:
     def __init__(self, folder: Path, arms: Iterable[Arm]) -> None:
         self.folder = folder
         self.rows: dict[str, dict[int, Row]] = {arm.name: {} for arm in arms}
+        self._placed: set[str] = set()  # arms whose folder is known to hold their spec
 
     @contextmanager
     def opened(self, arms: Iterable[Arm]) -> Iterator[None]:
@@ -35,14 +37,19 @@ class Store:
         with locked(self.folder):
             for arm in arms:
                 self.rows[arm.name] = read_rows(self.folder, arm, mend=True)
+                if self.rows[arm.name]:
+                    self.place(arm)
             yield
 
     def place(self, arm: Arm) -> Path:
-        """Return the folder of an arm, made if need be."""
+        """Return the folder of an arm, made if need be, with the spec of its rows."""
         folder = self.folder / arm.name
-        if not (folder / SPEC).exists():
+        if arm.name not in self._placed:
             make_folder(folder)
-            _write(folder / SPEC, resolved_yaml(arm.spec.experiment), "w")
+            text = resolved_yaml(arm.spec.experiment)
+            if _text_of(folder / SPEC) != text:
+                _replace(folder / SPEC, text)
+            self._placed.add(arm.name)
         return folder
 
     def clear(self, arm: Arm, trial: int) -> Path:
@@ -144,6 +151,24 @@ def save_log(path: Path, log: bytes) -> None:
     part = path.with_name(path.name + ".part")
     part.write_bytes(log)
     part.replace(path)
+
+
+def _text_of(path: Path) -> str | None:
+    """Return what is in a file, None where nothing can be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return None
+
+
+def _replace(path: Path, text: str) -> None:
+    """Give a file a text, whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    _write(part, text, "w")
+    try:
+        part.replace(path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _write(path: Path, text: str, mode: str) -> None:

@@ -9,9 +9,9 @@ from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, resu
 
 from tetractl.core.plan import Outcome
 from tetractl.stats.comparison import compare
+from tetractl.stats.damaged import Damaged
 from tetractl.stats.export import as_csv, as_json
 from tetractl.stats.summary import summarise
-from tetractl.stats.trials import Damaged
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 SPEC_PLAIN = experiment()

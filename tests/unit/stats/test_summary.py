@@ -14,9 +14,9 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.log.read.origin import Origin
 from tetractl.stats.comparison import compare
+from tetractl.stats.damaged import Damaged
 from tetractl.stats.notable import to_look_at
 from tetractl.stats.summary import summarise
-from tetractl.stats.trials import Damaged
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
 

@@ -1,14 +1,16 @@
-"""Finds the logs in file names, folders and patterns."""
+"""Finds the logs, and the rows of studies, in file names, folders and patterns."""
 
 import glob
 import re
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from pathlib import Path
 
 from tetractl.core.errors import UsageError
 
 SUFFIX = ".mcap"
 PART = ".mcap.part"
+ROWS = "trials.jsonl"
+"""What a study keeps of its trials, in the folder of each arm."""
 RECOVERED_SUFFIX = ".recovered.mcap"
 _LOG = re.compile(r"\.mcap(\.part)?$")
 _SET_ASIDE = re.compile(
@@ -27,7 +29,9 @@ def is_set_aside(name: str) -> bool:
     return _SET_ASIDE.search(name) is not None
 
 
-def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]:
+def find_logs(
+    paths: Iterable[Path | str], attempts: bool = False, bare: Container[Path] = ()
+) -> list[Path]:
     """Return the logs of some paths, each once, in the order given.
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
@@ -35,18 +39,23 @@ def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]
     log, since a trial that crashed is part of its batch, unless the finished log lies beside it. A
     recovered log is left out where its source is among the paths. Logs that `--resume` set aside
     are found in folders and by patterns only where `attempts` are asked for. Raises UsageError for
-    a path that does not exist, a folder without logs, or a pattern without a match.
+    a path that does not exist, and for a folder or a pattern without logs that is not in `bare`.
     """
     found: dict[Path, Path] = {}
     for path in map(Path, paths):
-        for log in _expand(path, attempts):
+        for log in _expand(path, attempts, path in bare):
             found.setdefault(log.resolve(), log)
     return [log for real, log in found.items() if not _sources(real) & found.keys()]
 
 
-def has_logs(folder: Path) -> bool:
-    """Return whether `find_logs` with attempts finds a log in a folder or its sub-folders."""
-    return bool(_in_folder(folder, attempts=True))
+def find_rows(path: Path) -> list[Path]:
+    """Return the files of a study's rows in a folder, or in the folders that a pattern matches.
+
+    Those of sub-folders are found too, sorted by name with numbers in their order.
+    """
+    folders = [path] if path.is_dir() or not glob.has_magic(str(path)) else _matches(path)
+    rows = {file for folder in folders if folder.is_dir() for file in folder.rglob(ROWS)}
+    return sorted((file for file in rows if file.is_file()), key=_natural)
 
 
 def find_log(path: Path | str) -> Path:
@@ -65,9 +74,9 @@ def _sources(log: Path) -> set[Path]:
     return {log.with_name(stem + suffix) for suffix in (SUFFIX, PART)}
 
 
-def _expand(path: Path, attempts: bool) -> list[Path]:
+def _expand(path: Path, attempts: bool, bare: bool) -> list[Path]:
     if path.is_dir():
-        if logs := _in_folder(path, attempts):
+        if (logs := _in_folder(path, attempts)) or bare:
             return logs
         raise UsageError(f"{path}: no logs (*{SUFFIX}) in this folder")
     if path.is_file():
@@ -76,16 +85,19 @@ def _expand(path: Path, attempts: bool) -> list[Path]:
         raise UsageError(f"{path}: is no regular file")
     if not glob.has_magic(str(path)):
         raise UsageError(f"{path}: no such file or folder")
-    pattern = glob.glob(str(path), recursive=True)  # noqa: PTH207, Path.glob refuses absolute ones
-    matches = sorted(map(Path, pattern), key=_natural)
     logs = [
         log
-        for match in matches
+        for match in _matches(path)
         for log in (_in_folder(match, attempts) or _logs([match], attempts))
     ]
-    if not logs:
+    if not logs and not bare:
         raise UsageError(f"{path}: matches no log")
     return logs
+
+
+def _matches(pattern: Path) -> list[Path]:
+    found = glob.glob(str(pattern), recursive=True)  # noqa: PTH207, Path.glob refuses absolute ones
+    return sorted(map(Path, found), key=_natural)
 
 
 def _in_folder(folder: Path, attempts: bool) -> list[Path]:

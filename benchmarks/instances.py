@@ -2,13 +2,13 @@
 
     python benchmarks/instances.py                      100 trials each, into logs/benchmark
     python benchmarks/instances.py --trials 20 --only paper,cells
-    python benchmarks/instances.py --ipopt              IPOPT alone: 1 to 10 s of processor a trial
+    python benchmarks/instances.py --ipopt              IPOPT alone: 0.3 s of processor a trial or more
     python benchmarks/instances.py --report             print the page of what there is
     python benchmarks/instances.py --report --figure benchmark.svg
 
 For each instance it writes a study and runs `tetractl study`, so it goes on where it was stopped.
 IPOPT is the package benchmarks/tetractl-ipopt, which is to be installed for it; a trial of eight
-robots takes it 29 s of processor, one of fourteen more than seven minutes. Everything is simulated.
+robots takes it 38 s of processor, one of fourteen ten minutes. Everything is simulated.
 """
 
 import argparse

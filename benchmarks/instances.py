@@ -2,7 +2,7 @@
 
     python benchmarks/instances.py                      100 trials each, into logs/benchmark
     python benchmarks/instances.py --trials 20 --only paper,cells
-    python benchmarks/instances.py --ipopt              IPOPT alone: 0.3 s of processor a trial or more
+    python benchmarks/instances.py --ipopt              IPOPT alone: 0.3 to 38 s a trial and more
     python benchmarks/instances.py --report             print the page of what there is
     python benchmarks/instances.py --report --figure benchmark.svg
 

@@ -63,14 +63,12 @@ def stats(
 
         file_format(plot)  # before the logs are read
     form = "json" if as_json else form
-    arms = [_arms_in(path) for path in (*paths, *(against or ()))]
-    if len(arms) == 1 and arms[0]:
-        return _several(arms[0], form, plot)
-    if study := next(
-        (path for path, several in zip((*paths, *(against or ())), arms, strict=True) if several),
-        None,
-    ):
-        raise UsageError(f"{study}: is the folder of a study", "name the folders of its arms")
+    arms = {path: _arms_in(path) for path in (*paths, *(against or ()))}
+    if len(paths) == 1 and not against and arms[paths[0]]:
+        return _several(arms[paths[0]], form, plot)
+    for path, found in arms.items():
+        if found:
+            raise UsageError(f"{path}: is the folder of a study", "name the folders of its arms")
     if not against and len(paths) > 1 and all(Path(path).is_dir() for path in paths):
         return _several(paths, form, plot)
     return _one(paths, against, form, plot)
@@ -81,7 +79,7 @@ def _arms_in(folder: str) -> list[str]:
     from tetractl.log.read.find import find_logs, find_rows
 
     place = Path(folder)
-    arms = [rows.parent for rows in find_rows(place) if place.is_dir()]
+    arms = [rows.parent for rows in find_rows(place)] if place.is_dir() else []
     if len(arms) < 2 or any(arm.parent != place for arm in arms):
         return []
     logs = find_logs([place], attempts=True, bare=[place])

@@ -14,7 +14,7 @@ from tetractl.run.batch import log_path
 from tetractl.run.interrupt import Interrupt
 from tetractl.study.local import Ended
 from tetractl.study.row import Row
-from tetractl.study.store import save_log
+from tetractl.study.store import save_whole
 from tetractl.study.work import Task, run_task
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ class Cluster:
         found, log = future.result()
         future.release()
         if log is not None:
-            save_log(log_path(self._place(task), task.trial), log)
+            save_whole(log_path(self._place(task), task.trial), log)
         return task, found
 
 

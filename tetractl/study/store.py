@@ -48,7 +48,7 @@ class Store:
             make_folder(folder)
             text = resolved_yaml(arm.spec.experiment)
             if _text_of(folder / SPEC) != text:
-                _replace(folder / SPEC, text)
+                _save(folder / SPEC, text)
             self._placed.add(arm.name)
         return folder
 
@@ -63,7 +63,7 @@ class Store:
     def add(self, arm: Arm, row: Row) -> None:
         """Add the row of a trial, in memory and on disk."""
         self.rows[arm.name][row.trial] = row
-        _write(self.place(arm) / ROWS, row.line(), "a")
+        _append(self.place(arm) / ROWS, row.line())
 
 
 def read_rows(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
@@ -141,16 +141,24 @@ def keep_log(path: Path, source: Path) -> None:
         try:
             path.hardlink_to(source)
         except OSError:
-            save_log(path, source.read_bytes())
+            save_whole(path, source.read_bytes())
     except OSError as error:
         raise LogError(f"{source}: cannot be copied: {error.strerror}") from error
 
 
-def save_log(path: Path, log: bytes) -> None:
-    """Write a log that was made elsewhere, whole or not at all."""
+def save_whole(path: Path, data: bytes) -> None:
+    """Write a file, such as a log that was made elsewhere, whole or not at all."""
     part = path.with_name(path.name + ".part")
-    part.write_bytes(log)
+    part.write_bytes(data)
     part.replace(path)
+
+
+def _save(path: Path, text: str) -> None:
+    """Give a file a text, whole or not at all; LogError where it cannot be written."""
+    try:
+        save_whole(path, text.encode())
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _text_of(path: Path) -> str | None:
@@ -161,19 +169,9 @@ def _text_of(path: Path) -> str | None:
         return None
 
 
-def _replace(path: Path, text: str) -> None:
-    """Give a file a text, whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    _write(part, text, "w")
+def _append(path: Path, text: str) -> None:
     try:
-        part.replace(path)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def _write(path: Path, text: str, mode: str) -> None:
-    try:
-        with path.open(mode, encoding="utf-8") as file:
+        with path.open("a", encoding="utf-8") as file:
             file.write(text)
     except OSError as error:
         raise LogError(f"{path}: cannot be written: {error.strerror}") from error

@@ -6,7 +6,8 @@ value that cannot be.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,10 @@ from numpy.typing import NDArray
 from tetractl.core.commands import Command, Note
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Bools, Floats
+from tetractl.core.text import printable
 from tetractl.core.trial import Result, Step
-from tetractl.log.format.metadata import RunRecord
+from tetractl.log.format.channels import TEXT
+from tetractl.log.format.metadata import RunRecord, read_result
 
 LENGTH_MAX = 1e9
 """Of a coordinate, a distance or a speed [length unit]: a thousand kilometres in mm."""
@@ -113,6 +116,21 @@ def _believe_estimate(estimate: Estimate) -> None:
 def believe_note(note: Note) -> None:
     """Check a message for people."""
     _times([note.t_ns])
+
+
+def stated_result(
+    items: Mapping[str, str], timing: Mapping[str, str] | None, robots: int, unit: str
+) -> Result:
+    """Return the result that the records of a log or row state, of `robots` robots and in `unit`.
+
+    Its reason is put into characters that a terminal can show. Raises KeyError, OverflowError,
+    RecursionError, TypeError or ValueError for what tetractl does not write.
+    """
+    result = read_result(items, timing, robots)
+    believe_result(result)
+    if items["unit"] != unit:
+        raise ValueError(f"its unit is {items['unit']!r}, that of the run another")
+    return replace(result, reason=printable(result.reason, TEXT))
 
 
 def believe_result(result: Result) -> None:

@@ -1,7 +1,7 @@
 """The records found in a log file, and its metadata decoded once."""
 
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -19,10 +19,9 @@ from tetractl.log.format.metadata import (
     WARNINGS,
     RunRecord,
     read_damage,
-    read_result,
     read_run,
 )
-from tetractl.log.read.believe import believe_result
+from tetractl.log.read.believe import stated_result
 from tetractl.log.read.bounds import Budget
 from tetractl.log.read.trial_log import Damage
 
@@ -110,13 +109,10 @@ class Contents:
             why = "the log has no result: the run was cut short or the log's end is lost"
             return None, why
         try:
-            result = read_result(items, self.metadata.get(channels.TIMING), len(self.run.robots))
-            believe_result(result)
-            if items["unit"] != self.run.items["unit"]:
-                raise ValueError(f"its unit is {items['unit']!r}, that of the run another")
+            timing, run = self.metadata.get(channels.TIMING), self.run
+            return stated_result(items, timing, len(run.robots), run.items["unit"]), ""
         except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError) as error:
             return None, f"the result is not as tetractl writes it: {_reason(error)}"
-        return replace(result, reason=printable(result.reason, channels.TEXT)), ""
 
     @property
     def warnings(self) -> int:

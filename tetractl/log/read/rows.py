@@ -6,18 +6,15 @@ The folder of an arm has its spec in one file and in another a line of JSON a tr
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, SpecError
-from tetractl.core.text import printable
 from tetractl.experiment.load import LoadedSpec, arm_hash, parse_spec
 from tetractl.experiment.yaml.document import read_text
-from tetractl.log.format.channels import TEXT
-from tetractl.log.format.metadata import WARNINGS, read_result
-from tetractl.log.read.believe import COUNT_MAX, believe_result
+from tetractl.log.format.metadata import WARNINGS
+from tetractl.log.read.believe import COUNT_MAX, stated_result
 from tetractl.log.read.origin import Origin
 from tetractl.log.read.trial_log import ResultSummary
 
@@ -64,17 +61,14 @@ def row_results(path: Path) -> dict[int, ResultSummary | None]:
 def _result(place: str, trial: int, row: Mapping[str, Any], spec: LoadedSpec) -> ResultSummary:
     experiment = spec.experiment
     stated, timing = _texts(row["result"]), _texts(row["timing"])
-    result = read_result(stated, timing, len(experiment.robots))
-    believe_result(result)
-    if stated["unit"] != experiment.units.length:
-        raise ValueError("its unit is not that of its spec")
+    result = stated_result(stated, timing, len(experiment.robots), experiment.units.length)
     return ResultSummary(
         path=place,
         experiment=experiment,
         seed=experiment.trials.seed,
         trial=trial,
         origin=Origin.of(experiment, SIMULATED),
-        result=replace(result, reason=printable(result.reason, TEXT)),
+        result=result,
         recovered=False,
         digest=None,
         warnings=int(stated[WARNINGS]),

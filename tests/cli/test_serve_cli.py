@@ -45,7 +45,7 @@ class Command:
             text=True,
         )
         self.said = ""
-        self.url = self.until(r"served at (ws://127\.0\.0\.1:\d+/[\w-]{22})\n")
+        self.url = self.until(r"served at (ws://127\.0\.0\.1:\d+/[\w-]{16})\n")
         self.reader = threading.Thread(target=self._read)
 
     def until(self, pattern):
@@ -121,9 +121,9 @@ def test_a_viewer_plays_pauses_seeks_and_sets_the_rate(log):
 
 def test_the_keys_of_the_terminal_and_the_viewer_command_the_same_player(log):
     words = [str(TETRACTL), "replay", log.name, "--serve", "--port", "0", "--paused"]
-    with Terminal(words, log.parent, columns=120, rows=40) as terminal:
-        url = terminal.expect(r"ws://127\.0\.0\.1:\d+/[\w-]{22}")
-        terminal.expect(f"served at {url}")  # on the screen too
+    with Terminal(words, log.parent, columns=80, rows=24) as terminal:
+        url = terminal.expect(r"ws://127\.0\.0\.1:\d+/[\w-]{16}")
+        terminal.expect(f"(?s)served at.*{re.escape(url)}")  # on the screen too, whole
         with Viewer(url) as viewer:
             viewer.subscribe(SCENE)
             assert viewer.state().status == "paused"

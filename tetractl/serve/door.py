@@ -10,13 +10,13 @@ import secrets
 from urllib.parse import urlsplit
 
 ADDRESS = "127.0.0.1"
-TOKEN_BYTES = 16
+TOKEN_BYTES = 12  # so that a link fits beside the arena on a terminal of 80 columns
 FOXGLOVE = "https://app.foxglove.dev"
 """Foxglove in the browser."""
 
 
 def new_token() -> str:
-    """Return 128 random bits as text for an address."""
+    """Return 96 random bits as text for an address."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 

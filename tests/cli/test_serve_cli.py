@@ -20,7 +20,7 @@ from tetractl.log.format.channels import CHANNELS, MOCAP, SCENE, SCENE_PLAN, TRA
 from tetractl.log.read.salvage import scan
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
-WITHOUT = "import sys; sys.modules['foxglove'] = None; from tetractl.cli import main; main()"
+WITHOUT = "import sys; sys.modules['websockets'] = None; from tetractl.cli import main; main()"
 MS = 1_000_000
 
 pytestmark = pytest.mark.slow
@@ -45,7 +45,7 @@ class Command:
             text=True,
         )
         self.said = ""
-        self.url = self.until(r"served at (ws://127\.0\.0\.1:\d+)\n")
+        self.url = self.until(r"served at (ws://127\.0\.0\.1:\d+/[\w-]{16})\n")
         self.reader = threading.Thread(target=self._read)
 
     def until(self, pattern):
@@ -121,9 +121,9 @@ def test_a_viewer_plays_pauses_seeks_and_sets_the_rate(log):
 
 def test_the_keys_of_the_terminal_and_the_viewer_command_the_same_player(log):
     words = [str(TETRACTL), "replay", log.name, "--serve", "--port", "0", "--paused"]
-    with Terminal(words, log.parent, columns=120, rows=40) as terminal:
-        url = terminal.expect(r"ws://127\.0\.0\.1:\d+")
-        terminal.expect(f"served at {url}")  # on the screen too
+    with Terminal(words, log.parent, columns=80, rows=24) as terminal:
+        url = terminal.expect(r"ws://127\.0\.0\.1:\d+/[\w-]{16}")
+        terminal.expect(f"(?s)served at.*{re.escape(url)}")  # on the screen too, whole
         with Viewer(url) as viewer:
             viewer.subscribe(SCENE)
             assert viewer.state().status == "paused"
@@ -226,7 +226,7 @@ def test_without_the_extra_one_clear_line_says_how_to_get_it(log, tmp_path, word
     )
     assert done.returncode == 2
     assert done.stderr == (
-        "error: the live WebSocket needs foxglove-sdk, which is not installed\n"
+        "error: the live WebSocket needs websockets, which is not installed\n"
         "hint: pip install 'tetractl[serve]'\n"
     )
     assert done.stdout == ""

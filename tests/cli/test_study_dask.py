@@ -1,13 +1,14 @@
 """A study on a real Dask scheduler with two workers on loopback, one of which is killed."""
 
 import json
+import shutil
 import subprocess
 import sys
 from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
 from support.running import PATIENCE_S, environment
-from support.studies import LONGER, Running, results, rows, tetractl, write
+from support.studies import LONGER, SMALL, Running, results, rows, tetractl, write
 
 from tetractl.log.read.reader import content_digest
 
@@ -33,19 +34,25 @@ def dask(command, *args, cwd):
 
 
 @contextmanager
-def cluster(cwd):
-    """Yield the address of a scheduler and the processes of its two workers."""
+def cluster(cwd, *security, scheme="tcp"):
+    """Yield the address of a scheduler, its process and those of its two workers."""
     file = cwd / "scheduler.json"
+    file.unlink(missing_ok=True)
     with ExitStack() as stack:
-        args = ["--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file)]
+        args = ["--host", f"{scheme}://127.0.0.1", "--port", "0", "--scheduler-file", str(file)]
+        args += security
         scheduler = stack.enter_context(dask("scheduler", *args, cwd=cwd))
         while not (file.exists() and file.read_bytes().endswith(b"}")):
             assert scheduler.poll() is None, (cwd / "scheduler.log").read_text()
             with suppress(subprocess.TimeoutExpired):
                 scheduler.wait(0.05)
         address = json.loads(file.read_text())["address"]
-        one = ["--nthreads", "1", "--no-nanny", "--local-directory", str(cwd), address]
-        yield address, [stack.enter_context(dask("worker", *one, cwd=cwd)) for _ in range(2)]
+        one = ["--nthreads", "1", "--no-nanny", "--local-directory", str(cwd), *security, address]
+        yield (
+            address,
+            scheduler,
+            [stack.enter_context(dask("worker", *one, cwd=cwd)) for _ in range(2)],
+        )
 
 
 @pytest.mark.slow
@@ -54,7 +61,7 @@ def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path)
     done = tetractl("study", "study.yaml", "--out", "here", "--jobs", 2, "-q", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     out = tmp_path / "there"
-    with cluster(tmp_path) as (address, workers):
+    with cluster(tmp_path) as (address, _, workers):
         args = ["study.yaml", "--out", out, "--cluster", address]
         with Running(tmp_path, *args) as running:
             running.until_rows(out, 10)
@@ -64,6 +71,69 @@ def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path)
     assert results(out) == results(tmp_path / "here")
     for path in sorted(out.rglob("*.mcap"))[::17]:
         assert content_digest(path) == content_digest(tmp_path / "here" / path.relative_to(out))
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_goes_on(tmp_path):
+    write(tmp_path, LONGER)
+    done = tetractl("study", "study.yaml", "--out", "here", "--jobs", 2, "-q", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    out = tmp_path / "there"
+    with cluster(tmp_path) as (address, scheduler, _):
+        args = ("--out", out, "--cluster", address, "-q")
+        with Running(tmp_path, "study.yaml", *args) as running:
+            running.until_rows(out, 10)
+            scheduler.kill()
+            assert running.end() == 1
+    assert running.err.read_text() == (
+        f"error: {address}: the scheduler is gone; what had come back by then is stored\n"
+        "hint: start a scheduler again; the same command, with its address, goes on with it\n"
+    )
+    assert 10 <= rows(out) < 96
+    with cluster(tmp_path) as (address, _, _):
+        args = ("--out", out, "--cluster", address, "-q")
+        done = tetractl("study", "study.yaml", *args, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    assert rows(out) == 96
+    assert results(out) == results(tmp_path / "here")
+
+
+def certificates(folder):
+    """Write a certificate of its own authority and return the files: authority, own, key."""
+    names = ("ca.pem", "ca.key", "own.pem", "own.key", "own.csr")
+    ca, ca_key, own, key, asked = (str(folder / name) for name in names)
+    new = ["openssl", "req", "-newkey", "rsa:2048", "-nodes", "-subj"]
+    sign = ["openssl", "x509", "-req", "-CAcreateserial", "-days", "9"]
+    for words in (
+        [*new, "/CN=authority", "-x509", "-days", "9", "-keyout", ca_key, "-out", ca],
+        [*new, "/CN=study", "-keyout", key, "-out", asked],
+        [*sign, "-in", asked, "-CA", ca, "-CAkey", ca_key, "-out", own],
+    ):
+        subprocess.run(words, check=True, capture_output=True)
+    return ca, own, key
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl for certificates")
+def test_a_cluster_with_tls_takes_only_who_has_a_certificate(tmp_path, monkeypatch):
+    write(tmp_path, SMALL)
+    ca, own, key = certificates(tmp_path)
+    security = ("--tls-ca-file", ca, "--tls-cert", own, "--tls-key", key)
+    with cluster(tmp_path, *security, scheme="tls") as (address, _, _):
+        args = ("study.yaml", "--out", "there", "-q", "--cluster")
+        done = tetractl("study", *args, address, cwd=tmp_path)
+        assert done.returncode == 2
+        assert f"{address}: Dask is configured with no certificate for TLS" in done.stderr
+        done = tetractl("study", *args, address.replace("tls:", "tcp:"), cwd=tmp_path)
+        assert done.returncode == 2
+        assert "no Dask scheduler answers there" in done.stderr
+        assert rows(tmp_path / "there") == 0
+        tls = "DASK_DISTRIBUTED__COMM__TLS__"
+        for name, file in (("CA_FILE", ca), ("CLIENT__CERT", own), ("CLIENT__KEY", key)):
+            monkeypatch.setenv(tls + name, file)
+        done = tetractl("study", *args, address, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert rows(tmp_path / "there") == 6
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ def test_a_viewer_sees_the_frames_of_the_log_while_robots_drive(tmp_path):
         command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs"]
         command += ["--serve", "--port", "0", "--quiet", *flags(settings)]
         with Terminal(command, tmp_path, columns=200) as terminal:
-            url = re.search(r"ws://[\d.:]+", terminal.expect(r"ws://127\.0\.0\.1:\d+\s"))[0]
+            url = re.search(r"ws://\S+", terminal.expect(r"ws://127\.0\.0\.1:\d+/[\w-]{16}\s"))[0]
             with deaf(url, len(CHANNELS)), Viewer(url) as viewer:
                 viewer.subscribe()
                 viewer.message(SCENE)

@@ -6,6 +6,7 @@ import struct
 from base64 import b64decode
 from dataclasses import dataclass, field
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.sync.client import connect
@@ -123,13 +124,14 @@ class Viewer:
 
 def deaf(url, count):
     """Return the socket of a client that subscribes to channels 1 to `count` and reads nothing."""
-    host, port = url.removeprefix("ws://").split(":")
+    where = urlsplit(url)
     stuck = socket.socket()
     stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     stuck.settimeout(PATIENCE_S)
-    stuck.connect((host, int(port)))
+    stuck.connect((where.hostname, where.port))
     stuck.sendall(
-        f"GET / HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        f"GET {where.path} HTTP/1.1\r\nHost: {where.netloc}\r\n"
+        "Upgrade: websocket\r\nConnection: Upgrade\r\n"
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
         f"Sec-WebSocket-Protocol: {PROTOCOL}\r\n\r\n".encode()
     )

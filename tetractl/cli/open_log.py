@@ -14,7 +14,6 @@ from tetractl.core.errors import Exit, UsageError
 
 VIEWER = "http://localhost:8080"
 """Where Lichtblick answers when it is started on this machine as its manual tells."""
-FOXGLOVE = "https://app.foxglove.dev/"
 
 
 def open_logs(
@@ -55,13 +54,14 @@ def open_logs(
     from tetractl.report.page import report
     from tetractl.report.server import FileServer
     from tetractl.run.interrupt import interrupted_once
+    from tetractl.serve.door import FOXGLOVE
 
     found, live = find_logs(logs), None
     if foxglove and len(found) > 1:
         raise UsageError("--foxglove takes one log")
     wall = MonotonicClock()
     if foxglove:
-        live = served_replay(found[0], wall, (0.0, None), loop=True, port=0)
+        live = served_replay(found[0], wall, (0.0, None), loop=True, port=0, viewer=viewer)
     html, unread = report(logs, None, lambda done, total: None)
     for problem in unread:
         print(f"warning: {problem}", file=sys.stderr)
@@ -78,7 +78,7 @@ def open_logs(
             stack.enter_context(live.server)
             ports.append(live.server.port)
             source = ("foxglove-websocket", live.server.url)
-            shown = _with_source(FOXGLOVE, source)
+            shown = _with_source(f"{FOXGLOVE}/", source)
         print("Ctrl-C ends it; over ssh, forward the port:", file=sys.stderr)
         forwards = " ".join(f"-L {one}:127.0.0.1:{one}" for one in ports)
         print(f"  ssh {forwards} HOST", file=sys.stderr)

@@ -20,7 +20,9 @@ PORT = 8765
 
 Serve = Annotated[
     bool,
-    typer.Option("--serve", help="Show it in Foxglove or Lichtblick too, by a live WebSocket."),
+    typer.Option(
+        "--serve", help="Show it in Foxglove or Lichtblick too, by a link to a live WebSocket."
+    ),
 ]
 Port = Annotated[
     int | None,
@@ -65,8 +67,12 @@ def served_replay(
     loop: bool = False,
     paused: bool = False,
     port: int,
+    viewer: str = "",
 ) -> "ServedReplay":
-    """Return a log being served, with a player of the span `seconds` of its trial."""
+    """Return a log being served, with a player of the span `seconds` of its trial.
+
+    `viewer` is the address of a viewer whose page may read it, beside those always known.
+    """
     with _extra():
         from tetractl.serve.recorded import ServedReplay
     from tetractl.log.read.reader import trial_of
@@ -80,7 +86,7 @@ def served_replay(
     played = span(recording, *seconds)
     warn_of_damage(recording.log)
     player = Player(recording, wall, played, rate=rate, loop=loop, paused=paused)
-    return ServedReplay(contents, player, port)
+    return ServedReplay(contents, player, port, viewer)
 
 
 def play_served(served: "ServedReplay", wall: "Clock", screen: bool) -> int:
@@ -106,9 +112,9 @@ def _extra() -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        if error.name != "foxglove":
+        if (error.name or "").split(".")[0] != "websockets":
             raise
         raise UsageError(
-            "the live WebSocket needs foxglove-sdk, which is not installed",
+            "the live WebSocket needs websockets, which is not installed",
             "pip install 'tetractl[serve]'",
         ) from error

@@ -6,9 +6,7 @@ pages of another origin (CORS) are answered, since a log viewer reads a log piec
 other than this server's is refused, so that no other site's name can be pointed at it.
 """
 
-import hmac
 import re
-import secrets
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -20,10 +18,9 @@ from typing import BinaryIO
 from urllib.parse import quote, unquote, urlsplit
 
 from tetractl.core.errors import UsageError
+from tetractl.serve.door import ADDRESS, is_own_host, is_token, new_token
 
 BLOCK_BYTES = 1 << 16
-SECRET_BYTES = 16
-ADDRESS = "127.0.0.1"
 
 
 class FileServer:
@@ -32,7 +29,7 @@ class FileServer:
     def __init__(
         self, page: bytes, logs: Mapping[str, Path], port: int = 0, layout: bytes = b"{}"
     ) -> None:
-        self.token = secrets.token_urlsafe(SECRET_BYTES)
+        self.token = new_token()
         self.page, self.logs, self.layout = page, dict(logs), layout
         try:
             self._http = ThreadingHTTPServer((ADDRESS, port), partial(_Handler, self))
@@ -66,10 +63,6 @@ class FileServer:
             self._http.shutdown()
             self._http.server_close()
             thread.join()
-
-    def hosts(self) -> set[str]:
-        """Return the values of `Host` that are answered."""
-        return {f"{ADDRESS}:{self.port}", f"localhost:{self.port}"}
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -124,10 +117,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _wanted(self) -> bytes | Path | None:
         """Return the page, the layout, the file of a log, or None for what is not served."""
-        if self.headers.get("Host") not in self._files.hosts():
+        if not is_own_host(self.headers.get("Host"), self._files.port):
             return None
         _, token, *rest = [unquote(step) for step in urlsplit(self.path).path.split("/")]
-        if not hmac.compare_digest(token.encode(), self._files.token.encode()):
+        if not is_token(token, self._files.token):
             return None
         if rest == [""]:
             return self._files.page

@@ -7,7 +7,8 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.read.contents import Contents
 from tetractl.replay.player import Playback, Player
-from tetractl.serve.server import Request, State, ViewerServer
+from tetractl.serve.protocol import Request, State
+from tetractl.serve.server import ViewerServer
 
 FRAME_NS = SECOND // 60
 
@@ -19,7 +20,7 @@ class ServedReplay:
     answered at once and obeyed by the next `follow`.
     """
 
-    def __init__(self, contents: Contents, player: Player, port: int) -> None:
+    def __init__(self, contents: Contents, player: Player, port: int, viewer: str = "") -> None:
         self._start_ns = contents.run.start_unix_ns
         known = [entry for entry in contents.entries if entry.topic in CHANNELS]
         self._entries = sorted(known, key=lambda entry: entry.log_ns)
@@ -30,7 +31,8 @@ class ServedReplay:
         self._sent = 0  # entries before this one were passed
         self._told: tuple[Playback, float] | None = None
         span_ns = (self._start_ns + player.start_ns, self._start_ns + player.until_ns)
-        self.server = ViewerServer(contents.run.items["name"], port, span_ns, self._asked)
+        name = contents.run.items["name"]
+        self.server = ViewerServer(name, port, span_ns, self._asked, viewer)
 
     def follow(self) -> None:
         """Obey the viewers, and send what has come since the last call."""

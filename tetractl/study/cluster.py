@@ -1,13 +1,16 @@
 """Runs the trials of a study on a Dask cluster that is there already."""
 
 import itertools
+import logging
 import queue
 import tempfile
 import time
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.run.batch import log_path
@@ -17,10 +20,8 @@ from tetractl.study.row import Row
 from tetractl.study.store import save_whole
 from tetractl.study.work import Task, run_task
 
-if TYPE_CHECKING:
-    pass
-
 CONNECT_S = 10.0
+TLS = "DASK_DISTRIBUTED__COMM__TLS"  # what its variables of the environment begin with
 LOOK_S = 0.1  # how often an interruption is looked for
 COUNT_S = 1.0  # how often workers are counted: some come, some are lost
 AHEAD = 2  # tasks handed out for each thread of a worker, so that none waits for the next
@@ -46,15 +47,28 @@ class Cluster:
         try:
             from distributed import Client
             from distributed.comm.addressing import get_address_host_port
+            from distributed.security import Security
         except ImportError:
             raise UsageError(
                 "--cluster needs Dask's distributed, which is not installed",
                 "pip install 'tetractl[dask]'",
             ) from None
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # tracebacks of its end
         try:
             get_address_host_port(self._address)  # else an address without a port is waited for
+            security = Security()  # of Dask's own configuration
+            context = security.get_connection_args("client").get("ssl_context")
+            if self._address.startswith("tls:") and context is None:
+                raise UsageError(
+                    f"{self._address}: Dask is configured with no certificate for TLS",
+                    f"set {TLS}__CA_FILE, {TLS}__CLIENT__CERT and {TLS}__CLIENT__KEY",
+                )
             self._client: Client = Client(
-                self._address, timeout=CONNECT_S, set_as_default=False, name="tetractl-study"
+                self._address,
+                timeout=CONNECT_S,
+                set_as_default=False,
+                name="tetractl-study",
+                security=security,
             )
         except (OSError, ValueError) as error:
             raise UsageError(
@@ -75,13 +89,15 @@ class Cluster:
     def workers(self) -> int:
         """The number of trials that run at a time, at least 1; it is asked for now and then."""
         now = time.monotonic()
-        if now >= self._count_at_s:
-            threads: Any = self._client.nthreads()
-            self._workers, self._count_at_s = max(sum(threads.values()), 1), now + COUNT_S
+        if now >= self._count_at_s and self._connected:
+            with suppress(OSError):  # the scheduler goes: `run` says so
+                threads: Any = self._client.nthreads()
+                self._workers = max(sum(threads.values()), 1)
+            self._count_at_s = now + COUNT_S
         return self._workers
 
     def run(self, tasks: Sequence[Task]) -> Generator[Ended]:
-        """Yield the tasks in the order in which they end."""
+        """Yield the tasks in the order in which they end; AbortError once the scheduler is gone."""
         waiting, running = iter(tasks), dict[Any, Task]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         while not self._stopping:
@@ -95,14 +111,12 @@ class Cluster:
             try:
                 future = ended.get(timeout=LOOK_S)
             except queue.Empty:
-                if self._client.status not in ("running", "connecting"):
-                    raise AbortError(
-                        f"{self._address}: the scheduler is gone",
-                        "start it and run the study again",
-                    ) from None
+                if not self._connected:
+                    raise self._gone() from None
                 continue
             yield self._found(running.pop(future), future)
-        self._client.cancel(list(running))
+        if self._connected:
+            self._client.cancel(list(running))
 
     def end(self) -> None:
         """Start no further trial, and give up those that run."""
@@ -112,18 +126,29 @@ class Cluster:
     def _stopping(self) -> bool:
         return self._ended or self._interrupt.requested
 
+    @property
+    def _connected(self) -> bool:
+        return self._client.status == "running"
+
+    def _gone(self) -> AbortError:
+        return AbortError(
+            f"{self._address}: the scheduler is gone; what had come back by then is stored",
+            "start a scheduler again; the same command, with its address, goes on with it",
+        )
+
     def _found(self, task: Task, future: Any) -> Ended:
         """Return what became of a task, its log saved."""
         from distributed import KilledWorker
 
-        if future.status == "cancelled":
-            return task, AbortError("the scheduler has given it up")
-        error = future.exception()
+        try:  # Dask gives up all tasks when the connection to the scheduler is lost
+            error = future.exception()
+            found, log = future.result() if error is None else (None, None)
+        except (OSError, CancelledError):
+            raise self._gone() from None
         if isinstance(error, KilledWorker):
             return task, AbortError("it was lost with each worker that it was given to")
         if error is not None:
             return task, error
-        found, log = future.result()
         future.release()
         if log is not None:
             save_whole(log_path(self._place(task), task.trial), log)

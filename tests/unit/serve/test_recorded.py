@@ -11,8 +11,8 @@ from tetractl.log.read.salvage import scan
 from tetractl.replay.player import RATE_MAX, Playback, Player
 from tetractl.replay.recording import Recording
 from tetractl.serve import recorded
+from tetractl.serve.protocol import Request
 from tetractl.serve.recorded import ServedReplay
-from tetractl.serve.server import Request
 
 MS = 1_000_000
 
@@ -20,7 +20,7 @@ MS = 1_000_000
 class Server:
     """Keeps what is sent since the last jump, in which time, and the states told."""
 
-    def __init__(self, name, port, span_ns, asked):
+    def __init__(self, name, port, span_ns, asked, viewer):
         self.span_ns, self.asked = span_ns, asked
         self.jumps, self.sent, self.told = [], [], []
 

@@ -1,14 +1,22 @@
 """The server of log viewers, read by a real client on a real socket."""
 
+import json
+import socket
+from urllib.parse import urlsplit
+
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from support import random_trials as made
-from support.viewer import Viewer, deaf
+from support.viewer import PATIENCE_S, PROTOCOL, Viewer, deaf
+from websockets.exceptions import ConnectionClosedError, InvalidStatus
+from websockets.sync.client import connect
 
 from tetractl.core.errors import UsageError
 from tetractl.log.format.channels import CHANNELS, LOG, MOCAP, SCENE, TRANSFORMS, Entry
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.messages import Messages
+from tetractl.replay.player import Playback
+from tetractl.serve.protocol import Request, State
 from tetractl.serve.server import BACKLOG, ViewerServer
 
 START_NS = 1_600_000_000_000_000_000
@@ -104,6 +112,136 @@ def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
             assert got == list(range(3 * BACKLOG))
         server.close()
         assert stuck.recv(1)
+
+
+def knock(url, netloc=None, path=None, origin=None):
+    """Ask for a connection as a page or a program might; return the status of the answer."""
+    where = urlsplit(url)
+    asked = where._replace(netloc=netloc or where.netloc, path=where.path if path is None else path)
+    door = socket.create_connection((where.hostname, where.port))
+    try:
+        with connect(
+            asked.geturl(), sock=door, origin=origin, subprotocols=[PROTOCOL], close_timeout=0.1
+        ) as client:
+            assert client.recv(timeout=PATIENCE_S)
+            return 101
+    except InvalidStatus as error:
+        assert b"serverInfo" not in error.response.body
+        return error.response.status_code
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "https://evil.example",
+        "http://evil.example:8080",
+        "http://localhost.evil.example",
+        "http://127.0.0.1@evil.example",
+        "http://lichtblick.example",  # another port, and so another page
+        "null",
+    ],
+)
+def test_pages_of_other_sites_are_refused_even_with_the_token(origin):
+    with ViewerServer("test", 0, viewer="http://lichtblick.example:8080/") as server:
+        assert knock(server.url, origin=origin) == 403
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        None,
+        "https://app.foxglove.dev",
+        "http://localhost:8080",
+        "http://127.0.0.1:9000",
+        "file://",
+        "http://lichtblick.example:8080",
+    ],
+)
+def test_viewers_are_let_in_by_the_link(origin):
+    with ViewerServer("test", 0, viewer="http://lichtblick.example:8080/") as server:
+        assert knock(server.url, origin=origin) == 101
+
+
+def test_a_name_of_another_site_for_this_machine_is_refused(server):
+    for host in ("evil.example", "192.168.1.7", "127.0.0.1.evil.example"):
+        assert knock(server.url, f"{host}:{server.port}") == 403
+    assert knock(server.url, "localhost:1") == 403
+    assert knock(server.url, f"localhost:{server.port}") == 101
+
+
+def test_without_the_token_nothing_is_answered(server):
+    token = urlsplit(server.url).path
+    for path in ("", "/", "/" + "A" * 16, token[:-1], token + "A", token.upper() + "x"):
+        assert knock(server.url, path=path) == 403
+    with ViewerServer("other", 0) as other:
+        assert knock(server.url, path=urlsplit(other.url).path) == 403
+
+
+def test_a_playback_is_moved_with_the_link_alone():
+    asked = []
+
+    def answer(request):
+        asked.append(request)
+        return State(Playback.PLAYING, START_NS, request.rate)
+
+    with ViewerServer("test", 0, (START_NS, START_NS + 1), answer) as server:
+        where = urlsplit(server.url)
+        with pytest.raises(InvalidStatus), Viewer(f"ws://{where.netloc}/"):
+            pass
+        with Viewer(server.url) as viewer:
+            viewer.control(True, 2.0, seek_ns=START_NS + 1, request="mine")
+            assert viewer.state(request="mine").rate == 2.0
+    assert asked == [Request(True, 2.0, START_NS + 1)]
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "no JSON",
+        "[" * 60000,
+        "[]",
+        "{}",
+        '{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 99}]}',
+        '{"op": "subscribe", "subscriptions": [{"id": -1, "channelId": 1}]}',
+        '{"op": "subscribe", "subscriptions": [{"id": "x", "channelId": 1}]}',
+        '{"op": "unsubscribe", "subscriptionIds": 1}',
+        b"\x03\x00",
+        bytes(1 << 17),
+    ],
+)
+def test_what_a_client_says_wrong_ends_its_connection_and_no_other(said, capfd):
+    def answer(request):
+        raise AssertionError
+
+    with ViewerServer("test", 0, (0, 1), answer) as server, Viewer(server.url) as other:
+        with Viewer(server.url) as viewer, pytest.raises(ConnectionClosedError):
+            viewer.socket.send(said)
+            viewer.until(lambda got: False)
+        server.publish([frame(1)])
+        other.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+    assert capfd.readouterr().err == ""
+
+
+def test_what_was_published_last_is_sent_before_the_end():
+    server = ViewerServer("test", 0)
+    with Viewer(server.url) as viewer:
+        server.publish([frame(0)])
+        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+        server.publish([frame(number) for number in range(1, 500)])
+        server.close()
+        viewer.until(lambda got: got[:2] == (MOCAP, START_NS + 499))
+
+
+def test_no_more_is_sent_of_what_a_viewer_gave_up(server):
+    with Viewer(server.url) as viewer:
+        server.publish([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
+        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+        ended = [100 + viewer.channels[MOCAP]["id"]]
+        viewer.socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": ended}))
+        viewer.subscribe(TRANSFORMS).until(lambda got: got[0] == TRANSFORMS)
+        server.publish([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
+        viewer.until(lambda got: got[:2] == (TRANSFORMS, START_NS + 3))
+        assert [got[1] - START_NS for got in viewer.all if got[0] == MOCAP] == [1]
 
 
 def test_a_port_in_use_is_a_mistake_of_the_user(server):

@@ -228,8 +228,8 @@ class Dashboard:
 
     def _last(self, width: int) -> list[Text]:
         lines = [Text(note, "bold red", no_wrap=True) for note in self._notes]
-        if self._aside:
-            lines.append(Text(self._aside, "dim", no_wrap=True))
+        aside = textwrap.wrap(self._aside, width, break_on_hyphens=False)  # links stay whole
+        lines += [Text(line, "dim", no_wrap=True) for line in aside]
         if result := self._frame.result:
             ended = f"ended: {result.outcome}"
             lines.append(Text(ended, "bold", no_wrap=True))

@@ -1,0 +1,104 @@
+"""The messages of the protocol `foxglove.sdk.v1` that show a trial and control a playback.
+
+As https://github.com/foxglove/ws-protocol specifies them; the messages that control a playback are
+those of foxglove-sdk 0.30. Topics, schemas and messages are those of a log.
+"""
+
+import json
+import secrets
+import struct
+from base64 import b64encode
+from dataclasses import dataclass
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from tetractl.log.format.channels import CHANNELS, Entry
+from tetractl.replay.player import Playback
+
+PROTOCOL = "foxglove.sdk.v1"
+TOPICS = dict(enumerate(CHANNELS, 1))
+"""Topics by the id of their channel, as in a log."""
+
+_MESSAGE, _TIME, _STATE = 1, 2, 5  # what a binary message to a client begins with
+_CONTROL = 3  # and one from it
+_STATUS = {Playback.PLAYING: 0, Playback.PAUSED: 1, Playback.ENDED: 3}
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a viewer asks of the playback: to play or pause, the rate, the time to go to [Unix ns].
+
+    `rate` is in seconds of the trial per second; `seek_ns` is None where the time is to stay.
+    """
+
+    playing: bool
+    rate: float
+    seek_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The state of a playback at a time [Unix ns]; `sought` where the time has jumped there."""
+
+    playback: Playback
+    time_ns: int
+    rate: float
+    sought: bool = False
+
+
+def greeting(name: str, span_ns: tuple[int, int] | None) -> list[str]:
+    """Return what a client is sent first: what is served, and the topics with their schemas.
+
+    The span of a recording [Unix ns] gives a viewer controls for the playback.
+    """
+    info: dict[str, object] = {"op": "serverInfo", "name": name, "capabilities": ["time"]}
+    info["sessionId"] = secrets.token_hex(8)  # by it a viewer knows a server to which it returns
+    if span_ns:
+        info["capabilities"] = ["time", "playbackControl"]
+        for which, time_ns in zip(("dataStartTime", "dataEndTime"), span_ns, strict=True):
+            info[which] = {"sec": time_ns // 10**9, "nsec": time_ns % 10**9}
+    channels = [
+        {
+            "id": number,
+            "topic": topic,
+            "encoding": MessageEncoding.Protobuf,
+            "schemaName": CHANNELS[topic].DESCRIPTOR.full_name,
+            "schemaEncoding": SchemaEncoding.Protobuf,
+            "schema": b64encode(
+                build_file_descriptor_set(CHANNELS[topic]).SerializeToString()
+            ).decode(),
+        }
+        for number, topic in TOPICS.items()
+    ]
+    return [json.dumps(info), json.dumps({"op": "advertise", "channels": channels})]
+
+
+def subscription(number: int) -> bytes:
+    """Return a client's number for a subscription, as messages hold it; OverflowError for none."""
+    return number.to_bytes(4, "little")
+
+
+def message(subscription: bytes, entry: Entry) -> bytes:
+    """Return a message for a subscription of a client."""
+    return bytes([_MESSAGE]) + subscription + struct.pack("<Q", entry.log_ns) + entry.data
+
+
+def time(time_ns: int) -> bytes:
+    """Return the message that sets a viewer's time [Unix ns]."""
+    return struct.pack("<BQ", _TIME, time_ns)
+
+
+def playback_state(state: State, request: bytes = b"") -> bytes:
+    """Return the message of a state; `request` is the name of the request that it answers."""
+    status = _STATUS[state.playback]
+    fields = _STATE, status, state.time_ns, state.rate, state.sought, len(request)
+    return struct.pack("<BBQfBI", *fields) + request
+
+
+def control(said: bytes) -> tuple[Request, bytes] | None:
+    """Return a request and its name, None for another message; struct.error for one cut short."""
+    if said[:1] != bytes([_CONTROL]):
+        return None
+    _, pausing, rate, seeking, seek_ns, length = struct.unpack_from("<BBfBQI", said)
+    return Request(not pausing, rate, seek_ns if seeking else None), said[19 : 19 + length]

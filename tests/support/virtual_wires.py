@@ -6,12 +6,14 @@ on real wires, byte for byte.
 """
 
 import itertools
+import socket
 from collections import deque
 from pathlib import Path
 from typing import ClassVar
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
+from tetractl.core.wire_tap import NO_TAP
 from tetractl.lab.cameras.optitrack.client import NatNetClient
 from tetractl.lab.emulate.loop import Loop
 
@@ -78,10 +80,23 @@ class Network:
         return opened
 
 
+class SocketModule:
+    """The standard library's `socket`, but for the sockets."""
+
+    def __init__(self, network):
+        self._network = network
+
+    def socket(self, *_):
+        return MemorySocket(self._network)
+
+    def __getattr__(self, name):
+        return getattr(socket, name)
+
+
 class MemorySocket:
     """As much of a UDP socket as the lab's code uses."""
 
-    def __init__(self, network, *_):
+    def __init__(self, network):
         self._network, self._queue = network, deque()
         self._name = ("", 0)
 
@@ -182,11 +197,11 @@ class MemoryPort:
 class MemorySerial:
     """Our end of the port: what `SerialPort` promises, without a thread."""
 
-    def __init__(self, name, baud, device, clock, heard, hint, tap=None, wire="serial"):
+    def __init__(self, name, baud, device, clock, heard, hint, tap=NO_TAP, wire="serial"):
         self.failure = None
         self.bits_a_second = baud
         self._name, self._device, self._hint = name, device, hint
-        self._clock, self._heard = clock, heard
+        self._clock, self._heard, self._tap, self._wire = clock, heard, tap, wire
         self._port = None
 
     def open(self):
@@ -204,7 +219,9 @@ class MemorySerial:
             self._port.take(data)
         except TimeoutError:
             raise self._fail(f"takes no more bytes: {self._device} is stuck") from None
-        return self._clock.now()
+        now = self._clock.now()
+        self._tap.sent(self._wire, now, data)
+        return now
 
     def set_baud(self, baud):
         self.bits_a_second = baud
@@ -215,7 +232,9 @@ class MemorySerial:
         self._port = None
 
     def came(self, data):
-        self._heard(data, self._clock.now())
+        now = self._clock.now()
+        self._tap.received(self._wire, now, data)
+        self._heard(data, now)
 
     def gone(self):
         self._fail("is gone: Input/output error")

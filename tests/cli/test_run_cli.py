@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support import cli
 from support.paths import ROOT
 from support.running import (
     ENDLESS,
@@ -29,18 +30,8 @@ EXPERIMENTS = [
 ]
 
 
-def tetractl(*args, cwd, **options):
-    done = subprocess.run(
-        [TETRACTL, *map(str, args)],
-        cwd=cwd,
-        env=environment() | options.pop("env", {}),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        **options,
-    )
-    assert "Traceback" not in done.stderr, done.stderr
-    return done
+def tetractl(*args, cwd, env=None):
+    return cli.tetractl(cwd, *args, env=env)
 
 
 def run(*args, cwd, **options):

@@ -4,9 +4,12 @@ import contextlib
 import io
 import os
 import signal
+import subprocess
 import sys
 from typing import NamedTuple
 from unittest import mock
+
+from support.running import PATIENCE_S, TETRACTL, environment
 
 from tetractl.cli.app import run_app
 from tetractl.run.interrupt import SIGNALS
@@ -27,11 +30,10 @@ def tetractl(folder, *words, env=None, stdin="") -> Done:
     """
     out, err = Text(), Text()
     handlers = {number: signal.getsignal(number) for number in SIGNALS}
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("COLUMNS", "_TETRACTL"))}
     try:
         with (
             contextlib.chdir(folder),
-            mock.patch.dict(os.environ, kept | (env or {}), clear=True),
+            mock.patch.dict(os.environ, environment() | (env or {}), clear=True),
             mock.patch.object(sys, "argv", ["tetractl", *map(str, words)]),
             mock.patch.object(sys, "stdin", io.StringIO(stdin)),
             contextlib.redirect_stdout(out),
@@ -42,6 +44,22 @@ def tetractl(folder, *words, env=None, stdin="") -> Done:
         for number, handler in handlers.items():
             signal.signal(number, handler)
     return Done(int(code), out.getvalue(), err.getvalue())
+
+
+def process(folder, *words, env=None, **options) -> Done:
+    """Run the installed command in a process of its own."""
+    done = subprocess.run(
+        [TETRACTL, *map(str, words)],
+        cwd=folder,
+        env=environment() | (env or {}),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        **options,
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    return Done(done.returncode, done.stdout, done.stderr)
 
 
 class Text(io.TextIOWrapper):

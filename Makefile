@@ -4,7 +4,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 DEMO := logs/demo
 
-.PHONY: demo test test-fast lint clean
+.PHONY: demo test test-fast test-all lint clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || (echo "tetractl needs Python 3.11 or later" && exit 1)
@@ -25,12 +25,18 @@ demo: $(STAMP)
 	$(BIN)/tetractl report $(DEMO)/ours $(DEMO)/paper -o $(DEMO)/report.html
 	@echo "Open $(DEMO)/report.html, or play a trial: $(BIN)/tetractl replay $(DEMO)/ours/trial-000.mcap"
 
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadgroup --no-loadscope-reorder
+
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto --dist loadgroup --no-loadscope-reorder
+	$(PYTEST) -m "not system"
 
 # What needs neither other processes nor much time: for work on the code.
 test-fast: $(STAMP)
-	$(BIN)/python -m pytest -n auto --dist loadgroup -m "not slow"
+	$(PYTEST) -m "not slow"
+
+# The rest: real wires in real time, browser, cluster, cold compiles, pages to the last digit.
+test-all: $(STAMP)
+	$(PYTEST) -m system
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -1,5 +1,10 @@
-"""Settings of all tests: which are slow, in what order they run, and in which process."""
+"""Settings of all tests: which tier a test belongs to, in what order tests run, in which process.
 
+`make test-fast` leaves out what is `slow`, `make test` what is `system`; `make test-all` runs what
+is `system`.
+"""
+
+import re
 from pathlib import Path
 
 import pytest
@@ -16,19 +21,38 @@ SLOW = (  # tests that start processes, compile, draw pictures or try very many 
     "cli",
     "contract",
     "emulated",
+    "plays",
     "unit/control/kernels",
     "unit/experiment/test_fuzz",
     "unit/lab/cameras/apriltag",
     "unit/log/read/test_salvage",
     "unit/test_hostile",
 )
-LANES = 2  # plays of an emulated lab at a time: each has deadlines to keep
-TURNS = ("emulated", "cli/test_docs", "cli", "")  # what takes longest is started first
+SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels compiled from
+    # nothing, clusters, long runs, and pages to the last digit
+    "cli/test_docs.py::test_every_example",
+    "cli/test_plugin",
+    "cli/test_solver_benchmark",
+    "cli/test_study_dask",
+    "emulated",
+    "unit/control/kernels/test_cache",
+    "unit/log/read/test_javascript",
+    "unit/plant/test_bench_agrees",
+    "unit/run/test_soak",
+    "unit/test_benchmarks",
+    "unit/view/video",
+)
+CELLS = re.compile(  # of the contracts: one cell a kind of promise is enough for every change
+    r"test_plant_contract.py::.*\[sim, (?!undisturbed|everything|wheels, radio|dish)"
+    r"|test_controller_contract.py::.*on a budget"
+)
+TURNS = ("cli/test_study", "emulated", "cli/test_docs", "cli", "plays", "")  # the longest first
+LANES = 2  # plays on real wires at a time: each has deadlines to keep
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is slow, and choose which tests follow one another in one process.
+    """Mark each test's tier, and choose which tests follow one another in one process.
 
     A module's tests do, as they share fixtures, but for those marked as slow one by one.
     """
@@ -36,9 +60,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: next(i for i, t in enumerate(TURNS) if places[item].startswith(t)))
     for number, item in enumerate(items):
         folder = places[item].partition("/")[0]
-        alone = any(mark.name == "slow" for mark in item.own_markers)
+        node = f"{places[item]}::{item.name}"
+        alone = any(mark.name == "slow" for mark in item.own_markers) or folder == "plays"
         group = item.name if alone else places[item]
-        if places[item].startswith(SLOW):
+        if node.startswith(SYSTEM) or CELLS.search(node):
+            item.add_marker(pytest.mark.system)
+        if places[item].startswith(SLOW) or item.get_closest_marker("system"):
             item.add_marker(pytest.mark.slow)
         if folder == "emulated":
             group = f"lane {number % LANES}"

@@ -1,11 +1,11 @@
 """`tetractl analyze`, as a user starts it."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from support import cli
 from support.paths import ROOT
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
@@ -25,10 +25,7 @@ pytestmark = pytest.mark.slow
 
 
 def analyze(folder, *arguments):
-    command = [TETRACTL, "analyze", *map(str, arguments)]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
-    assert "Traceback" not in done.stdout + done.stderr
-    return done
+    return cli.tetractl(folder, "analyze", *arguments)
 
 
 def test_text_json_and_figure(tmp_path):

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support import cli
 from support.durable import ENDLESS, RealTime, random_kill, small_disk
 
 from tetractl.core.errors import LogError
@@ -45,17 +46,8 @@ def logs(batch: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def tetractl(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [TETRACTL, *shlex.split(command)],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        stdin=subprocess.DEVNULL,
-    )
-    assert "Traceback" not in done.stderr
-    return done
+def tetractl(folder: Path, command: str) -> cli.Done:
+    return cli.tetractl(folder, *shlex.split(command))
 
 
 def test_a_run_in_progress_keeps_its_folder_to_itself(tmp_path: Path) -> None:

@@ -2,13 +2,13 @@
 
 import csv
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import pandas
 import pytest
 from pyarrow import parquet
+from support.cli import tetractl
 
 from tetractl.log.read.reader import read_trial
 
@@ -24,11 +24,6 @@ controller: {horizon_max: 8, steps_max: 20, optimizer: {particles: 20, iteration
 plant: {type: sim, dead_time: 0.1, heading_noise: 0.1, lost_commands: 0.2}
 trials: {count: 2, seed: 7}
 """
-
-
-def tetractl(folder: Path, *args: object) -> subprocess.CompletedProcess[str]:
-    command = [TETRACTL, *map(str, args)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")

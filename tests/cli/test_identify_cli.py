@@ -1,12 +1,11 @@
 """`tetractl identify`, `verify --set` and `replay --through`, as they are called."""
 
 import json
-import subprocess
 
 import pytest
 import yaml
+from support.cli import tetractl
 from support.paths import ROOT
-from support.running import PATIENCE_S, TETRACTL, environment
 
 SPEC = """
 name: quick
@@ -22,20 +21,6 @@ plant:
   measurement_noise: {position: 0.3, heading: 0.005}
 trials: {count: 2, seed: 7}
 """
-
-
-def tetractl(folder, *args):
-    done = subprocess.run(
-        [TETRACTL, *map(str, args)],
-        cwd=folder,
-        env=environment(),
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
-    assert "Traceback" not in done.stderr, done.stderr
-    return done
 
 
 @pytest.fixture(scope="module")

@@ -2,14 +2,13 @@
 
 import json
 import shlex
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support import random_trials
+from support import cli, random_trials
 from support.trials import SEED, three_robots, write_torn, write_trial
 
 from tetractl.log.read.reader import read_trial
@@ -30,15 +29,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def tetractl(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [TETRACTL, *shlex.split(command)],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        stdin=subprocess.DEVNULL,
-    )
+def tetractl(folder: Path, command: str) -> cli.Done:
+    return cli.tetractl(folder, *shlex.split(command))
 
 
 def test_it_says_what_is_in_a_log(folder: Path) -> None:

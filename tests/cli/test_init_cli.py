@@ -1,11 +1,12 @@
 """`tetractl init`, as a user starts it in an empty folder."""
 
 import json
-import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
+from support import cli
 
 from tetractl.experiment.load import load_spec
 
@@ -14,13 +15,7 @@ TETRACTL = Path(sys.executable).with_name("tetractl")
 
 @pytest.fixture
 def tetractl(tmp_path):
-    def run(*arguments):
-        command = [TETRACTL, *map(str, arguments)]
-        result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
-        assert "Traceback" not in result.stdout + result.stderr
-        return result
-
-    return run
+    return partial(cli.tetractl, tmp_path)
 
 
 @pytest.mark.parametrize(

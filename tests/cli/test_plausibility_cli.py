@@ -2,11 +2,12 @@
 
 import json
 import shutil
-import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
+from support import cli
 from support.paths import ROOT
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
@@ -31,14 +32,7 @@ WARNINGS = [
 @pytest.fixture
 def tetractl(tmp_path):
     (tmp_path / "alike.yaml").write_text(ALIKE, encoding="utf-8")
-
-    def run(*arguments):
-        command = [TETRACTL, *map(str, arguments)]
-        result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
-        assert "Traceback" not in result.stdout + result.stderr
-        return result
-
-    return run
+    return partial(cli.tetractl, tmp_path)
 
 
 def warned(result):

@@ -2,12 +2,12 @@ import os
 import re
 import shlex
 import signal
-import subprocess
 import sys
 import termios
 from pathlib import Path
 
 import pytest
+from support import cli
 from support.terminal import Terminal
 from support.trials import three_robots, write_torn, write_trial
 
@@ -26,16 +26,8 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-def run(*args: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [TETRACTL, *map(str, args)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        stdin=subprocess.DEVNULL,
-    )
+def run(*args: str | Path, cwd: Path) -> cli.Done:
+    return cli.tetractl(cwd, *args)
 
 
 def play(folder: Path, *options: str, **env: str) -> Terminal:

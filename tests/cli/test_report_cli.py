@@ -2,19 +2,14 @@
 
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from support.chromium import Page, chromium, needs_chromium
+from support.cli import tetractl
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
-
-
-def tetractl(folder: Path, *args: object) -> subprocess.CompletedProcess[str]:
-    command = [TETRACTL, *map(str, args)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
 SPEC = """

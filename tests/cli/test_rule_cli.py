@@ -2,11 +2,11 @@
 
 import json
 import os
-import subprocess
 
 import pytest
 import typer.main
-from support.running import PATIENCE_S, QUICK, TETRACTL, environment
+from support import cli
+from support.running import QUICK
 
 from tetractl.cli.app import app
 
@@ -21,19 +21,8 @@ def commands(command=None, words=()):
         yield from commands(each, (*words, name))
 
 
-def tetractl(*words, cwd, **options):
-    done = subprocess.run(
-        [TETRACTL, *words],
-        cwd=cwd,
-        env=environment(),
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        **options,
-    )
-    assert "Traceback" not in done.stderr, done.stderr
-    return done
+def tetractl(*args, cwd, env=None):
+    return cli.tetractl(cwd, *args, env=env)
 
 
 WITHOUT_JSON = [  # they write files, play, or give what has no form but its own

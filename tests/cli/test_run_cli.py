@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support import cli
 from support.paths import ROOT
 from support.running import (
     ENDLESS,
@@ -29,18 +30,8 @@ EXPERIMENTS = [
 ]
 
 
-def tetractl(*args, cwd, **options):
-    done = subprocess.run(
-        [TETRACTL, *map(str, args)],
-        cwd=cwd,
-        env=environment() | options.pop("env", {}),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        **options,
-    )
-    assert "Traceback" not in done.stderr, done.stderr
-    return done
+def tetractl(*args, cwd, env=None):
+    return cli.tetractl(cwd, *args, env=env)
 
 
 def run(*args, cwd, **options):
@@ -304,7 +295,7 @@ def test_a_full_disk_aborts_the_trial_and_says_so(batch, tmp_path):
     def full():
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
-    done = run(batch[0] / "quick.yaml", "--out", "logs", cwd=tmp_path, preexec_fn=full)
+    done = cli.process(tmp_path, "run", batch[0] / "quick.yaml", "--out", "logs", preexec_fn=full)
     assert done.returncode == 1
     line = "error: trial 1: logs/trial-000.mcap: cannot write the log: File too large"
     assert line in done.stderr.splitlines()
@@ -368,10 +359,10 @@ COMMANDS = {"run", "validate", "schema", "info", "replay", "plot", "stats"}
     ],
 )
 def test_shells_complete_commands(tmp_path, shell, words):
-    script = tetractl(cwd=tmp_path, env={"_TETRACTL_COMPLETE": f"source_{shell}"})
+    script = cli.process(tmp_path, env={"_TETRACTL_COMPLETE": f"source_{shell}"})
     assert script.returncode == 0
     assert f"_TETRACTL_COMPLETE=complete_{shell}" in script.stdout
-    found = tetractl(cwd=tmp_path, env=words | {"_TETRACTL_COMPLETE": f"complete_{shell}"})
+    found = cli.process(tmp_path, env=words | {"_TETRACTL_COMPLETE": f"complete_{shell}"})
     assert all(command in found.stdout for command in COMMANDS)
 
 
@@ -382,5 +373,5 @@ def test_bash_completes_options_once_it_is_told_how(tmp_path):
     )
     assert done.stdout == "complete -o default -F _tetractl_completion tetractl\n"
     words = {"COMP_WORDS": "tetractl run --res", "COMP_CWORD": "2"}
-    found = tetractl(cwd=tmp_path, env=words | {"_TETRACTL_COMPLETE": "complete_bash"})
+    found = cli.process(tmp_path, env=words | {"_TETRACTL_COMPLETE": "complete_bash"})
     assert found.stdout.split() == ["--resume"]

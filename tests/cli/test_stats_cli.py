@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support import cli
 from support import random_trials as made
 
 from tetractl.core.plan import Outcome
@@ -21,11 +22,7 @@ PLANT = {"type": "sim", "heading_noise": 0.05}
 
 
 def stats(*args, cwd):
-    done = subprocess.run(
-        [TETRACTL, "stats", *map(str, args)], cwd=cwd, capture_output=True, text=True, timeout=120
-    )
-    assert "Traceback" not in done.stderr
-    return done
+    return cli.tetractl(cwd, "stats", *args)
 
 
 def write(folder, count, first=0, **fields):

@@ -2,11 +2,12 @@
 
 import json
 import shutil
-import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
+from support import cli
 from support.paths import ROOT
 
 EXPERIMENTS = ROOT / "experiments"
@@ -15,13 +16,7 @@ TETRACTL = Path(sys.executable).with_name("tetractl")
 
 @pytest.fixture
 def tetractl(tmp_path):
-    def run(*arguments):
-        command = [TETRACTL, *map(str, arguments)]
-        result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
-        assert "Traceback" not in result.stdout + result.stderr
-        return result
-
-    return run
+    return partial(cli.tetractl, tmp_path)
 
 
 def test_good_specs_are_ok(tetractl):

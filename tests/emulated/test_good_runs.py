@@ -26,29 +26,9 @@ RUNS = {
         ("lab.camera.transport=multicast", "trials.count=2", "lab.limits.placing=30"),
         ("--replace-after", "0.5"),
     ),
-    "version 2.9, z up, elsewhere": (
-        "emulation: {camera: {version: '2.9'}}",
-        (
-            "lab.camera.up_axis=z",
-            "lab.camera.origin=[300, -200]",
-            "lab.camera.rotation=1.1",
-            OFFSET,
-        ),
-        (),
-    ),
-    "version asked for, plain API frames at 38400": (
-        "emulation: {camera: {version: '4.2'}}",
-        ("lab.camera.version='3.1'", "lab.actuator.mode=api1", "lab.actuator.baud=38400"),
-        (),
-    ),
     "transparent radio, uneven robots": (
         UNEVEN,
         ("lab.actuator.mode=transparent", "lab.actuator.robots.1.swap=true"),
-        (),
-    ),
-    "serial slaves": (
-        "",
-        ("lab.actuator.protocol={type: slave, accept_no_watchdog: true}", *SLAVES),
         (),
     ),
 }

@@ -16,7 +16,12 @@ import pytest
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
-needs_chromium = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium on this machine")
+
+
+def needs_chromium(test):
+    """Mark a test that opens a page in Chromium, where there is one."""
+    missing = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium on this machine")
+    return pytest.mark.system(missing(test))
 
 
 class Page:

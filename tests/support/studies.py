@@ -7,6 +7,7 @@ import time
 from contextlib import suppress
 from typing import Any, NamedTuple
 
+from support import cli
 from support.running import PATIENCE_S, QUICK, TETRACTL, environment
 
 from tetractl.run.interrupt import Interrupt
@@ -49,17 +50,8 @@ def write(folder, study=STUDY, spec=QUICK):
     return path
 
 
-def tetractl(*args, cwd):
-    done = subprocess.run(
-        [TETRACTL, *map(str, args)],
-        cwd=cwd,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
-    assert "Traceback" not in done.stderr, done.stderr
-    return done
+def tetractl(*args, cwd, env=None):
+    return cli.tetractl(cwd, *args, env=env)
 
 
 def rows(out):

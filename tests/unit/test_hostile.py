@@ -28,7 +28,7 @@ def caches():
 @pytest.mark.slow
 @every_target
 @given(data=st.binary(max_size=400))
-@settings(max_examples=25)
+@settings(max_examples=5)
 def test_any_bytes(name, data):
     with bounded(LINES, MEGABYTES):
         TARGETS[name].run(data)
@@ -37,7 +37,7 @@ def test_any_bytes(name, data):
 @pytest.mark.slow
 @every_target
 @given(rng=st.randoms(use_true_random=False))
-@settings(max_examples=25)
+@settings(max_examples=5)
 def test_anything_like_what_is_right(name, rng):
     data = mutant(TARGETS[name].seeds(), rng)
     with bounded(LINES, MEGABYTES):

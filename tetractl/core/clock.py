@@ -1,10 +1,12 @@
 """Clocks: nanoseconds since a clock was made, virtual or monotonic."""
 
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 SECOND = 1_000_000_000  # ns
 MILLISECOND = 1_000_000  # ns
+POLL_NS = 2 * MILLISECOND
 
 
 def seconds(ns: int) -> float:
@@ -58,3 +60,16 @@ class MonotonicClock:
         """Sleep until `when` [ns]."""
         while (left := when - self.now()) > 0:
             time.sleep(left / SECOND)
+
+
+def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
+    """Ask `done` every 2 ms of a clock until it is true; return whether it was within the timeout.
+
+    In virtual time the wait lets what the clock drives go on, so that no test needs a thread.
+    """
+    end = clock.now() + round(timeout_s * SECOND)
+    while not done():
+        if clock.now() >= end:
+            return False
+        clock.sleep_until(min(end, clock.now() + POLL_NS))
+    return True

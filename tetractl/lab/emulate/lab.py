@@ -1,6 +1,5 @@
 """The emulated lab put together: two sides, faults, a record, and a helping hand."""
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -35,13 +34,14 @@ class EmulatedLab:
         script: Script,
         options: Options,
         report: Report = lambda event, facts: None,
+        make_loop: type[Loop] = Loop,
     ) -> None:
         _check_names(script, setup)
         self._setup, self._script, self._options = setup, script, options
         self._record, self._report = Record(None), report
-        start_ns = time.monotonic_ns()
+        start_ns = make_loop.now()
         self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
-        self.loop = Loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
+        self.loop = make_loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
         self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
         stage = Stage(
             lab,

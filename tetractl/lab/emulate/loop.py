@@ -55,6 +55,8 @@ class Loop:
     `LAG_NS`: what a loaded host cost.
     """
 
+    now = staticmethod(time.monotonic_ns)
+
     def __init__(self, timeline: Timeline, on_lag: Callable[[int], None]) -> None:
         self.timeline = timeline
         self._on_lag = on_lag
@@ -76,7 +78,7 @@ class Loop:
 
     def catch_up(self) -> None:
         """Bring the timeline to the present."""
-        self.timeline.run_to(time.monotonic_ns())
+        self.timeline.run_to(self.now())
 
     def run(self) -> None:
         """Run until `end`."""
@@ -85,7 +87,7 @@ class Loop:
 
     def turn(self) -> None:
         """Let what is due happen, then wait for the next event or for something to read."""
-        now = time.monotonic_ns()
+        now = self.now()
         due = self.timeline.next_ns
         if due is not None and now > due:
             self.worst_lag_ns = max(self.worst_lag_ns, now - due)
@@ -93,10 +95,10 @@ class Loop:
                 self._on_lag(now - due)
         self.timeline.run_to(now)
         due = self.timeline.next_ns
-        wait = IDLE_S if due is None else (due - time.monotonic_ns()) / SECOND
+        wait = IDLE_S if due is None else (due - self.now()) / SECOND
         ready, _, _ = select.select(list(self._readers), [], [], min(max(wait, 0.0), IDLE_S))
         if ready:
-            self.timeline.run_to(time.monotonic_ns())
+            self.timeline.run_to(self.now())
             for fd in ready:
                 if act := self._readers.get(fd):
                     act()

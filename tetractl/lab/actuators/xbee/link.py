@@ -3,11 +3,11 @@
 What the port's thread reads is fetched with `fetch`.
 """
 
-import threading
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from tetractl.core.clock import Clock
+from tetractl.core.clock import Clock, wait_for
 from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.xbee import check
 from tetractl.lab.actuators.xbee.frames import (
@@ -66,8 +66,8 @@ class Link:
         self._api = radio.mode != "transparent"
         self._fresh: deque[Received] = deque(maxlen=KEPT)
         self._answers: deque[AtResponse] = deque(maxlen=KEPT)
-        self._came = threading.Condition()
         self._frame_id = 0
+        self._clock = clock
         self._port = SerialPort(
             radio.port, radio.baud, "the radio", clock, self._take, HINT, tap, "radio"
         )
@@ -104,8 +104,7 @@ class Link:
         def answer() -> AtResponse | None:
             return next((a for a in self._answers if a.frame_id == wanted), None)
 
-        with self._came:
-            self._came.wait_for(lambda: answer() is not None or self.failure, timeout_s)
+        self._wait(lambda: answer() is not None, timeout_s)
         found = answer()
         return found.data if found is not None and found.status == 0 else None
 
@@ -131,12 +130,14 @@ class Link:
 
     def wait(self, timeout_s: float) -> None:
         """Wait until something came, at most `timeout_s`."""
-        with self._came:
-            self._came.wait_for(lambda: bool(self._fresh) or self.failure, timeout_s)
+        self._wait(lambda: bool(self._fresh), timeout_s)
 
     def close(self) -> None:
         """End the thread and give the port back; idempotent, never raises."""
         self._port.close()
+
+    def _wait(self, done: Callable[[], bool], timeout_s: float) -> None:
+        wait_for(self._clock, lambda: done() or self.failure is not None, timeout_s)
 
     def _next_id(self) -> int:
         self._frame_id = self._frame_id % 255 + 1
@@ -154,8 +155,6 @@ class Link:
         elif data:
             for frame in self.decoder.feed(data):
                 self._sort(frame, now)
-        with self._came:
-            self._came.notify_all()
 
     def _sort(self, frame: XbeeFrame | Other, now: int) -> None:
         match frame:

@@ -12,7 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.wire_tap import NO_TAP, Tap
@@ -73,7 +73,6 @@ class NatNetClient:
         placement = Placement.of(section, metres)
         self.stream = Stream(robots, placement, self._pinned, up, self._keep)
         self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
-        self._changed = threading.Condition()
         self._closing = threading.Event()
         self._sockets: list[socket.socket] = []
         self._due: dict[str, int] = {}
@@ -189,9 +188,6 @@ class NatNetClient:
                 self.senders.pin(port)
             elif isinstance(message, ServerInfo) and self._unicast:
                 self.senders.pin(message.data_port)
-            if message is not None:
-                with self._changed:
-                    self._changed.notify_all()
 
     def _keep(self, frame: CameraFrame) -> None:
         self._fresh.append(frame)
@@ -263,8 +259,7 @@ class NatNetClient:
         self._tap.sent("natnet", self._clock.now(), data)
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        with self._changed:
-            return self._changed.wait_for(done, timeout_s)
+        return wait_for(self._clock, done, timeout_s)
 
 
 def _version(text: str) -> Version:

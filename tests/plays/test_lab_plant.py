@@ -1,14 +1,11 @@
-"""What `tetractl.core.plant` promises, kept by the plant of real robots, in real time.
-
-The suite in tests/contract turns a virtual clock; this one cannot, so it says the same promises of
-one emulated run.
-"""
+"""What `tetractl.core.protocols.Plant` promises, kept by the lab's plant over its whole wires."""
 
 import numpy as np
 import pytest
-from support.lab_processes import SMALL, SPEC, Emulator
+from support.lab_processes import SPEC
+from support.virtual_play import virtual_lab
 
-from tetractl.core.clock import SECOND, MonotonicClock
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.errors import AbortError
 from tetractl.core.operators import Operators
@@ -21,38 +18,23 @@ DIRECTIONS = (0.5, -0.4, 0.6)
 PERIOD = SECOND // 5
 
 
-@pytest.fixture(scope="module")
-def addresses(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("lab")
-    emulator = Emulator(folder, SMALL, "--replace-after", "0.3")
-    try:
-        ready = emulator.wait_for("ready")
-        yield (
-            *SMALL,
-            f"lab.camera.command_port={ready['command_port']}",
-            f"lab.actuator.port={ready['port']}",
-            "lab.limits.placing=30",
-        )
-    finally:
-        emulator.close()
-
-
 @pytest.fixture
-def make(addresses):
+def make(tmp_path):
     made = []
+    with virtual_lab(tmp_path) as lab:
 
-    def plant(*sets, operators=None):
-        experiment = on_plant(load_spec(SPEC, (*addresses, *sets)), "lab").experiment
-        clock = MonotonicClock()
-        seed = np.random.SeedSequence(1)
-        operators = operators or Operators()
-        made.append(experiment.plant.build(experiment.setup, clock, seed, operators))
-        return made[-1], clock, experiment
+        def plant(*sets, operators=None):
+            experiment = on_plant(load_spec(SPEC, (*lab.settings, *sets)), "lab").experiment
+            clock = experiment.plant.clock()
+            seed = np.random.SeedSequence(1)
+            operators = operators or Operators()
+            made.append(experiment.plant.build(experiment.setup, clock, seed, operators))
+            return made[-1], clock, experiment
 
-    yield plant
-    for each in made:
-        each.stop()
-        each.close()
+        yield plant
+        for each in made:
+            each.stop()
+            each.close()
 
 
 def test_one_run_keeps_every_promise(make):
@@ -121,12 +103,13 @@ def test_stop_and_close_need_no_open(make):
 
 def test_the_operators_stop_ends_every_call(make):
     operators = Operators()
-    plant, _, _ = make(operators=operators)
+    plant, clock, _ = make(operators=operators)
     plant.open()
     plant.steer(0.5)
     operators.emergency.set()
     with pytest.raises(AbortError, match="emergency stop by the operator"):
-        while True:
+        for _ in range(3):
+            clock.sleep_until(clock.now() + PERIOD)
             plant.observe()
     with pytest.raises(AbortError, match="emergency stop by the operator"):
         plant.steer(0.0)

@@ -1,0 +1,150 @@
+"""The emulated lab and our side in this process, on one virtual clock: commands and fault scripts.
+
+Command line, plant, guard, inner loop, actuator, frames, module, radio and firmware are the real
+ones; the wires are those of `virtual_wires`. A loaded host changes nothing, so a failure is a
+failure.
+"""
+
+import contextlib
+import json
+from unittest import mock
+
+import numpy as np
+from support.cli import tetractl
+from support.lab_processes import SMALL, SPEC, Played, flags
+from support.virtual_lab import Busy
+from support.virtual_wires import (
+    LabClock,
+    MemoryPort,
+    MemorySerial,
+    Network,
+    SocketModule,
+    TrialClock,
+    VirtualClient,
+    VirtualLoop,
+)
+
+from tetractl.control.build import build_controller
+from tetractl.core.clock import SECOND
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import lab_of
+from tetractl.lab.emulate.lab import EmulatedLab
+from tetractl.lab.emulate.script import NOTHING
+from tetractl.lab.emulate.sides import Options
+from tetractl.lab.inner_loop import IDLE_S, InnerLoop
+
+BEFORE_NS = SECOND // 2  # the lab is up that long before anything connects
+AFTER_NS = SECOND  # and is watched for that long after a play
+HOST_CLOCKS = (
+    "tetractl.core.clock",
+    "tetractl.experiment.lab",
+    "tetractl.lab.actuators.m3pi.calibrate",
+    "tetractl.lab.actuators.m3pi.stop",
+    "tetractl.plant.lab",
+)
+
+
+class Lab:
+    """An emulated lab in virtual time; `settings` lead the commands of this process to it."""
+
+    def __init__(self, emulation, clock, record, settings):
+        self.emulation, self.clock, self.record = emulation, clock, record
+        self.settings = settings
+
+    def events(self, name=None):
+        """Return what truly happened so far, of one kind or of all."""
+        self.emulation._record.flush()
+        found = [json.loads(line) for line in self.record.read_text().splitlines()]
+        return [event for event in found if name in (None, event["event"])]
+
+
+def play(path, script, folder, *, replace_after=None, plan_s=0.0, sets=()):
+    """Play a script; return what became of it, as `support.lab_processes.play` does.
+
+    Each plan after the first takes `plan_s` of virtual time.
+    """
+    sets = (*script.runner.sets, *sets)
+    logs = folder / "first"
+    with virtual_lab(folder, script, sets, replace_after, plan_s) as lab:
+        words = ["run", SPEC, "--plant", "lab", "--yes", "--quiet", "--out", logs]
+        done = tetractl(folder, *words, *flags(lab.settings))
+        lab.clock.sleep_until(lab.clock.now() + AFTER_NS)
+    said = done.stdout + done.stderr
+    link = folder / "radio"
+    return Played([done.returncode], [said], 0, lab.events(), sorted(logs.glob("*.mcap*")), link)
+
+
+@contextlib.contextmanager
+def virtual_lab(folder, script=NOTHING, sets=(), replace_after=None, plan_s=0.0):
+    """An emulated lab, with its faults counted from here on."""
+    settings = (*SMALL, *sets)
+    loaded = load_spec(SPEC, settings)
+    lab = lab_of(loaded.experiment, loaded.name)
+    options = Options(
+        command_port=0,
+        data_port=0,
+        link=folder / "radio",
+        record=folder / "emulator.jsonl",
+        replace_after=replace_after,
+    )
+    network, clock = Network(), LabClock()
+    with virtual_wires(network, clock, plan_s):
+        setup = loaded.experiment.setup
+        emulation = EmulatedLab(lab, setup, script, options, make_loop=VirtualLoop)
+        clock.timeline = emulation.timeline
+        with emulation:
+            clock.steps.insert(0, emulation.loop.poll)
+            found = Lab(emulation, clock, options.record, settings)
+            (ready,) = found.events("ready")
+            found.settings += (
+                f"lab.camera.command_port={ready['command_port']}",
+                f"lab.camera.data_port={ready['data_port']}",
+                f"lab.actuator.port={ready['port']}",
+            )
+            clock.sleep_until(BEFORE_NS)
+            yield found
+
+
+@contextlib.contextmanager
+def virtual_wires(network, clock, plan_s=0.0):
+    """Let the lab's code in this process find these wires and this clock in place of the host's."""
+    VirtualClient.network, VirtualClient.base = network, clock
+    MemoryPort.ports.clear()
+
+    def controller(experiment, key):
+        rng = np.random.default_rng(1)
+        return Busy(build_controller(experiment, key), clock, rng, plan_s, 0.0)
+
+    turns = {}
+
+    def start(loop):
+        due = 0
+
+        def turn():  # as its thread does: at each frame, else every IDLE_S
+            nonlocal due
+            if loop._wake.is_set() or clock.now() >= due:
+                loop._wake.clear()
+                due = clock.now() + round(IDLE_S * SECOND)
+                loop.step()
+
+        turns[id(loop)] = turn
+        clock.steps.append(turn)
+
+    def close(loop):
+        if id(loop) in turns:
+            clock.steps.remove(turns.pop(id(loop)))
+
+    with contextlib.ExitStack() as stack:
+        for name, value in (
+            *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
+            ("tetractl.run.batch.build_controller", controller),
+            ("tetractl.lab.cameras.optitrack.camera.NatNetClient", VirtualClient),
+            ("tetractl.lab.cameras.optitrack.client.socket", SocketModule(network)),
+            ("tetractl.lab.emulate.optitrack.motive._bound", network.bound),
+            ("tetractl.lab.emulate.m3pi.side.PseudoPort", MemoryPort),
+            ("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial),
+        ):
+            stack.enter_context(mock.patch(name, value))
+        stack.enter_context(mock.patch.object(InnerLoop, "start", start))
+        stack.enter_context(mock.patch.object(InnerLoop, "close", close))
+        yield

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from support.lab_processes import ROOT, play
+from support.lab_processes import ROOT, camera_of, play
 
 from tetractl.experiment.load import load_spec
 from tetractl.lab.emulate.script import load_script
@@ -17,7 +17,7 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.replay.audit import audit
 
-SCRIPTS = sorted((ROOT / "experiments" / "faults").glob("*.yaml"))
+SCRIPTS = sorted((ROOT / "experiments" / "faults").rglob("*.yaml"))
 REACTION_S = 0.1  # on top of a fault's own tolerance, until the stop frame is on the wire
 ROLLING_S = 0.3  # from the stop frame on the wire until the wheels are at rest
 ATTEMPTS = 3
@@ -27,7 +27,7 @@ LATE_S = 0.05  # half of the shortest tolerance: a host as late as that spoils t
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
 def test_fault(path, tmp_path):
     """A play that fails on a host too busy to keep the lab's time is played again."""
-    script = load_script(path)
+    script = load_script(path, camera_of(path))
     for attempt in range(1, ATTEMPTS + 1):
         folder = tmp_path / str(attempt)
         folder.mkdir()
@@ -85,7 +85,7 @@ def check_log(expect, played):
 
 def check_motion(expect, played):
     """Robots stop in time, and none moves again after a run that ended."""
-    names = played.record[0]["robots"]
+    names = played.of("ready")[0]["robots"]
     ended = expect.outcome != "done"
     seen = played.seen_ns()
     slack = 0.02

@@ -152,12 +152,8 @@ class ModelDef:
     complete: bool = True
 
     def ids(self) -> dict[str, int]:
-        """Return name -> id, of bodies of one name the last one's; see `alike`."""
+        """Return name -> id."""
         return {body.name: body.id for body in self.bodies}
-
-    def alike(self, name: str | int) -> list[int]:
-        """Return the ids of all bodies of one name."""
-        return [body.id for body in self.bodies if body.name == name]
 
 
 @dataclass(frozen=True, slots=True)

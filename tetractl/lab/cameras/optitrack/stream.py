@@ -31,7 +31,7 @@ from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.errors import WireError
 
 AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
-MISTIMED = 5  # frames in a row that cannot have been exposed when they say: no damage, the clock
+MISTIMED = 5  # impossible times of exposure in a row: no damage, but the clock
 REORDERED = 10  # a frame this little behind the newest was overtaken on its way
 UP_AXIS, UNITS, FRAME_RATE = "UpAxis", "UnitsToMillimeters", "FrameRate"
 METRE_MM = 1000.0
@@ -66,7 +66,7 @@ class Stream:
     `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis where the spec
     tells it. `feed` never raises on data. Times are ns on the host's clock.
 
-    `up_told` is the server's own answer to `UpAxis`, `unit_mm` its unit of length [mm].
+    `up_answer` is the server's answer to `UpAxis`, `unit_mm` its unit of length [mm].
     `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame tells
     of a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` the newest
     frame that could not be read.
@@ -84,7 +84,7 @@ class Stream:
         self.counts = StreamCounts()
         self.info: ServerInfo | None = None
         self.up = up
-        self.up_told: int | None = None
+        self.up_answer: int | None = None
         self.unit_mm: float | None = None
         self.camera_rate_hz: float | None = None
         self.model: ModelDef | None = None
@@ -102,7 +102,7 @@ class Stream:
         self._echoes: deque[int] = deque(maxlen=ECHOES)
         self._fault = ""
         self._mistimed = 0  # in a row
-        self._twins = ""  # how the models have two bodies of one name that is a robot's
+        self._twins = ""  # which name in the models is that of two bodies
 
     @property
     def version(self) -> Version | None:
@@ -201,9 +201,9 @@ class Stream:
     def _response(self, response: Response) -> None:
         asked, self._asked = self._asked, None
         if asked == UP_AXIS and self.up is None:
-            self.up_told = response_int(response)
-            if self.up_told in (UpAxis.Y, UpAxis.Z):
-                self.up = UpAxis(self.up_told)
+            self.up_answer = response_int(response)
+            if self.up_answer in (UpAxis.Y, UpAxis.Z):
+                self.up = UpAxis(self.up_answer)
         elif asked == UNITS:
             unit_mm = response_float(response)
             if not 1e-3 <= unit_mm <= 1e6:
@@ -255,9 +255,10 @@ class Stream:
         return received_ns
 
     def _twins_in(self, model: ModelDef) -> str:
-        """Return that a robot's name is that of two bodies, "" where each is one's alone."""
+        """Return that two bodies have the name of one robot's, "" where none do."""
         for robot in self.robots:
-            if len(ids := model.alike(robot.body)) > 1:
+            ids = [body.id for body in model.bodies if body.name == robot.body]
+            if len(ids) > 1:
                 listed = " and ".join(map(str, ids))
                 return f"the cameras have {len(ids)} rigid bodies '{robot.body}', of ids {listed}"
         return ""

@@ -85,7 +85,7 @@ class ClockSync:
             if abs(gained) > unsure + DRIFT_MAX * abs(span):
                 return (
                     f"the camera server's clock {'gained' if gained > 0 else 'lost'} "
-                    f"{abs(gained) / 1e6:.0f} ms on this computer's within {span / SECOND:.2f} s: "
+                    f"{abs(gained) / 1e6:.1f} ms on this computer's within {span / SECOND:.2f} s: "
                     "it was set, or runs wrongly"
                 )
         return ""

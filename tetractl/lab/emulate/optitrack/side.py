@@ -53,7 +53,7 @@ class OptitrackSettings(Model):
     latency: float = Field(default=0.0054, ge=0, le=1)
     """From exposure to transmission [s]."""
     unit_mm: Positive = 1000.0
-    """The unit of length that it tells [mm]; positions are in metres in any case."""
+    """The unit of length that it reports [mm]; positions are in metres in any case."""
     up: Literal["y", "z"] | None = None
     """The cameras' vertical axis; the spec's, or y."""
     knows_up_axis: bool = True

@@ -33,6 +33,7 @@ from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.detect import MODULES, Grey
 from tetractl.lab.cameras.apriltag.refine import refined
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
+from tetractl.lab.cameras.apriltag.source import Picture, decoded
 from tetractl.lab.cameras.apriltag.track import Tracker
 from tetractl.lab.emulate.apriltag.mjpeg import EmulatedNetworkCamera
 from tetractl.lab.emulate.apriltag.optics import Optics
@@ -269,7 +270,7 @@ def speed(scale: float) -> None:
                 at = partial(stand, scattered(rng))
                 picture = clocked(times["render"], partial(drawn.picture, at, 0))
                 _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-                grey = clocked(times["decode"], partial(cv2.imdecode, data, cv2.IMREAD_GRAYSCALE))
+                grey = clocked(times["decode"], partial(decoded, Picture(data.tobytes(), 0)))
                 began = time.process_time()
                 clocked(times["search"], partial(tracker.see, grey))
                 cpu += time.process_time() - began

@@ -5,7 +5,7 @@ What the robots truly did is read from the emulator's own record, not from the r
 
 import pytest
 from support.fault_checks import SCRIPTS, check
-from support.lab_processes import play
+from support.lab_processes import camera_of, play
 
 from tetractl.lab.emulate.script import load_script
 
@@ -15,7 +15,7 @@ LATE_S = 0.05  # half of the shortest tolerance: a host as late as that spoils t
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
 def test_fault(path, tmp_path):
     """A play on a host that did not keep the lab's time proves nothing and is skipped."""
-    script = load_script(path)
+    script = load_script(path, camera_of(path))
     played = play(path, script, tmp_path)
     try:
         check(script, played)

@@ -2,6 +2,7 @@
 
 import pytest
 from support.fault_checks import SCRIPTS, check
+from support.lab_processes import camera_of
 from support.virtual_play import play
 
 from tetractl.lab.emulate.script import load_script
@@ -10,6 +11,8 @@ PLAN_S = {"late_steps": 0.08}
 
 
 def in_process(path):
+    if camera_of(path) != "optitrack":
+        return False
     runner = load_script(path).runner
     return not (runner.on_mark or runner.second or runner.file_limit)
 

@@ -114,7 +114,7 @@ def test_the_operators_stop_ends_every_call(make):
     with pytest.raises(AbortError, match="emergency stop by the operator"):
         plant.steer(0.0)
     assert plant.stop().direction is None
-    assert plant.settle().unrest == ""
+    assert plant.settle().unrest == "emergency stop by the operator"
 
 
 def test_a_port_that_is_not_there_refuses(make, tmp_path):

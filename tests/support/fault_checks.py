@@ -13,7 +13,7 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.replay.audit import audit
 
-SCRIPTS = sorted((ROOT / "experiments" / "faults").glob("*.yaml"))
+SCRIPTS = sorted((ROOT / "experiments" / "faults").rglob("*.yaml"))
 REACTION_S = 0.1  # on top of a fault's own tolerance, until the stop frame is on the wire
 ROLLING_S = 0.3  # from the stop frame on the wire until the wheels are at rest
 
@@ -62,7 +62,7 @@ def check_log(expect, played):
 
 def check_motion(expect, played):
     """Robots stop in time, and none moves again after a run that ended."""
-    names = played.record[0]["robots"]
+    names = played.of("ready")[0]["robots"]
     ended = expect.outcome != "done"
     seen = played.seen_ns()
     slack = 0.02

@@ -32,6 +32,20 @@ SMALL = (  # a small swarm and under two seconds of driving
     "controller.steps_max=8",
     "trials.count=1",
 )
+APRILTAG = (  # the same robots under a network camera
+    "lab.camera={type: apriltag, source: {type: mjpeg, url: 'http://127.0.0.1:8080/'}, robots: ["
+    "{name: green, tag: 0, size_mm: 80, height_mm: 90}, "
+    "{name: blue, tag: 1, size_mm: 80, height_mm: 90}, "
+    "{name: red, tag: 2, size_mm: 80, height_mm: 90}], floor: ["
+    "{tag: 100, at: [400, 250], size_mm: 120}, {tag: 101, at: [2200, 250], size_mm: 120}, "
+    "{tag: 102, at: [2200, 2250], size_mm: 120}, {tag: 103, at: [400, 2250], size_mm: 120}]}",
+    *(setting for setting in SMALL if not setting.startswith("lab.camera")),
+)
+
+
+def camera_of(path):
+    """The camera that a script is for, by its folder; OptiTrack's have none of their own."""
+    return "apriltag" if path.parent.name == "apriltag" else "optitrack"
 
 
 def flags(settings):
@@ -163,7 +177,7 @@ class Played:
 
     def stop_after(self, name, since_ns):
         """Seconds from `since_ns` until a stop for a robot was on the wire."""
-        place = self.record[0]["robots"].index(name)
+        place = self.of("ready")[0]["robots"].index(name)
         return next(
             (event["t_ns"] - since_ns) / 1e9
             for event in self.of("command")
@@ -192,16 +206,18 @@ def stops(command, place):
 
 def play(path, script, folder, *options, sets=()):
     """Play a script, with further options of the emulator and settings of both sides."""
-    settings = (*SMALL, *script.runner.sets, *sets)
+    apriltag = camera_of(path) == "apriltag"
+    settings = (*(APRILTAG if apriltag else SMALL), *script.runner.sets, *sets)
     runners = []
     emulator = Emulator(folder, settings, "--script", str(path), *options)
     try:
         ready = emulator.wait_for("ready")
-        settings += (
-            f"lab.camera.command_port={ready['command_port']}",
-            f"lab.camera.data_port={ready['data_port']}",
-            f"lab.actuator.port={ready['port']}",
-        )
+        settings += (f"lab.actuator.port={ready['port']}",)
+        if apriltag:
+            settings += (f"lab.camera.source.url={ready['url']}",)
+        else:
+            ports = ("command_port", "data_port")
+            settings += tuple(f"lab.camera.{port}={ready[port]}" for port in ports)
         runners.append(Runner(folder, "first", settings))
         _attend(emulator, runners, script, folder, settings)
         for runner in runners:

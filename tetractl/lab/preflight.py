@@ -91,6 +91,9 @@ def inspect(rig: Rig) -> Preflight:
     problems = [*camera.problems, *actuator.problems]
     if newest is not None and newest.fault:
         problems.append(newest.fault)
+    if not seen:
+        heard_ns = 0 if newest is None else newest.received_ns
+        problems.append(rig.guard.no_frame(rig.clock.now() - heard_ns))
     latency_ms = _latency_ms(seen)
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old when they come")

@@ -127,13 +127,19 @@ class LabPlant:
         return self._stop
 
     def settle(self) -> Verdict:
-        """Wait until the camera shows every robot, standing where it can, and judge the path."""
+        """Wait until the camera shows every robot, standing where it can, and judge the path.
+
+        A fault that came too late for a further step, such as a stop that could not be sent, counts
+        as robots that are not seen to stand.
+        """
         not_shown = unrest if self.rig.actuator.halts else unseen
         restless = not_shown(self.rig) if self._newest else ""
         if restless:
             self._news.append(Note(self.clock.now(), "error", restless))
         if outdated := self.rig.guard.outdated:
             self._news.append(Note(self.clock.now(), "warning", dropped(outdated)))
+        if self.rig.guard.state is GuardState.ABORT:
+            restless = restless or self.rig.guard.reason
         self._judging = False
         final = self._newest.poses if self._newest is not None else self.setup.starts
         return self._path_check.verdict(final, restless)

@@ -16,8 +16,15 @@ from tetractl.lab.actuators.m3pi.broadcast import (
 )
 from tetractl.lab.actuators.xbee.frames import AtCommand, Receive16, Transmit16
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
-from tetractl.lab.cameras.optitrack.messages import Connect, NatNetFrame, ServerInfo
+from tetractl.lab.cameras.optitrack.messages import (
+    Connect,
+    EchoRequest,
+    EchoResponse,
+    NatNetFrame,
+    ServerInfo,
+)
 from tetractl.lab.cameras.optitrack.wire import parse
+from tetractl.lab.emulate.optitrack.server import CLOCK_HZ
 from tetractl.lab.errors import WireError
 
 RUN = ((60, 60), (60, 60))
@@ -151,6 +158,40 @@ def test_jump(faulty):
     green, _ = frames(lab, client)[-1].bodies
     assert green.tracking_valid
     assert green.position == pytest.approx((0.8, 0.06, -0.4))
+
+
+def echoed(lab, client, sent):
+    """The server's clock in an echo [s], and the timeline's time then."""
+    answer = client.ask(EchoRequest(sent), EchoResponse)
+    return answer.server / CLOCK_HZ, lab.timeline.now_ns / 1e9
+
+
+@pytest.mark.parametrize("by", [0.5, -0.5])
+def test_clock_jump(faulty, by):
+    lab, client = faulty(f"fault: clock_jump, by: {by}", since="client")
+    before, then = echoed(lab, client, 1)
+    client.ask(Connect(), ServerInfo)
+    fault_seen(lab, "clock_jump")
+    after, now = echoed(lab, client, 2)
+    assert after - before - (now - then) == pytest.approx(by, abs=0.1)
+    frame = client.next(NatNetFrame, 3)[-1]
+    exposed = frame.ticks.exposure / CLOCK_HZ
+    assert exposed - lab.timeline.now_ns / 1e9 == pytest.approx(after - now, abs=0.1)
+
+
+def test_clock_rate(faulty):
+    lab, client = faulty("fault: clock_rate, rate: 3", since="client")
+    client.ask(Connect(), ServerInfo)
+    fault_seen(lab, "clock_rate")
+    before, then = echoed(lab, client, 1)
+    turn_until(lab, lambda: lab.timeline.now_ns / 1e9 > then + 0.2)
+    after, now = echoed(lab, client, 2)
+    assert (after - before) / (now - then) == pytest.approx(3, rel=0.1)
+
+
+def test_twin_id(faulty):
+    lab, client = faulty("fault: twin_id, robot: blue, other: green")
+    assert [body.id for body in frames(lab, client)[-1].bodies] == [1, 1]
 
 
 def test_swap(faulty):

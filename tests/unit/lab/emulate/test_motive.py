@@ -29,7 +29,7 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 from tetractl.lab.cameras.optitrack.wire import pack
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.optitrack.motive import Motive
-from tetractl.lab.emulate.optitrack.server import ticks
+from tetractl.lab.emulate.optitrack.server import ServerClock
 from tetractl.lab.emulate.optitrack.streaming import Streaming
 
 MULTICAST = ("lab.camera.transport=multicast", "lab.camera.group=239.255.42.98")
@@ -109,7 +109,7 @@ def test_echo_tells_a_clock_of_its_own(opened):
     second = client.ask(EchoRequest(18), EchoResponse)
     assert (first.client, second.client) == (17, 18)
     assert second.server >= first.server
-    assert second.server == pytest.approx(ticks(before), abs=10_000_000)
+    assert second.server == pytest.approx(ServerClock().ticks(before), abs=10_000_000)
     assert abs(second.server - before // 100) > 10_000_000  # it is not the host's clock
 
 
@@ -164,7 +164,9 @@ def test_latency_and_jitter_are_those_of_the_real_capture():
         timeline.run_to(60_000_000_000)
     finally:
         motive.close()
-    delays = [(ticks(now) - frame.ticks.exposure) / 10_000 for frame, now in sent]  # ms
+    delays = [
+        (ServerClock().ticks(now) - frame.ticks.exposure) / 10_000 for frame, now in sent
+    ]  # ms
     gaps = [(b - a) / 1e6 for (_, a), (_, b) in pairwise(sent)]
     assert len(sent) == pytest.approx(7200, abs=2)
     assert statistics.mean(delays) == pytest.approx(5.4, abs=0.1)

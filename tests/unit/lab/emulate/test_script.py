@@ -2,18 +2,19 @@
 
 import pytest
 from support.emulated_lab import emulated
+from support.lab_processes import camera_of
 from support.paths import ROOT
 
 from tetractl.core.errors import SpecError
 from tetractl.lab.emulate.script import Sides, load_script, parse_script
 
 FOLDER = ROOT / "experiments" / "faults"
-SCRIPTS = sorted(FOLDER.glob("*.yaml"))
+SCRIPTS = sorted(FOLDER.rglob("*.yaml"))
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
 def test_shipped_scripts_are_valid_and_say_what_they_expect(path):
-    script = load_script(path)
+    script = load_script(path, camera_of(path))
     assert script.expect is not None
     assert script.row
     named = {name for fault in script.faults for name in fault.names()}
@@ -23,7 +24,7 @@ def test_shipped_scripts_are_valid_and_say_what_they_expect(path):
 
 
 def test_every_fault_has_a_script():
-    used = {fault.fault for path in SCRIPTS for fault in load_script(path).faults}
+    used = {fault.fault for path in FOLDER.glob("*.yaml") for fault in load_script(path).faults}
     assert used == set(Sides.of("optitrack", "m3pi-xbee").faults)
 
 

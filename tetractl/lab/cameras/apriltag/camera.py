@@ -172,7 +172,7 @@ class AprilTagCamera:
     def _search(self, number: int, picture: Picture) -> None:
         began = self._clock.now()
         try:
-            grey = decoded(picture)
+            grey = decoded(picture, self._size)
             if grey is None or (self._size is not None and grey.shape != self._size):
                 self._unread += 1  # of another size, it does not fit the calibration
                 return

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 TAGS = 587  # of the family 36h11, numbered from 0
 
 Tag = Annotated[int, Field(ge=0, lt=TAGS)]
-Pixels = Annotated[int, Field(ge=64, le=8192)]
+PIXELS_MAX = 8192  # of a picture's side
+Pixels = Annotated[int, Field(ge=64, le=PIXELS_MAX)]
 
 
 class DeviceSource(Model):

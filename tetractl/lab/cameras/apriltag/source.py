@@ -1,8 +1,11 @@
 """Where pictures come from: a camera at this computer, a video file, a network camera."""
 
 import http.client
+import io
 import socket
 import sys
+import threading
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,16 +14,25 @@ from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
+from PIL.JpegImagePlugin import JpegImageFile
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.announcement import is_emulated
 from tetractl.lab.cameras.apriltag.detect import Grey
 from tetractl.lab.cameras.apriltag.multipart import Multipart
-from tetractl.lab.cameras.apriltag.section import DeviceSource, FileSource, MjpegSource, Source
+from tetractl.lab.cameras.apriltag.section import (
+    PIXELS_MAX,
+    DeviceSource,
+    FileSource,
+    MjpegSource,
+    Source,
+)
 
 CHUNK = 1 << 16
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+END_WITHIN = 64  # bytes at the end of a JPEG file, some cameras fill it up
+NO_CODE = b"\xff\x00" * 8  # 64 bits set: no Huffman code, and more than a decoder looks ahead
 
 
 class SourceEndedError(Exception):
@@ -77,20 +89,30 @@ def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
             assert_never(source)
 
 
-def decoded(picture: Picture) -> Grey | None:
+def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
     """Return the grey levels (height, width) of a picture, None where its JPEG is damaged.
 
-    cv2.error where OpenCV refuses it.
+    A JPEG of another `size` (height, width), or by default of more than `PIXELS_MAX` a side, is not
+    decoded: None. cv2.error where OpenCV refuses pixels.
     """
     content = picture.content
     if isinstance(content, np.ndarray):
         grey = cv2.cvtColor(content, cv2.COLOR_BGR2GRAY) if content.ndim == 3 else content
         return grey.astype(np.uint8, copy=False)
-    # a JPEG cut short is decoded into a picture that is partly grey: look for its end first
-    if not content.startswith(JPEG_START) or JPEG_END not in content[-64:]:
+    end = content.rfind(JPEG_END, max(0, len(content) - END_WITHIN))
+    if not content.startswith(JPEG_START) or end < 0:
         return None
-    grey = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
-    return None if grey is None else grey.astype(np.uint8, copy=False)
+    # a JPEG cut short before its end marker is decoded into a picture that is partly grey; without
+    # the marker a decoder waits for the codes that are missing, and Pillow says so
+    try:
+        jpeg = JpegImageFile(io.BytesIO(content[:end] + NO_CODE))
+        fits = max(jpeg.size) <= PIXELS_MAX if size is None else jpeg.size == size[::-1]
+        if not fits:
+            return None
+        jpeg.draft("L", jpeg.size)
+        return np.asarray(jpeg) if jpeg.mode == "L" else None
+    except Exception:  # what Pillow raises for hostile bytes is not documented
+        return None
 
 
 class DeviceFeed:
@@ -193,15 +215,27 @@ class MjpegFeed:
         self._url, self._clock = source.url, clock
         url = urlsplit(source.url)
         self._connection = connection = http.client.HTTPConnection(url.netloc, timeout=timeout_s)
+        path = (url.path or "/") + (f"?{url.query}" if url.query else "")
+        until = time.monotonic() + timeout_s
         try:
             connection.connect()
             self._socket: socket.socket = connection.sock
-            connection.request("GET", (url.path or "/") + (f"?{url.query}" if url.query else ""))
-            self._answer = connection.getresponse()
+            # the connection's own timeout is for each byte, this one for the whole answer
+            deadline = threading.Timer(until - time.monotonic(), self.interrupt)
+            deadline.start()
+            try:
+                connection.request("GET", path)
+                self._answer = connection.getresponse()
+            finally:
+                deadline.cancel()
+            if time.monotonic() >= until:
+                raise TimeoutError
         except (OSError, ValueError, http.client.HTTPException) as error:
             connection.close()
+            late = time.monotonic() >= until
+            said = f"not within {timeout_s:g} s" if late else error or type(error).__name__
             raise AbortError(
-                f"{source.url} does not answer: {error or type(error).__name__}",
+                f"{source.url} does not answer: {said}",
                 "is the camera on, is lab.camera.source.url its address?",
             ) from error
         kind, boundary = self._answer.headers.get_content_type(), self._boundary()

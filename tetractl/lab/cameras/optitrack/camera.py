@@ -83,6 +83,8 @@ class OptitrackCamera:
             round_trip = f"{sync.round_trip_ns / 1e6:.3f}"
         else:
             warnings.append("the server does not tell its clock, so the frames' age is not known")
+        if stream.unit_mm is None:
+            warnings.append("the server does not report its unit of length: metres are assumed")
         version = stream.version
         if version is not None and not version.known:
             warnings.append(f"protocol {version} is newer than those known here; it is read as 4.3")

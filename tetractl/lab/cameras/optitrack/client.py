@@ -9,8 +9,9 @@ import socket
 import struct
 import sys
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import AbortError
@@ -34,10 +35,11 @@ from tetractl.lab.cameras.optitrack.placement import Placement
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
-from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UP_AXIS, Stream, Tracked
+from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
 ASK_NS = SECOND // 4  # an unanswered question is asked again after this long
+ASKED_MAX = 4  # what the run can do without is asked this often
 MODELS_MAX_NS = 8 * SECOND  # at most this long between asking for models that keep changing
 KEEPALIVE_NS = SECOND
 ECHO_NS = SECOND // 2
@@ -76,6 +78,7 @@ class NatNetClient:
         self._closing = threading.Event()
         self._sockets: list[socket.socket] = []
         self._due: dict[str, int] = {}
+        self._asked: Counter[str] = Counter()
         self._echoes = 0
         self._models_asked_ns = -MODELS_MAX_NS
         self._models_wait_ns = ASK_NS
@@ -111,15 +114,14 @@ class NatNetClient:
             raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
         self._wait(lambda: stream.model is not None and stream.up is not None, timeout_s)
         if stream.up is None:
-            raise AbortError(
-                "the camera server does not tell its up axis", "set lab.camera.up_axis to y or z"
-            )
+            raise diagnosis.no_up_axis(stream)
         if stream.model is None and any(isinstance(robot.body, str) for robot in stream.robots):
             raise diagnosis.no_names(stream, timeout_s)
         if self.stream.sync is not None:
             self._wait(lambda: self._echoes >= FIRST_ECHOES, timeout_s)
         first = self.stream.counts.frames
-        self._wait(lambda: self.stream.counts.frames > first, timeout_s)
+        if not self._wait(lambda: self.stream.counts.frames > first, timeout_s):
+            raise AbortError(f"the camera server sends no new frames any more ({timeout_s:g} s)")
 
     def drain(self) -> list[CameraFrame]:
         """Return, once, every frame since the last call, oldest first."""
@@ -202,8 +204,11 @@ class NatNetClient:
             return
         if stream.up is None:
             self._every("ask", ASK_NS, lambda: Request(UP_AXIS))
-        elif stream.camera_rate_hz is None and self._due.get("rates", 0) < 4:
-            self._every("ask", ASK_NS, lambda: Request(FRAME_RATE))
+        else:
+            for text, known in ((UNITS, stream.unit_mm), (FRAME_RATE, stream.camera_rate_hz)):
+                if known is None and self._asked[text] < ASKED_MAX:
+                    self._asked[text] += self._every("ask", ASK_NS, partial(Request, text))
+                    break
         self._ask_models()
         if self._unicast:
             self._every("alive", KEEPALIVE_NS, lambda: Bare(MessageKind.KEEPALIVE))
@@ -239,10 +244,7 @@ class NatNetClient:
         if now < self._due.get(what, -1):
             return False
         self._due[what] = now + period_ns
-        made = message()
-        if isinstance(made, Request) and made.text == FRAME_RATE:
-            self._due["rates"] = self._due.get("rates", 0) + 1
-        self._ask(made)
+        self._ask(message())
         return True
 
     def _ask(self, message: Message) -> None:

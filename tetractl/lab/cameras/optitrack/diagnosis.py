@@ -98,6 +98,19 @@ def no_tracking_flag(version: Version) -> AbortError:
     )
 
 
+def no_up_axis(stream: Stream) -> AbortError:
+    """Return the error for a server whose up axis is not known, or is none that can be used."""
+    if stream.up_answer is None:
+        return AbortError(
+            "the camera server does not tell its up axis", "set lab.camera.up_axis to y or z"
+        )
+    axis = {0: "x"}.get(stream.up_answer, f"of number {stream.up_answer}")
+    return AbortError(
+        f"the camera server's up axis is {axis}; it must be y or z",
+        "set Up Axis in Motive's streaming settings, not lab.camera.up_axis",
+    )
+
+
 def no_names(stream: Stream, timeout_s: float) -> AbortError:
     """Return the error for a server that does not tell names, where bodies are wanted by name."""
     if stream.counts.unread_models:

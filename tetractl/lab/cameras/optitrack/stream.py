@@ -31,8 +31,10 @@ from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.errors import WireError
 
 AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
+MISTIMED = 5  # impossible times of exposure in a row: no damage, but the clock
 REORDERED = 10  # a frame this little behind the newest was overtaken on its way
-UP_AXIS, FRAME_RATE = "UpAxis", "FrameRate"
+UP_AXIS, UNITS, FRAME_RATE = "UpAxis", "UnitsToMillimeters", "FrameRate"
+METRE_MM = 1000.0
 ECHOES = 64  # unanswered questions for the time that an answer is matched to
 
 
@@ -64,6 +66,7 @@ class Stream:
     `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis where the spec
     tells it. `feed` never raises on data. Times are ns on the host's clock.
 
+    `up_answer` is the server's answer to `UpAxis`, `unit_mm` its unit of length [mm].
     `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame tells
     of a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` the newest
     frame that could not be read.
@@ -81,6 +84,8 @@ class Stream:
         self.counts = StreamCounts()
         self.info: ServerInfo | None = None
         self.up = up
+        self.up_answer: int | None = None
+        self.unit_mm: float | None = None
         self.camera_rate_hz: float | None = None
         self.model: ModelDef | None = None
         self.models_changed = False
@@ -96,6 +101,8 @@ class Stream:
         self._awaited: Counter[type[Message]] = Counter()
         self._echoes: deque[int] = deque(maxlen=ECHOES)
         self._fault = ""
+        self._mistimed = 0  # in a row
+        self._twins = ""  # which name in the models is that of two bodies
 
     @property
     def version(self) -> Version | None:
@@ -182,8 +189,10 @@ class Stream:
                 self.info = message
             case ModelDef():
                 self.model, self.models_changed = message, False
+                self._twins = self._twins_in(message)
             case EchoResponse(client, server) if self.sync is not None:
                 self.sync.add(client, received_ns, server)
+                self._fault = self._fault or self.sync.fault
             case Response():
                 self._response(message)
             case _:
@@ -192,9 +201,18 @@ class Stream:
     def _response(self, response: Response) -> None:
         asked, self._asked = self._asked, None
         if asked == UP_AXIS and self.up is None:
-            value = response_int(response)
-            if value in (UpAxis.Y, UpAxis.Z):
-                self.up = UpAxis(value)
+            self.up_answer = response_int(response)
+            if self.up_answer in (UpAxis.Y, UpAxis.Z):
+                self.up = UpAxis(self.up_answer)
+        elif asked == UNITS:
+            unit_mm = response_float(response)
+            if not 1e-3 <= unit_mm <= 1e6:
+                raise WireError(f"no unit of length: {unit_mm:g} mm")
+            self.unit_mm = unit_mm
+            if abs(unit_mm - METRE_MM) > 1e-3 * METRE_MM:
+                self._fault = self._fault or (
+                    f"the camera server streams lengths in units of {unit_mm:g} mm, not in metres"
+                )
         elif asked == FRAME_RATE:
             rate = response_float(response)
             self.camera_rate_hz = rate if 1.0 <= rate <= 10_000.0 else None
@@ -222,27 +240,48 @@ class Stream:
     def _exposed(self, frame: NatNetFrame, received_ns: int) -> int:
         if frame.ticks is None or self.sync is None or not self.sync.synced:
             return received_ns
-        sampled_ns = min(received_ns, self.sync.to_host(frame.ticks.exposure))
-        if received_ns - sampled_ns > AGE_MAX_NS:
-            raise WireError(f"a frame exposed {(received_ns - sampled_ns) / SECOND:.0f} s ago")
-        return sampled_ns
+        sampled_ns = self.sync.to_host(frame.ticks.exposure)
+        age_ns = received_ns - sampled_ns
+        if -self.sync.error_ns(received_ns) <= age_ns <= AGE_MAX_NS:
+            self._mistimed = 0
+            return min(received_ns, sampled_ns)
+        self._mistimed += 1
+        when = f"{abs(age_ns) / SECOND:.3f} s {'before' if age_ns > 0 else 'after'} they came"
+        if self._mistimed < MISTIMED:
+            raise WireError(f"a frame exposed {when}")
+        self._fault = self._fault or (
+            f"by the camera server's clock, frames were exposed {when}: it was set, or runs wrongly"
+        )
+        return received_ns
+
+    def _twins_in(self, model: ModelDef) -> str:
+        """Return that two bodies have the name of one robot's, "" where none do."""
+        for robot in self.robots:
+            ids = [body.id for body in model.bodies if body.name == robot.body]
+            if len(ids) > 1:
+                listed = " and ".join(map(str, ids))
+                return f"the cameras have {len(ids)} rigid bodies '{robot.body}', of ids {listed}"
+        return ""
 
     def _camera_frame(self, frame: NatNetFrame, sampled_ns: int, received_ns: int) -> CameraFrame:
-        by_id = {body.id: body for body in frame.bodies}
         poses: list[Pose | None] = []
+        others, twins = list(frame.bodies), self._twins
         for robot in self.robots:
             number = self.number(robot.body)
-            body = None if number is None else by_id.pop(number, None)
-            if body is None or self.up is None:
+            here = [body for body in frame.bodies if body.id == number]
+            others = [body for body in others if body.id != number]
+            if len(here) > 1:
+                twins = twins or f"a frame has {len(here)} rigid bodies of id {number}"
+            if len(here) != 1 or self.up is None:
                 poses.append(None)
             else:
-                poses.append(self._placement.pose(body, self.up, robot.heading_offset))
-        strangers = [self._placement.pose(body, self.up) for body in by_id.values() if self.up]
+                poses.append(self._placement.pose(here[0], self.up, robot.heading_offset))
+        strangers = [self._placement.pose(body, self.up) for body in others if self.up]
         return CameraFrame(
             number=frame.number,
             sampled_ns=sampled_ns,
             received_ns=received_ns,
             poses=tuple(poses),
             strangers=tuple(pose for pose in strangers if pose is not None),
-            fault=self._fault or fault_of(frame),
+            fault=self._fault or fault_of(frame) or twins,
         )

@@ -3,6 +3,9 @@
 An echo tells that the server's clock read `ticks` at some time between its sending and its
 return; halfway is the best guess, wrong by half the round trip at most. So the echoes of shortest
 round trip decide, and the drift is fitted to those.
+
+Two echoes also bound how the clock ran between them, however late the network or the host was. A
+clock that gained or lost more than `DRIFT_MAX` was set or runs wrongly: `fault` says so.
 """
 
 from collections import deque
@@ -31,6 +34,7 @@ class ClockSync:
     def __init__(self, clock_hz: int) -> None:
         self.clock_hz = clock_hz
         self.drift = 0.0  # the server gains this much on the host, per unit of time
+        self.fault = ""  # how the clock went wrong, for good
         self._echoes: deque[Echo] = deque(maxlen=KEPT)
         self._at = Echo(0, 0, 0)
 
@@ -54,7 +58,9 @@ class ClockSync:
         if not 0 <= returned_ns - sent_ns <= SECOND:
             return
         halfway = (sent_ns + returned_ns) // 2
-        self._echoes.append(Echo(halfway, self._ns(ticks), returned_ns - sent_ns))
+        echo = Echo(halfway, self._ns(ticks), returned_ns - sent_ns)
+        self.fault = self.fault or self._contradiction(echo)
+        self._echoes.append(echo)
         best = sorted(self._echoes, key=lambda echo: echo.round_trip_ns)
         best = best[: max(1, round(BEST * len(best)))]
         self._at = max(best, key=lambda echo: echo.host_ns)
@@ -64,6 +70,29 @@ class ClockSync:
         """Return the host time [ns] when the server's clock read `ticks`."""
         since = self._ns(ticks) - self._at.server_ns
         return self._at.host_ns + round(since / (1.0 + self.drift))
+
+    def error_ns(self, host_ns: int) -> int:
+        """Return how far `to_host` may be off at a time of the host's [ns]."""
+        drifted = 2 * DRIFT_MAX * abs(host_ns - self._at.host_ns)  # `drift` is off by twice at most
+        return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
+
+    def _contradiction(self, new: Echo) -> str:
+        """Return what the clock did that no clock does since an earlier echo, "" for nothing."""
+        for old in reversed(self._echoes):
+            span = new.host_ns - old.host_ns
+            gained = new.server_ns - old.server_ns - span
+            unsure = (old.round_trip_ns + new.round_trip_ns) // 2 + self._resolution_ns
+            if abs(gained) > unsure + DRIFT_MAX * abs(span):
+                return (
+                    f"the camera server's clock {'gained' if gained > 0 else 'lost'} "
+                    f"{abs(gained) / 1e6:.1f} ms on this computer's within {span / SECOND:.2f} s: "
+                    "it was set, or runs wrongly"
+                )
+        return ""
+
+    @property
+    def _resolution_ns(self) -> int:
+        return 2 * SECOND // self.clock_hz + 1
 
     def _ns(self, ticks: int) -> int:
         return ticks * SECOND // self.clock_hz

@@ -27,7 +27,8 @@ class EmulatedNetworkCamera:
     `poses_at(t_ns)` returns the robots' poses on `clock`, for times up to half an exposure ago.
     Picture k is exposed k / `rate_hz` after the camera was entered and leaves `latency_s` of the
     optics later, or as soon as it is drawn; a host too busy to draw all misses some. `mangle`
-    changes the bytes of a part before they are sent; `frozen` stops exposures while it is set.
+    changes the bytes of a part before they are sent; `frozen` stops exposures while it is set. One
+    that `drips` sends its answer's header byte by byte, without an end.
     TetractlError where the port is taken.
     """
 
@@ -40,9 +41,10 @@ class EmulatedNetworkCamera:
         quality: int = 90,
         port: int = 0,
         mangle: Callable[[bytes], bytes] = lambda part: part,
+        drips: bool = False,
     ) -> None:
         self.renderer = renderer
-        self.mangle = mangle
+        self.mangle, self._drips = mangle, drips
         self.frozen = threading.Event()
         self.exposed = 0  # the number of the last picture
         self._poses_at, self._clock = poses_at, clock
@@ -127,6 +129,10 @@ class EmulatedNetworkCamera:
             answer.send_response(200)
             answer.send_header("Server", f"camera ({EMULATED})")
             answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+            if self._drips:
+                answer.flush_headers()
+            while self._drips and not self._closing.wait(WAIT_S):
+                answer.wfile.write(b"X")
             answer.end_headers()
             while not self._closing.is_set():
                 with suppress(queue.Empty):
@@ -137,6 +143,23 @@ class EmulatedNetworkCamera:
             pass  # the client has gone
         finally:
             self._clients.discard(mine)
+
+
+def cut_short(whole: bytes) -> bytes:
+    """Return half of a part, as of a connection that lost the rest."""
+    return whole[: len(whole) // 2]
+
+
+def cut_before_its_end(whole: bytes) -> bytes:
+    """Return a part whose JPEG has lost the second half of its data, but not its end marker."""
+    jpeg = whole.partition(b"\r\n\r\n")[2]
+    return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
+
+
+def oversized(whole: bytes) -> bytes:
+    """Return a part whose JPEG claims to be 32767 x 32767."""
+    at = whole.index(b"\xff\xc0") + 5
+    return whole[:at] + b"\x7f\xff\x7f\xff" + whole[at + 4 :]
 
 
 def part(jpeg: bytes) -> bytes:

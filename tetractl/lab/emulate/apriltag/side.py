@@ -17,7 +17,12 @@ from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats, Poses
 from tetractl.experiment.base import Model, Name, NonNegative, Positive
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, MjpegSource
-from tetractl.lab.emulate.apriltag.mjpeg import EmulatedNetworkCamera
+from tetractl.lab.emulate.apriltag.mjpeg import (
+    EmulatedNetworkCamera,
+    cut_before_its_end,
+    cut_short,
+    oversized,
+)
 from tetractl.lab.emulate.apriltag.optics import Optics
 from tetractl.lab.emulate.apriltag.renderer import Renderer
 from tetractl.lab.emulate.faults import Fault, Undo, Visible, setting
@@ -43,6 +48,8 @@ class AprilTagSettings(Model):
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.004
     """How long a picture is exposed [s]."""
+    drips: bool = False
+    """Whether it answers byte by byte, without an end."""
 
 
 class Frozen(Fault):
@@ -73,21 +80,24 @@ class Covered(Fault):
 
 
 class BadPictures(Fault):
-    """A share of the pictures is cut short."""
+    """A share of the pictures is spoiled."""
 
     visible: ClassVar[Visible] = Visible.SENT
     fault: Literal["bad_pictures"]
     share: float = Field(ge=0, le=1)
     """How many of all, 0 to 1."""
+    how: Literal["cut", "cut_ended", "oversized"] = "cut"
+    """Cut short, cut short before an end marker, or of a header that claims 32767 x 32767."""
 
     def begin(self, device: "EmulatedAprilTag") -> Undo:
-        """Cut pictures from now on."""
+        """Spoil pictures from now on."""
         chance = random.Random(device.seed)
+        ways = {"cut": cut_short, "cut_ended": cut_before_its_end, "oversized": oversized}
 
-        def cut(part: bytes) -> bytes:
-            return part[: len(part) // 2] if chance.random() < self.share else part
+        def spoil(part: bytes) -> bytes:
+            return ways[self.how](part) if chance.random() < self.share else part
 
-        return setting(device.camera, mangle=cut)
+        return setting(device.camera, mangle=spoil)
 
 
 class EmulatedAprilTag:
@@ -116,7 +126,7 @@ class EmulatedAprilTag:
         )
         robots = section.ordered(stage.setup.names)
         self.renderer = Renderer(robots, section.floor, metres, optics, self.seed)
-        self._rate_hz = settings.rate
+        self._rate_hz, self._drips = settings.rate, settings.drips
         port = stage.options.command_port
         self._port = urlsplit(section.source.url).port or 80 if port is None else port
         self._past: deque[tuple[int, Floats]] = deque(maxlen=KEPT)
@@ -129,7 +139,12 @@ class EmulatedAprilTag:
         self._start_ns = time.monotonic_ns() - clock.now()
         self._remember()
         self.camera = EmulatedNetworkCamera(
-            self.renderer, self._poses_at, clock, self._rate_hz, port=self._port
+            self.renderer,
+            self._poses_at,
+            clock,
+            self._rate_hz,
+            port=self._port,
+            drips=self._drips,
         )
         self.camera.__enter__()
         self._opened = True

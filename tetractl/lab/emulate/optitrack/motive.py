@@ -24,7 +24,7 @@ from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
 from tetractl.lab.cameras.optitrack.wire import datagram, pack, parse
 from tetractl.lab.emulate.loop import Timeline
 from tetractl.lab.emulate.optitrack.mangle import mangle
-from tetractl.lab.emulate.optitrack.server import Address, MotiveServer, ticks
+from tetractl.lab.emulate.optitrack.server import Address, MotiveServer
 from tetractl.lab.emulate.optitrack.streaming import ServerCounts, Streaming, Trouble
 from tetractl.lab.errors import WireError
 
@@ -67,6 +67,11 @@ class Motive:
         self.data: socket.socket | None = None
 
     @property
+    def now_ns(self) -> int:
+        """The timeline's present moment [ns]."""
+        return self._timeline.now_ns
+
+    @property
     def command_port(self) -> int:
         """The port that was really taken."""
         return self.streaming.command_port if self.command is None else _port(self.command)
@@ -97,8 +102,8 @@ class Motive:
             if opened is not None:
                 opened.close()
 
-    def readable(self) -> None:
-        """Answer what came to the command port."""
+    def readable(self, catch_up: Callable[[], None] = lambda: None) -> None:
+        """Answer what came to the command port, each at the time to which `catch_up` brings it."""
         assert self.command is not None, "it is open"
         for _ in range(DATAGRAMS_A_TURN):
             try:
@@ -109,6 +114,7 @@ class Motive:
                 continue
             if self.trouble.silent:
                 continue
+            catch_up()  # else an echo could tell a time before it was asked for
             try:
                 message = parse(asked, self.streaming.version)
             except WireError:
@@ -138,6 +144,7 @@ class Motive:
         if self.trouble.outdated:
             self.trouble.outdated -= 1
             exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
+        ticks = self.server.clock.ticks
         frame = NatNetFrame(
             number,
             self._expose(),
@@ -161,7 +168,9 @@ class Motive:
 
     def _stream(self, frame: NatNetFrame, now: int) -> None:
         if frame.ticks is not None:
-            frame = replace(frame, ticks=replace(frame.ticks, transmit=ticks(now)))
+            frame = replace(
+                frame, ticks=replace(frame.ticks, transmit=self.server.clock.ticks(now))
+            )
         packed: dict[Version, bytes] = {}
         for address, version in self.server.receivers(now):
             if version not in packed:

@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.announcement import EMULATED
@@ -26,9 +27,18 @@ CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock has nothing to do with the
 Address = tuple[str, int]
 
 
-def ticks(when_ns: int) -> int:
-    """Return the server's clock at a time of the host's."""
-    return CLOCK_OFFSET + when_ns * CLOCK_HZ // SECOND
+@dataclass(slots=True)
+class ServerClock:
+    """The server's clock: from `since_ns` of the host's on it runs at `rate`, `ahead_ns` ahead."""
+
+    ahead_ns: int = 0
+    rate: float = 1.0
+    since_ns: int = 0
+
+    def ticks(self, when_ns: int) -> int:
+        """Return what the clock reads at a time of the host's."""
+        gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
+        return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
 
 
 class MotiveServer:
@@ -47,6 +57,7 @@ class MotiveServer:
         self.streaming = streaming
         self.clients: dict[Address, Client] = {}
         self.data_port = streaming.data_port
+        self.clock = ServerClock()
         self._names = tuple(names)
         self._counts = counts
         self._on_client = on_client
@@ -66,7 +77,7 @@ class MotiveServer:
                 self._admit(message, sender, now_ns)
                 return self._info()
             case EchoRequest(client):
-                return EchoResponse(client, ticks(now_ns))
+                return EchoResponse(client, self.clock.ticks(now_ns))
             case Request(text) if text.startswith("Bitstream,"):
                 return self._change_version(text.removeprefix("Bitstream,"), sender)
             case Request(text):
@@ -135,7 +146,7 @@ class MotiveServer:
             case "FrameRate":
                 return Response(struct.pack("<f", self.streaming.rate_hz))
             case "UnitsToMillimeters":
-                return Response(struct.pack("<f", 1000.0))
+                return Response(struct.pack("<f", self.streaming.unit_mm))
             case "UpAxis" if self.streaming.knows_up_axis:
                 return Response(struct.pack("<i", self.streaming.up))
             case _:

@@ -13,6 +13,7 @@ from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, Versi
 from tetractl.lab.emulate.faults import Fault, Undo, Visible, setting
 from tetractl.lab.emulate.loop import Loop
 from tetractl.lab.emulate.optitrack.motive import Motive
+from tetractl.lab.emulate.optitrack.server_faults import SERVER_FAULTS
 from tetractl.lab.emulate.optitrack.streaming import Streaming
 from tetractl.lab.emulate.optitrack.tracked_body import TrackedBody, View, expose
 from tetractl.lab.emulate.sides import Body, Facts, Stage
@@ -51,6 +52,8 @@ class OptitrackSettings(Model):
     """Camera frames a second [Hz]."""
     latency: float = Field(default=0.0054, ge=0, le=1)
     """From exposure to transmission [s]."""
+    unit_mm: Positive = 1000.0
+    """The unit of length that it reports [mm]; positions are in metres in any case."""
     up: Literal["y", "z"] | None = None
     """The cameras' vertical axis; the spec's, or y."""
     knows_up_axis: bool = True
@@ -283,6 +286,7 @@ class EmulatedOptitrack:
         Lifted,
         Tipped,
         Outdated,
+        *SERVER_FAULTS,
         Swap,
         NotANumber,
         BadQuaternion,
@@ -309,7 +313,7 @@ class EmulatedOptitrack:
 
     def open(self, loop: Loop) -> Facts:
         """Take the UDP ports."""
-        loop.watch(self.motive.open(), self.motive.readable)
+        loop.watch(self.motive.open(), lambda: self.motive.readable(loop.catch_up))
         streaming = self.motive.streaming
         return {
             "camera": f"{streaming.address}:{self.motive.command_port} ({streaming.transport})",
@@ -383,6 +387,7 @@ def _streaming(
         keeps_version=settings.keeps_version,
         answers_models=settings.answers_models,
         models_changed=settings.models_changed,
+        unit_mm=settings.unit_mm,
     )
 
 

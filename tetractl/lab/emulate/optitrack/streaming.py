@@ -16,7 +16,8 @@ class Streaming:
     Exposure to transmit is `latency` on the mean with a deviation of `jitter`; one frame in 250
     is late by up to nearly half a frame. A version above 4.3 is packed as 4.3, with longer
     descriptions of rigid bodies. `keeps_version`: clients cannot have another; `answers_models`:
-    MODELDEF is answered; `models_changed`: every frame tells of changed models.
+    MODELDEF is answered; `models_changed`: every frame tells of changed models; `unit_mm`: the
+    answer to `UnitsToMillimeters`, though frames are in metres.
     """
 
     address: str = "127.0.0.1"
@@ -33,6 +34,7 @@ class Streaming:
     keeps_version: bool = False
     answers_models: bool = True
     models_changed: bool = False
+    unit_mm: float = 1000.0
     up: UpAxis = UpAxis.Y
     knows_up_axis: bool = True
 

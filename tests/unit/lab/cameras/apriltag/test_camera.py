@@ -155,7 +155,7 @@ def test_pictures_of_another_size_are_damaged(tmp_path, monkeypatch):
     shots = pictures(rendered(), 3)
     shots[1] = np.ascontiguousarray(shots[1][:100])
     feed = iter(shots)
-    monkeypatch.setattr(module, "decoded", lambda picture: next(feed))
+    monkeypatch.setattr(module, "decoded", lambda picture, size: next(feed))
     camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 3)))
     with camera:
         woken.wait(lambda: woken.count == 2)

@@ -1,21 +1,34 @@
 """Sources of pictures: files, devices and what a network camera may answer."""
 
 import socket
+import struct
 import threading
+import time
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL.JpegImagePlugin import JpegImageFile
 from support.needs_opencv import cv2
 from support.tag_scene import film, jpeg
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
+from tetractl.lab.cameras.apriltag.multipart import Multipart
 from tetractl.lab.cameras.apriltag.section import DeviceSource, FileSource, MjpegSource
 from tetractl.lab.cameras.apriltag.source import Picture, SourceEndedError, decoded, open_feed
+from tetractl.lab.emulate.apriltag.mjpeg import (
+    BOUNDARY,
+    cut_before_its_end,
+    cut_short,
+    oversized,
+    part,
+)
 
+PATIENCE_S = 20.0  # generous, for loaded hosts
 PICTURE = np.tile(np.arange(0, 240, 2, dtype=np.uint8), (90, 1))
 
 
@@ -193,3 +206,92 @@ def test_a_jpeg_cut_short_is_none_and_a_spoiled_one_does_no_harm(cut, spoil):
 def test_what_is_no_jpeg_is_no_picture():
     for content in (b"", b"hello", b"\xff\xd8\xff\xd9", b"\xff\xd8" + bytes(100) + b"\xff\xd9"):
         assert decoded(Picture(content, 0)) is None
+
+
+def claiming(width, height, content):
+    """A JPEG whose header claims another size than its data have."""
+    at = content.index(b"\xff\xc0") + 5
+    return content[:at] + struct.pack(">HH", height, width) + content[at + 4 :]
+
+
+@pytest.mark.parametrize("size", [None, PICTURE.shape])
+def test_a_jpeg_that_claims_to_be_huge_is_not_decoded(size, monkeypatch):
+    """Regression: 335 bytes took 2 GB and 12 s."""
+    monkeypatch.setattr(JpegImageFile, "load", lambda self: pytest.fail("it is decoded"))
+    bomb = claiming(32767, 32767, jpeg(np.zeros((8, 8), np.uint8)))
+    assert len(bomb) < 400
+    assert decoded(Picture(bomb, 0), size) is None
+
+
+def test_a_jpeg_of_another_size_than_the_first_is_not_decoded(monkeypatch):
+    other = Picture(jpeg(PICTURE[:80]), 0)
+    assert decoded(other).shape == (80, 120)
+    monkeypatch.setattr(JpegImageFile, "load", lambda self: pytest.fail("it is decoded"))
+    assert decoded(other, PICTURE.shape) is None
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("restarts", [0, 4])
+def test_a_jpeg_cut_short_before_an_end_marker_is_damaged(colour, restarts):
+    """Regression: it was decoded into a picture that is partly grey."""
+    pixels = np.dstack([PICTURE, PICTURE[::-1], PICTURE]) if colour else PICTURE
+    whole = jpeg(pixels, restarts=restarts)
+    assert np.abs(decoded(Picture(whole, 0)).astype(int) - cv2grey(whole)).max() == 0
+    start = whole.index(b"\xff\xda") + 10
+    for cut in range(start, len(whole) - 24):
+        assert decoded(Picture(whole[:cut] + b"\xff\xd9", 0)) is None
+
+
+def test_bytes_behind_the_end_marker_are_no_damage():
+    whole = jpeg(PICTURE)
+    padded = decoded(Picture(whole + bytes(30), 0))
+    assert (padded == decoded(Picture(whole, 0))).all()
+
+
+@pytest.mark.parametrize("spoil", [cut_short, cut_before_its_end, oversized])
+def test_what_the_emulated_camera_spoils_is_damaged(spoil):
+    before, after = part(jpeg(PICTURE)), part(jpeg(PICTURE))
+    stream = Multipart(BOUNDARY)
+    bodies = stream.feed(before + spoil(before) + after + b"--" + BOUNDARY.encode())
+    good = [decoded(Picture(body, 0)) is not None for body in bodies]
+    assert good == ([True, True] if spoil is cut_short else [True, False, True])
+    assert stream.damaged == (spoil is cut_short)
+
+
+def cv2grey(content):
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+
+
+HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=b\r\n"
+
+
+@pytest.mark.parametrize(
+    ("first", "drop"),
+    [
+        (b"", b"HTTP/1.1 100 Continue\r\n\r\n"),
+        (HEAD, b"X"),
+        (HEAD, b"X-Drip: 1\r\n"),
+        (b"HTTP/1.1 2", b"0"),
+    ],
+    ids=["endless 100-continue", "a header that does not end", "endless headers", "status line"],
+)
+def test_a_source_that_drips_its_answer_is_given_up_in_time(first, drop):
+    """Regression: each byte had its timeout, and the whole answer none."""
+    done = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def drip():
+            with server.accept()[0] as client, suppress(OSError):
+                client.sendall(first)
+                while not done.wait(0.02):
+                    client.sendall(drop)
+
+        thread = threading.Thread(target=drip, daemon=True)
+        thread.start()
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/video"
+        began = time.monotonic()
+        with pytest.raises(AbortError, match=r"does not answer: not within 0\.5 s"):
+            open_feed(MjpegSource(type="mjpeg", url=url), VirtualClock(), 0.5)
+        assert time.monotonic() - began < PATIENCE_S
+        done.set()
+        thread.join(PATIENCE_S)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     BodyName,
@@ -22,7 +23,13 @@ from tetractl.lab.cameras.optitrack.messages import (
 )
 from tetractl.lab.cameras.optitrack.placement import Placement
 from tetractl.lab.cameras.optitrack.pose import UpAxis
-from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UP_AXIS, Stream, Tracked
+from tetractl.lab.cameras.optitrack.stream import (
+    FRAME_RATE,
+    UNITS,
+    UP_AXIS,
+    Stream,
+    Tracked,
+)
 from tetractl.lab.cameras.optitrack.wire import pack
 
 V41 = Version(4, 1)
@@ -139,6 +146,77 @@ def test_a_counter_that_goes_back_is_a_fault_for_good():
         stream.feed(frame(number), 0)
     assert "went back from 5001 to 3" in stream.newest.fault
     assert stream.newest.number == 4
+
+
+def test_two_bodies_of_a_robots_name_are_a_fault_until_one_is_renamed():
+    """Regression: the last one's id was taken, silently."""
+    stream = connected()
+    twins = (BodyName("green", 11), BodyName("green", 14), BodyName("hand", 13))
+    tell(stream, ModelDef(twins))
+    stream.feed(frame(1, body(11, 1.0, 1.0), body(14, 2.0, 1.0), body(12, 3.0, 1.0)), 0)
+    assert stream.newest.fault == "the cameras have 2 rigid bodies 'green', of ids 11 and 14"
+    tell(stream, ModelDef((*MODEL.bodies, BodyName("hand", 14))))
+    stream.feed(frame(2, body(11, 1.0, 1.0), body(12, 3.0, 1.0)), 0)
+    assert stream.newest.fault == ""  # nobody wants a hand
+
+
+@pytest.mark.parametrize(("number", "said"), [(11, "11"), (12, "12")], ids=["by name", "by id"])
+def test_a_robots_id_twice_in_a_frame_is_a_fault_and_tells_no_pose(number, said):
+    """Regression: the last one was the robot, silently."""
+    stream = connected()
+    others = {11, 12} - {number}
+    bodies = [body(number, 1.0, 1.0), body(number, 2.0, 1.0), *(body(i, 3.0, 1.0) for i in others)]
+    stream.feed(frame(1, *bodies), 0)
+    assert stream.newest.fault == f"a frame has 2 rigid bodies of id {said}"
+    assert [pose is None for pose in stream.newest.poses] == [number == 11, number == 12]
+    assert stream.newest.strangers == ()
+
+
+def test_an_id_twice_that_is_no_robots_is_two_strangers():
+    stream = connected()
+    stream.feed(frame(1, body(11, 1.0, 1.0), body(13, 0.5, 0.5), body(13, 0.7, 0.5)), 0)
+    assert stream.newest.fault == ""
+    assert [pose.x for pose in stream.newest.strangers] == pytest.approx([500, 700])
+
+
+@pytest.mark.parametrize(
+    ("told", "unit_mm", "fault"),
+    [
+        (1000.0, 1000.0, ""),
+        (1.0, 1.0, "streams lengths in units of 1 mm, not in metres"),
+        (10.0, 10.0, "streams lengths in units of 10 mm, not in metres"),
+        (1.4e-45, None, ""),  # a late answer to another question
+        (float("nan"), None, ""),
+    ],
+)
+def test_a_server_that_streams_in_another_unit_than_metres_is_a_fault(told, unit_mm, fault):
+    stream = connected()
+    stream.asked(Request(UNITS))
+    stream.feed(pack(Response(struct.pack("<f", told))), 0)
+    stream.feed(frame(1, body(11, 1.0, 1.0)), 0)
+    assert stream.unit_mm == unit_mm
+    assert stream.newest.fault.endswith(fault)
+    assert bool(stream.newest.fault) == bool(fault)
+
+
+@pytest.mark.parametrize(
+    ("answer", "says", "hint"),
+    [
+        (None, "does not tell its up axis", "set lab.camera.up_axis to y or z"),
+        (0, "up axis is x; it must be y or z", "set Up Axis in Motive's streaming settings"),
+        (7, "up axis is of number 7", "set Up Axis in Motive's streaming settings"),
+    ],
+)
+def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
+    """Regression: x up was answered by a hint to set y or z in the spec."""
+    stream = connected(up=None)
+    if answer is not None:
+        stream.asked(Request(UP_AXIS))
+        stream.feed(pack(Response(struct.pack("<i", answer))), 0)
+    error = diagnosis.no_up_axis(stream)
+    assert stream.up is None
+    assert says in str(error)
+    assert error.hint.startswith(hint)
 
 
 def test_edit_mode_is_a_fault():

@@ -1,0 +1,160 @@
+"""A camera server whose clock is set or runs wrongly, in virtual time: noticed, and named."""
+
+import random
+import re
+
+import pytest
+
+from tetractl.core.clock import SECOND
+from tetractl.lab.cameras.optitrack.messages import (
+    Connect,
+    EchoRequest,
+    EchoResponse,
+    NatNetFrame,
+    RigidBody,
+    ServerInfo,
+    Ticks,
+    Version,
+)
+from tetractl.lab.cameras.optitrack.placement import Placement
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
+from tetractl.lab.cameras.optitrack.wire import pack
+
+V41 = Version(4, 1)
+HZ = 10_000_000
+BURST, BURST_NS, ECHO_NS = 20, SECOND // 50, SECOND // 2  # as the client asks
+CAMERA_NS = SECOND // 120
+STEP_NS = SECOND // 2000
+
+
+class Server:
+    """A server's clock against the host's: `ahead` [ns] and `rate` may change at any time."""
+
+    def __init__(self, seed=1, delay_ms=(0.1, 0.5)):
+        self.now = 0
+        self.stream = Stream((Tracked(7),), Placement(0, 0, 0, 1000.0), up=UpAxis.Z)
+        self.stream.asked(Connect())
+        self.stream.feed(
+            pack(ServerInfo("Motive", (3, 1, 0, 0), (4, 1, 0, 0), HZ, 1511, True, (0, 0, 0, 0))), 0
+        )
+        self.ahead, self.rate, self.constant = 5 * 3600 * SECOND, 1.0, None
+        self._chance, self._delay_ms = random.Random(seed), delay_ms
+        self._since, self._echoes, self._frames = 0, 0, 0
+        self._next_echo = self._next_frame = 0
+        self._coming = []  # (arrival, order, datagram)
+
+    def clock(self, at):
+        """The server's ticks at a host time."""
+        if self.constant is not None:
+            return self.constant
+        return round((at + self.ahead + (self.rate - 1) * (at - self._since)) * HZ / SECOND)
+
+    def run_at(self, rate):
+        """Change the rate from now on, without a jump."""
+        self.ahead += round((self.rate - 1) * (self.now - self._since))
+        self.rate, self._since = rate, self.now
+
+    def until(self, seconds):
+        """Let time go on to `seconds`; return when a frame first had a fault [s], None for none."""
+        while self.now < seconds * SECOND:
+            self.now += STEP_NS
+            if self.now >= self._next_echo:
+                self._echo()
+            if self.now >= self._next_frame:
+                self._frame()
+            while self._coming and self._coming[0][0] <= self.now:
+                self.stream.feed(self._coming.pop(0)[2], self.now)
+            if self.stream.newest is not None and self.stream.newest.fault:
+                return self.now / SECOND
+        return None
+
+    def _delay(self):
+        return round(self._chance.uniform(*self._delay_ms) * 1e6)
+
+    def _echo(self):
+        self._echoes += 1
+        self._next_echo = self.now + (BURST_NS if self._echoes < BURST else ECHO_NS)
+        self.stream.asked(EchoRequest(self.now))
+        there = self.now + self._delay()
+        self._send(there + self._delay(), EchoResponse(self.now, self.clock(there)))
+
+    def _frame(self):
+        self._frames += 1
+        self._next_frame += CAMERA_NS
+        body = RigidBody(7, (1.0, 1.0, 0.1), (0.0, 0.0, 0.0, 1.0), 0.0, True)
+        frame = NatNetFrame(self._frames, (body,), ticks=Ticks(self.clock(self.now), 0, 0))
+        jitter_ms = self._chance.uniform(0.1, 1.5)  # frames keep their order, echoes need not
+        self._send(self.now + round((5.0 + jitter_ms) * 1e6), frame)
+
+    def _send(self, arrives, message):
+        self._coming.append((arrives, len(self._coming), pack(message, V41)))
+        self._coming.sort(key=lambda item: item[:1])
+
+
+@pytest.mark.parametrize("after_s", [10.1, 10.3, 70.2])
+@pytest.mark.parametrize("jump_s", [0.05, 0.2, 1.0, 5.0])
+def test_a_clock_that_jumps_forward_is_a_fault_within_a_tenth_of_a_second(jump_s, after_s):
+    server = Server()
+    assert server.until(after_s) is None
+    server.ahead += round(jump_s * SECOND)
+    noticed = server.until(after_s + 2)
+    assert noticed - after_s < 0.1
+    assert "frames were exposed" in server.stream.newest.fault
+    assert "after they came: it was set, or runs wrongly" in server.stream.newest.fault
+    assert server.stream.counts.bad == 4  # dropped before the fault is certain
+
+
+@pytest.mark.parametrize("jump_s", [0.004, -0.05, -0.2, -5.0])
+def test_a_jump_that_frames_do_not_contradict_is_named_by_the_next_echo(jump_s):
+    server = Server()
+    assert server.until(10.1) is None
+    server.ahead += round(jump_s * SECOND)
+    assert server.until(12) - 10.1 < 0.55
+    said = re.match(
+        r"the camera server's clock (gained|lost) ([0-9.]+) ms", server.stream.newest.fault
+    )
+    assert said[1] == ("gained" if jump_s > 0 else "lost")
+    assert float(said[2]) == pytest.approx(abs(jump_s) * 1e3, abs=1)
+
+
+@pytest.mark.parametrize("rate", [1.02, 1.005, 0.995, 0.98])
+def test_a_clock_that_runs_wrongly_is_named_within_two_echoes(rate):
+    server = Server()
+    assert server.until(10.1) is None
+    server.run_at(rate)
+    assert server.until(12) - 10.1 < 1.1
+    assert ("gained" if rate > 1 else "lost") in server.stream.newest.fault
+
+
+def test_a_clock_that_ran_wrongly_from_the_start_is_named_before_anything_moves():
+    server = Server()
+    server.run_at(1.02)
+    assert server.until(2) < 0.5
+
+
+def test_a_clock_that_tells_nonsense_is_named():
+    server = Server()
+    server.constant = 17
+    assert server.until(2) < 0.5
+    assert "lost" in server.stream.newest.fault
+
+
+def test_frames_of_another_clock_than_the_echoes_are_named():
+    """Regression: every frame was dropped as damaged, and `lab check` found nothing wrong."""
+    server = Server()
+    ahead = server.clock
+    server.clock = lambda at: ahead(at) if at != server.now else 0
+    assert server.until(2) < 0.5
+    assert "s before they came: it was set" in server.stream.newest.fault
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    ("drift", "delay_ms"), [(1e-4, (0.1, 0.5)), (-9e-4, (0.1, 0.5)), (5e-4, (0.1, 150.0))]
+)
+def test_a_good_clock_is_no_fault_however_late_echoes_are(drift, delay_ms, seed):
+    server = Server(seed, delay_ms)
+    server.run_at(1 + drift)
+    assert server.until(100) is None
+    assert server.stream.counts.bad == 0

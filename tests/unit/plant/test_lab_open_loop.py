@@ -1,0 +1,58 @@
+"""Trials in the lab that send given directions, in virtual time: what ends them."""
+
+import pytest
+from support.labs import fake_lab
+from support.trials import experiment
+
+from tetractl.control.sequence import SequenceSection
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import PlantInfo
+from tetractl.core.plan import Outcome
+from tetractl.core.trial import EPOCH_NS
+from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.trial import Trial
+
+STEPS, PERIOD_S, REMAINDER_S = 8, 0.2, 0.15
+
+
+def driven(dies_s=None):
+    """The result of a trial whose radio dies so long after the first direction."""
+    spec = experiment()
+    lab = fake_lab(spec.setup)
+    section = SequenceSection(
+        period=PERIOD_S, steps_max=STEPS, directions=(0.5,) * STEPS, remainder=REMAINDER_S
+    )
+    spec = spec.model_copy(update={"controller": section})
+
+    def die():
+        if lab.actuator.sent and dies_s is not None:
+            began = lab.actuator.sent[0].sent_ns
+            if lab.clock.now() - began >= dies_s * SECOND and lab.actuator.failure is None:
+                lab.actuator.failure = "the radio is gone"
+                lab.world.moving = (False,) * 3  # their watchdog stops them
+
+    lab.clock.steps.append(die)
+    info = PlantInfo("", False, 0.0, {})
+    return Trial(
+        start_of(LoadedSpec(spec, "", "spec.yaml"), 0, info, EPOCH_NS),
+        lab.plant,
+        section.build(spec.setup, 1),
+        section.first_plan,
+        lab.clock,
+        [],
+        Interrupt(),
+    ).run()
+
+
+def test_a_sequence_is_driven_to_its_end():
+    result = driven()
+    assert result.outcome is Outcome.SEQUENCE_COMPLETED
+    assert result.duration_s == pytest.approx(STEPS * PERIOD_S + REMAINDER_S + 0.2, abs=0.05)
+
+
+@pytest.mark.parametrize("dies_s", [0.0, 0.1, 0.7, 1.5, 1.61, 1.7, 1.76])
+def test_a_radio_that_dies_at_any_time_aborts_the_trial(dies_s):
+    """Regression: after the last observation nothing noticed, and the trial counted as complete."""
+    result = driven(dies_s)
+    assert (result.outcome, result.reason) == (Outcome.ABORTED, "the radio is gone")

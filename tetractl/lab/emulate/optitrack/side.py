@@ -1,12 +1,13 @@
 """The emulated camera of type `optitrack`: settings, faults, and a Motive that sees bodies."""
 
 from collections.abc import Sequence
+from random import Random
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from tetractl.core.errors import SpecError
-from tetractl.experiment.base import Finite, Model, Name, Point, Positive
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
@@ -51,6 +52,10 @@ class OptitrackSettings(Model):
     """Camera frames a second [Hz]."""
     latency: float = Field(default=0.0054, ge=0, le=1)
     """From exposure to transmission [s]."""
+    noise_mm: NonNegative = 0.0
+    """Standard deviation of a body's position along each axis of the floor [mm]."""
+    noise_rad: NonNegative = 0.0
+    """Standard deviation of a body's heading [rad]."""
     up: Literal["y", "z"] | None = None
     """The cameras' vertical axis; the spec's, or y."""
     knows_up_axis: bool = True
@@ -199,10 +204,36 @@ class Ghost(Fault):
     """The robot it happens to."""
     by: Point
     """How far in each frame [mm]."""
+    axes: Literal["floor", "robot"] = "floor"
+    """Whether it walks along the spec's axes, or along the robot's heading and left of it."""
+    turn: Finite = 0.0
+    """How far it turns in each frame [rad]."""
 
     def begin(self, device: "EmulatedOptitrack") -> Undo:
         """Let what is seen of the body walk."""
-        return setting(device.tracked_body(self.robot), step=self.by, shift=(0.0, 0.0))
+        body, own = device.tracked_body(self.robot), self.axes == "robot"
+        return setting(body, step=self.by, shift=(0.0, 0.0), own=own, turn=self.turn, turned=0.0)
+
+
+class Repeat(Fault):
+    """What is seen of a body, or of all, is repeated in new frames."""
+
+    visible: ClassVar[Visible] = Visible.EXPOSED
+    fault: Literal["repeat"]
+    robot: Name | None = None
+    """The robot it happens to; all by default."""
+
+    def begin(self, device: "EmulatedOptitrack") -> Undo:
+        """Let what is seen stay."""
+        chosen = [b for b in device.tracked if self.robot in (None, b.robot.name)]
+        for body in chosen:
+            body.repeats = True
+
+        def undo() -> None:
+            for body in chosen:
+                body.repeats = False
+
+        return undo
 
 
 class Lifted(Fault):
@@ -280,6 +311,7 @@ class EmulatedOptitrack:
         Untracked,
         Jump,
         Ghost,
+        Repeat,
         Lifted,
         Tipped,
         Outdated,
@@ -293,7 +325,7 @@ class EmulatedOptitrack:
         assert isinstance(section, OptitrackSection), "the table of kinds goes by the type"
         self.swapped: set[int] = set()
         hidden = {robot.name for robot in settings.robots if not robot.streamed}
-        self.tracked = _tracked(section, settings, bodies)
+        self.tracked = _tracked(section, settings, bodies, Random(stage.options.seed))
         self.hidden = {body.id for body in self.tracked if body.robot.name in hidden}
         self.view = _view(stage, section, settings)
         self.motive = Motive(
@@ -340,8 +372,12 @@ class EmulatedOptitrack:
 
 
 def _tracked(
-    section: OptitrackSection, settings: OptitrackSettings, bodies: Sequence[Body]
+    section: OptitrackSection,
+    settings: OptitrackSettings,
+    bodies: Sequence[Body],
+    random: Random,
 ) -> list[TrackedBody]:
+    noise = settings.noise_mm, settings.noise_rad
     truths = {robot.name: robot for robot in settings.robots}
     taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
     free = iter(sorted(set(range(1, 1000)) - taken))
@@ -353,7 +389,7 @@ def _tracked(
         named = truth.body or (robot.body if isinstance(robot.body, str) else robot.name)
         offset = truth.heading_offset
         offset = robot.heading_offset if offset is None else offset
-        found.append(TrackedBody(body, number, named, offset))
+        found.append(TrackedBody(body, number, named, offset, noise, random))
     return found
 
 

@@ -8,12 +8,13 @@ wheels do not slip, so the bench's do not either.
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
 from support.paths import ROOT
-from support.virtual_lab import Busy, virtual_lab
+from support.virtual_lab import Busy, VirtualLab, virtual_lab
 
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
@@ -115,8 +116,18 @@ def bench_trial(spec: LoadedSpec, trial: int) -> Path:
     return _run(spec, trial, plant, build_controller(experiment, key), clock, True)
 
 
-def lab_trial(spec: LoadedSpec, trial: int) -> Path:
-    """Run one trial of `lab_spec` in the emulated lab, in virtual time."""
+def lab_trial(
+    spec: LoadedSpec,
+    trial: int,
+    gain_error: float | None = None,
+    noise: tuple[float, float] = (0.0, 0.0),
+    change: Callable[[VirtualLab], None] = lambda lab: None,
+) -> Path:
+    """Run one trial of `lab_spec` in the emulated lab, in virtual time.
+
+    `gain_error` bounds that of each wheel, the bench's by default; `noise` is the camera's, and
+    `change` may change the lab before it starts.
+    """
     experiment = spec.experiment
     setup, drive = experiment.setup, bench().drive
     planning, put = part(PlanningTimeSection), part(StartErrorSection)
@@ -124,8 +135,10 @@ def lab_trial(spec: LoadedSpec, trial: int) -> Path:
     key, _ = trial_seeds(experiment.trials.seed, trial)
     rng = np.random.default_rng([experiment.trials.seed, trial])
 
+    error = drive.gain_error if gain_error is None else gain_error
+
     def wheel() -> dict[str, float]:
-        return {"gain_mm": drive.count * (1 + drive.gain_error * rng.uniform(-1, 1))}
+        return {"gain_mm": drive.count * (1 + error * rng.uniform(-1, 1))}
 
     robots = [
         {
@@ -141,7 +154,9 @@ def lab_trial(spec: LoadedSpec, trial: int) -> Path:
     settings = M3piSettings.model_validate(
         {"loss": part(RadioSection).loss, "robots": tuple(robots)}
     )
-    lab = virtual_lab(experiment, settings, setup.starts.array() + off.T, int(key % 2**31))
+    places = setup.starts.array() + off.T
+    lab = virtual_lab(experiment, settings, places, int(key % 2**31), noise)
+    change(lab)
     inner = build_controller(experiment, key)
     busy = Busy(inner, lab.clock, rng, planning.least, planning.spread)
     return _run(spec, trial, lab.plant, busy, lab.clock, False)

@@ -120,13 +120,24 @@ class MemoryLink(Link):
 
 
 class EmulatedEye:
-    """A camera at 120 Hz that sees the robots exactly, with the emulated Motive's delays."""
+    """A camera, at 120 Hz by default, that sees the robots with the emulated Motive's delays.
 
-    def __init__(self, clock: LabClock, robots: Sequence[EmulatedRobot], seed: int) -> None:
-        self.clock, self.robots = clock, robots
+    `noise` are the standard deviations of a pose [mm, rad]. `shown` changes what is seen: of the
+    robots' poses, in each frame.
+    """
+
+    def __init__(
+        self,
+        clock: LabClock,
+        robots: Sequence[EmulatedRobot],
+        seed: int,
+        noise: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        self.clock, self.robots, self.noise = clock, robots, noise
+        self.shown: Callable[[tuple[Pose, ...]], tuple[Pose | None, ...]] = lambda poses: poses
         self.newest: CameraFrame | None = None
         self.damaged = 0
-        self._streaming = Streaming(rate_hz=CAMERA_HZ)
+        self.streaming = Streaming(rate_hz=CAMERA_HZ)
         self._random = random.Random(seed)
         self._fresh: list[CameraFrame] = []
         self._count = 0
@@ -149,14 +160,22 @@ class EmulatedEye:
         return fresh
 
     def _expose(self) -> None:
-        now, s, draw = self.clock.timeline.now_ns, self._streaming, self._random
+        now, s, draw = self.clock.timeline.now_ns, self.streaming, self._random
         delay = s.latency + min(max(draw.gauss(0, s.jitter), -4 * s.jitter), 4 * s.jitter)
         if draw.random() < 1 / 250:
             delay += draw.uniform(0, 0.45 / s.rate_hz)
-        poses = tuple(Pose(robot.x, robot.y, robot.heading) for robot in self.robots)
+        way, turn = self.noise
+        poses = tuple(
+            Pose(
+                robot.x + draw.gauss(0, way),
+                robot.y + draw.gauss(0, way),
+                robot.heading + draw.gauss(0, turn),
+            )
+            for robot in self.robots
+        )
         arrives = now + round(delay * SECOND)
         self._count += 1
-        frame = CameraFrame(self._count, now, arrives, poses)
+        frame = CameraFrame(self._count, now, arrives, self.shown(poses))
         self.clock.timeline.at(arrives, lambda: self._arrive(frame))
         due = self._start_ns + round(self._count * SECOND / s.rate_hz)
         self.clock.timeline.at(due, self._expose)
@@ -192,9 +211,16 @@ class VirtualLab:
     plant: LabPlant
     clock: LabClock
     robots: Sequence[EmulatedRobot]
+    eye: EmulatedEye
 
 
-def virtual_lab(experiment: Experiment, settings: M3piSettings, starts, seed: int) -> VirtualLab:
+def virtual_lab(
+    experiment: Experiment,
+    settings: M3piSettings,
+    starts,
+    seed: int,
+    noise: tuple[float, float] = (0.0, 0.0),
+) -> VirtualLab:
     """Return the lab of a spec with a `lab` section; `starts` (N, 3) is where robots truly stand.
 
     Lengths are mm, as in the emulated lab.
@@ -230,7 +256,7 @@ def virtual_lab(experiment: Experiment, settings: M3piSettings, starts, seed: in
     actuator = M3piActuator(section, setup, clock)
     actuator.link = MemoryLink(section, clock, port)
     actuator._protocol._link = actuator.link
-    eye, operators = EmulatedEye(clock, robots, seed), Operators()
+    eye, operators = EmulatedEye(clock, robots, seed, noise), Operators()
     rig = Rig(eye, actuator, lab.limits, setup, clock, operators.emergency, threaded=False)
     clock.steps += [radio.poll_answers, rig.loop.step]
-    return VirtualLab(LabPlant(rig, operators), clock, robots)
+    return VirtualLab(LabPlant(rig, operators), clock, robots, eye)

@@ -145,8 +145,9 @@ class LabLimits(Model):
     reaction: NonNegative = 0.15
     """From seeing an edge, or another robot, to standing still [s]: how far ahead the guard
     looks."""
-    disobedience: Positive = 1.0
-    """Warns of a robot that has not moved as it was sent for this long [s]."""
+    wheel_error: Annotated[float, Field(ge=0, le=1)] = 0.12
+    """How far each wheel may be from the speed commanded, as a share of it: a robot that moves
+    otherwise ends the run."""
     late_steps: int = Field(default=5, ge=1, le=100_000)
     """The run aborts after this many control steps in a row that missed their deadline."""
     latency: Positive = 0.1

@@ -57,14 +57,17 @@ class Track:
         """Note a frame in which the robot is not tracked."""
         self.refused = ""
 
-    def add(self, pose: Pose, at_ns: int, driving: bool) -> bool:
-        """Judge a pose exposed at `at_ns`; return whether it is believed.
+    def fault(self, pose: Pose, at_ns: int, driving: bool) -> str:
+        """Return how a pose exposed at `at_ns` cannot be the robot's, "" where it can.
 
-        Robots that are not `driving` may be carried about: only height and tilt are judged.
+        Robots that are not `driving` may be carried about: only height and tilt are compared.
         """
-        self.refused = self._off_the_floor(pose)
-        if not self.refused and driving and self._jumps(pose, at_ns):
-            self.refused = "its pose jumped"
+        fault = self._off_the_floor(pose)
+        return "its pose jumped" if not fault and driving and self._jumps(pose, at_ns) else fault
+
+    def add(self, pose: Pose, at_ns: int, refused: str) -> bool:
+        """Note a pose exposed at `at_ns`; return whether it is believed."""
+        self.refused = refused
         if self.refused:
             return False
         self.pose, self.seen_ns = pose, at_ns

@@ -18,8 +18,11 @@ from enum import StrEnum
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.belief import Reach, Track
-from tetractl.lab.compliance import Compliance
 from tetractl.lab.identities import Identities
+from tetractl.lab.motion_check import REPEATS, MotionCheck
+
+NOISE_MM = 2.0  # by how far a pose may err
+SWIMMERS = 0.7  # by how much cells may move otherwise than commanded, as a share
 
 
 class GuardState(StrEnum):
@@ -63,7 +66,8 @@ class GuardRules:
     damaged_frames: int = 20
     late_steps: int = 5
     silence_ns: int = 2 * SECOND  # the controller must give a direction that often
-    disobedience_ns: int = SECOND
+    wheel_error: float = 0.12
+    wheel_radius: float = 0.0  # 0 without wheels
     individual: bool = True
 
 
@@ -90,19 +94,23 @@ class Guard:
     reason: str = ""
     emergency: bool = False
     _tracks: list[Track] = field(default_factory=list)
-    _compliance: Compliance = field(init=False)
+    _motion: MotionCheck = field(init=False)
     _identities: Identities = field(init=False)
     _last_frame_ns: int | None = None
     _outdated: int = 0
     _outdated_in_a_row: int = 0
     _behind_ns: int = 0  # by how much the last outdated frame was
-    _warned: bool = False  # of outdated frames
+    _warned: set[str] = field(default_factory=set)
+    _warnings: list[str] = field(default_factory=list)  # new ones
     _driven: bool = False  # from the first `go`: robots are not carried any more
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     _late: int = 0
     _jumps: int = 0
+    _disobedient: set[int] = field(default_factory=set)  # robots seen to move otherwise, just now
+    _ghosts: dict[int, str] = field(default_factory=dict)  # robots accepted no more, and why
+    _headings: dict[int, tuple[int, float]] = field(default_factory=dict)  # last seen, and when
 
     def __post_init__(self) -> None:
         rules = self.rules
@@ -121,7 +129,8 @@ class Guard:
             )
             for speed, turning in zip(rules.speeds, rules.turning, strict=True)
         ]
-        self._compliance = Compliance(rules.names, rules.disobedience_ns)
+        noise = NOISE_MM / rules.mm if rules.individual else 0.0
+        self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise)
         self._identities = Identities(rules.names)
 
     @property
@@ -151,6 +160,8 @@ class Guard:
             self._last_tick_ns = self._steered_ns = now_ns
             self._driven, self._outdated = True, 0
             self._identities.restart()
+            self._motion.restart()
+            self._disobedient.clear()
             for track in self._tracks:  # where robots were before the run does not count
                 track.forget()
 
@@ -164,6 +175,12 @@ class Guard:
         self.emergency |= emergency
         if self.state is not GuardState.ABORT:
             self.state, self.reason = GuardState.ABORT, reason
+            limit, newest = self.rules.untracked_stop_ns, self._last_frame_ns or 0
+            self._ghosts = {
+                i: track.refused
+                for i, track in enumerate(self._tracks)
+                if track.refused and newest - track.seen_ns > limit
+            }
 
     def steered(self, now_ns: int) -> None:
         """Note that the controller gave a direction."""
@@ -177,7 +194,8 @@ class Guard:
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Note the last transmission: speeds [length unit/s] and turning rates [rad/s]."""
-        self._compliance.sent(now_ns, speed, turning)
+        share = self.rules.wheel_error if self.rules.individual else SWIMMERS
+        self._motion.sent(now_ns, speed, turning, share)
         self._identities.sent(now_ns, turning)
 
     def believed(self, frame: CameraFrame) -> tuple[tuple[Pose | None, bool], ...]:
@@ -199,18 +217,19 @@ class Guard:
             self._outdated += 1
             self._outdated_in_a_row += 1
             self._behind_ns = newest - now
+            if self._active and self._outdated == 1:
+                self._warn(f"a camera frame {self._behind()} came, and was dropped")
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
+        self._motion.frame(now)
         believed: list[Pose | None] = []
         for i, (track, pose) in enumerate(zip(self._tracks, frame.poses, strict=True)):
-            before, seen_ns = track.pose, track.seen_ns
+            self._disobedient.discard(i)
             if pose is None:
                 track.lost()
-            elif not track.add(pose, now, self._driven):
+            elif not track.add(pose, now, self._fault(i, pose, now)):
                 self._jumps += 1
                 pose = None
-            elif before is not None:
-                self._moved(i, now, now - seen_ns, before, pose)
             believed.append(pose)
         return replace(frame, poses=tuple(believed))
 
@@ -247,11 +266,11 @@ class Guard:
                     f"{steps} control steps in a row were late: no direction for {silent_s:.1f} s"
                 )
             self._check_stream(now_ns)
-            self._check_tracking(now_ns)
-            self._check_places(believed)
             if mistaken := self._identities.fault():
                 self.abort(mistaken)
-            warnings = (*self._compliance.warnings(now_ns), *self._outdated_warning())
+            self._check_tracking(now_ns)
+            self._check_places(believed)
+            warnings, self._warnings = tuple(self._warnings), []
         still = (False,) * len(self._tracks)
         if not self._active:
             return Ruling(self.state, still, believed, self.reason, warnings)
@@ -264,23 +283,41 @@ class Guard:
     def _behind(self) -> str:
         return f"exposed {self._behind_ns / SECOND:.2f} s before the newest"
 
-    def _outdated_warning(self) -> tuple[str, ...]:
-        """Return a warning of outdated frames, once."""
-        if self._warned or not self._outdated:
-            return ()
-        self._warned = True
-        return (f"a camera frame {self._behind()} came, and was dropped",)
-
     @property
     def _active(self) -> bool:
         return self.state in (GuardState.RUN, GuardState.HOLD)
 
-    def _moved(self, i: int, now_ns: int, dt_ns: int, before: Pose, after: Pose) -> None:
-        """Account for how robot i was seen to move; only robots held one by one are told apart."""
-        self._compliance.moved(i, now_ns, dt_ns, before, after)
-        if self.rules.individual and self._active:
-            turned = math.remainder(after.heading - before.heading, math.tau)
-            self._identities.turned(i, now_ns, dt_ns, turned)
+    def _fault(self, i: int, pose: Pose, now_ns: int) -> str:
+        """Return why a pose of robot i is not accepted, "" where it is.
+
+        Only while a run may move it: after a stop, `standstill` finds what moves on.
+        """
+        track = self._tracks[i]
+        before = track.pose
+        fault = self._ghosts.get(i) or track.fault(pose, now_ns, self._driven)
+        if fault or not self._active or before is None:
+            return fault
+        if pose == before and (track.refused == REPEATS or self._motion.commanded(i)):
+            return REPEATS
+        if self.rules.individual:
+            seen_ns, heading = self._headings.get(i, (-SECOND, 0.0))
+            turned = math.remainder(pose.heading - heading, math.tau)
+            self._identities.turned(i, now_ns, now_ns - seen_ns, turned)
+        self._headings[i] = now_ns, pose.heading
+        fault = self._motion.disagrees(i, before, pose)
+        if fault and not self.rules.individual:  # what swims by itself is warned of
+            self._motion.forget(i)
+            self._warn(f"{self.rules.names[i]} {fault}")
+            return ""
+        if fault:
+            self._disobedient.add(i)
+        return fault
+
+    def _warn(self, text: str) -> None:
+        """Warn once of the same."""
+        if text not in self._warned:
+            self._warned.add(text)
+            self._warnings.append(text)
 
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
         limit = max(self.rules.untracked_stop_ns, 0)
@@ -297,9 +334,11 @@ class Guard:
 
     def _check_tracking(self, now_ns: int) -> None:
         newest = self._last_frame_ns or 0
-        for name, track in zip(self.rules.names, self._tracks, strict=True):
+        for i, (name, track) in enumerate(zip(self.rules.names, self._tracks, strict=True)):
             lost_ns = newest - track.seen_ns
-            if track.pose is None or lost_ns >= self.rules.untracked_abort_ns:
+            if i in self._disobedient and lost_ns > self.rules.untracked_stop_ns:
+                self.abort(f"{name} {track.refused}")
+            elif track.pose is None or lost_ns >= self.rules.untracked_abort_ns:
                 why = f": {track.refused}" if track.refused else ""
                 self.abort(f"{name} is not tracked{why} ({lost_ns / SECOND:.2f} s)")
 

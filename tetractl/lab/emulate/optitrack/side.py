@@ -1,24 +1,23 @@
 """The emulated camera of type `optitrack`: settings, faults, and a Motive that sees bodies."""
 
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal
+from random import Random
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
 from tetractl.core.errors import SpecError
-from tetractl.experiment.base import Finite, Model, Name, Point, Positive
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
-from tetractl.lab.emulate.faults import Fault, Undo, Visible, setting
+from tetractl.lab.emulate.faults import Fault
 from tetractl.lab.emulate.loop import Loop
+from tetractl.lab.emulate.optitrack.faults import FAULTS
 from tetractl.lab.emulate.optitrack.motive import Motive
-from tetractl.lab.emulate.optitrack.server_faults import SERVER_FAULTS
 from tetractl.lab.emulate.optitrack.streaming import Streaming
 from tetractl.lab.emulate.optitrack.tracked_body import TrackedBody, View, expose
 from tetractl.lab.emulate.sides import Body, Facts, Stage
-
-Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class TrueBody(Model):
@@ -54,6 +53,10 @@ class OptitrackSettings(Model):
     """From exposure to transmission [s]."""
     unit_mm: Positive = 1000.0
     """The unit of length that it reports [mm]; positions are in metres in any case."""
+    noise_mm: NonNegative = 0.0
+    """Standard deviation of a body's position along each axis of the floor [mm]."""
+    noise_rad: NonNegative = 0.0
+    """Standard deviation of a body's heading [rad]."""
     up: Literal["y", "z"] | None = None
     """The cameras' vertical axis; the spec's, or y."""
     knows_up_axis: bool = True
@@ -62,242 +65,18 @@ class OptitrackSettings(Model):
     """The robots whose bodies lie otherwise than the spec says."""
 
 
-class CameraFault(Fault):
-    """A fault of the whole stream: `trouble` is what it sets of `Motive.trouble`."""
-
-    trouble: ClassVar[dict[str, object]] = {}
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Set the trouble."""
-        return setting(device.motive.trouble, **self.trouble)
-
-
-class BodyFault(Fault):
-    """A fault of one rigid body: `seen` is what it sets of the body."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    seen: ClassVar[dict[str, object]] = {}
-    robot: Name
-    """The robot it happens to."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Set what is seen of the body."""
-        return setting(device.tracked_body(self.robot), **self.seen)
-
-
-class NoServer(CameraFault):
-    """Nothing answers, nothing is sent."""
-
-    visible: ClassVar[Visible] = Visible.SENT
-    trouble: ClassVar[dict[str, object]] = {"silent": True}
-    fault: Literal["no_server"]
-
-
-class NoFrames(CameraFault):
-    """No frames are sent."""
-
-    visible: ClassVar[Visible] = Visible.SENT
-    trouble: ClassVar[dict[str, object]] = {"no_frames": True}
-    fault: Literal["no_frames"]
-
-
-class Freeze(CameraFault):
-    """One frame is sent again and again."""
-
-    visible: ClassVar[Visible] = Visible.SENT
-    trouble: ClassVar[dict[str, object]] = {"frozen": True}
-    fault: Literal["freeze"]
-
-
-class EditMode(CameraFault):
-    """Motive is in edit mode."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    trouble: ClassVar[dict[str, object]] = {"edit_mode": True}
-    fault: Literal["edit_mode"]
-
-
-class CounterBack(Fault):
-    """The frame number goes back."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    fault: Literal["counter_back"]
-    frames: int = Field(ge=1, le=1_000_000)
-    """How far."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Set the counter back."""
-        return setting(device.motive.trouble, counter=self.frames)
-
-
-class BadDatagrams(Fault):
-    """A share of the frames is damaged."""
-
-    visible: ClassVar[Visible] = Visible.SENT
-    fault: Literal["bad_datagrams"]
-    share: Share
-    """How many of all, 0 to 1."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Damage datagrams from now on."""
-        return setting(device.motive.trouble, damaged=self.share)
-
-
-class OtherVersion(Fault):
-    """Frames are of another version than the server says."""
-
-    visible: ClassVar[Visible] = Visible.SENT
-    fault: Literal["other_version"]
-    version: VersionText
-    """Protocol version of the frames."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Pack frames by the other version."""
-        major, minor = self.version.split(".")
-        return setting(device.motive.trouble, version=Version(int(major), int(minor)))
-
-
-class Untracked(BodyFault):
-    """A body is not tracked; its last pose is held."""
-
-    seen: ClassVar[dict[str, object]] = {"tracked": False}
-    fault: Literal["untracked"]
-
-
-class NotANumber(BodyFault):
-    """A body's position is no number."""
-
-    seen: ClassVar[dict[str, object]] = {"nan": True}
-    fault: Literal["nan"]
-
-
-class BadQuaternion(BodyFault):
-    """A body's quaternion is not of norm 1."""
-
-    seen: ClassVar[dict[str, object]] = {"norm": 0.5}
-    fault: Literal["bad_quaternion"]
-
-
-class Jump(Fault):
-    """A body's pose jumps."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    fault: Literal["jump"]
-    robot: Name
-    """The robot it happens to."""
-    by: Point
-    """How far [mm]."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Shift what is seen of the body."""
-        return setting(device.tracked_body(self.robot), shift=self.by)
-
-
-class Ghost(Fault):
-    """A body's pose walks away from its robot."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    fault: Literal["ghost"]
-    robot: Name
-    """The robot it happens to."""
-    by: Point
-    """How far in each frame [mm]."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Let what is seen of the body walk."""
-        return setting(device.tracked_body(self.robot), step=self.by, shift=(0.0, 0.0))
-
-
-class Lifted(Fault):
-    """A body is seen at another height."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    fault: Literal["lifted"]
-    robot: Name
-    """The robot it happens to."""
-    height: Finite
-    """Height above the floor [mm]."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Lift the body."""
-        return setting(device.tracked_body(self.robot), height=self.height)
-
-
-class Tipped(Fault):
-    """A body is seen rolled about its own x axis."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    fault: Literal["tipped"]
-    robot: Name
-    """The robot it happens to."""
-    angle: Finite
-    """How far [rad]."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Roll the body."""
-        return setting(device.tracked_body(self.robot), roll=self.angle)
-
-
-class Outdated(Fault):
-    """Some frames are stamped with an older exposure than they have."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    fault: Literal["outdated"]
-    by: Positive
-    """By how much [s]."""
-    frames: int = Field(default=1, ge=1, le=1_000_000)
-    """How many frames."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Stamp the next frames so."""
-        return setting(device.motive.trouble, outdated=self.frames, outdated_s=self.by)
-
-
-class Swap(Fault):
-    """Two bodies swap identities."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    fault: Literal["swap"]
-    robot: Name
-    """One robot."""
-    other: Name
-    """The other."""
-
-    def begin(self, device: "EmulatedOptitrack") -> Undo:
-        """Swap the two."""
-        return setting(device, swapped={device.place_of(self.robot), device.place_of(self.other)})
-
-
 class EmulatedOptitrack:
     """Motive and the rigid bodies on the robots."""
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
-    faults: ClassVar[Sequence[type[Fault]]] = (
-        NoServer,
-        NoFrames,
-        Freeze,
-        CounterBack,
-        EditMode,
-        BadDatagrams,
-        OtherVersion,
-        Untracked,
-        Jump,
-        Ghost,
-        Lifted,
-        Tipped,
-        Outdated,
-        *SERVER_FAULTS,
-        Swap,
-        NotANumber,
-        BadQuaternion,
-    )
+    faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera
         assert isinstance(section, OptitrackSection), "the table of kinds goes by the type"
         self.swapped: set[int] = set()
         hidden = {robot.name for robot in settings.robots if not robot.streamed}
-        self.tracked = _tracked(section, settings, bodies)
+        self.tracked = _tracked(section, settings, bodies, Random(stage.options.seed))
         self.hidden = {body.id for body in self.tracked if body.robot.name in hidden}
         self.view = _view(stage, section, settings)
         self.motive = Motive(
@@ -344,8 +123,12 @@ class EmulatedOptitrack:
 
 
 def _tracked(
-    section: OptitrackSection, settings: OptitrackSettings, bodies: Sequence[Body]
+    section: OptitrackSection,
+    settings: OptitrackSettings,
+    bodies: Sequence[Body],
+    random: Random,
 ) -> list[TrackedBody]:
+    noise = settings.noise_mm, settings.noise_rad
     truths = {robot.name: robot for robot in settings.robots}
     taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
     free = iter(sorted(set(range(1, 1000)) - taken))
@@ -357,7 +140,7 @@ def _tracked(
         named = truth.body or (robot.body if isinstance(robot.body, str) else robot.name)
         offset = truth.heading_offset
         offset = robot.heading_offset if offset is None else offset
-        found.append(TrackedBody(body, number, named, offset))
+        found.append(TrackedBody(body, number, named, offset, noise, random))
     return found
 
 

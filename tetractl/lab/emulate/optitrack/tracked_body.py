@@ -1,8 +1,10 @@
 """Robots as rigid bodies in the server's axes, and what is wrong with them while a fault is on."""
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from random import Random
 
 from tetractl.lab.cameras.optitrack.messages import RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis
@@ -36,18 +38,26 @@ class View:
 class TrackedBody:
     """One robot's rigid body; `offset` is the spec's heading offset [rad].
 
-    The other fields are what faults set: not tracked, displaced by `shift` [mm], which grows by
-    `step` [mm] at each exposure, at another `height` [mm], rolled about its own x axis by `roll`
-    [rad], position NaN, quaternion of norm `norm`.
+    `noise` are the standard deviations of a pose [mm, rad], drawn from `random`. The other fields
+    are what faults set: not tracked, as it was seen last (`repeats`), displaced by `shift` [mm],
+    which grows by `step` [mm] at each exposure, in the robot's own axes where it is `own`, turned
+    by `turned` [rad], which grows by `turn`, at another `height` [mm], rolled about its own x axis
+    by `roll` [rad], position NaN, quaternion of norm `norm`.
     """
 
     robot: Body
     id: int
     body_name: str
     offset: float = 0.0
+    noise: tuple[float, float] = (0.0, 0.0)
+    random: Random = field(default_factory=lambda: Random(0))
     tracked: bool = True
+    repeats: bool = False
     shift: tuple[float, float] = (0.0, 0.0)
     step: tuple[float, float] = (0.0, 0.0)
+    own: bool = False
+    turned: float = 0.0
+    turn: float = 0.0
     height: float = 60.0
     roll: float = 0.0
     nan: bool = False
@@ -58,10 +68,16 @@ class TrackedBody:
         """Return the body as the cameras give it now; an untracked one keeps its last pose."""
         if not self.tracked and self.seen is not None:
             return replace(self.seen, mean_error=0.0, tracking_valid=False)
-        robot = self.robot
-        self.shift = self.shift[0] + self.step[0], self.shift[1] + self.step[1]
-        x, y = robot.x + self.shift[0], robot.y + self.shift[1]
-        body = view.body(self.id, x, y, robot.heading - self.offset, self.height)
+        if self.repeats and self.seen is not None:
+            return self.seen
+        robot, draw = self.robot, self.random.gauss
+        step = complex(*self.step) * (cmath.rect(1.0, robot.heading) if self.own else 1.0)
+        self.shift = self.shift[0] + step.real, self.shift[1] + step.imag
+        self.turned += self.turn
+        way, angle = self.noise
+        x, y = robot.x + self.shift[0] + draw(0, way), robot.y + self.shift[1] + draw(0, way)
+        heading = robot.heading + self.turned - self.offset + draw(0, angle)
+        body = view.body(self.id, x, y, heading, self.height)
         if self.roll:
             body = replace(body, quaternion=_rolled(body.quaternion, self.roll))
         self.seen = body

@@ -1,0 +1,94 @@
+"""How soon the guard stops robots that a camera shows elsewhere than they are; all emulated.
+
+    python benchmarks/guard.py                    what a camera may show, in two plays each
+    python benchmarks/guard.py --plays 1 along    one play of some
+    python benchmarks/guard.py --rate 30          frames as seldom as an AprilTag camera's
+    python benchmarks/guard.py --alarms 1000      the same trials with nothing wrong
+
+Three m3pi robots drive by model predictive control in the emulated lab, in virtual time, before a
+camera with noise of 0.3 mm and 4 mrad; each wheel is up to 10 % off, and 5 % of the
+packets are lost. What `tests/support/ghosts.py` shows begins 0.6 to 2.1 s after the first command.
+
+Worst of the plays: how far off its robot the pose shown was when that robot was commanded to stop
+[mm], how long after the fault that was and all robots stood [s], how far one drove until then
+[mm], and how many frames later the pose was accepted after all. A play is ended after 5 s.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from support import virtual_lab  # noqa: E402
+from support.bench_agreement import VirtualLab  # noqa: E402
+from support.ghosts import KINDS, Ghost, trial_of  # noqa: E402
+from support.labs import CAMERA_HZ  # noqa: E402
+
+SPEEDS = (0.05, 0.1, 0.2, 0.4)  # m/s
+ALL = (0, 1, 2)
+
+
+def ghosts(kind: str) -> None:
+    """Print a row for each speed of a kind, or for one and for all robots."""
+    ways = [(0.0, (0,)), (0.0, ALL)] if kind == "frozen" else [(speed, (0,)) for speed in SPEEDS]
+    for speed, who in ways:
+        plays = [
+            Ghost(kind, speed, who, at_s=0.6 + 1.5 * k / max(1, PLAYS - 1)) for k in range(PLAYS)
+        ]
+        reasons = [trial_of(play.haunt, k, RATE_HZ).reason for k, play in enumerate(plays)]
+        off, held, rest, driven = (
+            max(getattr(play, name) for play in plays)
+            for name in ("off_mm", "held_s", "rest_s", "driven_mm")
+        )
+        noticed = sum(reason != "not noticed" for reason in reasons)
+        late = sum(sum(play.late) for play in plays)
+        robots = "all" if who == ALL else "one"
+        what = robots if kind == "frozen" else f"{speed:g} m/s"
+        print(
+            f"| {kind} | {what} | {noticed} of {len(plays)} | {off:.0f} | {held:.2f} | {rest:.2f} "
+            f"| {driven:.0f} | {late} |",
+            flush=True,
+        )
+
+
+def alarms(first: int, last: int) -> None:
+    """Print each trial that did not end by itself or in which a pose was refused, and counts."""
+    ended = refused = close = 0
+    for trial in range(first, last):
+        labs: list[VirtualLab] = []
+        result = trial_of(labs.append, trial, RATE_HZ)
+        guard = labs[0].plant.rig.guard
+        near = "too close" in result.reason  # which they truly are
+        close += near
+        ended += not result.outcome.complete and not near
+        refused += guard.jumps > 0
+        if guard.jumps or not result.outcome.complete:
+            print(f"trial {trial}: {result.summary}, {guard.jumps} poses refused", flush=True)
+        if trial == last - 1 or trial % 10 == 9:
+            print(
+                f"{trial + 1 - first} trials: {ended} false alarms, {refused} with refused poses, "
+                f"{close} ended as robots came too close",
+                flush=True,
+            )
+
+
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("--plays", type=int, default=2, metavar="N")
+parser.add_argument("--rate", type=float, default=CAMERA_HZ, help="camera frames a second")
+parser.add_argument("--alarms", type=int, metavar="N", help="trials in which nothing is wrong")
+parser.add_argument("--first", type=int, default=0, metavar="K", help="the first of them")
+parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
+
+if __name__ == "__main__":
+    options = parser.parse_args()
+    PLAYS, RATE_HZ = options.plays, options.rate
+    if options.alarms:
+        virtual_lab.STEP_NS *= 2
+        alarms(options.first, options.first + options.alarms)
+    else:
+        print("| pose shown | | noticed | off [mm] | stop [s] | rest [s] | driven [mm] | later |")
+        print("|---|---|--:|--:|--:|--:|--:|--:|")
+        for kind in options.kinds or KINDS:
+            ghosts(kind)

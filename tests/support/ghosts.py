@@ -1,0 +1,125 @@
+"""Cameras that show robots elsewhere than they are, in the emulated lab in virtual time."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from support.bench_agreement import lab_spec, lab_trial
+from support.labs import CAMERA_HZ
+from support.virtual_lab import VirtualLab
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Pose
+from tetractl.core.trial import Result
+from tetractl.lab.guard import GuardState
+
+NOISE = 0.3, 0.004  # mm, rad: of a real capture
+WHEEL_M = 0.04  # from a wheel to the robot's centre
+KINDS = ("frozen", "along", "against", "sideways", "heading", "curve")
+
+
+@dataclass
+class Ghost:
+    """What a camera shows of robots `who` from `at_s` after the first command on.
+
+    `frozen` poses repeat. A ghost goes away from its robot at a speed [m/s]: `along` its heading,
+    `against` it or `sideways`. The `heading` shown turns by the speed at the wheels, or the whole
+    ghost does, and drives on as a robot does (`curve`).
+    """
+
+    kind: str
+    speed: float = 0.0
+    who: Sequence[int] = (0,)
+    at_s: float = 1.0
+    limit_s: float = 5.0  # not noticed by then, the play is ended
+    off_mm: float = 0.0  # how far the pose shown was off when all robots were to stop
+    driven_mm: float = 0.0  # how far a robot drove from the fault until all stood
+    rest_s: float = math.inf  # from the fault until all stood
+    held_s: float = math.inf  # from the fault until those shown elsewhere were to stop
+    late: list[bool] = field(default_factory=list)  # poses accepted again afterwards
+
+    def haunt(self, lab: VirtualLab) -> None:
+        """Show it in a lab that is not open yet."""
+        self.lab, self._then = lab, 0
+        self._began: int | None = None
+        self._turned, self._paths = 0.0, {}
+        self._shown, self._last = {}, {}
+        lab.eye.shown = self._show
+        lab.clock.steps.append(self._watch)
+
+    @property
+    def _since_s(self) -> float:
+        return (self.lab.clock.timeline.now_ns - (self._began or 0)) / SECOND
+
+    def _show(self, poses: tuple[Pose, ...]) -> tuple[Pose, ...]:
+        now, last = self.lab.clock.timeline.now_ns, self.lab.plant.rig.loop.last
+        if self._began is None and last is not None and last.direction is not None:
+            self._began = now + round(self.at_s * SECOND)
+        dt, self._then = (now - self._then) / SECOND, now
+        if self._began is None or now < self._began:
+            self._last = dict(enumerate(poses))
+            return poses
+        self._turned += self.speed / WHEEL_M * dt
+        shown = list(poses)
+        for i in self.who:
+            shown[i] = self._ghost(i, poses[i], 1000 * self.speed * dt)
+            self._shown[i] = shown[i]
+            self._last[i] = poses[i]
+        return tuple(shown)
+
+    def _ghost(self, i: int, pose: Pose, step: float) -> Pose:
+        before = self._last[i]
+        if self.kind == "frozen":
+            return self._shown.get(i, before)
+        if self.kind == "heading":
+            return Pose(pose.x, pose.y, pose.heading + self._turned)
+        dx, dy = self._paths.get(i, (0.0, 0.0))
+        if self.kind == "curve":
+            x, y = pose.x - before.x, pose.y - before.y
+            cos, sin = math.cos(self._turned), math.sin(self._turned)
+            self._paths[i] = dx + cos * x - sin * y - x, dy + sin * x + cos * y - y
+            dx, dy = self._paths[i]
+            return Pose(pose.x + dx, pose.y + dy, pose.heading + self._turned)
+        angle = {"along": 0.0, "against": math.pi, "sideways": math.pi / 2}[self.kind]
+        course = self.lab.robots[i].heading + angle
+        self._paths[i] = dx + step * math.cos(course), dy + step * math.sin(course)
+        dx, dy = self._paths[i]
+        return Pose(pose.x + dx, pose.y + dy, pose.heading)
+
+    def _watch(self) -> None:
+        if self._began is None or self.lab.clock.timeline.now_ns < self._began:
+            self._from = [(robot.x, robot.y) for robot in self.lab.robots]
+            return
+        guard, last = self.lab.plant.rig.guard, self.lab.plant.rig.loop.last
+        if self._since_s > self.limit_s and guard.state is not GuardState.ABORT:
+            guard.abort("not noticed")
+        if last and not math.isfinite(self.held_s) and not any(last.moving[i] for i in self.who):
+            self.held_s = self._since_s
+            self.off_mm = max(self._off(i) for i in self.who)
+        if not math.isfinite(self.rest_s):
+            ways = zip(self._from, self.lab.robots, strict=True)
+            self.driven_mm = max(math.hypot(r.x - x, r.y - y) for (x, y), r in ways)
+            stopped = guard.state is GuardState.ABORT
+            if stopped and all(robot.standing for robot in self.lab.robots):
+                self.rest_s = self._since_s
+        elif frame := self.lab.eye.newest:
+            self.late += [guard.believed(frame)[i][1] for i in self.who]
+
+    def _off(self, i: int) -> float:
+        robot, shown = self.lab.robots[i], self._shown[i]
+        return math.hypot(shown.x - robot.x, shown.y - robot.y)
+
+
+def trial_of(
+    change: Callable[[VirtualLab], None], trial: int = 0, rate_hz: float = CAMERA_HZ
+) -> Result:
+    """Run a trial of the lab changed by `change`, with noisy frames and wheels up to 10 % off."""
+
+    def changed(lab: VirtualLab) -> None:
+        lab.eye.streaming = replace(lab.eye.streaming, rate_hz=rate_hz)
+        change(lab)
+
+    spec = lab_spec("controller.optimizer.rounds=2")
+    result = lab_trial(spec, trial, 0.1, NOISE, changed).result
+    assert result is not None
+    return result

@@ -1,0 +1,147 @@
+"""Whether robots move as commanded: the poses that a camera sees against what was transmitted.
+
+A robot on two wheels, at a distance r from its centre, moves along its heading at v and turns at w,
+nothing else. Which command acts at a time t cannot be known: radio and wheels delay each, and some
+are lost. So v(t) and w(t) are anywhere between the least and the greatest that were in force within
+[t - DELAY_NS, t], each of them widened by what wheels may be off, a share g of the faster wheel:
+
+    e = g max(|v|, |w| r),    v in [v - e, v + e],    w in [w - e / r, w + e / r].
+
+Over any part of the last WINDOW_NS the way along the heading and the angle turned must lie between
+the integrals of these bounds, and the way across the heading within that of e, but for a slack: a
+robot rolls, so nothing moves it sideways. Lengths are in the spec's length unit.
+"""
+
+import math
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Pose
+
+DELAY_NS = 3 * SECOND // 10  # radio, wheels and some lost commands
+WATCHDOG_NS = SECOND // 4  # robots that heard nothing for as long have stopped themselves
+WINDOW_NS = SECOND
+SPACING_NS = SECOND // 20  # between the poses of the window that a new one is compared with
+SLACK_S = 0.03  # of driving at full speed
+SLACK_RAD = 0.08
+STANDS = 0.3  # a smaller share of the way commanded is none
+
+REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
+STILL = (
+    "does not move though commanded to: is a wheel stuck, is it on its back, has it power and "
+    "link, or is the camera frozen?"
+)
+BACKWARD = "moves backward: is its heading offset wrong, or its drive inverted?"
+WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
+
+
+class MotionCheck:
+    """Compares N robots of `speeds` (N,) with their commands.
+
+    `radius` is r, 0 for robots without wheels; `noise` is by how far poses may err.
+    """
+
+    def __init__(self, speeds: Sequence[float], radius: float, noise: float) -> None:
+        n = len(speeds)
+        self._radius = radius
+        way = SLACK_S * np.array(speeds) + noise
+        self._slack = np.array([way, way, np.full(n, SLACK_RAD)]).T  # (N, 3)
+        self._times: list[int] = []  # of the transmissions in `_least` and `_most`
+        self._least: list[Floats] = []  # (N, 3): along, across, around
+        self._most: list[Floats] = []
+        self._now_ns = 0
+        self._bounds = np.zeros((2, n, 3))  # those in force now
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was seen, as when robots start from rest."""
+        n = len(self._slack)
+        self._seen = np.zeros((n, 3))  # ways seen since the start, by poses that agreed
+        self._allowed = np.zeros((2, n, 3))  # integrals of the bounds up to now
+        # of each robot: times, and the way seen and the integrals up to them, (3, 3)
+        self._past: list[deque[tuple[int, Floats]]] = [deque() for _ in range(n)]
+
+    def forget(self, i: int) -> None:
+        """Begin again with robot i at its next pose."""
+        self._past[i].clear()
+
+    def sent(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float], share: float
+    ) -> None:
+        """Note a transmission of speeds and turning rates [rad/s], of wheels off by a share g."""
+        v, w = np.array(speed), np.array(turning)
+        off = share * np.maximum(np.abs(v), np.abs(w) * self._radius)
+        around = off / self._radius if self._radius else share * np.abs(w)
+        middle, spread = np.array([v, 0 * v, w]).T, np.array([off, off, around]).T
+        self._times.append(now_ns)
+        self._least.append(middle - spread)
+        self._most.append(middle + spread)
+        old = bisect_right(self._times, now_ns - 2 * SECOND)
+        if old > 64:  # now and then, in one go
+            del self._times[: old - 1], self._least[: old - 1], self._most[: old - 1]
+
+    def frame(self, now_ns: int) -> None:
+        """Note that a frame was exposed; `disagrees` is asked about its poses."""
+        first = max(0, bisect_right(self._times, self._now_ns - DELAY_NS) - 1)
+        last = bisect_right(self._times, now_ns)
+        least, most = self._least[first:last], self._most[first:last]
+        times = [*self._times[first:last], now_ns]
+        if not least or times[0] > self._now_ns - DELAY_NS or max(np.diff(times)) > WATCHDOG_NS:
+            still = np.zeros_like(self._bounds[0])  # before the first, and where none came
+            least, most = [*least, still], [*most, still]
+        self._bounds = np.array([np.min(least, axis=0), np.max(most, axis=0)])
+        self._allowed = self._allowed + self._bounds * ((now_ns - self._now_ns) / SECOND)
+        self._now_ns = now_ns
+
+    def commanded(self, i: int) -> bool:
+        """Whether robot i must be moving now."""
+        least, most = self._bounds[:, i]
+        return bool(np.any((least > 0.0) | (most < 0.0)))
+
+    def disagrees(self, i: int, before: Pose, pose: Pose) -> str:
+        """Return how robot i, last seen at a pose that agreed, moves as nobody commanded.
+
+        "" where it does not; then the new pose is one that agreed.
+        """
+        past, allowed = self._past[i], self._allowed[:, i]
+        seen = self._seen[i] + _moved(before, pose) if past else self._seen[i]
+        for then in reversed([row for _, row in past]):
+            way, least, most = np.array([seen, *allowed]) - then
+            if np.any((way < least - self._slack[i]) | (way > most + self._slack[i])):
+                return _diagnosis(way, least, most, self._slack[i])
+        self._seen[i] = seen
+        if not past or self._now_ns - past[-1][0] >= SPACING_NS:
+            past.append((self._now_ns, np.array([seen, *allowed])))
+        while len(past) > 1 and self._now_ns - past[0][0] > WINDOW_NS:
+            past.popleft()
+        return ""
+
+
+def _moved(before: Pose, pose: Pose) -> Floats:
+    """Return the way along and across the heading, as on an arc, and the angle turned, (3,)."""
+    turned = math.remainder(pose.heading - before.heading, math.tau)
+    dx, dy, middle = pose.x - before.x, pose.y - before.y, before.heading + turned / 2
+    along, across = (
+        dx * math.cos(middle) + dy * math.sin(middle),
+        dy * math.cos(middle) - dx * math.sin(middle),
+    )
+    return np.array([along / np.sinc(turned / math.tau), across, turned])
+
+
+def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
+    """Return what is wrong with a way along, across and around, (3,), that is out of bounds."""
+    along, across, around = (way < least - slack) | (way > most + slack)
+    meant = (least + most) / 2
+    if along and abs(way[0]) < STANDS * abs(meant[0]):
+        return STILL
+    opposite = (way * meant < 0.0) & (abs(meant) > STANDS * abs(way))
+    if along and opposite[0]:
+        return BACKWARD
+    if around and opposite[2]:
+        return WRONG_WAY
+    kind = "along its heading" if along else "sideways" if across else "around"
+    return f"moves {kind} as no command does: is what the camera sees another body, or its number?"

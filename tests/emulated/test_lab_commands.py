@@ -345,6 +345,37 @@ def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, protoco
     assert not any(event["moving"] for event in last)
 
 
+@pytest.mark.parametrize("number", [None, signal.SIGSTOP, signal.SIGKILL])
+def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
+    """Regression: it stopped nothing while a run, good or suspended, had the port."""
+    emulator, settings = lab()
+    sets = flags((*settings, *LONG))
+    command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets]
+    with (tmp_path / "said").open("w") as said:
+        run = subprocess.Popen(
+            command, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=said, stderr=said
+        )
+    try:
+        emulator.wait_for("moving")
+        if number:
+            run.send_signal(number)
+        if number is signal.SIGKILL:
+            run.wait(PATIENCE_S)
+        done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio"))
+        code = run.wait(PATIENCE_S)
+    finally:
+        run.kill()
+        run.wait()
+    assert done.returncode == 0, done.stderr
+    assert code in ((-9,) if number is signal.SIGKILL else (1, 130))
+    assert (f"process {run.pid} (" in done.stdout) == (number is not signal.SIGKILL)
+    _, record = emulator.end()
+    last = [e for e in record if e["event"] == "robot"][-3:]
+    assert len(last) == 3
+    assert not any(event["moving"] for event in last)
+    assert [e for e in record if e["event"] == "command"][-1]["flags"] & Flag.EMERGENCY_STOP
+
+
 def test_no_line_of_the_runner_knows_that_a_lab_is_emulated():
     folder = ROOT / "tetractl"
     for path in folder.rglob("*.py"):

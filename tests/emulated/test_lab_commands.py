@@ -1,6 +1,7 @@
 """`tetractl lab check`, `stop`, `calibrate`, and what `tetractl run --plant lab` adds, emulated."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -343,6 +344,47 @@ def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, protoco
     _, record = emulator.end()
     last = [e for e in record if e["event"] == "robot"][-3:]
     assert not any(event["moving"] for event in last)
+
+
+@pytest.mark.parametrize(
+    ("closed", "words", "code"),
+    [
+        (("stdout", "stderr"), (), 130),
+        (("stdout",), (), 0),
+        (("stderr",), (), 0),
+        (("stdout", "stderr"), ("--unattended",), 0),
+    ],
+    ids=["both", "stdout", "stderr", "unattended"],
+)
+def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, closed, words, code):
+    """Regression: it drove on to its end, with nobody to see or stop it."""
+    emulator, settings = lab()
+    short = LONG if code else ()
+    sets = flags((*settings, *short))
+    ends = {name: os.pipe() for name in ("stdout", "stderr")}
+    run = subprocess.Popen(
+        [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", *words, "--out", "logs", *sets],
+        cwd=tmp_path,
+        stdin=subprocess.DEVNULL,
+        **{name: writing for name, (_, writing) in ends.items()},
+    )
+    try:
+        emulator.wait_for("moving")
+        for name, (reading, writing) in ends.items():
+            os.close(writing)
+            if name in closed:
+                os.close(reading)
+        assert run.wait(PATIENCE_S) == code
+    finally:
+        run.kill()
+        run.wait()
+        for name, (reading, _) in ends.items():
+            if name not in closed:
+                os.close(reading)
+    outcome = read_trial(tmp_path / "logs" / "trial-000.mcap").result.outcome
+    assert outcome == "interrupted" if code else outcome.complete
+    _, record = emulator.end()
+    assert not any(e["moving"] for e in [e for e in record if e["event"] == "robot"][-3:])
 
 
 @pytest.mark.parametrize("number", [None, signal.SIGSTOP, signal.SIGKILL])

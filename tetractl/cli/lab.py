@@ -146,6 +146,7 @@ def calibrate(
     from datetime import UTC, datetime
     from threading import Event
 
+    from tetractl.cli.hangup import hung_up_unread
     from tetractl.experiment.plants import Calibration, calibration_yaml
     from tetractl.run.interrupt import interrupted_once
     from tetractl.view.terminal.stopkey import SAYS, StopKey
@@ -161,7 +162,8 @@ def calibrate(
     if not yes:
         typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Go on?", abort=True)
     emergency = Event()
-    with interrupted_once(robots=True), StopKey(emergency.set, lambda: None) as key:
+    stop_key = StopKey(emergency.set, lambda: None)
+    with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
             typer.echo(SAYS, err=True)
         found = lab.actuator.calibrate(

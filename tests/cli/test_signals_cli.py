@@ -5,6 +5,7 @@ import os
 import pty
 import re
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from support.running import (
     assert_interrupted,
     environment,
 )
+from support.studies import SMALL, tetractl, write
 
 from tetractl.log.read.reader import read_result
 
@@ -188,3 +190,64 @@ def test_a_broken_stream_neither_hangs_nor_kills_a_run(tmp_path, broken, which):
         assert "3 of 3 trials complete" in out
     else:
         assert "look at one with: tetractl replay logs/trial-000.mcap" in err
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A folder with a spec, a study of it and the logs of a run."""
+    folder = tmp_path_factory.mktemp("files")
+    write(folder, SMALL)
+    done = tetractl("run", "spec.yaml", "--out", "logs", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+LOG = "logs/trial-000.mcap"
+ENDING = {  # every command that ends by itself and needs no lab, and its exit code
+    "--help": 0,
+    "--version": 0,
+    "init made": 0,
+    "run spec.yaml --out new": 0,
+    "run spec.yaml --out new --json": 0,
+    "run spec.yaml --out new --jobs 2": 0,
+    "run spec.yaml --dry-run": 0,
+    f"run --from {LOG} --out new": 0,
+    "run": 2,
+    "validate spec.yaml": 0,
+    "schema": 0,
+    "kinds": 0,
+    f"info {LOG}": 0,
+    f"recover {LOG}": 0,
+    f"replay {LOG} --rate 100": 0,
+    f"plot {LOG}": 0,
+    "report logs": 0,
+    "export logs -o tables": 0,
+    "verify logs": 0,
+    "stats logs": 0,
+    "stats logs --format csv": 0,
+    "analyze spec.yaml": 0,
+    "study study.yaml --out arms --jobs 2": 0,
+    "identify logs": 0,
+    "lab stop --port nowhere": 1,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ENDING)
+def test_every_command_ends_though_nobody_reads_it(files, tmp_path, words):
+    """Regression: `python -m tetractl stats`, unread, waited for ever for a thread that had ended.
+
+    The installed script flushes once more before the interpreter ends; `python -m` does not.
+    """
+    shutil.copytree(files, tmp_path, dirs_exist_ok=True)
+    with closed_pipe() as descriptor:
+        done = subprocess.run(
+            [sys.executable, "-m", "tetractl", *words.split()],
+            cwd=tmp_path,
+            env=environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=descriptor,
+            stderr=descriptor,
+            timeout=PATIENCE_S,
+        )
+    assert done.returncode == ENDING[words]

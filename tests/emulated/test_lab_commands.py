@@ -1,6 +1,7 @@
 """`tetractl lab check`, `stop`, `calibrate`, and what `tetractl run --plant lab` adds, emulated."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -141,6 +142,78 @@ def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, protoco
     _, record = emulator.end()
     last = [e for e in record if e["event"] == "robot"][-3:]
     assert not any(event["moving"] for event in last)
+
+
+@pytest.mark.parametrize(
+    ("closed", "words", "code"),
+    [
+        (("stdout", "stderr"), (), 130),
+        (("stdout",), (), 0),
+        (("stderr",), (), 0),
+        (("stdout", "stderr"), ("--unattended",), 0),
+    ],
+    ids=["both", "stdout", "stderr", "unattended"],
+)
+def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, closed, words, code):
+    """Regression: it drove on to its end, with nobody to see or stop it."""
+    emulator, settings = lab()
+    short = LONG if code else ()
+    sets = flags((*settings, *short))
+    ends = {name: os.pipe() for name in ("stdout", "stderr")}
+    run = subprocess.Popen(
+        [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", *words, "--out", "logs", *sets],
+        cwd=tmp_path,
+        stdin=subprocess.DEVNULL,
+        **{name: writing for name, (_, writing) in ends.items()},
+    )
+    try:
+        emulator.wait_for("moving")
+        for name, (reading, writing) in ends.items():
+            os.close(writing)
+            if name in closed:
+                os.close(reading)
+        assert run.wait(PATIENCE_S) == code
+    finally:
+        run.kill()
+        run.wait()
+        for name, (reading, _) in ends.items():
+            if name not in closed:
+                os.close(reading)
+    outcome = read_trial(tmp_path / "logs" / "trial-000.mcap").result.outcome
+    assert outcome == "interrupted" if code else outcome.complete
+    _, record = emulator.end()
+    assert not any(e["moving"] for e in [e for e in record if e["event"] == "robot"][-3:])
+
+
+@pytest.mark.parametrize("number", [None, signal.SIGSTOP, signal.SIGKILL])
+def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
+    """Regression: it stopped nothing while a run, good or suspended, had the port."""
+    emulator, settings = lab()
+    sets = flags((*settings, *LONG))
+    command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets]
+    with (tmp_path / "said").open("w") as said:
+        run = subprocess.Popen(
+            command, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=said, stderr=said
+        )
+    try:
+        emulator.wait_for("moving")
+        if number:
+            run.send_signal(number)
+        if number is signal.SIGKILL:
+            run.wait(PATIENCE_S)
+        done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio"))
+        code = run.wait(PATIENCE_S)
+    finally:
+        run.kill()
+        run.wait()
+    assert done.returncode == 0, done.stderr
+    assert code in ((-9,) if number is signal.SIGKILL else (1, 130))
+    assert (f"process {run.pid} (" in done.stdout) == (number is not signal.SIGKILL)
+    _, record = emulator.end()
+    last = [e for e in record if e["event"] == "robot"][-3:]
+    assert len(last) == 3
+    assert not any(event["moving"] for event in last)
+    assert [e for e in record if e["event"] == "command"][-1]["flags"] & Flag.EMERGENCY_STOP
 
 
 def test_no_line_of_the_runner_knows_that_a_lab_is_emulated():

@@ -14,7 +14,7 @@ def main() -> None:
     import atexit
     import sys
 
-    from tetractl.cli.streams import open_streams
+    from tetractl.cli.streams import open_streams, settle
     from tetractl.core.errors import Exit
     from tetractl.run.interrupt import ignore_signals, leave_on_signals
 
@@ -30,4 +30,5 @@ def main() -> None:
 
     code = run_app()
     leave_on_signals(code)
+    settle()
     sys.exit(code)

@@ -19,6 +19,7 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
     """
     from rich.console import Console
 
+    from tetractl.cli.hangup import hung_up_unread
     from tetractl.cli.run import STOPPING, run_todo
     from tetractl.cli.streams import hurrier
     from tetractl.control.build import warm_up
@@ -37,7 +38,7 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
         warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
         interrupt = Interrupt(hurrier(STOPPING))
         leave_on_signals(Exit.INTERRUPTED)
-        with interrupt.watch(robots=in_lab):
+        with hung_up_unread(in_lab), interrupt.watch(robots=in_lab):
             report = run_todo(loaded, folder, [trial], 1, console, interrupt, None, yes)
     if report.refused:
         raise report.refused

@@ -1,5 +1,6 @@
 """`tetractl lab`: the commands around a run with real robots."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -88,19 +89,28 @@ def stop(
 
     m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
     3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
-    --port. Needs no camera, and the port free of other programs.
+    --port. Needs no camera. A run that has the port is ended: stops are sent beside it, it is
+    asked twice to end, then killed. Exit code 1 where another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """
     if (spec is None) == (port is None):
         raise UsageError("name a SPEC or a --port")
+    from tetractl.lab.holder import stop_beside
+    from tetractl.lab.serial_port import PortHeldError
+
     if spec is not None:
         lab, setup = _lab(spec, sets)
-        typer.echo(lab.actuator.stop_all(setup))
+        stop_all = partial(lab.actuator.stop_all, setup)
     else:
-        from tetractl.lab.actuators.m3pi.stop import stop_all
+        from tetractl.lab.actuators.m3pi import stop as m3pi
 
-        typer.echo(stop_all(_xbee(port or "", baud, mode)))
+        stop_all = partial(m3pi.stop_all, _xbee(port or "", baud, mode))
+    try:
+        typer.echo(stop_all())
+    except PortHeldError as held:
+        stop_beside(held.port, partial(stop_all, alone=False), typer.echo)
+        typer.echo(stop_all())
     return Exit.DONE
 
 
@@ -136,6 +146,7 @@ def calibrate(
     from datetime import UTC, datetime
     from threading import Event
 
+    from tetractl.cli.hangup import hung_up_unread
     from tetractl.experiment.plants import Calibration, calibration_yaml
     from tetractl.run.interrupt import interrupted_once
     from tetractl.view.terminal.stopkey import SAYS, StopKey
@@ -151,7 +162,8 @@ def calibrate(
     if not yes:
         typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Go on?", abort=True)
     emergency = Event()
-    with interrupted_once(robots=True), StopKey(emergency.set, lambda: None) as key:
+    stop_key = StopKey(emergency.set, lambda: None)
+    with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
             typer.echo(SAYS, err=True)
         found = lab.actuator.calibrate(

@@ -29,10 +29,12 @@ def run_in_lab(
     record: Path | None,
     yes: bool,
     served: "Sequence[Observer]" = (),
+    unattended: bool = False,
 ) -> "Report":
     """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time.
 
-    A person at the terminal starts each trial, but not where `yes`.
+    A person at the terminal starts each trial, but not where `yes`. `unattended`: a terminal that
+    goes away stops nothing.
     """
     from rich.console import Console
 
@@ -44,7 +46,7 @@ def run_in_lab(
 
     quiet, console = console, Console(stderr=True)  # what concerns safety is always said
     emergency, entered = threading.Event(), threading.Event()
-    with StopKey(emergency.set, entered.set) as key:
+    with StopKey(emergency.set, entered.set, unattended) as key:
         says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
         console.print(says, style="bold", highlight=False)
         unit = loaded.experiment.units.length

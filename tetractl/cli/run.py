@@ -52,6 +52,14 @@ def run(
         ),
     ] = None,
     yes: Yes = False,
+    unattended: Annotated[
+        bool,
+        typer.Option(
+            "--unattended",
+            help="Lab only, with --yes: go on where the terminal, or every reader of the output, "
+            "is gone; else that stops the robots.",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -108,6 +116,7 @@ def run(
     """
     from rich.console import Console
 
+    from tetractl.cli.hangup import hung_up_unread
     from tetractl.cli.spec import load
     from tetractl.cli.streams import hurrier
     from tetractl.control.build import warm_up
@@ -139,7 +148,7 @@ def run(
         assert log is not None
         log = find_log(log)
         loaded, number = recorded(log, plant.value if plant else "sim")
-    _check_lab_options(loaded, jobs, record_wire)
+    _check_lab_options(loaded, jobs, record_wire, yes, unattended)
     served_port = wanted_port(serve, port)
     if serve and jobs > 1:
         raise UsageError("--serve shows one trial at a time", "leave out --jobs")
@@ -161,9 +170,10 @@ def run(
         warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
         interrupt = Interrupt(hurrier(STOPPING))
         leave_on_signals(Exit.INTERRUPTED)  # again, once all is said
-        with interrupt.watch(robots=not loaded.experiment.plant.simulated):
+        in_lab = not loaded.experiment.plant.simulated
+        with hung_up_unread(in_lab, unattended), interrupt.watch(robots=in_lab):
             report = run_todo(
-                loaded, folder, todo, jobs, console, interrupt, record_wire, yes, served
+                loaded, folder, todo, jobs, console, interrupt, record_wire, yes, served, unattended
             )
             code = _conclude(report, folder, json)
     if log is not None and number in report.results and code == Exit.DONE:
@@ -188,12 +198,16 @@ def _describe(loaded: "LoadedSpec", folder: Path, todo: list[int]) -> None:
         print(f"# Logs to write: {' ... '.join(ends)}")
 
 
-def _check_lab_options(loaded: "LoadedSpec", jobs: int, record_wire: Path | None) -> None:
+def _check_lab_options(
+    loaded: "LoadedSpec", jobs: int, record_wire: Path | None, yes: bool, unattended: bool
+) -> None:
     in_lab = not loaded.experiment.plant.simulated
     if in_lab and jobs > 1:
         raise UsageError("--jobs: the lab runs one trial at a time")
     if record_wire is not None and not in_lab:
         raise UsageError("--record-wire: a simulation has no wire", "add --plant lab")
+    if unattended and not (in_lab and yes):
+        raise UsageError("--unattended: only the lab has robots to watch", "add --plant lab --yes")
 
 
 def run_todo(
@@ -206,6 +220,7 @@ def run_todo(
     record_wire: Path | None,
     yes: bool,
     served: "Sequence[Observer]" = (),
+    unattended: bool = False,
 ) -> "Report":
     """Run trials with what shows them, `served` among it: in the lab with the operator's stop."""
     from tetractl.run.batch import run_batch
@@ -214,7 +229,9 @@ def run_todo(
     if not loaded.experiment.plant.simulated:
         from tetractl.cli.lab_run import run_in_lab
 
-        return run_in_lab(loaded, folder, todo, console, interrupt, live, record_wire, yes, served)
+        return run_in_lab(
+            loaded, folder, todo, console, interrupt, live, record_wire, yes, served, unattended
+        )
     if live:
         from tetractl.view.terminal.live import LiveView
 

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -56,6 +57,8 @@ class PatientWriter(io.RawIOBase):
     def write(self, data: "ReadableBuffer", /) -> int:
         """Write bytes, or drop them; return how many were given."""
         piece = bytes(data)
+        if sys.is_finalizing():  # the thread has ended, and may have left the lock locked
+            return len(piece)
         with self._changed:
             if self._done >= self._put or not self._stuck():
                 self._queue(piece, len(piece))
@@ -142,6 +145,17 @@ def open_streams() -> Output:
     messages = Output(2, MESSAGES_S, False)
     sys.stdout, sys.stderr = Output(1, results_s, True), messages
     return messages
+
+
+def settle() -> None:
+    """Write or drop what the standard streams still hold, while their threads run.
+
+    A buffer keeps what it could not write, and the interpreter's end, when no thread runs any more,
+    would write it again.
+    """
+    for stream in (sys.stdout, sys.stderr) * 2:  # a failure is raised once, then the rest is lost
+        with suppress(OSError, ValueError):
+            stream.flush()
 
 
 def hurrier(text: bytes) -> Callable[[], None]:

@@ -87,10 +87,11 @@ class ActuatorSection(DeviceSection):
     def build(self, setup: Setup, clock: Clock, tap: Tap) -> Actuator:
         """Return the actuator of the setup's robots, in their order; nothing is opened."""
 
-    def stop_all(self, setup: Setup) -> str:
+    def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot in reach, for good where the actuator can; needs nothing but its port.
 
-        Returns what was done, in words for people; AbortError where nothing can be sent.
+        Not `alone`, beside a run that has the port, where the actuator can. Returns what was done,
+        in words for people; AbortError where nothing can be sent.
         """
         clock = MonotonicClock()
         with self.build(setup, clock, NO_TAP) as actuator:

@@ -20,6 +20,18 @@ WRITE_TIMEOUT_S = 0.02
 READ_TIMEOUT_S = 0.05
 MAX_BUFFER = 2048  # bytes the system may still have to send before the port counts as stuck
 
+
+class PortHeldError(AbortError):
+    """Another process has the port `port` for itself."""
+
+    def __init__(self, port: str) -> None:
+        super().__init__(
+            f"{port}: another program has this port open",
+            "one run at a time; `tetractl lab stop` stops its robots and ends it",
+        )
+        self.port = port
+
+
 Heard = Callable[[bytes, int], None]
 
 
@@ -50,15 +62,18 @@ class SerialPort:
         self._port: serial.Serial | None = None
         self._thread = threading.Thread(target=self._read, name=device, daemon=True)
 
-    def open(self) -> None:
-        """Open the port for this process alone and start to read; AbortError where it cannot."""
+    def open(self, alone: bool = True) -> None:
+        """Open the port and start to read, for this process `alone` or beside the one that has it.
+
+        AbortError where it cannot, PortHeldError where another has it.
+        """
         try:
             self._port = serial.Serial(
                 self._name,
                 self._baud,
                 timeout=READ_TIMEOUT_S,
                 write_timeout=WRITE_TIMEOUT_S,
-                exclusive=True,
+                exclusive=alone or None,
             )
         except (serial.SerialException, OSError, ValueError) as error:
             raise _cannot_open(self._name, self._device, error) from error
@@ -144,10 +159,7 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
     number = getattr(error, "errno", None)
     text = str(error)
     if number == 11 or "exclusively lock" in text:
-        return AbortError(
-            f"{name}: another program has this port open",
-            "one run at a time; end the other, or `tetractl lab stop` if it left robots moving",
-        )
+        return PortHeldError(name)
     if number == 2 or "No such file" in text:
         return AbortError(f"{name}: there is no such port", f"is {device} plugged in?")
     if number == 13:

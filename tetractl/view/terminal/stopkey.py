@@ -18,13 +18,16 @@ POLL_S = 0.2
 class StopKey:
     """Calls `stop` on space, Esc, or when the terminal goes away; a context manager.
 
-    Enter calls `enter`; other keys do nothing. Works only where stdin is a terminal: then
+    Enter calls `enter`; other keys do nothing. A terminal that goes away is no stop where
+    `unattended`. Works only where stdin is a terminal: then
     `listening` is True.
     """
 
-    def __init__(self, stop: Callable[[], None], enter: Callable[[], None]) -> None:
+    def __init__(
+        self, stop: Callable[[], None], enter: Callable[[], None], unattended: bool = False
+    ) -> None:
         self.listening = sys.stdin is not None and sys.stdin.isatty()
-        self._stop, self._enter = stop, enter
+        self._stop, self._enter, self._unattended = stop, enter, unattended
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._listen, name="stop key", daemon=True)
 
@@ -59,7 +62,7 @@ class StopKey:
                 keys = os.read(self._fd, 64)
             except OSError:
                 keys = b""
-            if not keys or any(key in STOP_KEYS for key in keys):
+            if any(key in STOP_KEYS for key in keys) or not (keys or self._unattended):
                 self._stop()
             if not keys:
                 return

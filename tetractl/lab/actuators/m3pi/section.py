@@ -133,11 +133,12 @@ class M3piSection(XbeeSection, ActuatorSection):
 
         return M3piActuator(self, setup, clock, tap)
 
-    def stop_all(self, setup: Setup) -> str:
+    def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot in reach, whatever it runs: until it is switched off where it can."""
         from tetractl.lab.actuators.m3pi.stop import stop_all
 
-        return stop_all(self, [robot.address for robot in self.robots if robot.address is not None])
+        addresses = [robot.address for robot in self.robots if robot.address is not None]
+        return stop_all(self, addresses, alone)
 
     def calibrate(
         self,

@@ -10,18 +10,18 @@ from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.actuators.xbee.section import XbeeSection
 
 
-def stop_all(module: XbeeSection, addresses: Sequence[int] = ()) -> str:
+def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = True) -> str:
     """Stop every robot in reach, ten times over 200 ms; return what was done, in words for people.
 
     The mbed firmware latches its emergency stop on a broadcast frame; the serial-slave program
     stops on bytes of its own, sent to each address and to all. The module is not checked: a
-    wrong module is better than no stop.
+    wrong module is better than no stop. Not `alone`, the port may be another process's as well.
     """
     clock = MonotonicClock()
     link = Link(module, clock)
     sent = 0
     try:
-        link.open(checked=False)
+        link.open(checked=False, alone=alone)
         for i in range(STOPS):
             # both kinds of robots ignore what is meant for the other
             link.send(encode_command(BroadcastCommand(i, Flag.EMERGENCY_STOP)))

@@ -77,9 +77,9 @@ class Link:
         """Why nothing can be sent any more, None while all is well."""
         return self._port.failure
 
-    def open(self, checked: bool = True) -> None:
-        """Open the port for this process alone and, `checked` in an API mode, check the module."""
-        self._port.open()
+    def open(self, checked: bool = True, alone: bool = True) -> None:
+        """Open the port, as a `SerialPort`, and, `checked` in an API mode, check the module."""
+        self._port.open(alone)
         if checked and self._api:
             self.questions = check.module(self, self.radio)
 

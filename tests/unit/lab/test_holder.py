@@ -1,0 +1,135 @@
+"""What `lab stop` does about the process that has the port: real processes on a pseudo-terminal."""
+
+import os
+import signal
+import subprocess
+import sys
+import tty
+
+import pytest
+
+from tetractl.core.clock import MonotonicClock
+from tetractl.core.errors import AbortError
+from tetractl.lab import holder as module
+from tetractl.lab.holder import command_line, holder, stop_beside
+from tetractl.lab.serial_port import PortHeldError, SerialPort
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's /proc/locks"),
+]
+HOLDS = """
+import serial, signal, sys
+held = serial.Serial(sys.argv[1], exclusive=True)
+if "deaf" in sys.argv:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+print("held", flush=True)
+while True:
+    signal.pause()
+"""
+
+
+@pytest.fixture
+def port():
+    near, far = os.openpty()
+    tty.setraw(far)
+    yield os.ttyname(far)
+    os.close(near)
+    os.close(far)
+
+
+@pytest.fixture
+def hold(tmp_path, port):
+    """Start a program of a name that has the port for itself."""
+    started = []
+
+    def start(name, *words):
+        (tmp_path / name).write_text(HOLDS)
+        process = subprocess.Popen(
+            [sys.executable, tmp_path / name, port, *words], stdout=subprocess.PIPE
+        )
+        started.append(process)
+        assert process.stdout.readline() == b"held\n"
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def stopping(port):
+    """Stop beside the holder; return what was said."""
+    said = []
+    stop_beside(port, lambda: "sent stops", said.append)
+    return "\n".join(said)
+
+
+def test_the_holder_of_a_port_is_known(port, hold):
+    assert holder(port) is None
+    process = hold("tetractl")
+    assert holder(port) == process.pid
+    assert command_line(process.pid)[2] == port
+
+
+@pytest.mark.parametrize("suspended", [False, True])
+def test_a_run_is_asked_to_end_even_when_suspended(port, hold, suspended):
+    process = hold("tetractl")
+    if suspended:
+        process.send_signal(signal.SIGSTOP)
+    said = stopping(port)
+    assert process.wait() == -signal.SIGTERM
+    assert f"{port}: process {process.pid} (" in said
+    assert "asked it to stop its robots and end" in said
+    assert "sent stops, beside it" in said
+    assert "it let go of the port" in said
+
+
+def test_a_run_that_hears_nothing_is_killed(port, hold, monkeypatch):
+    monkeypatch.setattr(module, "AGAIN_S", 0.1)
+    monkeypatch.setattr(module, "KILL_S", 0.2)
+    process = hold("tetractl", "deaf")
+    said = stopping(port)
+    assert process.wait() == -signal.SIGKILL
+    assert said.index("asked it to end at once") < said.index("killed it")
+
+
+def test_another_program_is_named_and_left_alone(port, hold):
+    process = hold("terminal")
+    with pytest.raises(AbortError, match=f"process {process.pid} .* is no tetractl") as raised:
+        stopping(port)
+    assert "switch the robots off" in raised.value.hint
+    assert process.poll() is None
+
+
+def test_another_users_run_is_named_and_left_alone(port, hold, monkeypatch):
+    def forbidden(pid, number):
+        raise PermissionError
+
+    process = hold("tetractl")
+    monkeypatch.setattr(os, "kill", forbidden)
+    with pytest.raises(AbortError, match="belongs to another user"):
+        stopping(port)
+    monkeypatch.undo()
+    assert process.poll() is None
+
+
+def test_a_holder_that_is_not_known_is_sent_stops_over_and_told_of(port, hold, monkeypatch):
+    process = hold("tetractl")
+    monkeypatch.setattr(module, "holder", lambda port: None)
+    with pytest.raises(AbortError, match="another program still has the port"):
+        stopping(port)
+    assert process.poll() is None
+
+
+def test_a_held_port_takes_bytes_of_a_second_opener_that_asks_for_that(port, hold):
+    hold("terminal")
+    opener = SerialPort(port, 57600, "the radio", MonotonicClock(), lambda data, t: None, "")
+    with pytest.raises(PortHeldError, match="another program has this port open"):
+        opener.open()
+    opener.open(alone=False)
+    try:
+        assert opener.write(b"stop") > 0
+    finally:
+        opener.close()

@@ -10,6 +10,7 @@ import pytest
 from support.lab_processes import PATIENCE_S, ROOT, SMALL, SPEC, TETRACTL, Emulator, flags
 from support.terminal import Terminal
 
+from tetractl.lab.actuators.m3pi.broadcast import Flag
 from tetractl.log.read.reader import read_trial
 
 

@@ -16,6 +16,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.wire_tap import NO_TAP
 from tetractl.lab.cameras.optitrack.client import NatNetClient
 from tetractl.lab.emulate.loop import Loop
+from tetractl.lab.serial_port import PortHeldError
 
 STEP_NS = SECOND // 1000
 Address = tuple[str, int]
@@ -204,12 +205,12 @@ class MemorySerial:
         self._clock, self._heard, self._tap, self._wire = clock, heard, tap, wire
         self._port = None
 
-    def open(self):
+    def open(self, alone=True):
         self._port = MemoryPort.ports.get(str(self._name))
         if self._port is None:
             raise AbortError(f"{self._name}: there is no such port")
-        if self._port.near is not None:
-            raise AbortError(f"{self._name}: another program has this port open")
+        if self._port.near is not None and alone:
+            raise PortHeldError(str(self._name))
         self._port.near = self
 
     def write(self, data):

@@ -29,6 +29,7 @@ from tetractl.lab.emulate.m3pi.robot import EmulatedRobot
 from tetractl.lab.emulate.m3pi.side import EmulatedM3pi, M3piSettings
 from tetractl.lab.emulate.optitrack.streaming import Streaming
 from tetractl.lab.emulate.sides import Options, Stage
+from tetractl.lab.inner_loop import IDLE_S
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab import LabPlant
 
@@ -155,6 +156,10 @@ class EmulatedEye:
     def check(self) -> Health:
         return Health(facts={"camera": "emulated"})
 
+    @property
+    def waiting(self) -> bool:
+        return bool(self._fresh)
+
     def frames(self) -> list[CameraFrame]:
         fresh, self._fresh = self._fresh, []
         return fresh
@@ -258,5 +263,14 @@ def virtual_lab(
     actuator._protocol._link = actuator.link
     eye, operators = EmulatedEye(clock, robots, seed, noise), Operators()
     rig = Rig(eye, actuator, lab.limits, setup, clock, operators.emergency, threaded=False)
-    clock.steps += [radio.poll_answers, rig.loop.step]
+    due = 0
+
+    def turn() -> None:
+        """Step the inner loop when its thread would: at each frame, else every IDLE_S."""
+        nonlocal due
+        if eye.waiting or clock.now() >= due:
+            due = clock.now() + round(IDLE_S * SECOND)
+            rig.loop.step()
+
+    clock.steps += [radio.poll_answers, turn]
     return VirtualLab(LabPlant(rig, operators), clock, robots, eye)

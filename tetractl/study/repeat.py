@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.yaml.problems import did_you_mean
+from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.trial_digest import trial_digest
 from tetractl.run.batch import log_path, run_trial
 from tetractl.run.folder import set_aside
 from tetractl.run.interrupt import Interrupt, interrupted_once

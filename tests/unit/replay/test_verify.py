@@ -121,7 +121,7 @@ def test_every_decision_comes_out_with_the_same_bits(tmp_path: Path, sets: list[
     assert (found.method, found.elsewhere, found.notes) == (Method.RECOMPUTED, (), ())
     assert found.checked == found.steps > 0
     log = read_trial(tmp_path / "trial-001.mcap")
-    assert recompute(log, again=False) is None
+    assert recompute(log, search_again=False) is None
 
 
 def older(log: TrialLog, chosen: int = 1) -> TrialLog:
@@ -140,8 +140,8 @@ def test_searches_that_are_not_done_any_more_are_taken_as_logged(tmp_path: Path)
     sets = [*SETTINGS["multistart"], "controller.horizon_max=20", "controller.steps_max=40"]
     log = read_trial(run(tmp_path, sets))
     assert any(len(step.plan.searches) == 2 for step in older(log).steps)
-    assert recompute(older(log), again=False) is None
-    found = recompute(older(log, chosen=0), again=False)
+    assert recompute(older(log), search_again=False) is None
+    found = recompute(older(log, chosen=0), search_again=False)
     assert found is not None
     assert found.field.startswith("searches")
 
@@ -289,7 +289,7 @@ def test_on_another_processor_the_costs_have_to_agree(
         (RUN, "trial", "2", "generator"),
         (RESULT, "total_error", "1.0", "result.total_error"),
         (RESULT, "robot_errors", "[1.0, 2.0]", "result.robot_errors"),
-        (RESULT, "final_x", "[1.0, 2.0]", "result.robot_errors"),
+        (RESULT, "final_x", "[1.0, 2.0]", "result.final.x.0"),
         (RESULT, "steps", "3", "result.steps"),
         (RESULT, "clearance", "[1e9, 1e9]", "result.clearance.0"),
         (RESULT, "duration_s", "3.25", "result.duration_s"),
@@ -330,7 +330,7 @@ def test_an_outcome_is_not_changed_with_all_that_says_it(
     note.message = note.message.replace("steps max", f"{outcome} (why)")
     said = {last: last._replace(data=note.SerializeToString())}
     found = verify(rewrite(contents, tmp_path / "changed.mcap", said, change))
-    assert [problem.field for problem in found.problems] == ["outcome"]
+    assert found.problems[0].field == "outcome"
     assert "the controller says 'steps max'" in found.problems[0].message
 
 
@@ -344,7 +344,8 @@ def test_a_frame_between_decisions_is_not_changed(
         i for i, e in frames if CHANNELS[topic].FromString(e.data).frame not in decided | {0}
     )
     found = verify(with_entry(contents, tmp_path / "changed.mcap", index, ("x", 0)))
-    assert [problem.field.split(".")[0] for problem in found.problems] == [topic.strip("/")]
+    assert found.problems[0].field.startswith(f"{topic.strip('/')}.")
+    assert found.problems[0].field.endswith(".0.x")
 
 
 def test_the_times_of_solving_are_bound_too(tmp_path: Path, contents: Contents) -> None:
@@ -429,7 +430,7 @@ def test_a_spec_that_asks_for_very_much_is_not_computed(tmp_path: Path, contents
 
 def test_the_time_that_verifying_takes_is_bounded(log: Path) -> None:
     ticks = iter(range(0, 100_000, 4))
-    found = recompute(read_trial(log), again=True, wall=lambda: next(ticks))
+    found = recompute(read_trial(log), search_again=True, wall=lambda: next(ticks))
     assert found is not None
     assert "not decided again: from here on it takes over 15 s" in found.message
 
@@ -442,12 +443,13 @@ def test_a_trial_number_that_cannot_be_is_told(tmp_path: Path, contents: Content
     assert found.problems[0].field == "seed"
 
 
-def test_missing_frames_are_noticed(tmp_path: Path, contents: Contents) -> None:
-    frame = next(e for e in contents.entries if e.topic == "/mocap" and e.log_ns % 7)
+@pytest.mark.parametrize("which", [0, 7, -1])
+def test_missing_frames_are_noticed(tmp_path: Path, contents: Contents, which: int) -> None:
+    frame = [e for e in contents.entries if e.topic == MOCAP][which]
     left = [record for record in contents.records if record is not frame]
     thinned = Contents(contents.path, records=left, channels=contents.channels)
     found = verify(rewrite(thinned, tmp_path / "changed.mcap", {}))
-    assert any("missing: camera frame" in problem.message for problem in found.problems)
+    assert found.problems[0].field.split(".")[0] in ("frames", "count"), found.problems
 
 
 def test_a_log_without_an_end_is_no_failed_decision(tmp_path: Path, log: Path) -> None:
@@ -467,7 +469,7 @@ def test_a_wall_that_a_logged_path_crosses_was_entered(
     log = read_trial(random_trials.write(made, tmp_path / "trial.mcap"))
     assert log.result
     log = replace(log, result=replace(log.result, verdict=clear))
-    fields = {problem.field for problem in audit(log).problems}
+    fields = {problem.field for problem in audit(log, same_host=True).problems}
     assert any(field.startswith("result.entered") for field in fields) == noticed
 
 
@@ -485,7 +487,6 @@ def lab_log(tmp_path: Path, valid: np.ndarray, speed_mm: float, halts: str) -> T
         start=replace(
             log.start, setup=lab.setup, plant=PlantInfo("lab", False, 100.0, {HALTS: halts})
         ),
-        stamps=log.stamps | {"/mocap": [(10_000_000 * k + 1, 10_000_000 * k) for k in range(100)]},
         result=replace(log.result, outcome=Outcome.ARRIVED),
         notes=(),
         damage=None,
@@ -520,5 +521,5 @@ def test_a_complete_lab_trial_shows_every_robot_at_rest(
     tmp_path: Path, valid: np.ndarray, speed_mm: float, halts: str, said: str
 ) -> None:
     log = lab_log(tmp_path, valid, speed_mm, halts)
-    found = [p.message for p in audit(log).problems if p.field == "result.outcome"]
+    found = [p.message for p in audit(log, same_host=True).problems if p.field == "result.outcome"]
     assert found == ([said] if said else [])

@@ -10,7 +10,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from tetractl.core.commands import Command, Note
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.text import printable
-from tetractl.core.trial import Step
+from tetractl.core.trial import Integers, Step
 from tetractl.log.format import channels, codec
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.scene import decode_note
@@ -24,7 +24,6 @@ from tetractl.log.read.believe import (
 )
 from tetractl.log.read.bounds import TooMuchError
 from tetractl.log.read.contents import Contents
-from tetractl.log.read.trial_log import Integers
 
 
 class Frames(NamedTuple):

@@ -55,7 +55,6 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
     commands = tuple(decode.commands(contents, robots))
     stops = [command for command in commands if command.stops]
     simulated = start.plant.simulated
-    begin = start.start_unix_ns
     log = TrialLog(
         path=str(contents.path),
         experiment=experiment,
@@ -73,15 +72,11 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
         frames=frames.numbers,
         received_ns=frames.received_ns,
         commands=commands,
-        notes=tuple(decode.notes(contents, begin)),
+        notes=tuple(decode.notes(contents, start.start_unix_ns)),
         digest=contents.stated_digest,
         content_digest=contents.digest,
         host_altered=contents.host_altered,
         run=contents.run.items,
-        stamps={
-            topic: [(entry.log_ns - begin, entry.publish_ns - begin) for entry in entries]
-            for topic, entries in contents.by_topic.items()
-        },
     )
     until_s = log.elapsed_s(int(frames.received_ns.max(initial=0)))
     return replace(log, damage=_damage(contents, until_s))
@@ -139,7 +134,7 @@ def recompute(trial: TrialLog) -> Result:
     final = Poses.of(path[last, np.arange(path.shape[1])])
     return Result.of(
         trial.start.setup,
-        judged(trial, path, known, final),
+        path_verdict(trial, path, known, final),
         outcome=Outcome.ABORTED,
         reason="the log ends before its result",
         duration_s=trial.elapsed_s(int(trial.mocap_ns[-1])),
@@ -148,7 +143,7 @@ def recompute(trial: TrialLog) -> Result:
     )
 
 
-def judged(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> Verdict:
+def path_verdict(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> Verdict:
     """Return the verdict of `check_path` on a path; LogError for too long a one."""
     setup = trial.start.setup
     samples, robots = path.shape[:2]

@@ -3,18 +3,13 @@
 import itertools
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tetractl.core.clock import SECOND, seconds
-from tetractl.core.commands import Command, Note
+from tetractl.core.commands import Command
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Bools, Floats
-from tetractl.core.trial import Result, Start, Step
+from tetractl.core.trial import Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.origin import Origin
 
-Integers = NDArray[np.int64]
 ALTERED = "the content does not match the digest that the log states"
 
 
@@ -38,51 +33,25 @@ class Event:
     text: str
 
 
-def _none() -> Integers:
-    return np.empty(0, dtype=np.int64)
-
-
-@dataclass(frozen=True, slots=True)
-class TrialLog:
-    """A whole trial of N robots with M camera frames, read from its log.
-
-    Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad. `mocap`
-    (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
-    numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
-    where a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN where a
-    damaged log lost them, and None for a trial in the lab. `commands` are all commands: of the
-    control steps, between them, and the stop; `notes` are the messages for people, such as a
-    command that did not arrive. `result` is None where the run crashed or the end of
-    the log is lost.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialLog(TrialRecords):
+    """A whole trial, read from its log.
 
     `run` are the items of the run record as written and `digest` is the content digest that the
     result record states. `content_digest` is computed from the file; `host_altered` is
-    True where the host records do not match the digest of them that the log states. `stamps` are
-    the log and publish times of the messages by topic.
+    True where the host records do not match the digest of them that the log states.
     """
 
     path: str
     experiment: Experiment
-    start: Start
-    mocap_ns: Integers
-    mocap: Floats
-    valid: Bools
-    truth: Floats | None
-    steps: tuple[Step, ...]
     stop: Command | None
-    result: Result | None
     damage: Damage | None
     host: dict[str, str]  # machine and hour of the run
     provenance: dict[str, str]  # versions of the code that ran the trial
-    frames: Integers = field(default_factory=_none)
-    received_ns: Integers = field(default_factory=_none)
-    commands: tuple[Command, ...] = ()
-    notes: tuple[Note, ...] = ()
     digest: str | None = None
     content_digest: str = ""
     host_altered: bool = False
     run: dict[str, str] = field(default_factory=dict)
-    stamps: dict[str, list[tuple[int, int]]] = field(default_factory=dict, repr=False)
 
     @property
     def began_ns(self) -> int:

@@ -21,6 +21,10 @@ class Difference:
     field: str
     message: str
 
+    def __str__(self) -> str:
+        where = "trial" if self.step is None else f"step {self.step}"
+        return f"{where}: {self.field}: {self.message}"
+
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
@@ -125,6 +129,8 @@ def trial_difference(
     if name in ("mocap", "truth", "valid") and place:  # the frame's number, not its row
         place[0] = str(logged.frames[int(place[0])])
         place[2:] = [COORDINATES[int(axis)] for axis in place[2:]]
+    if name == "steps" and len(place) > 1:
+        return Difference(logged.steps[int(place[0])].k, ".".join(place[1:]), found[1])
     return Difference(None, ".".join((name, *place)), found[1])
 
 
@@ -141,7 +147,10 @@ def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
         "valid": trial.valid[:frames],
         "mocap": trial.mocap[:frames],
         "truth": None if trial.truth is None else trial.truth[:frames],
-        "steps": [(step.k, step.observation, step.plan) for step in trial.steps[:steps]],
+        "steps": [
+            {"k": step.k, "observation": step.observation, **_items(step.plan)}
+            for step in trial.steps[:steps]
+        ],
         "count": {
             "commands": len(trial.commands),
             "frames": len(trial.frames),

@@ -1,22 +1,16 @@
 """Logs tampered with in every channel, record and field, and how many of them `verify` notices.
 
 Every checksum and both digests are made to fit, as by a person who has tetractl.
-
-    python tests/support/tampering.py [CHANGES]     prints the table, CHANGES a field (6)
 """
 
 import json
 import random
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-if __name__ == "__main__":  # as a script; pytest has set both
-    sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
 from mcap.records import Attachment, Metadata
 from support.mutate import changed, other, places, rewrite
@@ -25,7 +19,7 @@ from tetractl.core.errors import LogError
 from tetractl.experiment.load import parse_spec
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST
-from tetractl.log.read.contents import Contents
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 from tetractl.run.batch import log_path, run_trial
@@ -100,7 +94,7 @@ def lab_log(folder: Path) -> Path:
     return path
 
 
-def tamperings(log: Contents, count: int, seed: int = 1) -> Iterator[Tampering]:
+def tamperings(log: RawLog, count: int, seed: int = 1) -> Iterator[Tampering]:
     """Yield up to `count` changes of each field of each channel, and of each key and attachment."""
     rng, by_kind = random.Random(seed), dict[tuple[str, str], list[tuple[int, Any]]]()
     for index, record in enumerate(log.records):
@@ -156,11 +150,11 @@ def _other_text(text: str) -> str:
     return repr(other(value)) if isinstance(value, int | float) else f"{text}x"
 
 
-def noticed(log: Contents, tampering: Tampering, path: Path) -> bool:
+def noticed(log: RawLog, tampering: Tampering, path: Path) -> bool:
     """Write the tampered log to `path`, return whether `verify` fails on it, and remove it."""
     at = tampering.index
     records = [*log.records[:at], *tampering.records, *log.records[at + 1 :]]
-    rewrite(Contents(log.path, records=records, channels=log.channels), path, {})
+    rewrite(RawLog(log.path, records=records, channels=log.channels), path, {})
     try:
         return not verify(path).ok
     except LogError:
@@ -180,28 +174,20 @@ def score(path: Path, count: int) -> tuple[Counter[tuple[str, str]], Counter[tup
     return seen, tried
 
 
-def main() -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 6
-    with tempfile.TemporaryDirectory() as folder:
-        for name, made in (("simulation", sim_log), ("emulated lab", lab_log)):
-            place = Path(folder) / name
-            place.mkdir()
-            path = made(place)
-            print(f"\n{name}: {verify(path).problems or 'verifies'}\n")
-            seen, tried = score(path, count)
-            print("| channel | noticed | missed, by field |\n|---|---|---|")
-            for channel in dict.fromkeys(channel for channel, _ in tried):
-                kinds = [kind for kind in tried if kind[0] == channel]
-                missed = [
-                    f"{what} {tried[kind] - seen[kind]}/{tried[kind]}"
-                    for kind in kinds
-                    if seen[kind] < tried[kind]
-                    for what in kind[1:]
-                ]
-                total = (sum(seen[k] for k in kinds), sum(tried[k] for k in kinds))
-                print(f"| {channel} | {total[0]} of {total[1]} | {', '.join(missed)} |")
-            print(f"| all | {seen.total()} of {tried.total()} | |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+def print_table(folder: Path, count: int) -> None:
+    """Print, as Markdown, how many of `count` changes of each field are noticed, by channel."""
+    for name, made in (("simulation", sim_log), ("emulated lab", lab_log)):
+        place = folder / name
+        place.mkdir()
+        seen, tried = score(made(place), count)
+        print(f"\n| {name} | noticed | missed, by field |\n|---|---|---|")
+        for channel in dict.fromkeys(channel for channel, _ in tried):
+            kinds = [kind for kind in tried if kind[0] == channel]
+            missed = [
+                f"{kind[1]} {tried[kind] - seen[kind]} of {tried[kind]}"
+                for kind in kinds
+                if seen[kind] < tried[kind]
+            ]
+            total = (sum(seen[k] for k in kinds), sum(tried[k] for k in kinds))
+            print(f"| {channel} | {total[0]} of {total[1]} | {', '.join(missed)} |")
+        print(f"| all | {seen.total()} of {tried.total()} | |", flush=True)

@@ -13,9 +13,8 @@ from tetractl.core.trial import Result, Step
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.standstill import REST_NS
 from tetractl.log.format.metadata import run_metadata
-from tetractl.log.read.gaps import frame_gaps, step_gaps
 from tetractl.log.read.reader import path_verdict, trial_path
-from tetractl.log.read.trial_log import ALTERED, TrialLog
+from tetractl.log.read.trial_log import ALTERED, TrialLog, frame_gaps, step_gaps
 from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
 from tetractl.replay.recompute import ROUNDING
 
@@ -89,12 +88,8 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
     """Each step has a frame and a command of the log, in their order, and its own plan's signal."""
     rows = {int(number): i for i, number in enumerate(log.frames)}
     sent: dict[int, list[Command]] = {}
-    for number, command in enumerate(log.commands):  # the stop may be sent with the last step
-        alike = sent.setdefault(command.sent_ns, [])
-        # of a lab the stop is logged as it is sent and as the end
-        if not command.stops and any(first_difference(command, one) is None for one in alike):
-            yield Difference(None, f"commands.{number}", "is there twice")
-        alike.append(command)
+    for command in log.commands:  # the stop may be sent together with the last step
+        sent.setdefault(command.sent_ns, []).append(command)
     period_ns = round(log.experiment.controller.period * SECOND)
     before: Step | None = None
     for step in log.steps:
@@ -171,36 +166,29 @@ def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
 def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
     """The verdict follows from the path.
 
-    The plant of a lab evaluates the logged frames from the first step on, and at least those until
-    the stop.
+    The plant of a lab evaluates some of the logged frames: all between the first step and the stop.
+    A log that is damaged may have lost frames.
     """
     path, known = trial_path(log)
-    shown = path_verdict(log, path, known, verdict.final)
-    for name in ("clearance", "edge", "apart"):
-        pairs = zip(getattr(verdict, name), getattr(shown, name), strict=False)
-        for i, (stated, least) in enumerate(pairs):
-            if not log.damage and np.isfinite(least) and stated < least - _room(least):
-                text = f"states {stated}, the nearest frame shows {least}"
-                yield Difference(None, f"result.{name}.{i}", text)
-    for i, (stated, least) in enumerate(zip(verdict.entered, verdict.clearance, strict=True)):
-        if not stated and (least < 0 or shown.entered[i]):
-            text = f"false, with clearance {least}" if least < 0 else "false, but the path touches"
-            yield Difference(None, f"result.entered.{i}", text)
-        elif stated and not shown.entered[i] and not log.damage:
-            yield Difference(None, f"result.entered.{i}", "true, but the path touches no obstacle")
-    if log.stop and not log.damage:
+    least = most = path_verdict(log, path, known, verdict.final)
+    if log.stop:
         since = log.steps[0].command.sent_ns if log.steps else log.stop.sent_ns
         driven = (log.received_ns > since) & (log.received_ns <= log.stop.sent_ns)
-        shown = path_verdict(log, path[driven], known[driven], verdict.final)
-        for i, (stated, least) in enumerate(zip(verdict.clearance, shown.clearance, strict=True)):
-            if stated > least + _room(least):
-                text = f"states {stated}, a frame shows {least}"
-                yield Difference(None, f"result.clearance.{i}", text)
-
-
-def _room(distance: float) -> float:
-    """Return how far a stated distance may be from that of the logged frames."""
-    return REST * max(1.0, abs(distance))
+        most = path_verdict(log, path[driven], known[driven], verdict.final)
+    for name in ("clearance", "edge", "apart"):
+        columns = (getattr(one, name) for one in (verdict, least, most))
+        for i, (stated, low, high) in enumerate(zip(*columns, strict=False)):
+            floor = low - REST * max(1.0, abs(low)) if np.isfinite(low) else -np.inf
+            if not (floor <= stated <= high + REST * max(1.0, abs(high)) or log.damage):
+                text = f"states {stated}, the frames show {low} to {high}"
+                yield Difference(None, f"result.{name}.{i}", text)
+    for i, (stated, touches) in enumerate(zip(verdict.entered, least.entered, strict=True)):
+        if verdict.clearance[i] < 0 and not stated:
+            text = f"false, with clearance {verdict.clearance[i]}"
+            yield Difference(None, f"result.entered.{i}", text)
+        elif stated != touches and not (stated and log.damage):
+            text = f"{stated}, the logged path makes it {touches}"
+            yield Difference(None, f"result.entered.{i}", text)
 
 
 def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:

@@ -19,7 +19,7 @@ from tetractl.log.format.channels import CHANNELS, TEXT, Entry
 from tetractl.log.format.metadata import WARNINGS
 from tetractl.log.format.scene import decode_note, encode_note
 from tetractl.log.read import bounds
-from tetractl.log.read.contents import Contents
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.messages import Messages
 from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
@@ -29,7 +29,7 @@ DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN})
 """Topics whose messages an earlier version may have drawn otherwise."""
 
 
-def derived_differences(raw: Contents, log: TrialLog, same_host: bool) -> Iterator[Difference]:
+def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator[Difference]:
     """Yield the first difference of each topic, and of what else follows; none of a damaged log."""
     if log.damage:
         return
@@ -50,7 +50,7 @@ def derived_differences(raw: Contents, log: TrialLog, same_host: bool) -> Iterat
 
 
 def _messages(
-    raw: Contents, log: TrialLog, same_host: bool, called_for: list[Entry]
+    raw: RawLog, log: TrialLog, same_host: bool, called_for: list[Entry]
 ) -> Iterator[Difference]:
     """Compare all topics but /log, one message at a time: a log may hold very many.
 
@@ -112,7 +112,7 @@ def _entry_difference(
 
 
 def _operator_messages(
-    raw: Contents, log: TrialLog, called_for: Sequence[Entry]
+    raw: RawLog, log: TrialLog, called_for: Sequence[Entry]
 ) -> Iterator[Difference]:
     """What the records call for is said on /log, in messages as tetractl writes them."""
     begin = log.start.start_unix_ns

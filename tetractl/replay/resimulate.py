@@ -17,9 +17,7 @@ from tetractl.core.operators import Operators
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Plant
-from tetractl.core.text import printable
 from tetractl.core.trial import Result, Step, TrialRecords
-from tetractl.log.format.channels import TEXT
 from tetractl.log.read import bounds
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.recorder import Recorder
@@ -51,7 +49,7 @@ def resimulate(log: TrialLog, same_host: bool) -> Difference | None:
         recorder = _repeat(log, log.stop)
     except (TetractlError, ValueError, OverflowError) as error:
         return Difference(None, "plant", f"cannot be simulated again: {error}")
-    again, failure = _as_read(recorder.trial), recorder.failure
+    again, failure = recorder.trial, recorder.failure
     found = trial_difference(again, log)
     if found and not same_host:
         found = trial_difference(_without_last_bits(again, log), log, ROUGHLY)
@@ -86,12 +84,6 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
         interrupt=Interrupt(),
     ).run()
     return recorder
-
-
-def _as_read(ours: TrialRecords) -> TrialRecords:
-    """Return a trial with its messages as a log gives them back."""
-    notes = tuple(replace(note, text=printable(note.text, TEXT)) for note in ours.notes)
-    return replace(ours, notes=notes)
 
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:

@@ -1,19 +1,22 @@
 """A trial kept in memory: a writer without a file."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.poses import Floats, Poses
+from tetractl.core.text import printable
 from tetractl.core.trial import Result, Start, Step, TrialRecords
+from tetractl.log.format.channels import TEXT
 from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.write.notes import Notes
 
 
 class Recorder:
-    """Keeps the records of one trial as its log would hold them; `result` is None until its end."""
+    """Keeps the records of one trial as its log gives them back."""
 
     result: Result | None = None
 
@@ -69,7 +72,7 @@ class Recorder:
             truth=_array(true, robots) if len(true) == len(seen) else None,
             commands=tuple(self._commands),
             steps=tuple(self._steps),
-            notes=tuple(self._notes),
+            notes=tuple(replace(one, text=printable(one.text, TEXT)) for one in self._notes),
             result=self.result,
         )
 

@@ -3,6 +3,7 @@
     kills       seconds lost over 100 kills -9 at random times of a trial in real time
     torn        10,000 truncations and 10,000 changed bytes: chunks recovered of those complete
     mutations   every number of every decision changed once: how many `verify` notices
+    tampering   each field of each channel, record and attachment changed: how many it notices
     cost        what logging costs a message, and the loop's p99 with and without it
     verify      time a trial
     faults      each promised fault, done for real
@@ -40,6 +41,7 @@ from support import mutate  # noqa: E402
 from support.durable import ENDLESS, RealTime, random_kill, small_disk  # noqa: E402
 from support.fuzz import Original, fuzz  # noqa: E402
 from support.mutate import places, rewrite, with_entry  # noqa: E402
+from support.tampering import print_table  # noqa: E402
 
 from tetractl.control.build import build_controller, warm_up  # noqa: E402
 from tetractl.core.clock import MonotonicClock  # noqa: E402
@@ -226,6 +228,10 @@ def cost(folder: Path, scale: float) -> None:
         sink._sync_data = plain
         p50, p99, most = np.percentile(busy, [50, 99, 100]) / 1e6
         print(f"| {name} | {n} | {p50:.2f} | {p99:.2f} | {most:.2f} |")
+
+
+def tampering(folder: Path, scale: float) -> None:
+    print_table(folder, max(1, round(6 * scale)))
 
 
 def verify_time(folder: Path, scale: float) -> None:
@@ -469,6 +475,7 @@ PARTS = {
     "kills": kills,
     "torn": torn,
     "mutations": mutations,
+    "tampering": tampering,
     "cost": cost,
     "verify": verify_time,
     "faults": faults,

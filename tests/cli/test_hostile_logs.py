@@ -20,7 +20,7 @@ from support.random_trials import trial, write
 
 from tetractl.log.format.channels import HOST, LOG, MOCAP, RESOLVED_SPEC, RESULT, RUN, STEP, Entry
 from tetractl.log.format.tetractl_pb2 import ControllerStep, MocapSample, Search
-from tetractl.log.read.contents import Contents
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
 SECONDS, MEMORY_MB = 30, 1000
@@ -39,7 +39,7 @@ def message(channel: int, data: bytes) -> bytes:
     return bytes([Opcode.MESSAGE]) + struct.pack("<Q", len(body)) + body
 
 
-def before_the_end(contents: Contents, path: Path, chunks: list[bytes]) -> Path:
+def before_the_end(contents: RawLog, path: Path, chunks: list[bytes]) -> Path:
     """A copy with further chunks behind its first, and no index."""
     data = contents.path.read_bytes()
     second = data.index(b"\x04\0\0\0zstd", data.index(b"\x04\0\0\0zstd") + 10) - 37
@@ -47,13 +47,13 @@ def before_the_end(contents: Contents, path: Path, chunks: list[bytes]) -> Path:
     return path
 
 
-def empty_searches(contents: Contents, path: Path) -> Path:
+def empty_searches(contents: RawLog, path: Path) -> Path:
     """Each Search is two bytes that become a kilobyte; all zeros for the compressor."""
     step = ControllerStep(searches=[Search()] * 2_000_000).SerializeToString()
     return before_the_end(contents, path, [chunk(message(4, step))] * 20)
 
 
-def steps_of_searches(contents: Contents, path: Path) -> Path:
+def steps_of_searches(contents: RawLog, path: Path) -> Path:
     """Steps that fit the run, each with very many small searches."""
     entry = next(entry for entry in contents.entries if entry.topic == STEP)
     step = ControllerStep.FromString(entry.data)
@@ -66,16 +66,16 @@ def steps_of_searches(contents: Contents, path: Path) -> Path:
     return before_the_end(contents, path, [chunk(several)] * 30)
 
 
-def empty_messages(contents: Contents, path: Path) -> Path:
+def empty_messages(contents: RawLog, path: Path) -> Path:
     return before_the_end(contents, path, [chunk(message(1, b"") * 500_000)] * 20)
 
 
-def zeros(contents: Contents, path: Path) -> Path:
+def zeros(contents: RawLog, path: Path) -> Path:
     padding = bytes([0x80]) + struct.pack("<Q", 16_000_000) + bytes(16_000_000)
     return before_the_end(contents, path, [chunk(padding)] * 200)
 
 
-def huge_spec(contents: Contents, path: Path) -> Path:
+def huge_spec(contents: RawLog, path: Path) -> Path:
     def asks(text: str) -> str:
         text = text.replace("particles: 100", "particles: 1000000")
         text = text.replace("iterations: 100", "iterations: 1000000")
@@ -85,46 +85,46 @@ def huge_spec(contents: Contents, path: Path) -> Path:
     return with_spec(contents, path, asks)
 
 
-def large_spec(contents: Contents, path: Path) -> Path:
+def large_spec(contents: RawLog, path: Path) -> Path:
     return with_spec(contents, path, lambda text: text + "# " + "x" * 200_000_000)
 
 
-def nested_spec(contents: Contents, path: Path) -> Path:
+def nested_spec(contents: RawLog, path: Path) -> Path:
     return with_spec(contents, path, lambda text: text + "more: " + "[" * 100_000)
 
 
-def with_spec(contents: Contents, path: Path, change: Callable[[str], str]) -> Path:
+def with_spec(contents: RawLog, path: Path, change: Callable[[str], str]) -> Path:
     records = []
     for record in contents.records:
         if isinstance(record, Attachment) and record.name == RESOLVED_SPEC:
             record = replace(record, data=change(record.data.decode()).encode())
         records.append(record)
-    changed = Contents(contents.path, records=records, channels=contents.channels)
+    changed = RawLog(contents.path, records=records, channels=contents.channels)
     return rewrite(changed, path, {})
 
 
-def far_pose(contents: Contents, path: Path) -> Path:
+def far_pose(contents: RawLog, path: Path) -> Path:
     entry = [entry for entry in contents.entries if entry.topic == MOCAP][7]
     frame = MocapSample.FromString(entry.data)
     frame.x[0] = 1e8
     return rewrite(contents, path, {entry: entry._replace(data=frame.SerializeToString())})
 
 
-def long_key(contents: Contents, path: Path) -> Path:
+def long_key(contents: RawLog, path: Path) -> Path:
     def add(name: str, facts: dict[str, str]) -> dict[str, str]:
         return facts | ({"k" * 1_000_000: "v"} if name == RUN else {})
 
     return rewrite(contents, path, {}, add)
 
 
-def long_value(contents: Contents, path: Path) -> Path:
+def long_value(contents: RawLog, path: Path) -> Path:
     def add(name: str, facts: dict[str, str]) -> dict[str, str]:
         return facts | ({"note": "v" * 3_000_000} if name == RUN else {})
 
     return rewrite(contents, path, {}, add)
 
 
-def many_records(contents: Contents, path: Path) -> Path:
+def many_records(contents: RawLog, path: Path) -> Path:
     empty = bytes([Opcode.METADATA]) + struct.pack("<QII", 8, 0, 0)
     return before_the_end(contents, path, [empty * 5_000_000])
 
@@ -132,7 +132,7 @@ def many_records(contents: Contents, path: Path) -> Path:
 EVIL = "\x1b]0;owned\x07\x9b2J\u202e=cmd\r\n"
 
 
-def escapes(contents: Contents, path: Path) -> Path:
+def escapes(contents: RawLog, path: Path) -> Path:
     """Escape sequences in every text that a log has."""
     entries = {}
     for entry in contents.entries:
@@ -155,7 +155,7 @@ def escapes(contents: Contents, path: Path) -> Path:
     return rewrite(contents, path, entries, add)
 
 
-def zeros_behind(contents: Contents, path: Path) -> Path:
+def zeros_behind(contents: RawLog, path: Path) -> Path:
     """What a power cut leaves on some file systems, 2 GB of it."""
     data = contents.path.read_bytes()
     with path.open("wb") as file:
@@ -164,21 +164,21 @@ def zeros_behind(contents: Contents, path: Path) -> Path:
     return path
 
 
-def endless(contents: Contents, path: Path) -> Path:
+def endless(contents: RawLog, path: Path) -> Path:
     with path.open("wb") as file:
         file.write(contents.path.read_bytes())
         file.truncate(10**12)
     return path
 
 
-def only_in_the_summary(contents: Contents, path: Path) -> Path:
+def only_in_the_summary(contents: RawLog, path: Path) -> Path:
     """Regression: `recover` copied messages of a channel that it had not made."""
     extra = Entry("/only", 1, 1, b"data")
     first = contents.records.index(contents.entries[0])
     records = [*contents.records[:first], extra, *contents.records[first:]]
     records.insert(first + 40, extra)  # the first takes the record of the channel with it
     more = {"/only": (Channel(77, "/only", "none", {}, 0), None)}
-    changed = Contents(contents.path, records=records, channels=contents.channels | more)
+    changed = RawLog(contents.path, records=records, channels=contents.channels | more)
     whole = path.with_suffix(".whole")
     write_with(changed, whole)
     data = bytearray(whole.read_bytes())
@@ -187,7 +187,7 @@ def only_in_the_summary(contents: Contents, path: Path) -> Path:
     return path
 
 
-def write_with(contents: Contents, path: Path) -> None:
+def write_with(contents: RawLog, path: Path) -> None:
     from tetractl.log.write.sink import Sink
 
     sink = Sink(path)
@@ -224,14 +224,14 @@ BUILDERS = [
 
 
 @pytest.fixture(scope="module")
-def contents(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+def contents(tmp_path_factory: pytest.TempPathFactory) -> RawLog:
     folder = tmp_path_factory.mktemp("log")
     return scan(write(trial(steps=12, robots=2, index=1), folder / "trial.mcap"))
 
 
 @pytest.mark.parametrize("build", BUILDERS, ids=lambda build: build.__name__)
 def test_a_log_costs_its_reader_little(
-    contents: Contents, tmp_path: Path, build: Callable[[Contents, Path], Path]
+    contents: RawLog, tmp_path: Path, build: Callable[[RawLog, Path], Path]
 ) -> None:
     path = build(contents, tmp_path / "trial.mcap")
     (tmp_path / "out").mkdir()

@@ -1,4 +1,4 @@
-"""`tetractl identify`, `verify --set` and `replay --through`, as they are called."""
+"""`tetractl identify`, `what-if` and `redrive`, as they are called."""
 
 import json
 
@@ -93,32 +93,31 @@ def test_options_that_do_not_belong_together_are_refused(folder):
         ("identify", "logs", "tables/poses.csv"),
         ("identify", "--design", "quick.yaml", "--yes"),
         ("replay", "logs/trial-000.mcap", "--yes"),
-        ("replay", "logs/trial-000.mcap", "--through", "sim", "--rate", "2"),
-        ("replay", "logs", "--through", "sim"),
-        ("replay", "logs/trial-000.mcap", "--through", "lab", "--yes"),
+        ("redrive", "logs/trial-000.mcap", "--plant", "lab", "--yes"),
+        ("what-if", "logs"),
     ):
         done = tetractl(folder, *words)
         assert done.returncode == 2, words
         assert done.stderr.startswith("error: "), words
 
 
-def test_verify_with_other_values_predicts_and_says_so(folder):
+def test_what_if_predicts_and_says_so(folder):
     log = "logs/trial-000.mcap"
-    done = tetractl(folder, "verify", log, "--set", "controller.dead_time=0.1")
+    done = tetractl(folder, "what-if", log, "--set", "controller.dead_time=0.1")
     assert done.returncode == 0, done.stderr
     assert "a prediction on the recorded observations, not closed loop" in done.stdout
     assert "steps would have sent another direction" in done.stdout
-    words = ("verify", log, "--set", "controller.dead_time=0", "--json")
+    words = ("what-if", log, "--set", "controller.dead_time=0", "--json")
     same = json.loads(tetractl(folder, *words).stdout)
     assert same["logs"][0]["changed"] == 0
     assert len(same["logs"][0]["steps"]) == same["logs"][0]["recorded_steps"]
-    refused = tetractl(folder, "verify", log, "--set", "plant.dead_time=0")
+    refused = tetractl(folder, "what-if", log, "--set", "plant.dead_time=0")
     assert refused.returncode == 2
 
 
 def test_commands_are_driven_again_through_the_simulation(folder):
     log = "logs/trial-000.mcap"
-    words = ("replay", log, "--through", "sim", "-o", "again", "--plot", "again.svg")
+    words = ("redrive", log, "--plant", "sim", "-o", "again", "--plot", "again.svg")
     done = tetractl(folder, *words)
     assert done.returncode == 0, done.stderr
     assert "open loop" in done.stdout

@@ -11,8 +11,8 @@ import pytest
 from support import cli, random_trials
 from support.trials import SEED, three_robots, write_torn, write_trial
 
+from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.trial_digest import trial_digest
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 

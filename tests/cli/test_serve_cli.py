@@ -192,7 +192,6 @@ def test_a_run_is_served_while_it_runs_and_its_log_stays_the_same(tmp_path):
     [
         (["replay", "LOG", "--port", "1"], "error: --port belongs to --serve"),
         (["replay", "LOG", "LOG", "--serve"], "error: --serve takes one log"),
-        (["replay", "LOG", "--through", "sim", "--serve"], "error: --serve shows a log: drive"),
         (["run", "spec.yaml", "--serve", "--jobs", "2"], "error: --serve shows one trial at a"),
         (["open", "LOG", "LOG", "--foxglove"], "error: --foxglove takes one log"),
     ],

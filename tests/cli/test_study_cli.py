@@ -7,8 +7,8 @@ import pytest
 from support.running import ENDLESS
 from support.studies import FAILING, LONGER, STUDY, Running, results, rows, tetractl, write
 
+from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.log.read.trial_digest import trial_digest
 
 
 def study(*args, cwd):

@@ -50,7 +50,7 @@ def test_a_design_is_driven_and_its_commands_are_driven_again(tmp_path, settings
     for robot, a, speed in zip(found["robots"], (6, 4, 3), (180, 200, 150), strict=True):
         assert robot["a"]["value"] == pytest.approx(a, rel=0.3)
         assert robot["speed"]["value"] == pytest.approx(speed, rel=0.05)
-    said = tetractl(tmp_path, "replay", "design", "--through", "lab", "--yes", "-o", "again")
+    said = tetractl(tmp_path, "redrive", "design", "--plant", "lab", "--yes", "-o", "again")
     assert "open loop" in said
     again = read_trial(next((tmp_path / "again").glob("*.mcap")))
     assert again.origin.value == "emulated lab"

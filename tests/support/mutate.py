@@ -11,8 +11,8 @@ from mcap.records import Attachment, Metadata
 
 from tetractl.log.format.channels import CHANNELS, RESULT, TIMING, Entry
 from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST
-from tetractl.log.format.metadata import seal
-from tetractl.log.read.contents import Contents
+from tetractl.log.format.metadata import add_checksum
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.write.sink import Sink
 
 Place = tuple[str | int, ...]
@@ -56,7 +56,7 @@ def other(value: Any) -> Any:
     return "criterion" if value != "criterion" else "iterations"
 
 
-def with_entry(contents: Contents, path: Path, index: int, place: Place) -> Path:
+def with_entry(contents: RawLog, path: Path, index: int, place: Place) -> Path:
     """Write a log in which one number of message `index` is changed."""
     entry = contents.entries[index]
     message = changed(CHANNELS[entry.topic].FromString(entry.data), place)
@@ -64,7 +64,7 @@ def with_entry(contents: Contents, path: Path, index: int, place: Place) -> Path
 
 
 def rewrite(
-    contents: Contents,
+    contents: RawLog,
     path: Path,
     entries: Mapping[Entry, Entry],
     facts: Callable[[str, dict[str, str]], dict[str, str]] = lambda name, facts: facts,
@@ -84,7 +84,7 @@ def rewrite(
             elif record.name == TIMING and HOST_DIGEST in record.metadata:
                 sink.last_host_metadata(record.name, plain)
             else:
-                sink.copy_metadata(record.name, seal(plain))
+                sink.copy_metadata(record.name, add_checksum(plain))
     sink.close(complete=True)
     return path
 

@@ -35,8 +35,8 @@ from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.emulate.script import parse_script
 from tetractl.lab.errors import WireError
 from tetractl.log.format.wire import read_wire
-from tetractl.log.read.contents import Contents
 from tetractl.log.read.overview import overview
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import scan
@@ -235,7 +235,7 @@ def _through(path: Path, data: bytes) -> None:
 
 
 @cache
-def _whole() -> tuple[Contents, list, list[tuple[str, str]]]:
+def _whole() -> tuple[RawLog, list, list[tuple[str, str]]]:
     contents = scan(ROOT / "tests" / "golden" / "format-1-sim.mcap")
     first = {entry.topic: entry for entry in reversed(contents.entries)}
     records = [record for record in contents.records if isinstance(record, Metadata)]

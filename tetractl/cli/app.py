@@ -21,6 +21,7 @@ from tetractl.cli import (
     open_log,
     plot,
     recover,
+    redrive,
     replay,
     report,
     run,
@@ -29,6 +30,7 @@ from tetractl.cli import (
     study,
     validate,
     verify,
+    what_if,
 )
 from tetractl.core.errors import Exit, TetractlError
 from tetractl.core.text import printable
@@ -73,6 +75,8 @@ app.command("report")(report.report)
 app.command("export")(export.export)
 app.command("open")(open_log.open_logs)
 app.command("verify")(verify.verify)
+app.command("what-if")(what_if.what_if)
+app.command("redrive")(redrive.redrive)
 app.command("stats")(stats.stats)
 app.command("analyze")(analyze.analyze)
 app.command("study")(study.study)

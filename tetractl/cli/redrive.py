@@ -1,21 +1,43 @@
-"""`tetractl replay --through`: drive a plant again with recorded commands."""
+"""`tetractl redrive`: drive a plant again with recorded commands."""
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated
 
+import typer
+
+from tetractl.cli.caution import Yes
+from tetractl.cli.run import PlantChoice
 from tetractl.core.errors import Exit
 
 ROWS = 12  # of the table of distances
 
 
-def redrive(log: Path, plant: str, out: Path | None, picture: Path | None, yes: bool) -> int:
-    """Drive a plant, "sim" or "lab", with a log's commands; print how far the paths go apart.
+def redrive(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log of the trial.")],
+    plant: Annotated[
+        PlantChoice, typer.Option(help="Drive a simulation, or the robots of the log's lab.")
+    ] = PlantChoice.SIM,
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="DIR", help="Folder for the new log."),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw both paths.")
+    ] = None,
+    yes: Yes = False,
+) -> int:
+    """Drive a plant again with the recorded commands, open loop, in a trial of its own.
 
-    The new log goes into the folder `out`, a figure of both to `picture`.
+    It prints the distance between the recorded and the new path of each robot. In the lab the
+    robots have to stand on their starts, and all checks of a run apply.
+
+    Example: tetractl redrive trial-000.mcap --plant sim --plot apart.svg
     """
     import numpy as np
 
     from tetractl.cli.drive import drive
+    from tetractl.log.read.find import find_log
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
     from tetractl.replay.rerun import recorded
@@ -25,9 +47,10 @@ def redrive(log: Path, plant: str, out: Path | None, picture: Path | None, yes: 
 
     if picture is not None:
         file_format(picture)
+    log = find_log(log)
     was = read_trial(log)
     warn_of_damage(was)
-    spec, trial = recorded(log, "lab" if plant == "lab" else "sim")
+    spec, trial = recorded(log, plant.value)
     spec = sequence_spec(spec, *recorded_directions(was))
     folder = out or default_folder(f"{spec.experiment.name}-again", datetime.now(UTC))
     path = drive(spec, folder, trial, yes)

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.caution import Yes
-from tetractl.cli.run import PlantChoice
 from tetractl.cli.serving import Port, Serve, play_served, served_replay, wanted_port
 from tetractl.core.errors import Exit, UsageError
 
@@ -37,22 +35,6 @@ def replay(
     paused: Annotated[bool, typer.Option("--paused", help="Wait for a key at first.")] = False,
     serve: Serve = False,
     port: Port = None,
-    through: Annotated[
-        PlantChoice | None,
-        typer.Option(
-            help="Drive a simulation, or the robots of the log's lab, with the recorded commands "
-            "instead: open loop, in a trial of its own."
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("-o", "--out", metavar="DIR", help="With --through: folder for the new log."),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option("--plot", metavar="FILE", help="With --through: draw both paths."),
-    ] = None,
-    yes: Yes = False,
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
@@ -66,27 +48,11 @@ def replay(
 
     With --serve a viewer plays, pauses, seeks and sets the rate as the keys do, until q or Ctrl-C.
 
-    With --through it prints how far the recorded and the new path of each robot go apart. In the
-    lab the robots have to stand on their starts, and all checks of a run apply.
-
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.find import find_logs
 
-    if through is not None:
-        from tetractl.cli.redrive import redrive
-        from tetractl.log.read.find import find_log
-
-        if (rate, start, until, loop, paused) != (None, 0.0, None, False, False):
-            raise UsageError("--through drives the whole trial in its own time")
-        if serve or port is not None:
-            raise UsageError("--serve shows a log: drive first, then replay the new one")
-        if len(logs) > 1:
-            raise UsageError("--through takes one log")
-        return redrive(find_log(logs[0]), through.value, out, picture, yes)
-    if (out, picture, yes) != (None, None, False):
-        raise UsageError("--out, --plot and --yes belong to --through")
     if rate is not None and not 0 < rate < float("inf"):
         raise UsageError(f"--rate must be above 0, and is {rate:g}")
     served_port = wanted_port(serve, port)

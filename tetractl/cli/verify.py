@@ -17,40 +17,23 @@ SHOWN = 20  # problems of one log
 
 def verify(
     logs: Annotated[list[str], typer.Argument(metavar="LOG", help="Logs, folders or globs.")],
-    sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="PATH=VALUE",
-            help="Replace a value of the controller, and tell what it would have decided instead; "
-            "may be repeated.",
-        ),
-    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """Compute every control decision again from the log alone, and check the log against itself.
+
+    A simulation is run again as well, and what viewers show is compared with the records.
 
     On the machine that wrote a log every number must come out with the same bits. Elsewhere the
     costs of the logged plans are evaluated again; the output says which of the two was done. Exits
     with 1 where anything differs, and names the first step and field that do.
 
-    With --set nothing is verified: on the recorded observations, it tells step by step what another
-    controller would have decided, and how far apart the predicted ends are. That is a prediction,
-    not closed loop.
-
     Example: tetractl verify logs/batch
-
-    Example: tetractl verify trial-000.mcap --set controller.horizon_max=20
     """
     from tetractl.core.errors import LogError
     from tetractl.core.text import printable
     from tetractl.log.read.find import find_logs
     from tetractl.replay.verify import verify as check
 
-    if sets:
-        from tetractl.cli.what_if import print_what_if
-
-        return print_what_if(find_logs(logs), sets, as_json)
     done: list[dict[str, Any]] = []
     good = True
     for path in find_logs(logs):
@@ -81,8 +64,7 @@ def _lines(found: "Verification") -> "Iterator[str]":
     if found.method is Method.REEVALUATED:
         yield from (f"  written elsewhere: {line}" for line in found.elsewhere)
     for problem in found.problems[:SHOWN]:
-        where = "trial" if problem.step is None else f"step {problem.step}"
-        yield f"  {where}: {problem.field}: {problem.message}"
+        yield f"  {problem}"
     if len(found.problems) > SHOWN:
         yield f"  and {len(found.problems) - SHOWN} more"
     yield from (f"  note: {note}" for note in found.notes)

@@ -1,10 +1,10 @@
-"""`tetractl verify --set`: what another controller would have decided."""
+"""`tetractl what-if`: what another controller would have decided."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from tetractl.core.errors import Exit
 
@@ -17,26 +17,44 @@ SAYS = (
 )
 
 
-def print_what_if(paths: Sequence[Path], sets: Sequence[str], as_json: bool) -> int:
-    """Print what each log's controller, with values replaced, would have decided at each step."""
-    from tetractl.experiment.yaml.problems import printable
-    from tetractl.log.read.reader import read_trial
-    from tetractl.replay.what_if import other_experiment, what_if
+def what_if(
+    logs: Annotated[list[str], typer.Argument(metavar="LOG", help="Logs, folders or globs.")],
+    sets: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="PATH=VALUE",
+            help="Replace a value of the controller; may be repeated.",
+        ),
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> int:
+    """Print what another controller would have decided on the recorded observations.
 
-    logs: list[dict[str, Any]] = []
-    for path in paths:
+    For each control step: the direction, its change, and how far apart the predicted ends are. That
+    is a prediction, not closed loop.
+
+    Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
+    """
+    from tetractl.experiment.yaml.problems import printable
+    from tetractl.log.read.find import find_logs
+    from tetractl.log.read.reader import read_trial
+    from tetractl.replay import what_if as replay
+
+    done: list[dict[str, Any]] = []
+    for path in find_logs(logs):
         log = read_trial(path)
-        other = other_experiment(log, sets)
+        other = replay.other_experiment(log, sets)
         other.controller.warm_up(other.setup)
-        found = what_if(log, other)
+        found = replay.what_if(log, other)
         if as_json:
-            logs.append({"path": str(path), "origin": log.origin.value, **_plain(found)})
+            done.append({"path": str(path), "origin": log.origin.value, **_plain(found)})
             continue
         print(printable(f"{path} ({log.origin.value}), with {', '.join(sets)}:"))
         print(f"  {SAYS}")
         _print(found)
     if as_json:
-        print(json.dumps({"prediction": SAYS, "set": list(sets), "logs": logs}, indent=2))
+        print(json.dumps({"prediction": SAYS, "set": list(sets), "logs": done}, indent=2))
     return Exit.DONE
 
 

@@ -4,10 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Self
 
-from tetractl.core.commands import Command, PlantInfo, Verdict
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.plan import Outcome, Plan
-from tetractl.core.poses import Observation
+from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
+
+Integers = NDArray[np.int64]
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01 UTC: virtual trials start here, so logs repeat
 
@@ -115,3 +120,40 @@ class Result:
     def left_arena(self) -> bool:
         """Whether the path of any robot left the arena, as far as the log tells."""
         return any(edge < 0 for edge in self.verdict.edge)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialRecords:
+    """All records of a trial of N robots with M camera frames, each kind in its order.
+
+    Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad. `mocap`
+    (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
+    numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
+    where a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN where a
+    damaged log lost them, and None for a trial in the lab. `commands` are all commands: of the
+    control steps, between them, and the stop; `notes` are the operator messages, such as a command
+    that did not arrive. `result` is None where the run crashed or the end of the log is lost.
+    """
+
+    start: Start
+    frames: Integers
+    mocap_ns: Integers
+    received_ns: Integers
+    mocap: Floats
+    valid: Bools
+    truth: Floats | None
+    commands: tuple[Command, ...]
+    steps: tuple[Step, ...]
+    notes: tuple[Note, ...]
+    result: Result | None
+
+    def sample(self, i: int) -> Sample:
+        """Return the camera frame in row `i`."""
+        seen = Observation(
+            int(self.frames[i]),
+            int(self.mocap_ns[i]),
+            int(self.received_ns[i]),
+            Poses.of(self.mocap[i]),
+            self.valid[i],
+        )
+        return Sample(seen, None if self.truth is None else Poses.of(self.truth[i]))

@@ -8,16 +8,15 @@ import numpy as np
 from tetractl.core.clock import SECOND, milliseconds, seconds
 from tetractl.core.commands import HALTS, Command, Verdict
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Bools, Floats, Observation, Poses
+from tetractl.core.poses import Poses
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.standstill import REST_NS
-from tetractl.log.format import channels
 from tetractl.log.format.metadata import run_metadata
-from tetractl.log.read.gaps import frame_gaps, step_gaps
-from tetractl.log.read.reader import judged, trial_path
-from tetractl.log.read.trial_log import ALTERED, TrialLog
-from tetractl.replay.recompute import Difference
+from tetractl.log.read.reader import path_verdict, trial_path
+from tetractl.log.read.trial_log import ALTERED, TrialLog, frame_gaps, step_gaps
+from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
+from tetractl.replay.recompute import ROUNDING
 
 REST = 1e-6  # relative to a coordinate: tolerance for the position of a robot at rest
 STOPPING_S = 1.0  # the longest time until a stop is sent, on a host under load
@@ -34,8 +33,8 @@ class Audit:
     notes: list[str] = field(default_factory=list)
 
 
-def audit(log: TrialLog) -> Audit:
-    """Check a log against itself; `recompute` checks the decisions."""
+def audit(log: TrialLog, same_host: bool) -> Audit:
+    """Check the records of a log against each other."""
     findings = Audit()
     findings.problems += _run(log)
     if log.altered:
@@ -45,8 +44,6 @@ def audit(log: TrialLog) -> Audit:
         findings.problems.append(Difference(None, "host_digest", text))
     findings.problems += _frames(log)
     findings.problems += _steps(log)
-    findings.problems += _stamps(log)
-    findings.problems += _ends(log)
     for gap in frame_gaps(log):
         if not log.experiment.plant.loses_frames or log.damage:
             findings.problems.append(Difference(None, "frames", f"missing: {gap}"))
@@ -55,7 +52,7 @@ def audit(log: TrialLog) -> Audit:
     for gap in step_gaps(log):
         findings.problems.append(Difference(gap.first, "k", f"missing: {gap}"))
     if log.result is not None:
-        findings.problems += _result(log, log.result)
+        findings.problems += _result(log, log.result, same_host)
     if log.damage:
         texts = (*log.damage.problems, *(f"lost: {lost}" for lost in log.damage.lost))
         findings.problems += [Difference(None, "damage", text) for text in texts]
@@ -87,55 +84,41 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
         )
 
 
-def _ends(log: TrialLog) -> Iterator[Difference]:
-    """The frames of a simulation begin with the trial and end after the stop."""
-    if not log.start.plant.simulated or log.damage:
-        return
-    if not len(log.frames) or log.frames[0] != 0:
-        yield Difference(None, "frames", "missing: camera frame 0")
-    elif log.stop is not None and log.mocap_ns[-1] < log.stop.sent_ns:
-        yield Difference(None, "frames", f"missing: camera frames after {log.frames[-1]}")
-
-
 def _steps(log: TrialLog) -> Iterator[Difference]:
-    seen = {int(number): i for i, number in enumerate(log.frames)}
+    """Each step has a frame and a command of the log, in their order, and its own plan's signal."""
+    rows = {int(number): i for i, number in enumerate(log.frames)}
     sent: dict[int, list[Command]] = {}
     for command in log.commands:  # the stop may be sent together with the last step
         sent.setdefault(command.sent_ns, []).append(command)
-    control, simulated = log.experiment.controller, log.start.plant.simulated
-    planning_ns = round(log.experiment.plant.planning_max_s * SECOND)
+    period_ns = round(log.experiment.controller.period * SECOND)
     before: Step | None = None
     for step in log.steps:
-        at, k = step.observation, step.k
-        yield from _order(step, before, control.period if simulated else None, planning_ns)
-        i = seen.get(at.frame)
-        if i is not None and not _same_frame(at, log, i):
-            yield Difference(k, "observation", f"differs from frame {at.frame} on /mocap")
-        if i is None and seen and min(seen) < at.frame and not log.damage:
+        at, k, command = step.observation, step.k, step.command
+        yield from _order(step, before)
+        i = rows.get(at.frame)
+        if i is not None:
+            yield from _at(k, first_difference(at, log.sample(i).observation, name="observation"))
+        elif rows and min(rows) < at.frame and not log.damage:
             yield Difference(k, "observation.frame", f"frame {at.frame} is not on /mocap")
-        command = step.command
-        if command.direction != step.plan.direction:
-            text = f"sent {command.direction!r}, decided {step.plan.direction!r}"
-            yield Difference(k, "command.direction", text)
-        told = any(_same_command(command, one) for one in sent.get(command.sent_ns, ()))
-        if not told and not log.damage:
+        found = first_difference(step.plan.direction, command.direction, name="command.direction")
+        yield from _at(k, found)
+        same_time = sent.get(command.sent_ns, ())
+        if all(first_difference(command, one) for one in same_time) and not log.damage:
             yield Difference(k, "command", "differs from what is on /commands")
-        if simulated and k > 0 and not log.damage:
-            asked = (command.sent_ns - planning_ns, command.sent_ns)
-            first, newest = np.searchsorted(log.received_ns, asked, side="right") - 1
-            if newest >= 0 and not log.frames[max(0, first)] <= at.frame <= log.frames[newest]:
-                text = f"frame {at.frame} was decided on, the newest was {log.frames[newest]}"
-                yield Difference(k, "observation.frame", text)
-        late = k > 0 and step.solve_ns > round(control.period * SECOND)
+        late = k > 0 and step.solve_ns > period_ns
         if step.deadline_missed != late:
             text = f"{step.deadline_missed} for {milliseconds(step.solve_ns):.3f} ms"
             yield Difference(k, "timing.deadline_missed", text)
         before = step
 
 
-def _order(
-    step: Step, before: Step | None, period: float | None, planning_ns: int
-) -> Iterator[Difference]:
+def _at(k: int | None, found: tuple[str, str] | None) -> Iterator[Difference]:
+    """Yield what `first_difference` found, in step `k`."""
+    if found:
+        yield Difference(k, *found)
+
+
+def _order(step: Step, before: Step | None) -> Iterator[Difference]:
     at, sent = step.observation, step.command.sent_ns
     if not at.sampled_ns <= at.received_ns <= sent:
         text = f"sampled {at.sampled_ns}, received {at.received_ns}, sent {sent}"
@@ -144,59 +127,11 @@ def _order(
         return
     if sent <= before.command.sent_ns or at.frame < before.observation.frame:
         yield Difference(step.k, "command.sent_ns", "not after the step before")
-    if period is not None and step.k > 0 and before.k == step.k - 1:
-        spaced = sent - before.command.sent_ns
-        if abs(spaced - period * SECOND) > 1 + planning_ns:
-            yield Difference(
-                step.k, "command.sent_ns", f"{seconds(spaced)} s after the step before"
-            )
 
 
-def _same_frame(at: Observation, log: TrialLog, i: int) -> bool:
-    times = (at.sampled_ns, at.received_ns) == (log.mocap_ns[i], log.received_ns[i])
-    poses = np.ascontiguousarray(at.poses.array()).tobytes() == log.mocap[i].tobytes()
-    return bool(times and poses and (at.valid == log.valid[i]).all())
-
-
-def _same_command(one: Command, two: Command) -> bool:
-    if (one.direction, one.delivered, one.stops) != (two.direction, two.delivered, two.stops):
-        return False
-    for ours, theirs in ((one.left, two.left), (one.right, two.right)):
-        if (ours is None) != (theirs is None):
-            return False
-        if ours is not None and theirs is not None and ours.tobytes() != theirs.tobytes():
-            return False
-    return True
-
-
-def _stamps(log: TrialLog) -> Iterator[Difference]:
-    """The log and publish times of the messages are the times that the messages hold."""
-    for topic, held in (
-        (channels.MOCAP, list(zip(log.received_ns, log.mocap_ns, strict=True))),
-        (channels.STEP, [(s.command.sent_ns, s.observation.sampled_ns) for s in log.steps]),
-        (channels.COMMANDS, [(c.sent_ns, c.sent_ns) for c in log.commands]),
-        (
-            channels.ESTIMATE,
-            [
-                (s.command.sent_ns, s.observation.sampled_ns)
-                for s in log.steps
-                if s.plan.estimate is not None
-            ],
-        ),
-    ):
-        stamps = log.stamps.get(topic, [])
-        if len(stamps) != len(held):
-            if log.damage is None:
-                yield Difference(None, topic, f"{len(stamps)} messages for {len(held)} steps")
-            continue
-        for i, (stamp, times) in enumerate(zip(stamps, held, strict=True)):
-            if stamp != times:
-                yield Difference(None, f"{topic}[{i}]", f"stamped {stamp}, holds {times}")
-
-
-def _result(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """The result follows from the poses and the steps."""
-    verdict = result.verdict
+def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Difference]:
+    """The result follows from the final poses and the steps, in the lab from the frames as well."""
+    verdict, simulated = result.verdict, log.start.plant.simulated
     ours = Result.of(
         log.start.setup,
         verdict,
@@ -206,86 +141,61 @@ def _result(log: TrialLog, result: Result) -> Iterator[Difference]:
         solve_ns=tuple(step.solve_ns for step in log.steps),
         deadline_misses=sum(step.deadline_missed for step in log.steps),
     )
-    for name, stated, found in (
-        ("robot_errors", result.robot_errors, ours.robot_errors),
-        ("total_error", result.total_error, ours.total_error),
-    ):
-        if not np.allclose(stated, found, rtol=1e-12, atol=0):
-            yield Difference(None, f"result.{name}", f"states {stated}, the poses make it {found}")
-    if log.damage is None:
-        if (result.steps, result.solve_ns) != (ours.steps, ours.solve_ns):
-            text = "steps and their timing are not those stated"
-            yield Difference(None, "result.steps", text)
-        if result.deadline_misses != ours.deadline_misses:
-            text = f"states {result.deadline_misses}, the steps make it {ours.deadline_misses}"
-            yield Difference(None, "result.deadline_misses", text)
-        if not _stands(log, verdict.final):
-            yield Difference(None, "result.final", "is not where the robots were seen last")
+    if log.damage:  # whose steps may be lost
+        lost = {"steps": result.steps, "solve_ns": result.solve_ns}
+        ours = replace(ours, **lost, deadline_misses=result.deadline_misses)
+    tolerance = EXACT if same_host else Tolerance(ROUNDING, ROUNDING)
+    yield from _at(None, first_difference(ours, result, tolerance, "result"))
     yield from _ending(log, result)
-    if log.damage is None and result.outcome.complete:
-        yield from _rest(log)
-    yield from _obstacles(log, verdict)
+    if not simulated:
+        yield from _lab(log, result)
+
+
+def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
+    """What the plant of a lab found follows from the logged frames."""
+    if not log.damage:
+        if not _stands(log, result.verdict.final):
+            yield Difference(None, "result.final", "is not where the robots were seen last")
+        if result.outcome.complete:
+            yield from _rest(log)
+        if log.stop:
+            yield from _lasted(log, result, log.stop)
+    yield from _obstacles(log, result.verdict)
 
 
 def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
-    """The verdict follows from the path: what its samples show, the plant's samples show too.
+    """The verdict follows from the path.
 
-    Only the lab's plant judges the logged frames themselves, from the first step on. A simulation
-    judges more samples, so its clearance may be less; and a straight line between two of its frames
-    may cut a corner that the true path goes round, so that only its samples count: `resimulate`
-    checks the rest.
+    The plant of a lab evaluates some of the logged frames: all between the first step and the stop.
+    A log that is damaged may have lost frames.
     """
     path, known = trial_path(log)
-    shown = judged(log, path, known, verdict.final)
+    least = most = path_verdict(log, path, known, verdict.final)
+    if log.stop:
+        since = log.steps[0].command.sent_ns if log.steps else log.stop.sent_ns
+        driven = (log.received_ns > since) & (log.received_ns <= log.stop.sent_ns)
+        most = path_verdict(log, path[driven], known[driven], verdict.final)
     for name in ("clearance", "edge", "apart"):
-        pairs = zip(getattr(verdict, name), getattr(shown, name), strict=False)
-        for i, (stated, least) in enumerate(pairs):
-            room = REST * max(1.0, abs(least)) if np.isfinite(least) else 0.0
-            if log.start.plant.simulated and stated > least + room:
-                text = f"states {stated}, a frame shows {least}"
+        columns = (getattr(one, name) for one in (verdict, least, most))
+        for i, (stated, low, high) in enumerate(zip(*columns, strict=False)):
+            floor = low - REST * max(1.0, abs(low)) if np.isfinite(low) else -np.inf
+            if not (floor <= stated <= high + REST * max(1.0, abs(high)) or log.damage):
+                text = f"states {stated}, the frames show {low} to {high}"
                 yield Difference(None, f"result.{name}.{i}", text)
-            seen = not log.start.plant.simulated and not log.damage and np.isfinite(least)
-            if seen and stated < least - room:
-                text = f"states {stated}, the nearest frame shows {least}"
-                yield Difference(None, f"result.{name}.{i}", text)
-    for i, (stated, least) in enumerate(zip(verdict.entered, verdict.clearance, strict=True)):
-        if least < 0 and not stated:
-            yield Difference(None, f"result.entered.{i}", f"false, with clearance {least}")
-        elif shown.entered[i] and not stated and not log.start.plant.simulated:
-            yield Difference(None, f"result.entered.{i}", "false, but the path touches an obstacle")
-        elif stated and not (shown.entered[i] or log.start.plant.simulated or log.damage):
-            yield Difference(None, f"result.entered.{i}", "true, but the path touches no obstacle")
-    if not (log.start.plant.simulated or log.damage or log.stop is None):
-        yield from _driven(log, verdict, path, known, log.stop)
-
-
-def _driven(
-    log: TrialLog, verdict: Verdict, path: Floats, known: Bools, stop: Command
-) -> Iterator[Difference]:
-    """The lab's plant judges at least the frames between the first step and the stop."""
-    since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
-    between = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)
-    shown = judged(log, path[between], known[between], verdict.final)
-    for i, (stated, least) in enumerate(zip(verdict.clearance, shown.clearance, strict=True)):
-        if stated > least + REST * max(1.0, abs(least)):
-            text = f"states {stated}, a frame shows {least}"
-            yield Difference(None, f"result.clearance.{i}", text)
+    for i, (stated, touches) in enumerate(zip(verdict.entered, least.entered, strict=True)):
+        if verdict.clearance[i] < 0 and not stated:
+            text = f"false, with clearance {verdict.clearance[i]}"
+            yield Difference(None, f"result.entered.{i}", text)
+        elif stated != touches and not (stated and log.damage):
+            text = f"{stated}, the logged path makes it {touches}"
+            yield Difference(None, f"result.entered.{i}", text)
 
 
 def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
-    stop = log.stop
-    said = [note.text for note in log.notes]
-    if said and result.summary not in said and not log.damage:
-        yield Difference(None, "log", f"nothing on /log says {result.summary!r}")
-    if stop is None:
-        return
-    if not log.start.plant.simulated and not log.damage:
-        yield from _lasted(log, result, stop)
-    if log.steps and stop.sent_ns < log.steps[-1].command.sent_ns:
+    if log.stop is None and not log.damage:
+        yield Difference(None, "stop", "missing: no stop is on /commands")
+    if log.stop and log.steps and log.stop.sent_ns < log.steps[-1].command.sent_ns:
         yield Difference(None, "stop.sent_ns", "the stop comes before the last step")
-    if log.start.plant.simulated and result.duration_s != (took_s := log.elapsed_s(stop.sent_ns)):
-        text = f"states {result.duration_s}, the stop was after {took_s}"
-        yield Difference(None, "result.duration_s", text)
     if result.outcome is Outcome.ABORTED and not result.reason:
         yield Difference(None, "result.reason", "aborted without a reason")
 
@@ -293,7 +203,7 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 def _rest(log: TrialLog) -> Iterator[Difference]:
     """The last frames of a complete lab trial show every robot, standing where it can."""
     lab, now = log.experiment.plant, log.mocap_ns
-    if log.start.plant.simulated or not isinstance(lab, LabSection) or not len(now):
+    if not isinstance(lab, LabSection) or not len(now):
         return
     halts = log.start.plant.facts.get(HALTS) == "yes"  # logs of old do not tell
     for i, name in enumerate(log.start.setup.names):
@@ -324,10 +234,6 @@ def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference
 
 def _stands(log: TrialLog, final: Poses) -> bool:
     """Return whether the final poses are those of the last frames."""
-    if log.truth is not None:
-        return not len(log.truth) or bool(
-            np.allclose(final.array(), log.truth[-1], rtol=REST, atol=REST)
-        )
     if not len(log.mocap):
         return True
     ends: Sequence[bytes] = [

@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import UsageError
-from tetractl.log.read.trial_log import Integers
+from tetractl.core.trial import Integers
 from tetractl.replay.clock import PlayerClock
 from tetractl.replay.recording import Recording
 

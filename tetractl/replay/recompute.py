@@ -9,9 +9,8 @@ last bit that differs in one cost changes which particle leads, and soon everyth
 
 import copy
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,13 +18,14 @@ from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import End, Limits, Outcome, Plan, Search, StopReason, never
-from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.controller import OptimizerSection
 from tetractl.log.read import bounds
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
 from tetractl.run.seeds import trial_seeds
 
 TOLERANCE = 1e-9
@@ -34,15 +34,6 @@ ROUNDING = 1e-12
 """On top of it, relative to the largest coordinate: a cost near 0 is a difference of positions."""
 
 _LONG_AGO = 2**62
-
-
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """The first thing that does not come out as logged: in step `step`, None for the trial."""
-
-    step: int | None
-    field: str
-    message: str
 
 
 class NoSearchError(Exception):
@@ -58,12 +49,12 @@ class Rerun:
 
     A search that the deadline cut short is run with the looks at the clock that spend the logged
     evaluations: a deadline is only obeyed at a look, so their number is all there is to know. With
-    `again` False the logged searches are given back, and what differs in them is in `wrong`. From
-    `start` on, `limit_s` may pass as `wall` [s] tells it.
+    `search_again` False the logged searches are given back, and what differs in them is in `wrong`.
+    From `start` on, `limit_s` may pass on the clock `wall` [s].
     """
 
-    def __init__(self, again: bool, wall: Callable[[], float], limit_s: float) -> None:
-        self.again = again
+    def __init__(self, search_again: bool, wall: Callable[[], float], limit_s: float) -> None:
+        self.search_again = search_again
         self._wall, self._limit_s = wall, limit_s
         self._until: float | None = None
         self.wrong: list[tuple[str, str]] = []
@@ -103,7 +94,7 @@ class Rerun:
         if not self._left:
             raise NoSearchError
         alike = (n for n, (_, one) in enumerate(self._left) if one.length == length)
-        return self._left.pop(0 if self.again else next(alike, 0))
+        return self._left.pop(0 if self.search_again else next(alike, 0))
 
 
 class _Repeated:
@@ -117,7 +108,7 @@ class _Repeated:
     ) -> Search:
         """Do the next logged search."""
         index, logged = self._rerun.next(length)
-        if not self._rerun.again:
+        if not self._rerun.search_again:
             self._evaluate(problem, length, warm is not None, limits, index, logged)
             return logged
 
@@ -164,8 +155,8 @@ class _Repeated:
             wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
             raise NoSearchError
         cost = float(evaluate(problem, logged.signals[None]).total[0])
-        if not _near(cost, logged.cost, ROUNDING * _extent(problem.poses.xy, problem.targets)):
-            wrong.append((f"{name}.cost", f"logged {logged.cost!r}, J is {cost!r}"))
+        tolerance = _tolerance(problem.poses.xy, problem.targets)
+        wrong += filter(None, [first_difference(cost, logged.cost, tolerance, f"{name}.cost")])
         history = logged.history
         if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
             wrong.append((f"{name}.history", "does not fall to the cost"))
@@ -194,24 +185,24 @@ def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: i
 
 
 def recompute(
-    log: TrialLog, again: bool, wall: Callable[[], float] = time.perf_counter
+    log: TrialLog, search_again: bool, wall: Callable[[], float] = time.perf_counter
 ) -> Difference | None:
     """Decide every step of a log once more; return the first difference, None for none.
 
-    `again` True runs the searches again and compares bits, False takes them as logged. Steps behind
-    a gap are not looked at: what the controller knew by then is lost. Nor are steps for which there
-    is no time by `bounds`, as `wall` [s] tells it; that counts as a difference.
+    `search_again` True runs the searches again and compares bits, False takes them as logged. Steps
+    behind a gap are not checked: what the controller knew by then is lost. Nor are steps for which
+    there is no time by `bounds` on the clock `wall` [s]; that counts as a difference.
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
         return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.start.seed}")
     setup, limit_s = log.start.setup, bounds.seconds_limit()
-    rerun = Rerun(again, wall, limit_s)
-    if not again:
+    rerun = Rerun(search_again, wall, limit_s)
+    if not search_again:
         rerun.start()
     controller = log.experiment.controller.build(setup, key, rerun.wrap, rerun.timer)
-    room = 0.0 if again else ROUNDING * _extent(setup.starts.xy, setup.targets)
+    tolerance = EXACT if search_again else _tolerance(setup.starts.xy, setup.targets)
     estimated = any(step.plan.estimate is not None for step in log.steps)
     for step in first_steps(log):
         rerun.begin(step.plan.searches)
@@ -228,7 +219,9 @@ def recompute(
         except TetractlError as error:
             return Difference(step.k, "plan", str(error))
         if not isinstance(decision, Plan):
-            return Difference(step.k, "plan", f"the controller ends the trial: {_told(decision)}")
+            return Difference(
+                step.k, "plan", f"the controller ends the trial: {_outcome_text(decision)}"
+            )
         if decision.generator != step.plan.generator:
             text = f"logged {step.plan.generator}, seed and trial make it {decision.generator}"
             return Difference(step.k, "generator", text)
@@ -236,9 +229,9 @@ def recompute(
             decision = replace(decision, estimate=None)  # lost, or written before there were any
         if decision.search is step.plan.search:  # earlier versions searched other lengths as well
             decision = replace(decision, searches=step.plan.searches, chosen=step.plan.chosen)
-        found = [*rerun.wrong, *_differences(decision, step.plan, "", room)]
+        found = next(iter(rerun.wrong), first_difference(decision, step.plan, tolerance))
         if found:
-            return Difference(step.k, *found[0])
+            return Difference(step.k, *found)
         controller.sent(step.command)
     return _outcome(log, controller, rerun) if len(first_steps(log)) == len(log.steps) else None
 
@@ -268,15 +261,8 @@ def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference 
     said: list[str] = []
     rerun.begin(())
     for i in newest:
-        seen = Observation(
-            int(log.frames[i]),
-            int(log.mocap_ns[i]),
-            int(log.received_ns[i]),
-            Poses.of(log.mocap[i]),
-            log.valid[i],
-        )
         try:
-            decision = copy.deepcopy(controller).plan(seen)
+            decision = copy.deepcopy(controller).plan(log.sample(int(i)).observation)
         except NoSearchError:
             said.append("goes on")
             continue
@@ -286,14 +272,14 @@ def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference 
         outcome = decision.outcome if isinstance(decision, End) else decision
         if outcome is result.outcome:
             return None
-        said.append("goes on" if isinstance(decision, Plan) else _told(decision))
+        said.append("goes on" if isinstance(decision, Plan) else _outcome_text(decision))
     if not result.outcome.complete and (not said or said[0] in ("goes on", "cannot go on")):
         return None
     why = f"the controller says {said[0]!r}" if said else "there is no frame to decide it on"
     return Difference(None, "outcome", f"logged {result.outcome.value!r}, but {why}")
 
 
-def _told(decision: Outcome | End) -> str:
+def _outcome_text(decision: Outcome | End) -> str:
     return (decision.outcome if isinstance(decision, End) else decision).value
 
 
@@ -307,56 +293,7 @@ def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
     return log.start.plant.simulated and not told
 
 
-def _extent(xy: Floats, targets: Floats) -> float:
-    """Return how many length units there are to be rounded, over all robots; each (N, 2)."""
+def _tolerance(xy: Floats, targets: Floats) -> Tolerance:
+    """Return that of what is re-evaluated for N robots at and heading for positions (N, 2)."""
     ends = np.abs(np.concatenate([xy, targets]))
-    return float(ends.max(initial=1.0)) * len(targets)
-
-
-def _differences(ours: Any, logged: Any, name: str, room: float) -> Iterator[tuple[str, str]]:
-    """Yield (field, what differs) of two plans or their parts; a `room` of 0 compares bits."""
-    for field in fields(ours):
-        path = f"{name}{field.name}"
-        one, two = getattr(ours, field.name), getattr(logged, field.name)
-        if one is None or two is None:
-            if one is not two:
-                known = "nothing" if two is None else "a value"
-                yield path, f"logged {known}, computed {'nothing' if one is None else 'a value'}"
-        elif is_dataclass(one):
-            yield from _differences(one, two, f"{path}.", room)
-        elif isinstance(one, tuple):
-            if len(one) != len(two):
-                yield path, f"logged {len(two)}, computed {len(one)}"
-            for i, (a, b) in enumerate(zip(one, two, strict=False)):
-                yield from _differences(a, b, f"{path}.{i}.", room)
-        elif isinstance(one, np.ndarray):
-            yield from _array_difference(one, two, path, room)
-        elif isinstance(one, float):
-            if not (_near(one, two, room) if room else _same(one, two)):
-                yield path, f"logged {two!r}, computed {one!r}"
-        elif one != two:
-            yield path, f"logged {two!r}, computed {one!r}"
-
-
-def _array_difference(
-    one: Floats, two: Floats, path: str, room: float
-) -> Iterator[tuple[str, str]]:
-    if one.shape != two.shape:
-        yield path, f"logged shape {two.shape}, computed {one.shape}"
-        return
-    if room:
-        wrong = ~(np.abs(one - two) <= TOLERANCE * np.abs(one) + room)
-    else:
-        wrong = one.view(np.uint64) != two.view(np.uint64)
-    if wrong.any():
-        at = tuple(int(i) for i in np.argwhere(wrong)[0])
-        index = ".".join(map(str, at))
-        yield f"{path}.{index}", f"logged {float(two[at])!r}, computed {float(one[at])!r}"
-
-
-def _same(one: float, two: float) -> bool:
-    return np.float64(one).tobytes() == np.float64(two).tobytes()
-
-
-def _near(one: float, two: float, room: float) -> bool:
-    return abs(one - two) <= TOLERANCE * max(abs(one), abs(two)) + room
+    return Tolerance(TOLERANCE, ROUNDING * float(ends.max(initial=1.0)) * len(targets))

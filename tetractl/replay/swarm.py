@@ -65,7 +65,7 @@ class _Asked:
     key: int
 
 
-class _Witness:
+class _SpyOptimizer:
     """An `Optimizer` that notes what it is asked and answers as another one."""
 
     def __init__(self, section: OptimizerSection, answers: Optimizer, asked: list[_Asked]) -> None:
@@ -116,7 +116,7 @@ def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
     controller = log.experiment.controller.build(
         log.start.setup,
         key,
-        lambda section: _Witness(section, rerun.wrap(section), asked),
+        lambda section: _SpyOptimizer(section, rerun.wrap(section), asked),
         rerun.timer,
     )
     rerun.begin(step.plan.searches)

@@ -7,10 +7,13 @@ from pathlib import Path
 
 from tetractl.experiment.kinds import packages
 from tetractl.log import provenance
-from tetractl.log.read.reader import read_trial
+from tetractl.log.read.reader import trial_of
+from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.audit import audit
-from tetractl.replay.recompute import TOLERANCE, Difference, first_steps, recompute
+from tetractl.replay.derived import derived_differences
+from tetractl.replay.difference import Difference
+from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
 from tetractl.replay.resimulate import resimulate
 
 DECIDES_BITS = (
@@ -61,15 +64,15 @@ class Verification:
 def verify(path: Path) -> Verification:
     """Verify one log; raises LogError as `read_trial` does."""
     began = time.perf_counter()
-    log = read_trial(path)
-    findings = audit(log)
+    raw = scan(path)
+    log = trial_of(raw)
     elsewhere = host_differences(log)
-    simulated = resimulate(log, exact=True)
-    if simulated and elsewhere:
-        simulated = resimulate(log, exact=False)
-    method, found = Method.RECOMPUTED, recompute(log, again=True)
+    findings = audit(log, same_host=not elsewhere)
+    simulated = resimulate(log, same_host=not elsewhere)
+    derived = derived_differences(raw, log, same_host=not elsewhere)
+    method, found = Method.RECOMPUTED, recompute(log, search_again=True)
     if found and elsewhere:
-        method, found = Method.REEVALUATED, recompute(log, again=False)
+        method, found = Method.REEVALUATED, recompute(log, search_again=False)
     known = len(first_steps(log))
     checked = found.step if found and found.step is not None else known
     return Verification(
@@ -78,7 +81,7 @@ def verify(path: Path) -> Verification:
         checked=checked,
         method=method,
         elsewhere=elsewhere,
-        problems=(*filter(None, (found, simulated)), *findings.problems),
+        problems=(*filter(None, (found, simulated)), *findings.problems, *derived),
         notes=tuple(findings.notes),
         seconds=time.perf_counter() - began,
     )

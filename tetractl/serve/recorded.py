@@ -5,7 +5,7 @@ from bisect import bisect_right
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.log.format.channels import CHANNELS
-from tetractl.log.read.contents import Contents
+from tetractl.log.read.raw_log import RawLog
 from tetractl.replay.player import Playback, Player
 from tetractl.serve.protocol import Request, State
 from tetractl.serve.server import ViewerServer
@@ -20,7 +20,7 @@ class ServedReplay:
     answered at once and obeyed by the next `follow`.
     """
 
-    def __init__(self, contents: Contents, player: Player, port: int, viewer: str = "") -> None:
+    def __init__(self, contents: RawLog, player: Player, port: int, viewer: str = "") -> None:
         self._start_ns = contents.run.start_unix_ns
         known = [entry for entry in contents.entries if entry.topic in CHANNELS]
         self._entries = sorted(known, key=lambda entry: entry.log_ns)

@@ -1,11 +1,14 @@
 """One trial of a study run again to its full log, and checked against its row."""
 
 from dataclasses import replace
+from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.yaml.problems import did_you_mean
-from tetractl.log.read.reader import read_trial
-from tetractl.log.read.trial_digest import trial_digest
+from tetractl.log.format.metadata import result_metadata
+from tetractl.log.format.trial_digest import trial_digest
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.replay.difference import first_difference
 from tetractl.run.batch import log_path, run_trial
 from tetractl.run.folder import set_aside
 from tetractl.run.interrupt import Interrupt, interrupted_once
@@ -31,14 +34,23 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
         result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())
     digest = trial_digest(read_trial(path))
     if digest != row.trial_digest:
+        text = _difference(path, row)
         set_aside(folder, row.trial)
         older = row.code != arm.code
         raise LogError(
-            f"{which}: the digest of its log is {digest}, that of its row {row.trial_digest}",
+            f"{which}: the digest of its log is {digest}, that of its row {row.trial_digest}{text}",
             "the row is of older code" if older else "was it run on another type of processor?",
         )
     store.add(arm, replace(row, logged=True))
     return f"{path}: {result.summary}, digest as in its row: {digest}"
+
+
+def _difference(log: Path, row: Row) -> str:
+    """Return the first difference of the log's result from the row's; "" where it is elsewhere."""
+    now = read_result(log)
+    stated = result_metadata(now.result, now.experiment.units.length, now.warnings)
+    found = first_difference(stated, row.result, name="result") if row.result else None
+    return "; {}: {}".format(*found) if found else ""
 
 
 def _found(loaded: LoadedStudy, store: Store, which: str) -> tuple[Arm, Row]:

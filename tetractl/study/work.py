@@ -14,7 +14,7 @@ from tetractl.experiment.load import LoadedSpec
 from tetractl.log.read.origin import Origin
 from tetractl.log.read.rows import SIMULATED
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.log.write.digest_writer import DigestWriter
+from tetractl.log.write.recorder import Recorder
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.batch import log_path, run_with
 from tetractl.run.interrupt import Interrupt
@@ -59,7 +59,7 @@ def run_task(task: Task, folder: Path, interrupt: Interrupt) -> Row | None:
 
 def _run(task: Task, folder: Path, interrupt: Interrupt, log: bool) -> Row | None:
     spec = _ready(task.spec, task.code)
-    path, weighed = log_path(folder, task.trial), DigestWriter()
+    path, weighed = log_path(folder, task.trial), Recorder()
     with ExitStack() as stack:
         writer = stack.enter_context(LogWriter(path)) if log else None
         began = time.perf_counter(), time.process_time()

@@ -9,9 +9,8 @@ from support.random_trials import Made, trial, write
 from support.trials import three_robots
 
 from tetractl.core.commands import Note
-from tetractl.log.read.gaps import step_gaps
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.read.trial_log import TrialLog, step_gaps
 from tetractl.log.write.writer import LogWriter
 
 PLACING_NS = 20_000_000_000

@@ -8,8 +8,8 @@ from support.studies import FAILING, SMALL, run
 
 from tetractl.core.errors import LogError, TetractlError, UsageError
 from tetractl.experiment.load import parse_spec
+from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.log.read.trial_digest import trial_digest
 from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.study import local, work

@@ -26,12 +26,12 @@ _PLANT = "plant."
 _STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # what readers of format 1 know
 
 
-def seal(items: Mapping[str, str]) -> dict[str, str]:
+def add_checksum(items: Mapping[str, str]) -> dict[str, str]:
     """Return the items of a metadata record with their checksum added."""
     return {**items, CHECKSUM: _checksum(items)}
 
 
-def intact(items: Mapping[str, str]) -> bool:
+def checksum_ok(items: Mapping[str, str]) -> bool:
     """Return whether the checksum of a metadata record matches its items."""
     return items.get(CHECKSUM) == _checksum(items)
 

@@ -2,101 +2,93 @@
 
 A content digest is over the bytes of a log, with the messages that only repeat for Foxglove what
 others hold. A study keeps trials without logs, and would spend a quarter of their time on encoding
-for a hash: its rows state this digest, which a trial as it runs and its log read back both give.
+for a hash: its rows state this digest, which a trial as it ran (`Recorder`) and its log read back
+both give.
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from struct import pack
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.commands import Command, Note
 from tetractl.core.plan import Estimate, Plan
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.text import printable
-from tetractl.core.trial import Result, Start, Step
+from tetractl.core.trial import Step, TrialRecords
 from tetractl.log.format.channels import TEXT
 from tetractl.log.format.codec import STOPPED
 from tetractl.log.format.metadata import FORMAT, result_metadata, run_metadata
 
-Integers = NDArray[np.int64]
 FLOAT64, INT64 = np.dtype("<f8"), np.dtype("<i8")
 BLOCK = 10_000  # frames hashed at a time
 
 
-class TrialDigest:
-    """SHA-256 over the records of one trial of N robots but the times of solving.
+def trial_digest(trial: TrialRecords) -> str:
+    """Return SHA-256 over the records of a trial of N robots but the times of solving.
 
-    Frames, commands, control steps and messages for people each have a hash of their own, in their
-    order; the digest is over those and over start and result, so that it makes no difference how
-    the kinds follow one another. Numbers are hashed as little-endian float64 and int64, and texts
-    for people as a log gives them back: in characters that a terminal can show, and cut.
+    Frames, commands, control steps and operator messages each have a hash of their own, in their
+    order; the digest is over those and over start and result. Numbers are hashed as little-endian
+    float64 and int64, and texts for people as a log gives them back: in characters that a terminal
+    can show, and cut. That of a damaged log is another one than the trial had as it ran.
     """
-
-    def __init__(self, start: Start) -> None:
-        self._unit = start.setup.unit
-        stated = run_metadata(start)
-        del stated[FORMAT]  # how a log stores a trial is none of its records
-        attached = [text for pair in start.attached for text in pair]
-        texts = (start.spec_text, start.resolved, *attached)
-        self._first = hashlib.sha256(_items(stated) + b"".join(map(_text, texts)))
-        self._frames, self._commands = hashlib.sha256(), hashlib.sha256()
-        self._steps, self._notes = hashlib.sha256(), hashlib.sha256()
-
-    def samples(self, samples: Iterable[Sample]) -> None:
-        """Add camera frames, with the true poses where they are known."""
-        self._frames.update(b"".join([_sample(sample) for sample in samples]))
-
-    def frames(self, numbers: Integers, poses: Floats, valid: Bools, truth: Floats | None) -> None:
-        """Add M camera frames in columns, with the same effect as their `samples`.
-
-        `numbers` (M, 3) are the frames' numbers, times of exposure and times received [ns], `poses`
-        and `truth` (M, N, 3), `valid` (M, N).
-        """
-        count = len(numbers)
-        for begin in range(0, count, BLOCK):
-            part = slice(begin, begin + BLOCK)
-            known = np.full((len(numbers[part]), 1), truth is not None)
-            columns = [numbers[part].astype(INT64), known, _by_axis(poses[part]), valid[part]]
-            if truth is not None:
-                columns.append(_by_axis(truth[part]))
-            data = [np.ascontiguousarray(column).view(np.uint8) for column in columns]
-            self._frames.update(np.concatenate(data, axis=1).tobytes())
-
-    def command(self, command: Command) -> None:
-        """Add a command: of a control step, between two, or the stop."""
-        self._commands.update(
-            pack("<q?", command.sent_ns, command.stops)
-            + _flags(command.delivered)
-            + _numbers(command.direction, command.left, command.right)
-        )
-
-    def step(self, step: Step) -> None:
-        """Add a control step: what was observed and decided, without its command."""
-        self._steps.update(pack("<q", step.k) + _observation(step.observation) + _plan(step.plan))
-
-    def note(self, note: Note) -> None:
-        """Add a message for people."""
-        text = printable(note.text, TEXT)
-        self._notes.update(pack("<q", note.t_ns) + _text(note.level) + _text(text))
-
-    def hexdigest(self, result: Result | None) -> str:
-        """Return the digest of the trial with its result, None where it has none."""
-        last = hashlib.sha256()
-        if result is not None:
-            items = result_metadata(result, self._unit)
-            last.update(_items({**items, "reason": printable(result.reason, TEXT)}))
-        kinds = (self._first, self._frames, self._commands, self._steps, self._notes, last)
-        return hashlib.sha256(b"".join([kind.digest() for kind in kinds])).hexdigest()
+    start, result, last = trial.start, trial.result, b""
+    stated = run_metadata(start)
+    del stated[FORMAT]  # how a log stores a trial is none of its records
+    attached = [text for pair in start.attached for text in pair]
+    texts = (start.spec_text, start.resolved, *attached)
+    if result is not None:
+        items = result_metadata(result, start.setup.unit)
+        last = _items({**items, "reason": printable(result.reason, TEXT)})
+    kinds: tuple[Iterable[bytes], ...] = (
+        (_items(stated), *map(_text, texts)),
+        _frames(trial),
+        map(_command, trial.commands),
+        map(_step, trial.steps),
+        map(_note, trial.notes),
+        (last,),
+    )
+    return hashlib.sha256(b"".join(map(_hash, kinds))).hexdigest()
 
 
-def _sample(sample: Sample) -> bytes:
-    seen, truth = sample.observation, sample.truth
-    head = pack("<qqq?", seen.frame, seen.sampled_ns, seen.received_ns, truth is not None)
-    measured = head + _poses(seen.poses) + _flags(seen.valid)
-    return measured if truth is None else measured + _poses(truth)
+def _hash(parts: Iterable[bytes]) -> bytes:
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(part)
+    return found.digest()
+
+
+def _frames(trial: TrialRecords) -> Iterator[bytes]:
+    """Yield the camera frames, a block at a time."""
+    truth = trial.truth
+    for begin in range(0, len(trial.frames), BLOCK):
+        part = slice(begin, begin + BLOCK)
+        numbers = (trial.frames[part], trial.mocap_ns[part], trial.received_ns[part])
+        known = np.full((len(numbers[0]), 1), truth is not None)
+        columns = [np.column_stack(numbers).astype(INT64), known]
+        columns += [_by_axis(trial.mocap[part]), trial.valid[part].astype(np.bool_)]
+        if truth is not None:
+            columns.append(_by_axis(truth[part]))
+        data = [np.ascontiguousarray(column).view(np.uint8) for column in columns]
+        yield np.concatenate(data, axis=1).tobytes()
+
+
+def _command(command: Command) -> bytes:
+    return (
+        pack("<q?", command.sent_ns, command.stops)
+        + _flags(command.delivered)
+        + _numbers(command.direction, command.left, command.right)
+    )
+
+
+def _step(step: Step) -> bytes:
+    """Return a control step without its command, which is among the commands."""
+    return pack("<q", step.k) + _observation(step.observation) + _plan(step.plan)
+
+
+def _note(note: Note) -> bytes:
+    return pack("<q", note.t_ns) + _text(note.level) + _text(printable(note.text, TEXT))
 
 
 def _observation(seen: Observation) -> bytes:

@@ -10,21 +10,20 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from tetractl.core.commands import Command, Note
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.text import printable
-from tetractl.core.trial import Step
+from tetractl.core.trial import Integers, Step
 from tetractl.log.format import channels, codec
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import bounds
-from tetractl.log.read.believe import (
-    believe_command,
-    believe_frames,
-    believe_note,
-    believe_step,
-    believe_truth,
-)
 from tetractl.log.read.bounds import TooMuchError
-from tetractl.log.read.contents import Contents
-from tetractl.log.read.trial_log import Integers
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.validate import (
+    check_command,
+    check_frames,
+    check_note,
+    check_step,
+    check_truth,
+)
 
 
 class Frames(NamedTuple):
@@ -37,7 +36,7 @@ class Frames(NamedTuple):
     received_ns: Integers
 
 
-def frames(contents: Contents, robots: int) -> Frames:
+def frames(contents: RawLog, robots: int) -> Frames:
     """Decode the camera frames of N robots."""
     data = _messages(contents, channels.MOCAP)
     contents.budget.spend(len(data) * (4 * robots + 4) * 8, "very many camera frames")
@@ -50,11 +49,11 @@ def frames(contents: Contents, robots: int) -> Frames:
         _fill(poses[i], message)
         valid[i] = message.valid
         times[:, i] = message.frame, message.sampled_ns, message.received_ns
-    believe_frames(poses, valid, times)
+    check_frames(poses, valid, times)
     return Frames(poses, valid, *times)
 
 
-def truth(contents: Contents, numbers: Integers, robots: int) -> Floats:
+def truth(contents: RawLog, numbers: Integers, robots: int) -> Floats:
     """Decode the true poses (M, N, 3) at the frames of these numbers, NaN where they are lost."""
     rows = {number: i for i, number in enumerate(numbers.tolist())}
     found = np.full((len(numbers), robots, 3), np.nan)
@@ -62,7 +61,7 @@ def truth(contents: Contents, numbers: Integers, robots: int) -> Floats:
     for message in map(pb.Truth.FromString, _messages(contents, channels.TRUTH)):
         row = rows.get(message.frame)
         _fill(spare if row is None else found[row], message)
-    believe_truth(found)
+    check_truth(found)
     return found
 
 
@@ -74,15 +73,15 @@ def _fill(poses: Floats, message: pb.MocapSample | pb.Truth) -> None:
     poses[:, 0], poses[:, 1], poses[:, 2] = message.x, message.y, message.heading
 
 
-def commands(contents: Contents, robots: int) -> Iterator[Command]:
+def commands(contents: RawLog, robots: int) -> Iterator[Command]:
     """Decode the commands to N robots."""
     for message in map(pb.WheelCommand.FromString, _messages(contents, channels.COMMANDS)):
         command = codec.decode_command(message)
-        believe_command(command, robots)
+        check_command(command, robots)
         yield command
 
 
-def steps(contents: Contents, robots: int) -> Iterator[Step]:
+def steps(contents: RawLog, robots: int) -> Iterator[Step]:
     """Decode the control steps of N robots, with their times of solving and estimates."""
     data = _messages(contents, channels.HOST_TIMING)
     timings = {m.k: m for m in map(pb.StepTiming.FromString, data)}
@@ -96,19 +95,19 @@ def steps(contents: Contents, robots: int) -> Iterator[Step]:
         contents.budget.spend(cost, "very many searches")
         k = message.k
         step = codec.decode_step(message, timings.get(k), estimates.get(k), robots)
-        believe_step(step)
+        check_step(step)
         yield step
 
 
-def notes(contents: Contents, start_unix_ns: int) -> Iterator[Note]:
+def notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:
     """Decode the messages for people, as text that a terminal can show."""
     for data in _messages(contents, channels.LOG):
         note = decode_note(Log.FromString(data), start_unix_ns)
-        believe_note(note)
+        check_note(note)
         yield replace(note, text=printable(note.text, channels.TEXT))
 
 
-def _messages(contents: Contents, topic: str) -> list[bytes]:
+def _messages(contents: RawLog, topic: str) -> list[bytes]:
     found = [entry.data for entry in contents.by_topic[topic]]
     longest = max(map(len, found), default=0)
     if longest > bounds.MESSAGE:

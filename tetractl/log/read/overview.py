@@ -10,10 +10,10 @@ from tetractl.core.clock import SECOND
 from tetractl.core.plan import Estimate
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import CHANNELS
-from tetractl.log.read.contents import Contents
+from tetractl.log.format.trial_digest import trial_digest
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.log.read.trial_digest import trial_digest
 from tetractl.log.read.trial_log import ALTERED, Damage, Event
 
 
@@ -90,7 +90,7 @@ def overview(path: Path) -> Overview:
     )
 
 
-def _channels(contents: Contents) -> tuple[ChannelCount, ...]:
+def _channels(contents: RawLog) -> tuple[ChannelCount, ...]:
     schemas = {topic: message.DESCRIPTOR.full_name for topic, message in CHANNELS.items()}
     return tuple(
         ChannelCount(

@@ -18,12 +18,12 @@ from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
 from tetractl.log.format import channels
 from tetractl.log.read import bounds, decode
-from tetractl.log.read.believe import believe_run
 from tetractl.log.read.bounds import TooMuchError
-from tetractl.log.read.contents import Contents
 from tetractl.log.read.origin import Origin
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
+from tetractl.log.read.validate import check_run
 from tetractl.model.path_check import check_path
 
 
@@ -37,7 +37,7 @@ def read_trial(path: Path) -> TrialLog:
     return trial_of(scan(Path(path)))
 
 
-def trial_of(contents: Contents) -> TrialLog:
+def trial_of(contents: RawLog) -> TrialLog:
     """Decode the trial in a scanned file; raises LogError as `read_trial` does."""
     experiment, start = _start(contents)
     try:
@@ -49,13 +49,12 @@ def trial_of(contents: Contents) -> TrialLog:
         raise LogError(f"{contents.path}: holds what tetractl does not write: {error}") from None
 
 
-def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog:
+def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
     robots = len(start.setup.names)
     frames = decode.frames(contents, robots)
     commands = tuple(decode.commands(contents, robots))
     stops = [command for command in commands if command.stops]
     simulated = start.plant.simulated
-    begin = start.start_unix_ns
     log = TrialLog(
         path=str(contents.path),
         experiment=experiment,
@@ -73,21 +72,17 @@ def _trial(contents: Contents, experiment: Experiment, start: Start) -> TrialLog
         frames=frames.numbers,
         received_ns=frames.received_ns,
         commands=commands,
-        notes=tuple(decode.notes(contents, begin)),
+        notes=tuple(decode.notes(contents, start.start_unix_ns)),
         digest=contents.stated_digest,
         content_digest=contents.digest,
         host_altered=contents.host_altered,
         run=contents.run.items,
-        stamps={
-            topic: [(entry.log_ns - begin, entry.publish_ns - begin) for entry in entries]
-            for topic, entries in contents.by_topic.items()
-        },
     )
     until_s = log.elapsed_s(int(frames.received_ns.max(initial=0)))
     return replace(log, damage=_damage(contents, until_s))
 
 
-def _damage(contents: Contents, until_s: float) -> Damage | None:
+def _damage(contents: RawLog, until_s: float) -> Damage | None:
     """Return the damage of a log whose last frame was received `until_s` into it, or None."""
     before = contents.recovered
     problems = [*(before.problems if before else ()), *contents.problems]
@@ -139,7 +134,7 @@ def recompute(trial: TrialLog) -> Result:
     final = Poses.of(path[last, np.arange(path.shape[1])])
     return Result.of(
         trial.start.setup,
-        judged(trial, path, known, final),
+        path_verdict(trial, path, known, final),
         outcome=Outcome.ABORTED,
         reason="the log ends before its result",
         duration_s=trial.elapsed_s(int(trial.mocap_ns[-1])),
@@ -148,7 +143,7 @@ def recompute(trial: TrialLog) -> Result:
     )
 
 
-def judged(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> Verdict:
+def path_verdict(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> Verdict:
     """Return the verdict of `check_path` on a path; LogError for too long a one."""
     setup = trial.start.setup
     samples, robots = path.shape[:2]
@@ -176,7 +171,7 @@ def content_digest(path: Path) -> str:
     return scan(Path(path)).digest
 
 
-def _start(contents: Contents) -> tuple[Experiment, Start]:
+def _start(contents: RawLog) -> tuple[Experiment, Start]:
     """Return the experiment and the start of a trial; LogError where they cannot be read."""
     run, resolved = contents.run, contents.text(channels.RESOLVED_SPEC)
     if resolved is None:
@@ -186,7 +181,7 @@ def _start(contents: Contents) -> tuple[Experiment, Start]:
     try:
         experiment, own_hash = _resolved(resolved)
         hashed = run.items["spec_hash"] if own_hash is None else own_hash
-        believe_run(run, len(experiment.robots))
+        check_run(run, len(experiment.robots))
     except (SpecError, KeyError, RecursionError, ValueError) as error:
         used = [
             f"{key.removeprefix(provenance.PLUGIN)} {version}"

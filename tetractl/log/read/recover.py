@@ -12,12 +12,11 @@ from tetractl.core.errors import LogError
 from tetractl.log.format.channels import HOST, HOST_TIMING, RECOVERED, TIMING, Entry
 from tetractl.log.format.metadata import damage_metadata
 from tetractl.log.read.bounds import file_limit
-from tetractl.log.read.contents import Contents
 from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX
-from tetractl.log.read.gaps import frame_gaps, step_gaps
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.log.read.trial_log import Damage
+from tetractl.log.read.trial_log import Damage, frame_gaps, step_gaps
 from tetractl.log.write.sink import Sink
 
 PART_SUFFIX = ".recovering"
@@ -78,7 +77,7 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
     )
 
 
-def _examine(contents: Contents) -> tuple[list[str], list[str]]:
+def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
     """Return what is wrong and what is lost; nothing is lost where the content digest matches."""
     try:
         trial = trial_of(contents)
@@ -97,7 +96,7 @@ def _examine(contents: Contents) -> tuple[list[str], list[str]]:
     return problems, lost or ["something that the log's digest or its host records cover"]
 
 
-def _write(contents: Contents, damage: Damage, path: Path) -> None:
+def _write(contents: RawLog, damage: Damage, path: Path) -> None:
     sink = Sink(path, PART_SUFFIX)
     try:
         _fill(contents, damage, sink)
@@ -107,7 +106,7 @@ def _write(contents: Contents, damage: Damage, path: Path) -> None:
     sink.close(complete=True)
 
 
-def _fill(contents: Contents, damage: Damage, sink: Sink) -> None:
+def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
     for channel, schema in contents.channels.values():
         sink.channel(channel, schema)
     for messages, records in groupby(contents.records, lambda one: isinstance(one, Entry)):

@@ -14,9 +14,9 @@ from tetractl.core.errors import LogError, SpecError
 from tetractl.experiment.load import LoadedSpec, arm_hash, parse_spec
 from tetractl.experiment.yaml.document import read_text
 from tetractl.log.format.metadata import WARNINGS
-from tetractl.log.read.believe import COUNT_MAX, stated_result
 from tetractl.log.read.origin import Origin
 from tetractl.log.read.trial_log import ResultSummary
+from tetractl.log.read.validate import COUNT_MAX, stated_result
 
 SPEC = "spec.resolved.yaml"
 SIMULATED = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})

@@ -33,11 +33,11 @@ from mcap.records import (
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import CHANNELS, METADATA, RUN, TIMING, Entry
-from tetractl.log.format.metadata import intact
+from tetractl.log.format.metadata import checksum_ok
 from tetractl.log.read import bounds
 from tetractl.log.read.bounds import TooMuchError
-from tetractl.log.read.contents import Contents
 from tetractl.log.read.file import read_file
+from tetractl.log.read.raw_log import RawLog
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -56,7 +56,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 _UINT32, _UINT64 = struct.Struct("<I"), struct.Struct("<Q")
 
 
-def scan(path: Path) -> Contents:
+def scan(path: Path) -> RawLog:
     """Return every intact record of a file.
 
     Raises LogError where it is no MCAP file, or would become more than `bounds` allows.
@@ -65,7 +65,7 @@ def scan(path: Path) -> Contents:
         return _Scan(path).contents()
 
 
-def peek(path: Path) -> Contents | None:
+def peek(path: Path) -> RawLog | None:
     """Return metadata and attachments alone, found by the file's index; None for a damaged file.
 
     The checksums over the data section and the index are tested, and so every byte of the file.
@@ -85,7 +85,7 @@ def _named(path: Path) -> Iterator[None]:
 class _Scan:
     def __init__(self, path: Path) -> None:
         self._data, size, problem = read_file(path)
-        self._result = Contents(path, size=size)
+        self._result = RawLog(path, size=size)
         self._spend = self._result.budget.spend
         self._spend(len(self._data), "very many bytes")
         self._problems = self._result.problems
@@ -101,7 +101,7 @@ class _Scan:
         self._summary = 0  # where the index begins
         self._expected: int | None = None  # messages, by the index
 
-    def contents(self) -> Contents:
+    def contents(self) -> RawLog:
         """Read the file from record to record, search it where that fails, and sort the records."""
         begins = self._data[: len(MAGIC)] == MAGIC
         if not begins:
@@ -115,7 +115,7 @@ class _Scan:
         self._collect()
         return self._result
 
-    def indexed(self) -> Contents | None:
+    def indexed(self) -> RawLog | None:
         """Read metadata and attachments by the file's index; None for a damaged file."""
         self._read_index(channels=False)
         if self._problems or not self._sealed():
@@ -268,7 +268,7 @@ class _Scan:
             items = metadata.metadata
             if len(items) > bounds.KEYS or max(map(len, [metadata.name, *items])) > bounds.KEY:
                 raise ValueError("its metadata have more or longer keys than tetractl reads")
-            if metadata.name.startswith("tetractl.") and not intact(items):
+            if metadata.name.startswith("tetractl.") and not checksum_ok(items):
                 raise ValueError("its checksum does not match")
             self._spend(size, "very large metadata")
             self._found[offset] = metadata

@@ -4,17 +4,14 @@ import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND, seconds
-from tetractl.core.commands import Command, Note
+from tetractl.core.commands import Command
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Bools, Floats
-from tetractl.core.trial import Result, Start, Step
+from tetractl.core.trial import Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.origin import Origin
 
-Integers = NDArray[np.int64]
 ALTERED = "the content does not match the digest that the log states"
 
 
@@ -38,51 +35,25 @@ class Event:
     text: str
 
 
-def _none() -> Integers:
-    return np.empty(0, dtype=np.int64)
-
-
-@dataclass(frozen=True, slots=True)
-class TrialLog:
-    """A whole trial of N robots with M camera frames, read from its log.
-
-    Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad. `mocap`
-    (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
-    numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
-    where a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN where a
-    damaged log lost them, and None for a trial in the lab. `commands` are all commands: of the
-    control steps, between them, and the stop; `notes` are the messages for people, such as a
-    command that did not arrive. `result` is None where the run crashed or the end of
-    the log is lost.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialLog(TrialRecords):
+    """A whole trial, read from its log.
 
     `run` are the items of the run record as written and `digest` is the content digest that the
     result record states. `content_digest` is computed from the file; `host_altered` is
-    True where the host records do not match the digest of them that the log states. `stamps` are
-    the log and publish times of the messages by topic.
+    True where the host records do not match the digest of them that the log states.
     """
 
     path: str
     experiment: Experiment
-    start: Start
-    mocap_ns: Integers
-    mocap: Floats
-    valid: Bools
-    truth: Floats | None
-    steps: tuple[Step, ...]
     stop: Command | None
-    result: Result | None
     damage: Damage | None
     host: dict[str, str]  # machine and hour of the run
     provenance: dict[str, str]  # versions of the code that ran the trial
-    frames: Integers = field(default_factory=_none)
-    received_ns: Integers = field(default_factory=_none)
-    commands: tuple[Command, ...] = ()
-    notes: tuple[Note, ...] = ()
     digest: str | None = None
     content_digest: str = ""
     host_altered: bool = False
     run: dict[str, str] = field(default_factory=dict)
-    stamps: dict[str, list[tuple[int, int]]] = field(default_factory=dict, repr=False)
 
     @property
     def began_ns(self) -> int:
@@ -147,3 +118,50 @@ class ResultSummary:
     def outcome(self) -> Outcome:
         """How the trial ended."""
         return self.result.outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Numbers `first` to `last` are missing, between two times since the first direction [s]."""
+
+    what: str
+    first: int
+    last: int
+    since_s: float
+    until_s: float
+
+    def __str__(self) -> str:
+        numbers = f"{self.first}" if self.first == self.last else f"{self.first} to {self.last}"
+        plural = "" if self.first == self.last else "s"
+        when = f"between {self.since_s:.3f} and {self.until_s:.3f} s"
+        return f"{self.what}{plural} {numbers}, {when}"
+
+
+def frame_gaps(log: TrialLog) -> list[Gap]:
+    """Return the camera frames missing between those of a log, by their numbers."""
+    numbers, times = log.frames, (log.mocap_ns - log.began_ns) / SECOND
+    return [
+        Gap(
+            "camera frame",
+            int(numbers[i]) + 1,
+            int(numbers[i + 1]) - 1,
+            float(times[i]),
+            float(times[i + 1]),
+        )
+        for i in np.flatnonzero(np.diff(numbers) > 1)
+    ]
+
+
+def step_gaps(log: TrialLog) -> list[Gap]:
+    """Return the control steps missing before, between and after those of a log."""
+    ks = [step.k for step in log.steps]
+    sent = [log.elapsed_s(step.command.sent_ns) for step in log.steps]
+    if log.result and log.result.steps > (ks[-1] + 1 if ks else 0):
+        ks.append(log.result.steps)
+        sent.append(log.result.duration_s)
+    pairs = zip([-1, *ks], ks, [0.0, *sent], sent, strict=False)
+    return [
+        Gap("control step", before + 1, k - 1, since, until)
+        for before, k, since, until in pairs
+        if k - before > 1
+    ]

@@ -20,7 +20,7 @@ from tetractl import __version__
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
-from tetractl.log.format.metadata import seal
+from tetractl.log.format.metadata import add_checksum
 
 CHUNK_S = 0.7
 """The longest time a message waits in memory [s of wall time]. With a control period of 0.2 s, in
@@ -110,14 +110,16 @@ class Sink:
         self.flush()
         self._digest.metadata(name, items)
         self._host_digest.metadata(name, items)
-        self._mcap.add_metadata(name, seal(items))
+        self._mcap.add_metadata(name, add_checksum(items))
 
     @_while_open
     def last_host_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add the host record that states the digest of all host records with this one."""
         self.flush()
         self._host_digest.metadata(name, items)
-        self._mcap.add_metadata(name, seal({**items, HOST_DIGEST: self._host_digest.hexdigest()}))
+        self._mcap.add_metadata(
+            name, add_checksum({**items, HOST_DIGEST: self._host_digest.hexdigest()})
+        )
 
     @_while_open
     def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
@@ -125,7 +127,7 @@ class Sink:
         self.flush()
         self._digest.metadata(name, items)
         self._host_digest.metadata(name, items)
-        self._mcap.add_metadata(name, seal({**items, DIGEST: self._digest.hexdigest()}))
+        self._mcap.add_metadata(name, add_checksum({**items, DIGEST: self._digest.hexdigest()}))
 
     @_while_open
     def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:

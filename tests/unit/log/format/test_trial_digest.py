@@ -16,12 +16,12 @@ from tetractl.core.commands import Note, Sample
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.text import printable
+from tetractl.core.trial import TrialRecords
 from tetractl.log.format import trial_digest as trial_digest_module
 from tetractl.log.format.channels import TEXT
-from tetractl.log.format.trial_digest import TrialDigest
+from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.trial_digest import trial_digest
-from tetractl.log.write.digest_writer import DigestWriter
+from tetractl.log.write.recorder import Recorder
 
 HOST = {"solve_ns", "deadline_missed", "deadline_misses", "packages"}
 SETUP = {"setup", "start_unix_ns"}  # told by the text of the spec and by its hash
@@ -29,15 +29,19 @@ TOLD = {"unrest", "field_off"}  # by the result's reason, and by a command witho
 OTHERS = {Outcome.SEQUENCE_COMPLETED: Outcome.ARRIVED}
 
 
-def digest(made: Made) -> str:
-    """The digest of a trial as its loop would emit it."""
-    writer = DigestWriter()
+def records(made: Made) -> TrialRecords:
+    """The records of a trial as its loop would emit them."""
+    writer = Recorder()
     writer.on_start(made.start)
     for samples, step in made.rounds:
         writer.on_samples(samples)
         writer.on_step(step)
     writer.on_stop(made.stop, made.result)
-    return writer.trial_digest
+    return writer.trial
+
+
+def digest(made: Made) -> str:
+    return trial_digest(records(made))
 
 
 @settings(max_examples=25, deadline=None)
@@ -121,10 +125,10 @@ def test_texts_are_hashed_as_a_log_gives_them_back(tmp_path: Path, text: str):
     made = replace(made, result=replace(made.result, outcome=Outcome.ABORTED, reason=written))
     path = write(made, tmp_path / "trial.mcap")
     assert trial_digest(read_trial(path)) == digest(made)
-    noted, shown = (TrialDigest(made.start) for _ in range(2))
-    noted.note(Note(0, "info", text))
-    shown.note(Note(0, "info", printable(text, TEXT)))
-    assert noted.hexdigest(None) == shown.hexdigest(None)
+    noted, shown = (
+        replace(records(made), notes=(Note(0, "info", t),)) for t in (text, printable(text, TEXT))
+    )
+    assert trial_digest(noted) == trial_digest(shown)
 
 
 def test_a_plugins_arrays_may_be_of_any_type(tmp_path: Path):
@@ -145,28 +149,28 @@ def test_a_plugins_arrays_may_be_of_any_type(tmp_path: Path):
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_columns_of_frames_have_the_digest_of_their_samples(monkeypatch, simulated: bool):
-    made = trial(steps=3, simulated=simulated)
-    one, two = (TrialDigest(made.start) for _ in range(2))
-    one.samples(made.samples)
-    seen = [sample.observation for sample in made.samples]
-    numbers = np.array([(item.frame, item.sampled_ns, item.received_ns) for item in seen])
-    poses, valid = np.array([i.poses.array() for i in seen]), np.array([i.valid for i in seen])
-    truth = np.array([s.truth.array() for s in made.samples]) if simulated else None
+def test_blocks_of_frames_make_no_difference(monkeypatch, simulated: bool):
+    made = records(trial(steps=3, simulated=simulated))
+    whole = trial_digest(made)
     monkeypatch.setattr(trial_digest_module, "BLOCK", 7)
-    two.frames(numbers, poses, valid, truth)
-    assert one.hexdigest(None) == two.hexdigest(None)
+    assert trial_digest(made) == whole
 
 
-def test_searches_are_told_from_steps():
-    made = trial(steps=1, first=2)
-    step = made.steps[0]
-    first, second = step.plan.searches[:2]
-    one, two = (TrialDigest(made.start) for _ in range(2))
-    one.step(replace(step, plan=replace(step.plan, searches=(first, second))))
-    two.step(replace(step, plan=replace(step.plan, searches=(first,))))
-    two.step(replace(step, plan=replace(step.plan, searches=(second,))))
-    assert one.hexdigest(None) != two.hexdigest(None)
+def test_a_digest_is_that_of_earlier_versions():
+    """A study goes on with the rows that it has."""
+    made = trial(steps=2, frames=2, robots=2, first=2, iterations=2, length=3)
+    assert digest(made) == "a5eed5055dbc9c88e55ee713e1094f8b759860aa66bdeacb313857f18d81c821"
+
+
+def test_searches_are_distinguished_from_steps():
+    made = records(trial(steps=1, first=2))
+    (step,) = made.steps
+    one, two = (
+        replace(step, plan=replace(step.plan, searches=(s,))) for s in step.plan.searches[:2]
+    )
+    both = replace(step, plan=replace(step.plan, searches=step.plan.searches[:2]))
+    found = [trial_digest(replace(made, steps=steps)) for steps in ((both,), (one, two))]
+    assert found[0] != found[1]
 
 
 def test_times_of_solving_are_left_out():
@@ -177,29 +181,10 @@ def test_times_of_solving_are_left_out():
 @pytest.mark.parametrize(
     "other", [Note(1, "info", "a"), Note(0, "warning", "a"), Note(0, "info", "b")]
 )
-def test_messages_for_people_count(other):
-    made, notes = trial(), (Note(0, "info", "a"), other)
-    with_notes = []
-    for note in notes:
-        found = TrialDigest(made.start)
-        found.note(note)
-        with_notes.append(found.hexdigest(made.result))
-    assert with_notes[0] != with_notes[1]
-
-
-def test_kinds_may_follow_one_another_in_any_order():
-    made = trial(steps=2)
-    found = []
-    for kinds in (("samples", "steps"), ("steps", "samples")):
-        one = TrialDigest(made.start)
-        for kind in kinds:
-            if kind == "samples":
-                one.samples(made.samples)
-            else:
-                for step in made.steps:
-                    one.step(step)
-        found.append(one.hexdigest(None))
-    assert found[0] == found[1] != TrialDigest(made.start).hexdigest(None)
+def test_operator_messages_count(other):
+    made = records(trial())
+    found = {trial_digest(replace(made, notes=(note,))) for note in (Note(0, "info", "a"), other)}
+    assert len(found) == 2
 
 
 def test_a_log_that_lost_its_end_has_another_digest(tmp_path: Path):

@@ -37,8 +37,8 @@ from tetractl.log.format.tetractl_pb2 import (
     WheelCommand,
 )
 from tetractl.log.read import bounds
-from tetractl.log.read.contents import Contents
 from tetractl.log.read.overview import overview
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import MAGIC, scan
@@ -54,7 +54,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def contents(log: Path) -> Contents:
+def contents(log: Path) -> RawLog:
     return scan(log)
 
 
@@ -69,7 +69,7 @@ def test_a_damaged_log_is_read_as_far_as_it_is_good(log: Path, tmp_path: Path, k
     assert tally.chunks_recovered == tally.chunks_complete > 100
 
 
-def test_a_record_whose_name_is_damaged_is_not_believed(log: Path, tmp_path: Path) -> None:
+def test_a_record_whose_name_is_damaged_is_not_accepted(log: Path, tmp_path: Path) -> None:
     """Regression: its checksum fits, for it does not cover the name."""
     path = tmp_path / "trial.mcap"
     path.write_bytes(log.read_bytes().replace(b"tetractl.timing", b"tetractl.tiling", 1))
@@ -149,7 +149,7 @@ def test_a_tail_of_zeros_is_an_end(log: Path, tmp_path: Path) -> None:
     assert any("breaks off in the record" in problem for problem in scan(path).problems)
 
 
-def edited(contents: Contents, path: Path, record: str, changes: dict[str, str]) -> Path:
+def edited(contents: RawLog, path: Path, record: str, changes: dict[str, str]) -> Path:
     return rewrite(
         contents, path, {}, lambda name, facts: facts | (changes if name == record else {})
     )
@@ -176,7 +176,7 @@ DEEP = "[" * 100_000 + "]" * 100_000
     ],
 )
 def test_facts_that_are_not_ours_are_one_line(
-    tmp_path: Path, contents: Contents, record: str, key: str, value: str
+    tmp_path: Path, contents: RawLog, record: str, key: str, value: str
 ) -> None:
     path = edited(contents, tmp_path / "trial.mcap", record, {key: value})
     for read in (read_trial, read_result, overview, verify):
@@ -188,7 +188,7 @@ def test_facts_that_are_not_ours_are_one_line(
             assert read is not verify or found.problems
 
 
-def test_a_report_that_is_not_ours_still_says_recovered(tmp_path: Path, contents: Contents) -> None:
+def test_a_report_that_is_not_ours_still_says_recovered(tmp_path: Path, contents: RawLog) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(contents.path.read_bytes()[:-4000])
     path = Path(str(recover(cut).path))
@@ -208,7 +208,7 @@ def test_a_report_that_is_not_ours_still_says_recovered(tmp_path: Path, contents
     ],
 )
 def test_messages_that_do_not_fit_the_run_are_one_line(
-    tmp_path: Path, contents: Contents, topic: str, message
+    tmp_path: Path, contents: RawLog, topic: str, message
 ) -> None:
     entry = next(entry for entry in contents.entries if entry.topic == topic)
     new = entry._replace(data=message.SerializeToString())
@@ -238,7 +238,7 @@ HUGE = "9" * 400  # 10^400 - 1
     ],
 )
 def test_a_bad_result_costs_its_own_trial_only(
-    tmp_path: Path, contents: Contents, record: str, changes: dict[str, str]
+    tmp_path: Path, contents: RawLog, record: str, changes: dict[str, str]
 ) -> None:
     """Regression: one such log ended `stats` of a whole batch with a traceback."""
     edited(contents, tmp_path / "bad.mcap", record, changes)
@@ -264,7 +264,7 @@ def test_a_bad_result_costs_its_own_trial_only(
     ],
 )
 def test_a_bad_run_costs_its_own_trial_only(
-    tmp_path: Path, contents: Contents, changes: dict[str, str]
+    tmp_path: Path, contents: RawLog, changes: dict[str, str]
 ) -> None:
     edited(contents, tmp_path / "bad.mcap", RUN, changes)
     write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
@@ -309,8 +309,8 @@ def spoilt_step(**changes: object) -> ControllerStep:
         (STEP, spoilt_step(searches=[Search(length=1, signals=[0.5], history=[-INF])])),
     ],
 )
-def test_no_number_is_believed_that_cannot_be(
-    tmp_path: Path, contents: Contents, topic: str, message
+def test_an_impossible_number_is_refused(
+    tmp_path: Path, contents: RawLog, topic: str, message
 ) -> None:
     """Regression: replay, plot and verify ended with tracebacks."""
     entry = next(entry for entry in contents.entries if entry.topic == topic)
@@ -320,9 +320,7 @@ def test_no_number_is_believed_that_cannot_be(
         read_trial(path)
 
 
-def test_the_step_that_is_spoilt_there_is_good_otherwise(
-    tmp_path: Path, contents: Contents
-) -> None:
+def test_the_step_that_is_spoilt_there_is_good_otherwise(tmp_path: Path, contents: RawLog) -> None:
     entry = next(entry for entry in contents.entries if entry.topic == STEP)
     new = entry._replace(data=spoilt_step().SerializeToString())
     assert read_trial(rewrite(contents, tmp_path / "trial.mcap", {entry: new})).steps
@@ -344,7 +342,7 @@ def test_names_in_a_log_are_no_paths(tmp_path: Path, log: Path, name: str) -> No
     assert left == {str(path), str(out.path)}
 
 
-def test_a_spec_in_a_log_is_only_data(tmp_path: Path, contents: Contents) -> None:
+def test_a_spec_in_a_log_is_only_data(tmp_path: Path, contents: RawLog) -> None:
     spec = b"!!python/object/apply:os.system ['touch executed']\n"
     from dataclasses import replace
 
@@ -352,7 +350,7 @@ def test_a_spec_in_a_log_is_only_data(tmp_path: Path, contents: Contents) -> Non
         replace(r, data=spec) if getattr(r, "name", "") == "spec.resolved.yaml" else r
         for r in contents.records
     ]
-    evil = Contents(contents.path, records=records, channels=contents.channels)
+    evil = RawLog(contents.path, records=records, channels=contents.channels)
     path = rewrite(evil, tmp_path / "evil.mcap", {})
     with pytest.raises(LogError, match="the record of the run cannot be read"):
         read_trial(path)

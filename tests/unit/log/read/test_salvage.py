@@ -17,7 +17,7 @@ from support.sameness import same
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.log.format.digest import CHECKSUM
-from tetractl.log.format.metadata import seal
+from tetractl.log.format.metadata import add_checksum
 from tetractl.log.read import bounds
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, scan
@@ -284,7 +284,7 @@ def _with_run(path: Path, facts: dict[str, str]) -> Path:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        writer.add_metadata("tetractl.run", seal(facts))
+        writer.add_metadata("tetractl.run", add_checksum(facts))
         writer.add_attachment(0, 0, "spec.resolved.yaml", "application/yaml", b"robots: {")
         writer.finish()
     return path

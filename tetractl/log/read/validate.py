@@ -1,8 +1,8 @@
-"""Whether decoded values can be those of a trial: each is checked here, once, before it is used.
+"""Validates decoded values: each is checked here, once, before it is used.
 
-Checksums tell that a log is as it was written, not that tetractl wrote it. Whoever reads a value
-behind these checks may compute, draw and print it. Each function raises ValueError with the first
-value that cannot be.
+A checksum shows that a log is as it was written, not that tetractl wrote it. A value that passed
+these checks can be computed with, drawn and printed. Each function raises ValueError with the first
+value that no trial can have.
 """
 
 import math
@@ -33,7 +33,7 @@ UNIX_MAX_NS = 2**63 - TIME_MAX_NS
 RATE_MAX_HZ = 1e6
 
 
-def believe_run(run: RunRecord, robots: int) -> None:
+def check_run(run: RunRecord, robots: int) -> None:
     """Check the record of a run whose resolved spec has `robots` robots."""
     if len(run.robots) != robots:
         raise ValueError(f"the run has {len(run.robots)} robots and its spec {robots}")
@@ -45,7 +45,7 @@ def believe_run(run: RunRecord, robots: int) -> None:
         raise ValueError(f"the trial starts at {_shown(run.start_unix_ns)} ns of Unix time")
 
 
-def believe_frames(poses: Floats, valid: Bools, times: NDArray[np.int64]) -> None:
+def check_frames(poses: Floats, valid: Bools, times: NDArray[np.int64]) -> None:
     """Check poses (M, N, 3), which are known where `valid` (M, N), and times and numbers."""
     _poses("a pose", poses[valid])
     if np.isinf(poses).any():
@@ -53,12 +53,12 @@ def believe_frames(poses: Floats, valid: Bools, times: NDArray[np.int64]) -> Non
     _times(times)
 
 
-def believe_truth(poses: Floats) -> None:
+def check_truth(poses: Floats) -> None:
     """Check true poses (M, N, 3), NaN where they are lost."""
     _poses("a true pose", poses[~np.isnan(poses).all(axis=2)])
 
 
-def believe_command(command: Command, robots: int) -> None:
+def check_command(command: Command, robots: int) -> None:
     """Check a command to N robots."""
     if command.direction is not None:
         _within("a direction", [command.direction], -ANGLE_MAX, ANGLE_MAX)
@@ -72,16 +72,16 @@ def believe_command(command: Command, robots: int) -> None:
             _within("a wheel's speed", wheel, -LENGTH_MAX, LENGTH_MAX)
 
 
-def believe_step(step: Step) -> None:
+def check_step(step: Step) -> None:
     """Check a control step of N robots."""
     seen, plan = step.observation, step.plan
     robots = len(seen.valid)
-    believe_frames(
+    check_frames(
         seen.poses.array()[None],
         seen.valid[None],
         np.array([seen.frame, seen.sampled_ns, seen.received_ns]),
     )
-    believe_command(step.command, robots)
+    check_command(step.command, robots)
     _counts("k", [step.k])
     _counts("a time of solving", [step.solve_ns])
     if len(plan.path) != len(plan.signals) + 1:
@@ -99,10 +99,10 @@ def believe_step(step: Step) -> None:
     _within("a cost", np.concatenate([costs, *histories]), -COST_MAX, COST_MAX)
     _counts("evaluations", (search.evaluations for search in plan.searches))
     if plan.estimate is not None:
-        _believe_estimate(plan.estimate)
+        _check_estimate(plan.estimate)
 
 
-def _believe_estimate(estimate: Estimate) -> None:
+def _check_estimate(estimate: Estimate) -> None:
     for name in ("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std"):
         values = getattr(estimate, name)
         if values is not None:
@@ -113,7 +113,7 @@ def _believe_estimate(estimate: Estimate) -> None:
             _within(f"an estimated {name}", [value], -TIME_MAX_NS / 1e9, TIME_MAX_NS / 1e9)
 
 
-def believe_note(note: Note) -> None:
+def check_note(note: Note) -> None:
     """Check a message for people."""
     _times([note.t_ns])
 
@@ -127,13 +127,13 @@ def stated_result(
     RecursionError, TypeError or ValueError for what tetractl does not write.
     """
     result = read_result(items, timing, robots)
-    believe_result(result)
+    check_result(result)
     if items["unit"] != unit:
         raise ValueError(f"its unit is {items['unit']!r}, that of the run another")
     return replace(result, reason=printable(result.reason, TEXT))
 
 
-def believe_result(result: Result) -> None:
+def check_result(result: Result) -> None:
     """Check a result; of a trial that is not complete, final poses and errors may be NaN."""
     verdict = result.verdict
     known = result.outcome.complete

@@ -21,13 +21,13 @@ from tetractl.log.format.metadata import (
     read_damage,
     read_run,
 )
-from tetractl.log.read.believe import stated_result
 from tetractl.log.read.bounds import Budget
 from tetractl.log.read.trial_log import Damage
+from tetractl.log.read.validate import stated_result
 
 
 @dataclass
-class Contents:
+class RawLog:
     """The intact records of a log file; `problems` and `lost` are empty for an undamaged file."""
 
     path: Path

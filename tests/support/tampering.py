@@ -1,0 +1,193 @@
+"""Logs tampered with in every channel, record and field, and how many of them `verify` notices.
+
+Every checksum and both digests are made to fit, as by a person who has tetractl.
+"""
+
+import json
+import random
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Attachment, Metadata
+from support.mutate import changed, other, places, rewrite
+
+from tetractl.core.errors import LogError
+from tetractl.experiment.load import parse_spec
+from tetractl.log.format.channels import CHANNELS, Entry
+from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.salvage import scan
+from tetractl.replay.verify import verify
+from tetractl.run.batch import log_path, run_trial
+from tetractl.run.interrupt import Interrupt
+
+SIM = """
+name: tampered
+arena: {left: 0, bottom: 0, width: 1000, height: 1000}
+robots:
+  - {name: one, start: [100, 500], target: [300, 450], a: 6, speed: 200}
+  - {name: two, start: [100, 300], target: [300, 350], a: 3, speed: 150}
+obstacles: [{type: circle, center: [250, 400], radius: 20}]
+wheels: {radius: 40}
+controller:
+  {horizon_max: 6, steps_max: 5, estimate: true, motion: exact,
+   optimizer: {particles: 6, iterations: 14}}
+plant:
+  {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_noise: 0.1,
+   lost_commands: 0.3}
+trials: {count: 3, seed: 7}
+"""
+
+Record = Entry | Metadata | Attachment
+OWN = (CHECKSUM, DIGEST, HOST_DIGEST)
+
+
+@dataclass(frozen=True)
+class Tampering:
+    """A log's records with one thing changed: `channel` is where, `what` the field or deed."""
+
+    channel: str
+    what: str
+    index: int  # of the record
+    records: tuple[Record, ...]  # in the place of that one
+
+
+def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
+    """Run one small disturbed simulation; return its log."""
+    run_trial(parse_spec(SIM, "tampered.yaml", list(sets)), folder, 1, (), Interrupt())
+    return log_path(folder, 1)
+
+
+def lab_log(folder: Path) -> Path:
+    """Run one trial of the emulated lab in virtual time; return its log."""
+    from support.bench_agreement import LAB
+    from support.virtual_lab import virtual_lab
+
+    from tetractl.control.build import build_controller
+    from tetractl.core.commands import PlantInfo
+    from tetractl.experiment.load import load_spec, start_of
+    from tetractl.experiment.plants import on_plant
+    from tetractl.lab.emulate.m3pi.side import M3piSettings
+    from tetractl.log.write.writer import LogWriter
+    from tetractl.run.seeds import trial_seeds
+    from tetractl.run.trial import Trial
+
+    loaded = load_spec(LAB, ["controller.steps_max=8", "controller.horizon_max=8"])
+    spec, experiment, path = on_plant(loaded, "lab"), loaded.experiment, log_path(folder, 0)
+    key, _ = trial_seeds(experiment.trials.seed, 0)
+    settings = M3piSettings.model_validate({"loss": 0.3})
+    lab = virtual_lab(experiment, settings, experiment.setup.starts.array(), int(key % 2**31))
+    with LogWriter(path) as writer:
+        Trial(
+            start=start_of(spec, 0, PlantInfo("", False, 0.0, {}), 1_790_000_000_123_456_789),
+            plant=lab.plant,
+            controller=build_controller(experiment, key),
+            first_plan=experiment.controller.first_plan,
+            clock=lab.clock,
+            observers=[writer],
+            interrupt=Interrupt(),
+        ).run()
+    return path
+
+
+def tamperings(log: RawLog, count: int, seed: int = 1) -> Iterator[Tampering]:
+    """Yield up to `count` changes of each field of each channel, and of each key and attachment."""
+    rng, by_kind = random.Random(seed), dict[tuple[str, str], list[tuple[int, Any]]]()
+    for index, record in enumerate(log.records):
+        for what, how in _deeds(record):
+            name = record.topic if isinstance(record, Entry) else record.name
+            by_kind.setdefault((name, what), []).append((index, how))
+    for (name, what), found in by_kind.items():
+        for index, how in rng.sample(found, min(count, len(found))):
+            yield Tampering(name, what, index, _done(log.records[index], what, how))
+
+
+def _deeds(record: Record) -> Iterator[tuple[str, Any]]:
+    if isinstance(record, Entry):
+        yield from (("-", None), ("x2", None), ("log time", None), ("publish time", None))
+        yield "bytes", None
+        for place in places(CHANNELS[record.topic].FromString(record.data)):
+            yield ".".join(part for part in place if isinstance(part, str)), place
+    elif isinstance(record, Metadata):
+        yield from ((key, key) for key in record.metadata if key not in OWN)
+    else:
+        yield from (("-", None), ("text", None))
+
+
+def _done(record: Record, what: str, how: Any) -> tuple[Record, ...]:
+    """Return what stands in the place of a record after a deed: "-" leaves it out."""
+    if what in ("-", "x2"):
+        return () if what == "-" else (record, record)
+    if isinstance(record, Metadata):
+        text = record.metadata[how]
+        return (replace(record, metadata=record.metadata | {how: _other_text(text)}),)
+    if isinstance(record, Attachment):
+        return (replace(record, data=record.data + b"\n# tampered\n"),)
+    if what == "log time":
+        return (record._replace(log_ns=record.log_ns + 1),)
+    if what == "publish time":
+        return (record._replace(publish_ns=record.publish_ns - 1),)
+    if what == "bytes":  # a field that no schema has
+        return (record._replace(data=record.data + b"\xf8\x3e\x01"),)
+    message = changed(CHANNELS[record.topic].FromString(record.data), how)
+    return (record._replace(data=message.SerializeToString()),)
+
+
+def _other_text(text: str) -> str:
+    """Return a value like that of a metadata item, but another."""
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return f"{text}x"
+    if isinstance(value, list) and value:
+        first = value[0]
+        value[0] = f"{first}x" if isinstance(first, str) else other(first)
+        return json.dumps(value)
+    return repr(other(value)) if isinstance(value, int | float) else f"{text}x"
+
+
+def noticed(log: RawLog, tampering: Tampering, path: Path) -> bool:
+    """Write the tampered log to `path`, return whether `verify` fails on it, and remove it."""
+    at = tampering.index
+    records = [*log.records[:at], *tampering.records, *log.records[at + 1 :]]
+    rewrite(RawLog(log.path, records=records, channels=log.channels), path, {})
+    try:
+        return not verify(path).ok
+    except LogError:
+        return True
+    finally:
+        path.unlink()
+
+
+def score(path: Path, count: int) -> tuple[Counter[tuple[str, str]], Counter[tuple[str, str]]]:
+    """Return how many changes of each (channel, field) were noticed, and how many there were."""
+    log, seen, tried = scan(path), Counter[tuple[str, str]](), Counter[tuple[str, str]]()
+    with tempfile.TemporaryDirectory() as folder:
+        for number, one in enumerate(tamperings(log, count)):
+            kind = (one.channel, one.what)
+            tried[kind] += 1
+            seen[kind] += noticed(log, one, Path(folder) / f"{number}.mcap")
+    return seen, tried
+
+
+def print_table(folder: Path, count: int) -> None:
+    """Print, as Markdown, how many of `count` changes of each field are noticed, by channel."""
+    for name, made in (("simulation", sim_log), ("emulated lab", lab_log)):
+        place = folder / name
+        place.mkdir()
+        seen, tried = score(made(place), count)
+        print(f"\n| {name} | noticed | missed, by field |\n|---|---|---|")
+        for channel in dict.fromkeys(channel for channel, _ in tried):
+            kinds = [kind for kind in tried if kind[0] == channel]
+            missed = [
+                f"{kind[1]} {tried[kind] - seen[kind]} of {tried[kind]}"
+                for kind in kinds
+                if seen[kind] < tried[kind]
+            ]
+            total = (sum(seen[k] for k in kinds), sum(tried[k] for k in kinds))
+            print(f"| {channel} | {total[0]} of {total[1]} | {', '.join(missed)} |")
+        print(f"| all | {seen.total()} of {tried.total()} | |", flush=True)

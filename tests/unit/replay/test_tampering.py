@@ -1,0 +1,45 @@
+"""What `verify` notices of a log tampered with in any channel, record or field."""
+
+from pathlib import Path
+
+import pytest
+from support.tampering import lab_log, score, sim_log
+
+from tetractl.log.format import channels
+from tetractl.replay.verify import verify
+
+STATED_ONCE = {
+    (channels.RUN, "spec_name"),
+    (channels.SPEC, "text"),
+    (channels.ENVIRONMENT, "text"),
+    (channels.TIMING, "ended"),
+}
+"""What nothing else in a log repeats, beside the record of the host."""
+
+ONLY_THE_LAB_KNOWS = {
+    (channels.RUN, None),  # the facts of its devices
+    (channels.COMMANDS, None),  # those between two control steps
+    (channels.RESULT, "clearance"),  # to a millionth: from other frames than are logged
+    (channels.RESULT, "edge"),
+    (channels.RESULT, "apart"),
+    (channels.RESULT, "duration_s"),
+}
+
+
+def missed(path: Path) -> set[tuple[str, str]]:
+    assert verify(path).problems == ()
+    seen, tried = score(path, 1)
+    assert {channel for channel, _ in tried} >= set(channels.CHANNELS) - {channels.TRUTH}
+    return {
+        kind for kind in tried if seen[kind] < tried[kind] and kind[0] != channels.HOST
+    } - STATED_ONCE
+
+
+def test_a_simulation_is_noticed_to_be_tampered_with_anywhere(tmp_path: Path) -> None:
+    assert missed(sim_log(tmp_path)) == set()
+
+
+@pytest.mark.slow
+def test_of_a_lab_only_what_it_alone_knows_can_be_changed(tmp_path: Path) -> None:
+    found = missed(lab_log(tmp_path))
+    assert {kind for kind in found if not {kind, (kind[0], None)} & ONLY_THE_LAB_KNOWS} == set()

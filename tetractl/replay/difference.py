@@ -1,0 +1,178 @@
+"""The first value in which two records differ: of two trials, two plans or two messages."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from google.protobuf.message import Message
+from numpy.typing import NDArray
+
+from tetractl.core.trial import TrialRecords
+
+COORDINATES = ("x", "y", "heading")
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first thing that does not come out as logged: in step `step`, None for the trial."""
+
+    step: int | None
+    field: str
+    message: str
+
+    def __str__(self) -> str:
+        where = "trial" if self.step is None else f"step {self.step}"
+        return f"{where}: {self.field}: {self.message}"
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How far two numbers may differ: |ours - logged| <= relative * larger + absolute.
+
+    `larger` is the larger of both magnitudes. Without a tolerance two numbers must have the same
+    bits, or both be NaN. Integers, texts and truth values must always be equal.
+    """
+
+    relative: float = 0.0
+    absolute: float = 0.0
+
+    def differs(self, ours: NDArray[Any], logged: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return where two arrays of one shape differ."""
+        if ours.dtype != np.float64 or logged.dtype != np.float64:
+            return np.asarray(ours != logged)
+        with np.errstate(invalid="ignore"):  # inf - inf
+            if self.relative or self.absolute:
+                larger = np.maximum(np.abs(ours), np.abs(logged))
+                near = np.abs(ours - logged) <= self.relative * larger + self.absolute
+                return ~(near | (ours == logged) | (np.isnan(ours) & np.isnan(logged)))
+        bits = [np.ascontiguousarray(one).view(np.uint64) for one in (ours, logged)]
+        return (bits[0] != bits[1]).reshape(ours.shape) & ~(np.isnan(ours) & np.isnan(logged))
+
+
+EXACT = Tolerance()
+
+
+def first_difference(
+    ours: Any, logged: Any, tolerance: Tolerance = EXACT, name: str = ""
+) -> tuple[str, str] | None:
+    """Return (field, what differs) of two records of one type, None for no difference.
+
+    A record is a dataclass, a protobuf message, a mapping, a sequence, an array, or a value. The
+    field is a path such as "searches.1.history.3", below `name`.
+    """
+    return next(_differences(ours, logged, tolerance, name), None)
+
+
+def _differences(
+    ours: Any, logged: Any, tolerance: Tolerance, name: str
+) -> Iterator[tuple[str, str]]:
+    if ours is logged:
+        return
+    if ours is None or logged is None:
+        stated, found = ("nothing" if one is None else "a value" for one in (logged, ours))
+        yield name, f"logged {stated}, computed {found}"
+    elif isinstance(ours, np.ndarray):
+        yield from _array_difference(ours, logged, tolerance, name)
+    elif isinstance(ours, float):
+        if tolerance.differs(np.array(ours), np.array(float(logged))).any():
+            yield name, f"logged {logged!r}, computed {ours!r}"
+    elif isinstance(ours, str | bytes | int | np.generic):
+        if ours != logged:
+            yield name, f"logged {logged!r}, computed {ours!r}"
+    elif isinstance(ours, Sequence):
+        if len(ours) != len(logged):
+            yield name, f"logged {len(logged)}, computed {len(ours)}"
+        for i, (one, two) in enumerate(zip(ours, logged, strict=False)):
+            yield from _differences(one, two, tolerance, _path(name, i))
+    else:
+        one, two = _items(ours), _items(logged)
+        for key in (*one, *(two.keys() - one.keys())):
+            yield from _differences(one.get(key), two.get(key), tolerance, _path(name, key))
+
+
+def _items(record: Any) -> Mapping[str, Any]:
+    """Return the parts of a record by name."""
+    if is_dataclass(record):
+        return {field.name: getattr(record, field.name) for field in fields(record)}
+    if isinstance(record, Message):
+        return {field.name: value for field, value in record.ListFields()}
+    return record
+
+
+def _array_difference(
+    ours: NDArray[Any], logged: NDArray[Any], tolerance: Tolerance, name: str
+) -> Iterator[tuple[str, str]]:
+    if ours.shape != logged.shape:
+        yield name, f"logged shape {logged.shape}, computed {ours.shape}"
+        return
+    wrong = tolerance.differs(ours, logged)
+    if wrong.any():
+        at = tuple(int(i) for i in np.argwhere(wrong)[0])
+        text = f"logged {logged[at].item()!r}, computed {ours[at].item()!r}"
+        yield ".".join(map(str, (name, *at))) if name else ".".join(map(str, at)), text
+
+
+def trial_difference(
+    ours: TrialRecords, logged: TrialRecords, tolerance: Tolerance = EXACT
+) -> Difference | None:
+    """Return the first difference of two trials but for the times of solving, None for none.
+
+    What both have of commands, frames and steps is compared before how many they have.
+    """
+    counts = [(len(one.commands), len(one.frames), len(one.steps)) for one in (ours, logged)]
+    common = tuple(map(min, *counts))
+    found = first_difference(_parts(ours, common), _parts(logged, common), tolerance)
+    if found is None:
+        return None
+    name, *place = found[0].split(".")
+    if name in ("mocap", "truth", "valid") and place:  # the frame's number, not its row
+        place[0] = str(logged.frames[int(place[0])])
+        place[2:] = [COORDINATES[int(axis)] for axis in place[2:]]
+    if name == "steps" and len(place) > 1:
+        return Difference(logged.steps[int(place[0])].k, ".".join(place[1:]), found[1])
+    return Difference(None, ".".join((name, *place)), found[1])
+
+
+def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
+    """Return what of a trial is compared, in that order, with so many commands, frames, steps."""
+    commands, frames, steps = common
+    result = trial.result
+    return {
+        "run": {"plant": trial.start.plant},
+        "commands": trial.commands[:commands],
+        "frames": trial.frames[:frames],
+        "mocap_ns": trial.mocap_ns[:frames],
+        "received_ns": trial.received_ns[:frames],
+        "valid": trial.valid[:frames],
+        "mocap": trial.mocap[:frames],
+        "truth": None if trial.truth is None else trial.truth[:frames],
+        "steps": [
+            {"k": step.k, "observation": step.observation, **_items(step.plan)}
+            for step in trial.steps[:steps]
+        ],
+        "count": {
+            "commands": len(trial.commands),
+            "frames": len(trial.frames),
+            "steps": len(trial.steps),
+        },
+        "notes": trial.notes,
+        "result": result
+        and {
+            "outcome": result.outcome,
+            "reason": result.reason,
+            "final": result.verdict.final,
+            "entered": result.verdict.entered,
+            "clearance": result.verdict.clearance,
+            "edge": result.verdict.edge,
+            "apart": result.verdict.apart,
+            "duration_s": result.duration_s,
+            "total_error": result.total_error,
+            "robot_errors": result.robot_errors,
+            "steps": result.steps,
+        },
+    }
+
+
+def _path(name: str, part: object) -> str:
+    return f"{name}.{part}" if name else str(part)

@@ -55,7 +55,7 @@ def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path,
         assert lines[-1] == "interrupted; go on with the same command and --out logs --resume"
 
 
-@pytest.mark.parametrize("module", ["typer", "pydantic", "numba", "tetractl.run.batch"])
+@pytest.mark.parametrize("module", ["typer", "pydantic", "numba", "tetractl.run.task"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_during_an_import_is_one_line(tmp_path, module, number):
     (tmp_path / "spec.yaml").write_text(QUICK)

@@ -183,32 +183,33 @@ def test_lab_options_of_run_are_checked(tmp_path):
 
 
 def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
-    """Regression: `run --from LABLOG </dev/null` set robots moving, as did `run --plant lab`."""
+    """Regression: `rerun LABLOG </dev/null` set robots moving, as did `run --plant lab`."""
     emulator, settings = lab("", "--replace-after", "0.5")
     sets = flags((*settings, "controller.steps_max=2", "lab.limits.placing=30"))
 
-    def run(*words):
-        done = tetractl(tmp_path, "run", *words)
+    def said(*words):
+        done = tetractl(tmp_path, *words)
         assert emulator.runs() == started
         return done
 
     started = 0
-    refused = run(str(SPEC), "--plant", "lab", "--out", "first", *sets)
+    refused = said("run", str(SPEC), "--plant", "lab", "--out", "first", *sets)
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "error: robots would move" in refused.stderr
     assert not (tmp_path / "first").exists()
     started = 1
-    assert run(str(SPEC), "--plant", "lab", "--yes", "--out", "first", *sets).returncode == 0
+    moved = said("run", str(SPEC), "--plant", "lab", "--yes", "--out", "first", *sets)
+    assert moved.returncode == 0
 
-    log = ("--from", "first/trial-000.mcap", "--out")
-    again = run(*log, "simulated")
+    again_from = ("rerun", "first/trial-000.mcap", "--out")
+    again = said(*again_from, "simulated")
     assert again.returncode == 0, again.stderr
     assert "the log is of the lab, the new one simulated" in again.stderr
     assert read_trial(tmp_path / "simulated" / "trial-000.mcap").start.plant.simulated
-    refused = run(*log, "lab", "--plant", "lab")
+    refused = said(*again_from, "lab", "--plant", "lab")
     assert (refused.returncode, refused.stdout) == (2, "")
     started = 2
-    again = run(*log, "lab", "--plant", "lab", "--yes")
+    again = said(*again_from, "lab", "--plant", "lab", "--yes")
     assert again.returncode == 0, again.stderr
     assert "the log is of the lab, the new one of the lab" in again.stderr
 

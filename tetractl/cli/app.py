@@ -23,6 +23,7 @@ from tetractl.cli import (
     recover,
     replay,
     report,
+    rerun,
     run,
     schema,
     stats,
@@ -62,6 +63,7 @@ def _root(
 
 app.command("init")(init.init)
 app.command("run")(run.run)
+app.command("rerun")(rerun.rerun)
 app.command("validate")(validate.validate)
 app.command("schema")(schema.schema)
 app.command("kinds")(kinds.kinds)

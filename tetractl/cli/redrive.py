@@ -19,7 +19,7 @@ def redrive(log: Path, plant: str, out: Path | None, picture: Path | None, yes: 
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
     from tetractl.replay.rerun import recorded
-    from tetractl.run.folder import default_folder
+    from tetractl.run.store import default_folder
     from tetractl.view.style import file_format
     from tetractl.view.terminal.damage import warn_of_damage
 

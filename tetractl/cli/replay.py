@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli.caution import Yes
-from tetractl.cli.run import PlantChoice
 from tetractl.cli.serving import Port, Serve, play_served, served_replay, wanted_port
+from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:

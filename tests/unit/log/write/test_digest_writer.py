@@ -6,8 +6,8 @@ from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.trial_digest import trial_digest
 from tetractl.log.write.digest_writer import DigestWriter
 from tetractl.log.write.writer import LogWriter
-from tetractl.run.batch import log_path, run_with
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_with
 
 
 @pytest.mark.slow

@@ -11,10 +11,7 @@ from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from contextlib import AbstractContextManager
 
-    from tetractl.run.executors import Executor
-    from tetractl.run.interrupt import Interrupt
     from tetractl.run.task import Task
     from tetractl.study.load import LoadedStudy
     from tetractl.study.options import Shard
@@ -124,13 +121,15 @@ def _run(
     quiet: bool,
 ) -> bool:
     """Run trials; return whether a signal stopped them."""
-    from contextlib import suppress
+    from contextlib import nullcontext, suppress
 
     from rich.console import Console
 
     from tetractl.cli.streams import hurrier
     from tetractl.control.build import warm_up
     from tetractl.run.batch import run_batch
+    from tetractl.run.cluster import Cluster
+    from tetractl.run.executors import on_this_machine
     from tetractl.run.interrupt import Interrupt, leave_on_signals
     from tetractl.view.terminal.progress import StudyProgress
 
@@ -140,8 +139,10 @@ def _run(
         for arm in named.values():
             with suppress(TetractlError):  # its trials say so themselves
                 warm_up(arm.spec.experiment, lambda text: console.print(text, highlight=False))
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    here = on_this_machine(jobs or available or 1, len(tasks), interrupt)
     leave_on_signals(Exit.INTERRUPTED)
-    with _executor(cluster, jobs, len(tasks), interrupt) as executor:
+    with Cluster(cluster, interrupt) if cluster is not None else nullcontext(here) as executor:
         if not quiet:
             arms, count = len(loaded.arms), loaded.study.trials.count
             print(
@@ -152,22 +153,6 @@ def _run(
         with interrupt.watch(), StudyProgress(console, len(tasks), quiet) as progress:
             run_batch(tasks, store, executor, progress, fail_fast)
     return interrupt.requested
-
-
-def _executor(
-    cluster: str | None, jobs: int | None, tasks: int, interrupt: "Interrupt"
-) -> "AbstractContextManager[Executor]":
-    """Return what runs the trials: a Dask cluster, or this machine's processors."""
-    from contextlib import nullcontext
-
-    if cluster is not None:
-        from tetractl.run.cluster import Cluster
-
-        return Cluster(cluster, interrupt)
-    from tetractl.run.executors import on_this_machine
-
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return nullcontext(on_this_machine(jobs or available or 1, tasks, interrupt))
 
 
 def _conclude(

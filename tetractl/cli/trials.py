@@ -90,7 +90,8 @@ def run_command(
     folder = out or default_folder(experiment.name, datetime.now(UTC))
     store = LogStore(folder, experiment)
     if dry_run:
-        _describe(loaded, folder, store.lacking(resume) if only is None else [only])
+        todo = store.lacking(resume)
+        _describe(loaded, folder, todo if only is None else [only])
         return Exit.DONE, folder
     if in_lab:
         need_consent(yes)

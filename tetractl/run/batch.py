@@ -16,8 +16,8 @@ from tetractl.run.task import Finished, OtherCodeError, Task
 class TrialStore(Protocol):
     """Where trials leave logs and records: the `LogStore` of a batch, the `Store` of a study."""
 
-    def place(self, task: Task) -> Path:
-        """Return the folder for the log of a task, earlier logs of its trial set aside."""
+    def place(self, arm: str, trial: int) -> Path:
+        """Return the folder for the log of a trial, earlier logs of it set aside."""
         ...
 
     def add(self, task: Task, finished: Finished) -> None:
@@ -88,7 +88,7 @@ def run_batch(
 
     def ready(task: Task) -> Path:
         observer.trial_started(task)
-        return store.place(task)
+        return store.place(*task.key)
 
     with closing(executor.run(tasks, ready)) as ended:
         for task, found in ended:

@@ -83,9 +83,9 @@ class LogStore:
             )
         return found.outcome.complete and not found.recovered
 
-    def place(self, task: Task) -> Path:
+    def place(self, arm: str, trial: int) -> Path:
         """Return the folder, unfinished logs of the trial set aside."""
-        set_aside(self.folder, task.trial)
+        set_aside(self.folder, trial)
         return self.folder
 
     def add(self, task: Task, finished: Finished) -> None:

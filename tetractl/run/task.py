@@ -4,7 +4,7 @@ import pickle
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -99,40 +99,24 @@ def run_task(
     from an outcome, such as a camera that does not answer. A log that is kept because of a failure
     is written by running the trial again: it repeats.
     """
-    spec = _loaded(task.spec, task.code)
-    again = task.log_if_failed and not task.log
-    try:
-        finished = _run(task, spec, folder, interrupt, task.log, observers, operators)
-    except Exception:
-        if again:
-            _run(task, spec, folder, interrupt, True)
-        raise
-    if again and finished.result.outcome is Outcome.ABORTED:
-        return _run(task, spec, folder, interrupt, True)
-    return finished
-
-
-def _run(
-    task: Task,
-    spec: LoadedSpec,
-    folder: Path,
-    interrupt: Interrupt,
-    logged: bool,
-    observers: Sequence[Observer] = (),
-    operators: Operators | None = None,
-) -> Finished:
-    digest = DigestWriter() if task.digest else None
+    if task.log_if_failed and not task.log:
+        with suppress(Exception):  # it comes again
+            finished = run_task(replace(task, log_if_failed=False), folder, interrupt)
+            if finished.result.outcome is not Outcome.ABORTED:
+                return finished
+        task = replace(task, log=True)
+    spec, digest = _loaded(task.spec, task.code), DigestWriter() if task.digest else None
     with ExitStack() as stack:
-        log = stack.enter_context(_log(spec, folder, task.trial)) if logged else None
+        log = stack.enter_context(_log(spec, folder, task.trial)) if task.log else None
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         writers = [writer for writer in (log, digest) if writer]
         result = run_with(writers, spec, task.trial, observers, interrupt, operators)
         wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
     if digest is None:
-        return Finished(result, logged, wall_s, cpu_s)
-    if log and log.failure:  # its digest would be that of another outcome
+        return Finished(result, task.log, wall_s, cpu_s)
+    if log and log.failure:  # the digest would be that of another outcome
         raise log.failure
-    return Finished(result, logged, wall_s, cpu_s, digest.trial_digest, digest.warnings)
+    return Finished(result, task.log, wall_s, cpu_s, digest.trial_digest, digest.warnings)
 
 
 @lru_cache(maxsize=64)

@@ -25,7 +25,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     path = log_path(store.arm_folder(arm), row.trial)
     if row.logged and path.exists():
         raise UsageError(f"{path}: has its log", f"check it with: tetractl verify {path}")
-    folder = store.clear(arm, row.trial)
+    folder = store.place(arm.name, row.trial)
     with interrupted_once():
         result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())
     digest = trial_digest(read_trial(path))

@@ -1,7 +1,7 @@
 """The folder of a study: a folder for each arm, with the rows of its trials and the logs kept."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
@@ -48,24 +48,15 @@ class Store:
         folder = self.folder / arm.name
         if arm.name not in self._placed:
             make_folder(folder)
-            text, path = resolved_yaml(arm.spec.experiment).encode(), folder / SPEC
-            before = None
-            with suppress(OSError):
-                before = path.read_bytes()
-            if before != text:
-                save_whole(path, text)
+            save_whole(folder / SPEC, resolved_yaml(arm.spec.experiment).encode())
             self._placed.add(arm.name)
         return folder
 
-    def clear(self, arm: Arm, trial: int) -> Path:
+    def place(self, arm: str, trial: int) -> Path:
         """Return the folder of an arm, logs of a trial that is to be run set aside."""
-        folder = self.arm_folder(arm)
+        folder = self.arm_folder(self._arms[arm])
         set_aside(folder, trial)
         return folder
-
-    def place(self, task: Task) -> Path:
-        """Return the folder of a task's arm, earlier logs of its trial set aside."""
-        return self.clear(self._arms[task.arm], task.trial)
 
     def add(self, task: Task, finished: Finished) -> None:
         """Add the row of a trial; an interrupted one leaves neither row nor log."""
@@ -86,10 +77,8 @@ class Store:
             digest=None,
             warnings=finished.warnings,
         )
-        took_s = finished.wall_s, finished.cpu_s
-        self.add_row(
-            arm, Row.of(summary, arm.hash, arm.code, finished.digest, finished.logged, took_s)
-        )
+        digest, logged, took_s = finished.digest, finished.logged, (finished.wall_s, finished.cpu_s)
+        self.add_row(arm, Row.of(summary, arm.hash, arm.code, digest, logged, took_s))
 
     def add_row(self, arm: Arm, row: Row) -> None:
         """Add a row, in memory and on disk."""
@@ -132,7 +121,7 @@ class Store:
                 return False
         if row.logged:
             source = log_path(folder / arm.name, row.trial)
-            keep_log(log_path(self.clear(arm, row.trial), row.trial), source)
+            keep_log(log_path(self.place(arm.name, row.trial), row.trial), source)
         self.add_row(arm, row)
         return True
 

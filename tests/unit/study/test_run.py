@@ -11,6 +11,7 @@ from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.trial_digest import trial_digest
 from tetractl.run import task
 from tetractl.run.executors import Here
+from tetractl.run.folder_lock import locked
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import OtherCodeError, log_path, run_trial
 from tetractl.study.options import Logs, Shard
@@ -87,6 +88,14 @@ def test_a_study_of_another_spec_is_not_mixed_in(tmp_path):
         run(tmp_path, SMALL.replace("seed: 7", "seed: 8"))
 
 
+def test_a_folder_in_use_is_refused(tmp_path):
+    """What the lock does among processes is tested in run/test_folder_lock.py."""
+    ran = run(tmp_path, SMALL)
+    refused = pytest.raises(UsageError, match="out: in use by process")
+    with locked(tmp_path / "out"), refused, ran.store.opened():
+        pass
+
+
 def test_more_trials_and_values_are_added_to_those_there_are(tmp_path):
     run(tmp_path, SMALL)
     more = SMALL.replace("count: 3", "count: 4").replace("[0, 0.1]", "[0, 0.05, 0.1]")
@@ -119,11 +128,6 @@ def test_a_failed_trial_has_a_row_and_is_told(tmp_path):
         if row.logged:
             assert logged(log_path(tmp_path / "out" / arm, trial)) == row.trial_digest
     assert ran.counts == (8, 0, 0)
-
-
-def test_fail_fast_stops_at_the_first_failure(tmp_path):
-    ran = run(tmp_path, FAILING, fail_fast=True)
-    assert ran.counts == (1, 0, 7)
 
 
 def test_a_trial_without_an_outcome_has_no_row_and_is_run_again_the_next_time(

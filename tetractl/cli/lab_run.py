@@ -1,4 +1,4 @@
-"""What `tetractl run` adds in the lab: the operator's stop, placing robots, recording the wire."""
+"""What a run adds in the lab: the operator's stop, placing the robots, recording the wire."""
 
 import gc
 import threading
@@ -33,7 +33,7 @@ def run_in_lab(
 ) -> "Report":
     """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time.
 
-    A person at the terminal starts each trial, but not where `yes`.
+    A person at the terminal starts each trial, unless `yes`.
     """
     from rich.console import Console
 

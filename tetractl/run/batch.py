@@ -21,7 +21,7 @@ class TrialStore(Protocol):
         ...
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Keep what is to be kept of a trial beside its log."""
+        """Record how a trial finished, if its log does not say so already."""
         ...
 
 
@@ -29,7 +29,7 @@ class TrialStore(Protocol):
 class Ending:
     """How a trial ended, and the time [s] that those left take, as far as earlier ones show.
 
-    `result` is None where something kept the trial from an outcome; `failure` says in one line why
+    `result` is None if something kept the trial from an outcome; `failure` says in one line why
     it was aborted or has no result.
     """
 

@@ -16,8 +16,8 @@ from tetractl.run.store import save_whole
 from tetractl.run.task import Finished, Task, log_path, run_task
 
 CONNECT_S = 10.0
-LOOK_S = 0.1  # how often an interruption is looked for
-COUNT_S = 1.0  # how often workers are counted: some come, some are lost
+LOOK_S = 0.1  # between two checks for an interruption
+COUNT_S = 1.0  # between two counts of the workers: some come, some are lost
 AHEAD = 2  # tasks handed out for each thread of a worker, so that none waits for the next
 FEWEST = 8  # the same while no worker has come yet
 
@@ -28,7 +28,7 @@ class Cluster:
     A trial whose worker is lost is given to another by the scheduler, three times at most. Logs
     come back with the results, so that workers need no folder in common.
 
-    Raises UsageError where distributed is not installed or no scheduler answers.
+    Raises UsageError if distributed is not installed or no scheduler answers.
     """
 
     def __init__(self, address: str, interrupt: Interrupt) -> None:
@@ -108,7 +108,7 @@ class Cluster:
         return self._ended or self._interrupt.requested
 
     def _found(self, task: Task, folder: Path, future: Any) -> Finished | Exception:
-        """Return what became of a task, its log saved."""
+        """Save the log of a task; return how it finished, or what kept it from an outcome."""
         from distributed import KilledWorker
 
         if future.status == "cancelled":

@@ -32,7 +32,7 @@ Ready = Callable[[Task], Path]
 """Is called in this process before a task is handed out; returns the folder for its log."""
 
 InLab = Callable[[int], AbstractContextManager[Operators | None]]
-"""Returns what a trial in the lab needs of people and files, by the trial's number."""
+"""Returns the operators of a trial in the lab, for as long as it runs, by the trial's number."""
 
 
 class Executor(Protocol):
@@ -201,7 +201,7 @@ class _SharedInterrupt(Interrupt):
         self._break()
 
 
-_interrupt: Interrupt = Interrupt()  # of this process, where it is a worker
+_interrupt: Interrupt = Interrupt()  # of this process, if it is a worker
 
 
 def _start_worker(ending: Event) -> None:

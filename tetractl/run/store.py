@@ -21,7 +21,7 @@ def default_folder(name: str, now: datetime) -> Path:
 
 
 def make_folder(folder: Path) -> None:
-    """Create the folder; LogError where the file system refuses."""
+    """Create the folder; LogError if the file system refuses."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -89,7 +89,7 @@ class LogStore:
         return self.folder
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Keep nothing: the log says it all."""
+        """Do nothing: the log says it all."""
 
 
 def set_aside(folder: Path, trial: int) -> None:
@@ -120,7 +120,7 @@ def _is_log(path: Path) -> bool:
 
 
 def save_whole(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all; LogError where it cannot be written."""
+    """Write a file whole or not at all; LogError if it cannot be written."""
     part = path.with_name(path.name + ".part")
     try:
         part.write_bytes(data)

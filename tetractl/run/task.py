@@ -3,7 +3,7 @@
 import pickle
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -167,7 +167,7 @@ def run_with(
     key, seed = trial_seeds(experiment.trials.seed, trial)
     with ExitStack() as stack:
         if real_time:
-            observers = [stack.enter_context(Relay(observer)) for observer in observers]
+            observers = [stack.enter_context(closing(Relay(observer))) for observer in observers]
         return Trial(
             start=start_of(spec, trial, PlantInfo("", plant.simulated, 0.0, {}), start_unix_ns),
             plant=plant.build(experiment.setup, clock, seed, operators or Operators()),

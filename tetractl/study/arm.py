@@ -20,7 +20,7 @@ class Arm:
     """
 
     name: str  # of its folder
-    controller: str  # "" where the study names none
+    controller: str  # "" if the study names none
     values: Mapping[str, Any]
     sets: tuple[str, ...]  # as `--set` takes them, after the base
     spec: LoadedSpec

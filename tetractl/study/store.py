@@ -34,7 +34,7 @@ class Store:
     def opened(self) -> Iterator[None]:
         """Make the folder, lock it, and read what is in it.
 
-        Raises UsageError where another run has the lock, or rows are of another study.
+        Raises UsageError if another run has the lock, or rows are of another study.
         """
         with made_and_locked(self.folder):
             for arm in self._arms.values():
@@ -130,7 +130,7 @@ def read_rows(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
     """Return the rows of an arm by trial; lines that are none are passed over.
 
     With `mend` the file is cut after its last whole line. Raises UsageError for rows of another
-    spec, LogError where the file cannot be read.
+    spec, LogError if the file cannot be read.
     """
     path = folder / arm.name / ROWS
     try:
@@ -159,7 +159,7 @@ def read_rows(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
 
 
 def keep_log(path: Path, source: Path) -> None:
-    """Give a log a second name, or copy it where that cannot be; LogError where neither can."""
+    """Give a log a second name, or copy it; LogError if neither is possible."""
     try:
         path.hardlink_to(source)
     except OSError:

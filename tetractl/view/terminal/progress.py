@@ -10,7 +10,7 @@ from tetractl.core.trial import Result
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 
-LINES = 10  # that a study prints on its way, where there is no terminal
+LINES = 10  # of progress that a study prints without a terminal
 FIRST = 3  # trials that the expected duration of a study is computed from
 
 

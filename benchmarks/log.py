@@ -58,9 +58,9 @@ from tetractl.log.read.salvage import scan  # noqa: E402
 from tetractl.log.write import sink  # noqa: E402
 from tetractl.log.write.writer import LogWriter  # noqa: E402
 from tetractl.replay.verify import Method, verify  # noqa: E402
-from tetractl.run.batch import log_path, run_trial  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.seeds import trial_seeds  # noqa: E402
+from tetractl.run.task import log_path, run_trial  # noqa: E402
 from tetractl.run.trial import Trial  # noqa: E402
 
 SMALL = """
@@ -204,15 +204,15 @@ def cost(folder: Path, scale: float) -> None:
             if messages:
                 self.ns.append((time.perf_counter_ns() - before) / messages)
 
-    from tetractl.run import batch
+    from tetractl.run import task
 
-    batch.LogWriter = Timed
+    task.LogWriter = Timed
     run_trial(spec, folder, 0, (), Interrupt())
     p50, p99 = np.percentile(Timed.ns, [50, 99]) / 1e3
     print(
         f"a message costs who logs it {p50:.1f} us (p50), {p99:.1f} us (p99), written by a thread"
     )
-    batch.LogWriter = LogWriter
+    task.LogWriter = LogWriter
     print("\n| loop at 25 Hz, without planning | steps | p50 [ms] | p99 [ms] | max [ms] |")
     print("|---|---|---|---|---|")
     for name in ("no log", "log", "log on a disk that takes 0.5 s a sync"):

@@ -14,11 +14,12 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+from tetractl.run.batch import Ending, run_batch
+from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import Task
 from tetractl.study.load import load_study
-from tetractl.study.local import Local
-from tetractl.study.options import Logs, Shard
-from tetractl.study.run import planned, run_study
+from tetractl.study.options import Logs, Shard, lacking
 from tetractl.study.store import Store
 
 ROOT = Path(__file__).parents[1]
@@ -31,21 +32,19 @@ CASES = {
 
 
 class Clocked:
-    """A `StudyObserver` that notes when trials end [s]."""
+    """A `RunObserver` that notes when trials end [s]."""
 
     def __init__(self) -> None:
         self.ends_s: list[float] = []
 
-    def expected(self, seconds: float, trials: int) -> None:
-        """Ignore the estimate."""
+    def trial_started(self, task: Task) -> None:
+        """Ignore the start."""
 
-    def ended(self, left_s: float | None) -> None:
-        """Note the time."""
+    def trial_ended(self, ending: Ending) -> None:
+        """Note the time; a failure ends the benchmark, which is not of trials that fail."""
+        if ending.failure:
+            raise SystemExit(ending.failure)
         self.ends_s.append(time.perf_counter())
-
-    def failed(self, arm: str, trial: int, why: str) -> None:
-        """End the benchmark: it is not of trials that fail."""
-        raise SystemExit(f"{arm}/{trial}: {why}")
 
 
 class Measured(NamedTuple):
@@ -67,15 +66,14 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
         file.write_text(f"name: rate\nbase: {spec}\ntrials: {{count: {trials}, seed: 1}}\n")
         loaded, clocked = load_study(file), Clocked()
         store = Store(Path(name) / "out", loaded.arms)
-        with store.opened(loaded.arms):
-            tasks = planned(loaded, store, Logs.parse(logs), Shard(), False).tasks
-            arm = loaded.arms[0]
-            local = Local(jobs, Interrupt(), lambda task: store.clear(arm, task.trial))
+        with store.opened():
+            tasks, _ = lacking(loaded, store, Logs.parse(logs), Shard(), False)
+            executor = on_this_machine(jobs, len(tasks), Interrupt())
             before_s = time.process_time()
-            run_study(loaded.arms, store, local, tasks, False, clocked)
+            run_batch(tasks, store, executor, clocked)
             here_s = time.process_time() - before_s
         first = 2 * jobs
-        rows = list(store.rows[arm.name].values())
+        rows = list(store.rows[loaded.arms[0].name].values())
         used_s = [row.times["cpu_s"] for row in rows]
         first_ms = [row.times["solve_max_ms"] for row in rows]
         solved_s = sum(1e-3 * row.times["solve_mean_ms"] * row.columns["steps"] for row in rows)

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from tetractl.replay.verify import Verification
+    from tetractl.run.batch import Ending
     from tetractl.run.interrupt import Interrupt
+    from tetractl.run.task import Task
     from tetractl.stats.comparison import Comparison
     from tetractl.stats.damaged import Damaged
     from tetractl.stats.summary import Summary
@@ -72,16 +74,16 @@ def run_trial(
     KeyboardInterrupt after Ctrl-C has ended the trial.
     """
     from tetractl.log.read.reader import read_trial
-    from tetractl.run import batch
-    from tetractl.run.folder import make_folder
+    from tetractl.run import task
+    from tetractl.run.store import make_folder
 
     with TemporaryDirectory() as temporary, _running(spec) as interrupt:
         place = Path(temporary if folder is None else folder)
-        path = batch.log_path(place, trial)
+        path = task.log_path(place, trial)
         if path.exists():
             raise UsageError(f"{path}: exists already", "name another folder")
         make_folder(place)
-        batch.run_trial(spec, place, trial, observers, interrupt)
+        task.run_trial(spec, place, trial, observers, interrupt)
         found = read_trial(path)
     return replace(found, path=f"{spec.name}, trial {trial}") if folder is None else found
 
@@ -101,14 +103,17 @@ def run_batch(
     and result. An aborted trial ends the batch. Errors are those of `run_trial`.
     """
     from tetractl.run import batch
-    from tetractl.run.folder import batch_folder
+    from tetractl.run.executors import on_this_machine
+    from tetractl.run.store import LogStore
+    from tetractl.run.task import batch_tasks
 
-    place = Path(folder)
-    with _running(spec) as interrupt, batch_folder(spec.experiment, place, resume) as todo:
-        report = batch.run_batch(spec, place, todo, jobs, interrupt, _Watcher(on_result))
-    if report.refused:
-        raise report.refused
-    return read_batch(place)
+    store = LogStore(Path(folder), spec.experiment)
+    with _running(spec) as interrupt, store.opened(resume) as todo:
+        tasks, executor = batch_tasks(spec, todo), on_this_machine(jobs, len(todo), interrupt)
+        report = batch.run_batch(tasks, store, executor, _Watcher(on_result), fail_fast=True)
+    for error in report.errors.values():
+        raise error
+    return read_batch(store.folder)
 
 
 def read_log(path: str | Path) -> TrialLog:
@@ -290,16 +295,17 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
 
 @dataclass(frozen=True, slots=True)
 class _Watcher:
-    """A `BatchObserver` that passes each result on."""
+    """A `RunObserver` that passes each result on."""
 
     on_result: Callable[[int, Result], object]
 
-    def trial_started(self, index: int, n: int) -> None:
+    def trial_started(self, task: "Task") -> None:
         """Nothing is shown."""
 
-    def trial_finished(self, index: int, result: Result) -> None:
+    def trial_ended(self, ending: "Ending") -> None:
         """Pass the result on."""
-        self.on_result(index, result)
+        if ending.result:
+            self.on_result(ending.task.trial, ending.result)
 
 
 def _columns(trial: TrialArrays) -> dict[str, NDArray[Any]]:

@@ -182,11 +182,11 @@ def test_verify_fails_on_what_it_cannot_read(logs: Path) -> None:
 
 
 def test_a_trial_is_repeated_from_its_log(logs: Path) -> None:
-    done = tetractl(logs, "run --from trial-001.mcap --out again --quiet")
+    done = tetractl(logs, "rerun trial-001.mcap --out again --quiet")
     assert done.returncode == 0
     assert "the content digests agree: " in done.stderr
     assert [path.name for path in (logs / "again").iterdir()] == ["trial-001.mcap"]
-    assert tetractl(logs, "run --from trial-001.mcap --seed 3").returncode == 2
+    assert tetractl(logs, "rerun trial-001.mcap --seed 3").returncode == 2
 
 
 @pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="needs OpenSSH")

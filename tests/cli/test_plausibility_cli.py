@@ -107,7 +107,7 @@ def test_reading_logs_warns_of_nothing(tetractl, tmp_path):
         ["replay", log],
         ["verify", log],
         ["plot", log, "-o", "figure.png"],
-        ["run", "--from", log, "--out", "again"],
+        ["rerun", log, "--out", "again"],
     ):
         result = tetractl(*words)
         assert result.returncode == 0, result.stderr

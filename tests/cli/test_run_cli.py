@@ -236,15 +236,17 @@ def test_a_signal_to_all_while_processes_start_is_an_interruption_too(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
-def test_a_worker_that_is_killed_ends_the_batch_with_a_clear_line(tmp_path):
+def test_a_trial_whose_worker_is_killed_twice_ends_the_batch_with_a_clear_line(tmp_path):
     with Running(tmp_path, ENDLESS, "--jobs", "2") as running:
         running.until_logging(2)
         os.kill(running.workers()[0], signal.SIGKILL)
+        running.until(lambda: list(running.logs.glob("*.attempt-1.*")))  # the trial runs again
+        running.until(lambda: len(running.workers()) == 1)
+        os.kill(running.workers()[0], signal.SIGKILL)
         assert running.process.wait(PATIENCE_S) == 1
         lines = running.err.read_text().splitlines()
-        assert lines[-2].startswith("error: the process of a trial was killed")
-        assert lines[-1].startswith("hint: ")
-        assert len(list(running.logs.glob("trial-*"))) == 2
+        assert lines[-2].startswith("error: a trial's process was killed twice")
+        assert lines[-1].startswith("hint: with fewer --jobs")
 
 
 BAD_FILES = {
@@ -347,7 +349,7 @@ def test_help_imports_nothing_heavy(tmp_path, args):
     assert heavy & imported == set()
 
 
-COMMANDS = {"run", "validate", "schema", "info", "replay", "plot", "stats"}
+COMMANDS = {"run", "rerun", "validate", "schema", "info", "replay", "plot", "stats"}
 
 
 @pytest.mark.parametrize(

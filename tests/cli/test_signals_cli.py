@@ -57,7 +57,7 @@ def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path,
         assert lines[-1] == "interrupted; go on with the same command and --out logs --resume"
 
 
-@pytest.mark.parametrize("module", ["typer", "pydantic", "numba", "tetractl.run.batch"])
+@pytest.mark.parametrize("module", ["typer", "pydantic", "numba", "tetractl.run.task"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_during_an_import_is_one_line(tmp_path, module, number):
     (tmp_path / "spec.yaml").write_text(QUICK)
@@ -211,7 +211,7 @@ ENDING = {  # every command that ends by itself and needs no lab, and its exit c
     "run spec.yaml --out new --json": 0,
     "run spec.yaml --out new --jobs 2": 0,
     "run spec.yaml --dry-run": 0,
-    f"run --from {LOG} --out new": 0,
+    f"rerun {LOG} --out new": 0,
     "run": 2,
     "validate spec.yaml": 0,
     "schema": 0,

@@ -4,8 +4,7 @@ import csv
 import signal
 
 import pytest
-from support.running import ENDLESS
-from support.studies import FAILING, LONGER, STUDY, Running, results, rows, tetractl, write
+from support.studies import FAILING, LONGER, Running, results, rows, tetractl, write
 
 from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
@@ -134,15 +133,6 @@ def test_bad_usage_is_told_in_a_line(args, says, tmp_path):
     done = study("study.yaml", *args, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert says in done.stderr
-
-
-def test_two_runs_of_one_folder_are_refused(tmp_path):
-    write(tmp_path, STUDY.replace("{plant.dead_time: [0, 0.1], robots.r.a: [3, 6]}", "{plant.dead_time: [0]}"), ENDLESS)  # fmt: skip  # noqa: E501
-    with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 1) as running:
-        running.until(lambda: (tmp_path / "out" / ".tetractl-lock").exists())
-        done = study("study.yaml", "--out", "out", cwd=tmp_path)
-        assert done.returncode == 2
-        assert "in use by process" in done.stderr
 
 
 def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):

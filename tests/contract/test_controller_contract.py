@@ -19,8 +19,8 @@ from tetractl.experiment.load import LoadedSpec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import verify
-from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
 
 TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
 MPC = {name: fields for name, fields in CONTROLLERS.items() if fields["type"] == "mpc"}

@@ -20,8 +20,8 @@ from tetractl.log import provenance  # noqa: E402
 from tetractl.log.format.channels import FORMAT_VERSION  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
-from tetractl.run.batch import log_path, run_trial  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
+from tetractl.run.task import log_path, run_trial  # noqa: E402
 
 SPEC = """
 name: golden

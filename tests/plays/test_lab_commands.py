@@ -137,24 +137,24 @@ def test_lab_options_of_run_are_checked(tmp_path):
 
 
 def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
-    """Regression: `run --from LABLOG </dev/null` set robots moving, as did `run --plant lab`."""
+    """Regression: `rerun LABLOG </dev/null` set robots moving, as did `run --plant lab`."""
     emulated = lab(replace_after=0.5)
     sets = flags((*emulated.settings, "controller.steps_max=2", "lab.limits.placing=30"))
 
     def run(*words):
-        done = tetractl(tmp_path, "run", *words)
+        done = tetractl(tmp_path, *words)
         assert len(emulated.events("run")) == started
         return done
 
     started = 0
-    refused = run(str(SPEC), "--plant", "lab", "--out", "first", *sets)
+    refused = run("run", SPEC, "--plant", "lab", "--out", "first", *sets)
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "error: robots would move" in refused.stderr
     assert not (tmp_path / "first").exists()
     started = 1
-    assert run(str(SPEC), "--plant", "lab", "--yes", "--out", "first", *sets).returncode == 0
+    assert run("run", SPEC, "--plant", "lab", "--yes", "--out", "first", *sets).returncode == 0
 
-    log = ("--from", "first/trial-000.mcap", "--out")
+    log = ("rerun", "first/trial-000.mcap", "--out")
     again = run(*log, "simulated")
     assert again.returncode == 0, again.stderr
     assert "the log is of the lab, the new one simulated" in again.stderr

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 from support import cli
 from support.running import PATIENCE_S, QUICK, TETRACTL, environment
 
+from tetractl.run.batch import run_batch
+from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.study.load import load_study
-from tetractl.study.local import Local
-from tetractl.study.options import Logs, Shard
-from tetractl.study.run import planned, run_study
+from tetractl.study.options import Logs, Shard, lacking
 from tetractl.study.store import Store
 from tetractl.study.table import counted_rows, write_tables
 
@@ -112,23 +112,22 @@ def run(folder, study=STUDY, spec=QUICK, out="out", **options):
     store = Store(folder / out, loaded.arms)
     logs, shard = options.get("logs", Logs(0, False)), options.get("shard", Shard())
     watcher = Watcher()
-    with store.opened(loaded.arms):
-        plan = planned(loaded, store, logs, shard, options.get("again", False))
-        local = Local(
-            options.get("jobs", 1),
-            Interrupt(),
-            lambda task: store.clear(loaded.arms[task.arm], task.trial),
+    with store.opened():
+        rerun_outdated = options.get("rerun_outdated", False)
+        tasks, outdated = lacking(loaded, store, logs, shard, rerun_outdated)
+        executor = options.get("executor") or on_this_machine(
+            options.get("jobs", 1), len(tasks), Interrupt()
         )
-        fail_fast = options.get("fail_fast", False)
-        report = run_study(loaded.arms, store, local, plan.tasks, fail_fast, watcher)
+        report = run_batch(tasks, store, executor, watcher, options.get("fail_fast", False))
         write_tables(loaded, store)
-    return Ran(loaded, store, plan, report, watcher)
+    return Ran(loaded, store, tasks, outdated, report, watcher)
 
 
 class Ran(NamedTuple):
     loaded: Any
     store: Any
-    plan: Any
+    tasks: Any
+    outdated: Any
     report: Any
     watcher: Any
 
@@ -137,16 +136,24 @@ class Ran(NamedTuple):
         """Rows by arm and trial."""
         return {(arm.name, row.trial): row for arm, row in counted_rows(self.loaded, self.store)}
 
+    @property
+    def counts(self):
+        """The numbers of trials with a result, with an error, and with neither."""
+        return len(self.report.results), len(self.report.errors), self.report.left
+
 
 class Watcher:
+    """A `RunObserver` that keeps what it was called with."""
+
     def __init__(self):
-        self.failures, self.left_s, self.told = [], [], []
+        self.started, self.endings = [], []
 
-    def expected(self, seconds, trials):
-        self.told.append(trials)
+    @property
+    def failures(self):
+        return [(*end.task.key, end.failure) for end in self.endings if end.failure]
 
-    def ended(self, left_s):
-        self.left_s.append(left_s)
+    def trial_started(self, task):
+        self.started.append(task.key)
 
-    def failed(self, arm, trial, why):
-        self.failures.append((arm, trial, why))
+    def trial_ended(self, ending):
+        self.endings.append(ending)

@@ -22,8 +22,8 @@ from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
-from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
 
 SIM = """
 name: tampered

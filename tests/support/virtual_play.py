@@ -137,7 +137,7 @@ def virtual_wires(network, clock, plan_s=0.0):
     with contextlib.ExitStack() as stack:
         for name, value in (
             *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
-            ("tetractl.run.batch.build_controller", controller),
+            ("tetractl.run.task.build_controller", controller),
             ("tetractl.lab.cameras.optitrack.camera.NatNetClient", VirtualClient),
             ("tetractl.lab.cameras.optitrack.client.socket", SocketModule(network)),
             ("tetractl.lab.emulate.optitrack.motive._bound", network.bound),

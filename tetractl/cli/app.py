@@ -24,6 +24,7 @@ from tetractl.cli import (
     redrive,
     replay,
     report,
+    rerun,
     run,
     schema,
     stats,
@@ -64,6 +65,7 @@ def _root(
 
 app.command("init")(init.init)
 app.command("run")(run.run)
+app.command("rerun")(rerun.rerun)
 app.command("validate")(validate.validate)
 app.command("schema")(schema.schema)
 app.command("kinds")(kinds.kinds)

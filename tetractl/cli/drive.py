@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tetractl.cli.caution import need_consent
-from tetractl.core.errors import Exit, TetractlError
+from tetractl.core.errors import TetractlError
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
@@ -19,30 +19,22 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
     """
     from rich.console import Console
 
-    from tetractl.cli.hangup import hung_up_unread
-    from tetractl.cli.run import STOPPING, run_todo
-    from tetractl.cli.streams import hurrier
-    from tetractl.control.build import warm_up
+    from tetractl.cli.trials import run_trials, stoppable
     from tetractl.core.plan import Outcome
-    from tetractl.run.batch import log_path
-    from tetractl.run.folder import batch_folder
-    from tetractl.run.interrupt import Interrupt, leave_on_signals
     from tetractl.run.limits import check
+    from tetractl.run.store import LogStore
+    from tetractl.run.task import log_path
 
     check(loaded.experiment)
     in_lab = not loaded.experiment.plant.simulated
     if in_lab:
         need_consent(yes)
-    console = Console(stderr=True, quiet=not in_lab)
-    with batch_folder(loaded.experiment, folder, False):
-        warm_up(loaded.experiment, lambda text: console.print(text, highlight=False))
-        interrupt = Interrupt(hurrier(STOPPING))
-        leave_on_signals(Exit.INTERRUPTED)
-        with hung_up_unread(in_lab), interrupt.watch(robots=in_lab):
-            report = run_todo(loaded, folder, [trial], 1, console, interrupt, None, yes)
-    if report.refused:
-        raise report.refused
-    result = report.results.get(trial)
+    console, store = Console(stderr=True, quiet=not in_lab), LogStore(folder, loaded.experiment)
+    with store.opened(False), stoppable(loaded.experiment, console) as interrupt:
+        report = run_trials(loaded, store, [trial], 1, console, interrupt, None, yes)
+    for error in report.errors.values():
+        raise error
+    result = next(iter(report.results.values()), None)
     if result is None or result.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
     if result.outcome is Outcome.ABORTED:

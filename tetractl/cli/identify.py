@@ -9,7 +9,7 @@ import typer
 
 from tetractl.cli.caution import Yes, need_consent
 from tetractl.cli.options import Sets
-from tetractl.cli.run import PlantChoice
+from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def _design(
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import track_of
-    from tetractl.run.folder import default_folder
+    from tetractl.run.store import default_folder
 
     if not as_json:
         _show_design(loaded, design, False)

@@ -1,5 +1,6 @@
-"""What `tetractl run` adds in the lab: the operator's stop, placing robots, recording the wire."""
+"""What a run adds in the lab: the operator's stop, placing the robots, recording the wire."""
 
+import gc
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,15 +15,15 @@ if TYPE_CHECKING:
     from tetractl.core.operators import Operators
     from tetractl.core.protocols import Observer
     from tetractl.core.wire_tap import Tap
-    from tetractl.experiment.load import LoadedSpec
-    from tetractl.run.batch import Report
+    from tetractl.run.batch import Report, TrialStore
     from tetractl.run.interrupt import Interrupt
+    from tetractl.run.task import Task
 
 
 def run_in_lab(
-    loaded: "LoadedSpec",
-    folder: Path,
-    todo: list[int],
+    tasks: "list[Task]",
+    store: "TrialStore",
+    unit: str,
     console: "Console",
     interrupt: "Interrupt",
     live: bool,
@@ -33,14 +34,15 @@ def run_in_lab(
 ) -> "Report":
     """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time.
 
-    A person at the terminal starts each trial, but not where `yes`. `unattended`: a terminal that
-    goes away stops nothing.
+    A person at the terminal starts each trial, unless `yes`. `unattended`: a terminal that goes
+    away stops nothing.
     """
     from rich.console import Console
 
     from tetractl.core.operators import Operators
     from tetractl.lab.recorder import WireRecorder
     from tetractl.run.batch import run_batch
+    from tetractl.run.executors import Here
     from tetractl.view.terminal.lab_watch import LabWatch, TerminalAttendant
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
@@ -49,7 +51,6 @@ def run_in_lab(
     with StopKey(emergency.set, entered.set, unattended) as key:
         says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
         console.print(says, style="bold", highlight=False)
-        unit = loaded.experiment.units.length
         watch = LabWatch(console, quiet, unit, live and key.listening)
         attendant = None if yes or not key.listening else TerminalAttendant(console, entered)
 
@@ -61,7 +62,10 @@ def run_in_lab(
                 if isinstance(tap, WireRecorder) and tap.error:
                     console.print(f"{tap.path}: recording ended: {tap.error}", highlight=False)
 
-        return run_batch(loaded, folder, todo, 1, interrupt, watch, [watch, *served], operators)
+        gc.collect()
+        gc.freeze()  # so that collecting what was imported never delays the inner loop
+        executor = Here(interrupt, [watch, *served], operators)
+        return run_batch(tasks, store, executor, watch, fail_fast=True)
 
 
 def _recorder(stack: ExitStack, folder: Path | None, trial: int) -> "Tap":

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from tetractl.cli.caution import Yes
-from tetractl.cli.run import PlantChoice
+from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit
 
 ROWS = 12  # of the table of distances
@@ -41,7 +41,7 @@ def redrive(
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
     from tetractl.replay.rerun import recorded
-    from tetractl.run.folder import default_folder
+    from tetractl.run.store import default_folder
     from tetractl.view.style import file_format
     from tetractl.view.terminal.damage import warn_of_damage
 

@@ -11,16 +11,11 @@ from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from contextlib import AbstractContextManager
 
-    from rich.console import Console
-
-    from tetractl.run.interrupt import Interrupt
+    from tetractl.run.task import Task
     from tetractl.study.load import LoadedStudy
-    from tetractl.study.options import Logs, Shard
-    from tetractl.study.run import Executor, Report
+    from tetractl.study.options import Shard
     from tetractl.study.store import Store
-    from tetractl.study.work import Task
 
 STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\n"
 
@@ -50,8 +45,8 @@ def study(
     fail_fast: Annotated[
         bool, typer.Option("--fail-fast", help="Stop at the first trial that fails.")
     ] = False,
-    again: Annotated[
-        bool, typer.Option("--again", help="Run the trials of older code again.")
+    rerun_outdated: Annotated[
+        bool, typer.Option("--rerun-outdated", help="Run the trials of outdated code again.")
     ] = False,
     shard: Annotated[
         str | None,
@@ -71,7 +66,7 @@ def study(
         ),
     ] = None,
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="No progress; failures are told.")
+        bool, typer.Option("--quiet", "-q", help="Print failures, but no progress.")
     ] = False,
 ) -> int:
     """Run every arm of a study in the same worlds; write one table, and a figure a swept field.
@@ -81,14 +76,11 @@ def study(
 
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """
-    from rich.console import Console
-
     from tetractl.study.load import load_study
-    from tetractl.study.options import Logs, Shard
+    from tetractl.study.options import Logs, Shard, lacking
     from tetractl.study.store import Store
-    from tetractl.study.store import merge as merged
 
-    if sum(option is not None for option in (cluster, jobs)) > 1:
+    if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
     if merge != bool(folders):
         raise UsageError("--merge and the folders to gather go together")
@@ -98,110 +90,80 @@ def study(
     loaded = load_study(file)
     ending = f"-shard-{share.index}-of-{share.of}" if shard else ""
     folder = out or Path("logs") / f"{loaded.study.name}{ending}"
-    store, console = Store(folder, loaded.arms), Console(stderr=True)
-    with store.opened(loaded.arms):
+    store = Store(folder, loaded.arms)
+    with store.opened():
         if trial is not None:
             from tetractl.study.repeat import repeat
 
             print(repeat(loaded, store, trial))
             return Exit.DONE
         if merge:
-            added = merged(store, loaded.arms, folders or [])
-            print(f"{added} trials added to {folder}", file=sys.stderr)
-            return _conclude(loaded, store, share, None)
-        report, stopped = _run(
-            loaded, store, rule, share, again, fail_fast, cluster, jobs, console, quiet
-        )
-        return _conclude(loaded, store, share, report, stopped)
+            print(f"{store.merge(folders or [])} trials added to {folder}", file=sys.stderr)
+            return _conclude(loaded, store, share, "the same command without --merge")
+        tasks, outdated = lacking(loaded, store, rule, share, rerun_outdated)
+        if outdated:
+            print(
+                f"notice: {sum(outdated.values())} trials are of outdated code and are kept:"
+                f" {_listed(outdated)}; run them again with --rerun-outdated",
+                file=sys.stderr,
+            )
+        stopped = _run(loaded, store, tasks, fail_fast, cluster, jobs, quiet)
+        return _conclude(loaded, store, share, "the same command", stopped)
 
 
 def _run(
     loaded: "LoadedStudy",
     store: "Store",
-    rule: "Logs",
-    share: "Shard",
-    again: bool,
+    tasks: "list[Task]",
     fail_fast: bool,
     cluster: str | None,
     jobs: int | None,
-    console: "Console",
     quiet: bool,
-) -> "tuple[Report, bool]":
-    """Run what is to be run; return what became of it, and whether somebody stopped it."""
-    from contextlib import ExitStack, suppress
+) -> bool:
+    """Run trials; return whether a signal stopped them."""
+    from contextlib import nullcontext, suppress
+
+    from rich.console import Console
 
     from tetractl.cli.streams import hurrier
     from tetractl.control.build import warm_up
+    from tetractl.run.batch import run_batch
+    from tetractl.run.cluster import Cluster
+    from tetractl.run.executors import on_this_machine
     from tetractl.run.interrupt import Interrupt, leave_on_signals
-    from tetractl.study.run import planned, run_study
+    from tetractl.view.terminal.progress import StudyProgress
 
-    plan = planned(loaded, store, rule, share, again)
-    if plan.older:
-        print(
-            f"notice: {sum(plan.older.values())} trials are of older code and are kept:"
-            f" {_listed(plan.older)}; run them again with --again",
-            file=sys.stderr,
-        )
-    from tetractl.study.progress import StudyProgress
-
-    interrupt = Interrupt(hurrier(STOPPING))
-    with ExitStack() as stack:
-        if cluster is None and plan.tasks:
-            named = {arm.controller: arm for arm in loaded.arms}
-            for arm in named.values():
-                with suppress(TetractlError):  # its trials say so themselves
-                    warm_up(arm.spec.experiment, lambda text: console.print(text, highlight=False))
-        leave_on_signals(Exit.INTERRUPTED)
-        executor = stack.enter_context(
-            _executor(loaded, store, cluster, jobs, len(plan.tasks), interrupt)
-        )
+    console, interrupt = Console(stderr=True), Interrupt(hurrier(STOPPING))
+    if cluster is None and tasks:
+        named = {arm.controller: arm for arm in loaded.arms}
+        for arm in named.values():
+            with suppress(TetractlError):  # its trials say so themselves
+                warm_up(arm.spec.experiment, lambda text: console.print(text, highlight=False))
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    here = on_this_machine(jobs or available or 1, len(tasks), interrupt)
+    leave_on_signals(Exit.INTERRUPTED)
+    with Cluster(cluster, interrupt) if cluster is not None else nullcontext(here) as executor:
         if not quiet:
-            count = loaded.study.trials.count
+            arms, count = len(loaded.arms), loaded.study.trials.count
             print(
-                f"{loaded.study.name}: {len(loaded.arms)} arms of {count} trials,"
-                f" {len(plan.tasks)} of {len(loaded.arms) * count} to run,"
-                f" {executor.workers} at a time",
+                f"{loaded.study.name}: {arms} arms of {count} trials, {len(tasks)} of"
+                f" {arms * count} to run, {executor.workers} at a time",
                 file=sys.stderr,
             )
-        stack.enter_context(interrupt.watch())
-        shown = StudyProgress(console, len(plan.tasks), quiet)
-        observer = stack.enter_context(shown)
-        report = run_study(loaded.arms, store, executor, plan.tasks, fail_fast, observer)
-    return report, interrupt.requested
-
-
-def _executor(
-    loaded: "LoadedStudy",
-    store: "Store",
-    cluster: str | None,
-    jobs: int | None,
-    tasks: int,
-    interrupt: "Interrupt",
-) -> "AbstractContextManager[Executor]":
-    """Return what runs the trials: a Dask cluster, or this machine's processors."""
-    from contextlib import nullcontext
-
-    def place(task: "Task") -> Path:
-        return store.clear(loaded.arms[task.arm], task.trial)
-
-    if cluster is not None:
-        from tetractl.study.cluster import Cluster
-
-        return Cluster(cluster, interrupt, place)
-    from tetractl.study.local import Local
-
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return nullcontext(Local(max(min(jobs or available or 1, tasks), 1), interrupt, place))
+        with interrupt.watch(), StudyProgress(console, len(tasks), quiet) as progress:
+            run_batch(tasks, store, executor, progress, fail_fast)
+    return interrupt.requested
 
 
 def _conclude(
     loaded: "LoadedStudy",
     store: "Store",
     share: "Shard",
-    report: "Report | None",
+    how: str,
     stopped: bool = False,
 ) -> int:
-    """Write tables and figures, print the errors, say what is lacking; return the exit code."""
+    """Write tables and figures, print the errors, say what is lacking and `how` to go on; return
+    the exit code."""
     from rich.console import Console
 
     from tetractl.study.figure import write_figures
@@ -219,7 +181,6 @@ def _conclude(
     if aborted:
         print(f"{aborted} trials aborted", file=sys.stderr)
     if lacking > 0:
-        how = "the same command without --merge" if report is None else "the same command"
         print(f"{lacking} of {wanted} trials are lacking; go on with {how}", file=sys.stderr)
     if stopped:
         print("interrupted", file=sys.stderr)
@@ -227,7 +188,7 @@ def _conclude(
     return Exit.FAILED if lacking > 0 or aborted else Exit.DONE
 
 
-def _listed(older: "Mapping[str, int]", most: int = 4) -> str:
-    """Return the arms with trials of older code, the first few by name."""
-    more = f" and {len(older) - most} more arms" if len(older) > most else ""
-    return ", ".join(f"{name} ({n})" for name, n in list(older.items())[:most]) + more
+def _listed(outdated: "Mapping[str, int]", most: int = 4) -> str:
+    """Return the arms with trials of outdated code, the first few by name."""
+    more = f" and {len(outdated) - most} more arms" if len(outdated) > most else ""
+    return ", ".join(f"{name} ({n})" for name, n in list(outdated.items())[:most]) + more

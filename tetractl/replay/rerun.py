@@ -1,4 +1,4 @@
-"""`tetractl run --from LOG`: run a trial again from its own log, and compare the two logs."""
+"""`tetractl rerun LOG`: run a trial again from its own log, and compare the two logs."""
 
 import sys
 from pathlib import Path

@@ -1,188 +1,120 @@
-"""A batch: the trials of one experiment, each with its own log, in one or more processes."""
+"""Runs the trials of a batch or a study: one loop for every store, executor and way to watch."""
 
-import gc
-import time
-from collections.abc import Callable, Sequence
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from tetractl.control.build import build_controller
-from tetractl.core.commands import PlantInfo
-from tetractl.core.errors import AbortError, TetractlError
-from tetractl.core.operators import Operators
+from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
-from tetractl.core.protocols import Observer
-from tetractl.core.trial import EPOCH_NS, Result
-from tetractl.experiment.load import LoadedSpec, start_of
-from tetractl.log.write.writer import LogWriter
-from tetractl.run.interrupt import Interrupt
-from tetractl.run.pool import Pool, worker_interrupt
-from tetractl.run.relay import Relay
-from tetractl.run.seeds import trial_seeds
-from tetractl.run.trial import Trial
+from tetractl.core.trial import Result
+from tetractl.run.executors import Executor
+from tetractl.run.task import Finished, OtherCodeError, Task
 
 
-class BatchObserver(Protocol):
-    """Watches a batch; `index` counts trials from 0, and trials may end in any order."""
+class TrialStore(Protocol):
+    """Where trials leave logs and records: the `LogStore` of a batch, the `Store` of a study."""
 
-    def trial_started(self, index: int, n: int) -> None:
-        """Trial `index` of `n` starts."""
+    def place(self, arm: str, trial: int) -> Path:
+        """Return the folder for the log of a trial, earlier logs of it set aside."""
         ...
 
-    def trial_finished(self, index: int, result: Result) -> None:
-        """Trial `index` has ended."""
+    def add(self, task: Task, finished: Finished) -> None:
+        """Record how a trial finished, if its log does not say so already."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a trial ended, and the time [s] that those left take, as far as earlier ones show.
+
+    `result` is None if something kept the trial from an outcome; `failure` says in one line why
+    it was aborted or has no result.
+    """
+
+    task: Task
+    result: Result | None
+    failure: str | None
+    left_s: float | None
+
+
+class RunObserver(Protocol):
+    """Watches trials, which may end in any order."""
+
+    def trial_started(self, task: Task) -> None:
+        """A trial starts."""
+        ...
+
+    def trial_ended(self, ending: Ending) -> None:
+        """A trial has ended."""
         ...
 
 
 @dataclass(slots=True)
 class Report:
-    """The outcome of a batch: results by trial, and the trials that were not run."""
+    """How the trials ended, by arm and number: results, and errors where there is none."""
 
-    results: dict[int, Result] = field(default_factory=dict)
-    not_run: list[int] = field(default_factory=list)
-    asked_to_stop: bool = False
-    refused: TetractlError | None = None  # why a trial could not start
+    results: dict[tuple[str, int], Result] = field(default_factory=dict)
+    errors: dict[tuple[str, int], Exception] = field(default_factory=dict)
+    left: int = 0
+    """Trials with neither."""
 
     @property
     def interrupted(self) -> bool:
-        """Whether somebody stopped the batch, in a trial or between two."""
-        in_trial = any(r.outcome is Outcome.INTERRUPTED for r in self.results.values())
-        return in_trial or (self.asked_to_stop and bool(self.not_run))
+        """Whether a trial was interrupted."""
+        return any(r.outcome is Outcome.INTERRUPTED for r in self.results.values())
 
     @property
-    def aborted(self) -> dict[int, Result]:
+    def aborted(self) -> dict[tuple[str, int], Result]:
         """The trials that a fault ended."""
-        return {i: r for i, r in self.results.items() if r.outcome is Outcome.ABORTED}
-
-
-def log_path(folder: Path, trial: int) -> Path:
-    """Return the file of a trial's log."""
-    return folder / f"trial-{trial:03d}.mcap"
-
-
-def run_trial(
-    spec: LoadedSpec,
-    folder: Path,
-    trial: int,
-    observers: Sequence[Observer],
-    interrupt: Interrupt,
-    operators: Operators | None = None,
-) -> Result:
-    """Run one trial and write its log.
-
-    In real time a background thread calls the observers, so that none of them delays the loop.
-    """
-    log = LogWriter(log_path(folder, trial), real_time=not spec.experiment.plant.simulated)
-    with log:
-        return run_with([log], spec, trial, observers, interrupt, operators)
-
-
-def run_with(
-    writers: Sequence[Observer],
-    spec: LoadedSpec,
-    trial: int,
-    observers: Sequence[Observer],
-    interrupt: Interrupt,
-    operators: Operators | None = None,
-) -> Result:
-    """Run one trial as `run_trial` does, with other writers in the place of its log's."""
-    experiment = spec.experiment
-    plant, real_time = experiment.plant, not experiment.plant.simulated
-    clock, start_unix_ns = plant.clock(), _unix_ns() if real_time else EPOCH_NS
-    key, seed = trial_seeds(experiment.trials.seed, trial)
-    with ExitStack() as stack:
-        if real_time:
-            observers = [stack.enter_context(Relay(observer)) for observer in observers]
-        return Trial(
-            start=start_of(spec, trial, PlantInfo("", plant.simulated, 0.0, {}), start_unix_ns),
-            plant=plant.build(experiment.setup, clock, seed, operators or Operators()),
-            controller=build_controller(experiment, key),
-            first_plan=experiment.controller.first_plan,
-            clock=clock,
-            observers=[*writers, *observers],
-            interrupt=interrupt,
-        ).run()
-
-
-def _unix_ns() -> int:
-    """Return the hour [ns since 1970]; a log holds none before."""
-    if (now := time.time_ns()) < 0:
-        raise TetractlError("this computer's clock is before 1970", "set its date, then run again")
-    return now
-
-
-def _nobody(trial: int) -> AbstractContextManager[Operators | None]:
-    return nullcontext()
+        return {key: r for key, r in self.results.items() if r.outcome is Outcome.ABORTED}
 
 
 def run_batch(
-    spec: LoadedSpec,
-    folder: Path,
-    trials: Sequence[int],
-    jobs: int,
-    interrupt: Interrupt,
-    watcher: BatchObserver,
-    observers: Sequence[Observer] = (),
-    operators: Callable[[int], AbstractContextManager[Operators | None]] = _nobody,
+    tasks: Sequence[Task],
+    store: TrialStore,
+    executor: Executor,
+    observer: RunObserver,
+    fail_fast: bool = False,
 ) -> Report:
-    """Run trials, `jobs` at a time; an interruption or an aborted trial ends the batch.
+    """Run trials and store what they leave.
 
-    `observers` are called in every trial, and `operators` returns the people and files at a trial
-    in the lab; both need `jobs` to be 1. A trial that cannot start ends the batch too.
+    With `fail_fast` the first trial that is aborted or has no outcome ends the run, without it the
+    others go on. Raises OtherCodeError of a worker.
     """
-    report = Report()
-    if min(jobs, len(trials)) > 1:
-        _run_processes(spec, folder, trials, jobs, interrupt, watcher, report)
-    else:
-        if not spec.experiment.plant.simulated:
-            gc.collect()
-            gc.freeze()  # so that collecting what was imported never delays the inner loop
-        for trial in trials:
-            if interrupt.requested or report.aborted:
-                break
-            watcher.trial_started(trial, spec.experiment.trials.count)
-            try:
-                with operators(trial) as mine:
-                    result = run_trial(spec, folder, trial, observers, interrupt, mine)
-            except TetractlError as error:
-                report.refused = error
-                break
-            report.results[trial] = result
-            watcher.trial_finished(trial, result)
-    report.not_run = [trial for trial in trials if trial not in report.results]
-    report.asked_to_stop = interrupt.requested
+    report = Report(left=len(tasks))
+    wall_s = 0.0
+
+    def ready(task: Task) -> Path:
+        observer.trial_started(task)
+        return store.place(*task.key)
+
+    with closing(executor.run(tasks, ready)) as ended:
+        for task, found in ended:
+            result = failure = None
+            report.left -= 1
+            if isinstance(found, OtherCodeError):
+                executor.end()
+                raise found
+            if isinstance(found, Finished):
+                store.add(task, found)
+                report.results[task.key] = result = found.result
+                wall_s += found.wall_s
+                if result.outcome is Outcome.ABORTED:
+                    failure = f"aborted: {result.reason}"
+            else:
+                report.errors[task.key] = found
+                failure = _one_line(found)
+            if failure is not None and fail_fast:
+                executor.end()
+            n = len(report.results)
+            left_s = wall_s / n * report.left / executor.workers if n else None
+            observer.trial_ended(Ending(task, result, failure, left_s))
     return report
 
 
-def _run_processes(
-    spec: LoadedSpec,
-    folder: Path,
-    trials: Sequence[int],
-    jobs: int,
-    interrupt: Interrupt,
-    watcher: BatchObserver,
-    report: Report,
-) -> None:
-    def started(trial: int) -> None:
-        watcher.trial_started(trial, spec.experiment.trials.count)
-
-    with Pool(min(jobs, len(trials)), interrupt) as pool:
-        for trial, future in pool.run(partial(_work, spec, folder), trials, started):
-            try:
-                report.results[trial] = result = future.result()
-            except BrokenProcessPool:
-                raise AbortError(
-                    "the process of a trial was killed, perhaps for want of memory",
-                    f"with fewer --jobs, go on by --out {folder} --resume",
-                ) from None
-            watcher.trial_finished(trial, result)
-            if report.aborted:
-                pool.end()
-
-
-def _work(spec: LoadedSpec, folder: Path, trial: int) -> Result:
-    return run_trial(spec, folder, trial, (), worker_interrupt())
+def _one_line(error: Exception) -> str:
+    """Return an error in one line, one that is no user's with its class."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, TetractlError) else f"{type(error).__name__}: {text}"

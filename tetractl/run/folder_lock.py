@@ -21,9 +21,9 @@ def locked(folder: Path) -> Iterator[None]:
 
     The kernel releases the lock when the process that holds it ends, however it ends, so a file
     that is left behind on this host does not lock the folder. A file that a process of another
-    host left is believed, because not every network file system passes locks on between hosts.
+    host left does, because not every network file system passes locks on between hosts.
 
-    Raises UsageError where another run holds the lock, LogError where the file cannot be written.
+    Raises UsageError if another run holds the lock, LogError if the file cannot be written.
     """
     path = folder / LOCK_FILE
     try:
@@ -39,7 +39,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _acquire(path: Path) -> int:
-    """Return the descriptor of the locked file; raise UsageError where it is in use."""
+    """Return the descriptor of the locked file; raise UsageError if it is in use."""
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
         try:

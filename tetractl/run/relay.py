@@ -1,8 +1,5 @@
 """An observer called from a background thread, so that a slow screen never delays the loop."""
 
-from types import TracebackType
-from typing import Self
-
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.errors import TetractlError
 from tetractl.core.protocols import Observer
@@ -14,7 +11,7 @@ PATIENCE_S = 30.0  # for the last of them, after the robots were stopped
 
 
 class Relay:
-    """Queues every call for `observer`, in order; a context manager.
+    """Queues every call for `observer`, in order, until it is closed.
 
     An exception of the observer, or a queue that is full, is raised by the next call; calls after
     that are dropped.
@@ -30,15 +27,8 @@ class Relay:
             too_slow=TetractlError("an observer is too slow for the trial"),
         )
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Do the calls that wait, and end the thread."""
         self._worker.close()
 
     def on_start(self, start: Start) -> None:

@@ -42,4 +42,6 @@ def add_unlogged(
                     damaged.append(Damaged(log.path, f"its end is lost, and read from {row.path}"))
         if lost:
             problem = f"{lost} trials have neither a log nor a result in their row"
-            damaged.append(Damaged(str(file), f"{problem}; the study's --again runs them again"))
+            damaged.append(
+                Damaged(str(file), f"{problem}; the study's --rerun-outdated runs them again")
+            )

@@ -5,13 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tetractl.experiment.kinds import packages
 from tetractl.experiment.load import LoadedSpec
-from tetractl.log.provenance import trial_code
 from tetractl.study.cells import shown
 
 NAME_LENGTH = 100  # of a folder, far below what file systems take
-WHOLE_PATH = 3  # fields of a sweep from which on a name needs their last step alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +20,7 @@ class Arm:
     """
 
     name: str  # of its folder
-    controller: str  # "" where the study names none
+    controller: str  # "" if the study names none
     values: Mapping[str, Any]
     sets: tuple[str, ...]  # as `--set` takes them, after the base
     spec: LoadedSpec
@@ -31,15 +28,10 @@ class Arm:
     code: str  # names the code here that its trials are run by
 
 
-def code_of(spec: LoadedSpec) -> str:
-    """Return what names the code that runs the trials of a spec on this machine."""
-    return trial_code(tuple(sorted(packages(spec.experiment).items())))
-
-
 def arm_name(controller: str, values: Mapping[str, Any]) -> str:
     """Return a name for an arm that fits a file system: `ours-dead_time=0.07`.
 
-    Fields are called by the last step of their path where that tells them apart.
+    Fields are called by the last step of their path if no two share it.
     """
     ends = [path.rpartition(".")[2] for path in values]
     paths = ends if len(set(ends)) == len(ends) else list(values)

@@ -20,7 +20,8 @@ from tetractl.experiment.yaml.frozen import frozen
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
 from tetractl.experiment.yaml.schema import schema_of
 from tetractl.run.limits import check
-from tetractl.study.arm import Arm, arm_name, code_of
+from tetractl.run.task import code_of
+from tetractl.study.arm import Arm, arm_name
 from tetractl.study.cells import as_yaml
 from tetractl.study.study import Study
 from tetractl.study.sweep import Setting
@@ -71,7 +72,7 @@ def load_study(path: Path) -> LoadedStudy:
         problems = dict.fromkeys(_disagreements(arms, document))
     if problems:
         raise InvalidSpecError(problems, hint)
-    return LoadedStudy(study, tuple(_told_apart(arms)))
+    return LoadedStudy(study, tuple(_with_unique_names(arms)))
 
 
 @cache
@@ -177,8 +178,8 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
             yield document.place(("sweep",)).problem(("sweep",), text)
 
 
-def _told_apart(arms: list[Arm]) -> Iterable[Arm]:
-    """Yield the arms with a piece of their hash in names that several have."""
+def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
+    """Yield the arms, with a piece of their hash appended to names that several share."""
     names = Counter(arm.name.lower() for arm in arms)  # as file systems that ignore case see them
     for arm in arms:
         several = names[arm.name.lower()] > 1

@@ -1,10 +1,14 @@
-"""What may be chosen of a run of a study: which logs are kept, and which share of it is run."""
+"""Which trials of a study are run, and which logs they leave."""
 
+import pickle
 import re
 from dataclasses import dataclass
 from typing import Self
 
 from tetractl.core.errors import UsageError
+from tetractl.run.task import Task
+from tetractl.study.load import LoadedStudy
+from tetractl.study.store import Store
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,3 +48,29 @@ class Shard:
     def has(self, number: int) -> bool:
         """Whether the trial of a number, counted over all arms from 0, is in this share."""
         return number % self.of == self.index - 1
+
+
+def lacking(
+    loaded: LoadedStudy, store: Store, logs: Logs, shard: Shard, rerun_outdated: bool
+) -> tuple[list[Task], dict[str, int]]:
+    """Return the trials without a row, and how many rows of outdated code are kept, by arm.
+
+    With `rerun_outdated` the trials of outdated code are returned too. The order is trial by trial
+    over all arms, so that after an early end all arms have as many.
+    """
+    count = loaded.study.trials.count
+    tasks: list[Task] = []
+    kept: dict[str, int] = {}
+    for i, arm in enumerate(loaded.arms):
+        spec = pickle.dumps(arm.spec)
+        for trial in range(count):
+            if not shard.has(i * count + trial):
+                continue
+            row = store.rows[arm.name].get(trial)
+            outdated = row is not None and (row.code != arm.code or not row.result)
+            if row is None or (outdated and rerun_outdated):
+                keep = trial < logs.each
+                tasks.append(Task(trial, count, spec, arm.name, keep, logs.failed, True, arm.code))
+            elif outdated:
+                kept[arm.name] = kept.get(arm.name, 0) + 1
+    return sorted(tasks, key=lambda task: task.trial), kept

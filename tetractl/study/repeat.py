@@ -9,9 +9,9 @@ from tetractl.log.format.metadata import result_metadata
 from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.replay.difference import first_difference
-from tetractl.run.batch import log_path, run_trial
-from tetractl.run.folder import set_aside
 from tetractl.run.interrupt import Interrupt, interrupted_once
+from tetractl.run.store import set_aside
+from tetractl.run.task import log_path, run_trial
 from tetractl.study.arm import Arm
 from tetractl.study.load import LoadedStudy, spec_of
 from tetractl.study.row import Row
@@ -25,23 +25,24 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     LogError where the digests differ; the log is then set aside as an attempt.
     """
     arm, row = _found(loaded, store, which)
-    folder = store.place(arm)
-    path = log_path(folder, row.trial)
+    path = log_path(store.arm_folder(arm), row.trial)
     if row.logged and path.exists():
         raise UsageError(f"{path}: has its log", f"check it with: tetractl verify {path}")
-    folder = store.clear(arm, row.trial)
+    folder = store.place(arm.name, row.trial)
     with interrupted_once():
         result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())
     digest = trial_digest(read_trial(path))
     if digest != row.trial_digest:
         text = _difference(path, row)
         set_aside(folder, row.trial)
-        older = row.code != arm.code
+        outdated = row.code != arm.code
         raise LogError(
             f"{which}: the digest of its log is {digest}, that of its row {row.trial_digest}{text}",
-            "the row is of older code" if older else "was it run on another type of processor?",
+            "the row is of outdated code"
+            if outdated
+            else "was it run on another type of processor?",
         )
-    store.add(arm, replace(row, logged=True))
+    store.add_row(arm, replace(row, logged=True))
     return f"{path}: {result.summary}, digest as in its row: {digest}"
 
 

@@ -13,8 +13,8 @@ from tetractl.core.clock import SECOND
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.replay.verify import verify
-from tetractl.run.batch import run_trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import run_trial
 
 PERIOD = SECOND // 5
 ROBOTS = [  # two that hardly turn, along +x

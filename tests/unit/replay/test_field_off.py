@@ -19,8 +19,8 @@ from tetractl.replay.redrive import recorded_directions
 from tetractl.replay.verify import verify
 from tetractl.replay.what_if import other_experiment, what_if
 from tetractl.report.trial_data import Detail, trial_data
-from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
 from tetractl.view.figures.kinds import draw
 from tetractl.view.terminal.replay_text import step_line
 

@@ -46,8 +46,8 @@ from tetractl.replay import verify as module
 from tetractl.replay.audit import audit
 from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import Method, verify
-from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
 
 SPEC = """
 name: quick
@@ -370,7 +370,7 @@ DIFFERENT = """
 import sys
 from pathlib import Path
 from tetractl.experiment.load import parse_spec
-from tetractl.run.batch import run_trial
+from tetractl.run.task import run_trial
 from tetractl.run.interrupt import Interrupt
 
 run_trial(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1, (), Interrupt())

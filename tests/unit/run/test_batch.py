@@ -1,3 +1,4 @@
+from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
@@ -5,15 +6,18 @@ from support import random_trials as made
 from support.paths import ROOT
 
 from tetractl.control.rng import mix
-from tetractl.core.errors import TetractlError
+from tetractl.core.errors import AbortError, TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.run import batch
-from tetractl.run.batch import log_path, run_batch, run_trial
+from tetractl.run import executors, task
+from tetractl.run.batch import run_batch
+from tetractl.run.executors import Here, on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
+from tetractl.run.store import LogStore
+from tetractl.run.task import Finished, batch_tasks, log_path, run_trial
 
 QUICK = """
 name: quick
@@ -28,77 +32,122 @@ SPEC = parse_spec(QUICK, "quick.yaml")
 
 class Watcher:
     def __init__(self):
-        self.told = []
+        self.events = []
 
-    def trial_started(self, index, n):
-        self.told.append(("started", index, n))
+    def trial_started(self, task):
+        self.events.append(("started", task.trial, task.count))
 
-    def trial_finished(self, index, result):
-        self.told.append(("finished", index, result.outcome))
+    def trial_ended(self, ending):
+        outcome = ending.result and ending.result.outcome
+        self.events.append(("ended", ending.task.trial, outcome, ending.failure, ending.left_s))
 
 
 def scripted(monkeypatch, outcomes, action=lambda trial: None):
-    """Trials that end as `outcomes` say, by index, without being run."""
+    """Trials that end as `outcomes` says, by index, without being run; they take 2 s."""
     result = made.trial(1, steps=2, frames=2).result
     ran = []
 
-    def run(spec, folder, trial, observers, interrupt, operators):
-        ran.append(trial)
-        action(trial)
-        return replace(result, outcome=outcomes.get(trial, Outcome.ARRIVED))
+    def run(task, folder, interrupt, observers, operators):
+        ran.append(task.trial)
+        action(task.trial)
+        outcome = outcomes.get(task.trial, Outcome.ARRIVED)
+        if isinstance(outcome, Exception):
+            raise outcome
+        return Finished(replace(result, outcome=outcome, reason="why"), True, 2.0, 1.0)
 
-    monkeypatch.setattr(batch, "run_trial", run)
+    monkeypatch.setattr(executors, "run_task", run)
     return ran
+
+
+def run(folder, trials=range(4), jobs=1, interrupt=None, watcher=None, fail_fast=True):
+    executor = on_this_machine(jobs, len(trials), interrupt or Interrupt())
+    store = LogStore(folder, SPEC.experiment)
+    return run_batch(batch_tasks(SPEC, trials), store, executor, watcher or Watcher(), fail_fast)
+
+
+def ran_of(report):
+    return [trial for _, trial in report.results]
 
 
 @pytest.mark.parametrize("jobs", [1, 3])
 def test_a_batch_of_nothing_is_done(tmp_path, jobs):
     """Regression: `--jobs 2 --resume` of a complete batch crashed."""
-    report = run_batch(SPEC, tmp_path, [], jobs, Interrupt(), Watcher())
-    assert (report.results, report.not_run, report.interrupted) == ({}, [], False)
+    report = run(tmp_path, [], jobs)
+    assert (report.results, report.errors, report.left, report.interrupted) == ({}, {}, 0, False)
 
 
-def test_trials_run_in_order_and_are_told(monkeypatch, tmp_path):
+def test_trials_run_in_order_and_those_who_watch_learn_the_time_left(monkeypatch, tmp_path):
     ran, watcher = scripted(monkeypatch, {}), Watcher()
-    report = run_batch(SPEC, tmp_path, [0, 2, 3], 1, Interrupt(), watcher)
-    assert ran == list(report.results) == [0, 2, 3]
-    assert watcher.told == [
+    report = run(tmp_path, [0, 2, 3], watcher=watcher)
+    assert ran == ran_of(report) == [0, 2, 3]
+    assert watcher.events == [
         event
-        for trial in (0, 2, 3)
-        for event in (("started", trial, 4), ("finished", trial, Outcome.ARRIVED))
+        for trial, left_s in ((0, 4.0), (2, 2.0), (3, 0.0))
+        for event in (
+            ("started", trial, 4),
+            ("ended", trial, Outcome.ARRIVED, None, left_s),
+        )
     ]
-    assert (report.not_run, report.interrupted, report.aborted) == ([], False, {})
+    assert (report.left, report.interrupted, report.aborted) == (0, False, {})
 
 
-def test_an_aborted_trial_ends_the_batch(monkeypatch, tmp_path):
-    ran = scripted(monkeypatch, {1: Outcome.ABORTED})
-    report = run_batch(SPEC, tmp_path, range(4), 1, Interrupt(), Watcher())
-    assert ran == [0, 1]
-    assert (list(report.aborted), report.not_run, report.interrupted) == ([1], [2, 3], False)
+@pytest.mark.parametrize("fail_fast", [True, False])
+def test_an_aborted_trial_ends_the_run_only_if_that_is_asked_for(monkeypatch, tmp_path, fail_fast):
+    ran, watcher = scripted(monkeypatch, {1: Outcome.ABORTED}), Watcher()
+    report = run(tmp_path, watcher=watcher, fail_fast=fail_fast)
+    assert ran == ([0, 1] if fail_fast else [0, 1, 2, 3])
+    assert ([*report.aborted], report.left) == ([("", 1)], 2 if fail_fast else 0)
+    assert not report.interrupted
+    assert [event[3] for event in watcher.events if event[0] == "ended"][1] == "aborted: why"
 
 
-def test_an_interrupted_trial_ends_the_batch(monkeypatch, tmp_path):
+@pytest.mark.parametrize("fail_fast", [True, False])
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (TetractlError("the disk\nis full"), "the disk is full"),
+        (ValueError("an  odd\nthing"), "ValueError: an odd thing"),
+    ],
+)
+def test_a_trial_without_an_outcome_is_an_error(monkeypatch, tmp_path, error, line, fail_fast):
+    scripted(monkeypatch, {0: error})
+    watcher = Watcher()
+    report = run(tmp_path, watcher=watcher, fail_fast=fail_fast)
+    assert report.errors == {("", 0): error}
+    assert (ran_of(report), report.left) == (([], 3) if fail_fast else ([1, 2, 3], 0))
+    assert watcher.events[1] == ("ended", 0, None, line, None)
+
+
+def test_an_interrupted_trial_ends_the_run(monkeypatch, tmp_path):
     interrupt = Interrupt()
     scripted(
         monkeypatch, {1: Outcome.INTERRUPTED}, lambda trial: trial == 1 and interrupt.request()
     )
-    report = run_batch(SPEC, tmp_path, range(4), 1, interrupt, Watcher())
-    assert (report.not_run, report.interrupted) == ([2, 3], True)
+    report = run(tmp_path, interrupt=interrupt, fail_fast=False)
+    assert (ran_of(report), report.left, report.interrupted) == ([0, 1], 2, True)
 
 
-def test_an_interruption_between_two_trials_is_one_too(monkeypatch, tmp_path):
+def test_an_interruption_between_two_trials_ends_the_run_too(monkeypatch, tmp_path):
     """Regression: it came too late for the trial under way, and the batch ended as if done."""
     interrupt = Interrupt()
     scripted(monkeypatch, {}, lambda trial: trial == 1 and interrupt.request())
-    report = run_batch(SPEC, tmp_path, range(4), 1, interrupt, Watcher())
-    assert (list(report.results), report.not_run, report.interrupted) == ([0, 1], [2, 3], True)
+    report = run(tmp_path, interrupt=interrupt)
+    assert (ran_of(report), report.left, report.interrupted) == ([0, 1], 2, False)
 
 
-def test_an_interruption_after_the_last_trial_changes_nothing(monkeypatch, tmp_path):
-    interrupt = Interrupt()
-    scripted(monkeypatch, {}, lambda trial: trial == 3 and interrupt.request())
-    report = run_batch(SPEC, tmp_path, range(4), 1, interrupt, Watcher())
-    assert (report.not_run, report.interrupted) == ([], False)
+def test_what_a_trial_in_the_lab_needs_is_there_while_it_runs(monkeypatch, tmp_path):
+    events = []
+    scripted(monkeypatch, {}, lambda trial: events.append(trial))
+
+    @contextmanager
+    def in_lab(trial):
+        events.append(f"open {trial}")
+        yield
+        events.append(f"close {trial}")
+
+    tasks, store = batch_tasks(SPEC, [0, 1]), LogStore(tmp_path, SPEC.experiment)
+    run_batch(tasks, store, Here(Interrupt(), (), in_lab), Watcher())
+    assert events == ["open 0", 0, "close 0", "open 1", 1, "close 1"]
 
 
 def test_a_trial_is_logged_under_its_number_with_its_seeds(tmp_path):
@@ -115,11 +164,32 @@ def test_a_trial_repeats_itself_whatever_ran_before(tmp_path):
     alone, among = tmp_path / "alone", tmp_path / "among"
     for folder, trials in ((alone, [1]), (among, [0, 1, 2])):
         folder.mkdir()
-        run_batch(SPEC, folder, trials, 1, Interrupt(), Watcher())
+        run(folder, trials)
     digests = [read_result(log_path(folder, 1)).digest for folder in (alone, among)]
     assert digests[0] == digests[1]
     others = {read_result(log_path(among, trial)).digest for trial in range(3)}
     assert len(others) == 3
+
+
+def kill_itself(task, folder):
+    """As the work of a worker: the host's memory runs out at one trial."""
+    log_path(folder, task.trial).with_suffix(".mcap.part").write_bytes(b"torn")
+    if task.trial == 1:
+        executors.os._exit(9)
+    return executors.run_task(task, folder, Interrupt())
+
+
+@pytest.mark.slow
+def test_a_trial_that_kills_its_process_is_run_again_alone_and_then_fails(tmp_path, monkeypatch):
+    monkeypatch.setattr(executors, "_work", kill_itself)
+    report = run(tmp_path, [0, 1, 2], jobs=2, fail_fast=False)
+    assert sorted(ran_of(report)) == [0, 2]
+    (error,) = report.errors.values()
+    assert isinstance(error, AbortError)
+    assert str(error) == "a trial's process was killed twice, perhaps for want of memory"
+    assert "--jobs" in error.hint
+    assert (tmp_path / "trial-001.attempt-1.mcap.part").exists()  # of the first time
+    assert (tmp_path / "trial-001.mcap.part").exists()
 
 
 def test_logs_are_numbered_with_three_digits_or_more(tmp_path):
@@ -129,7 +199,7 @@ def test_logs_are_numbered_with_three_digits_or_more(tmp_path):
 
 def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, tmp_path):
     lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab")
-    monkeypatch.setattr(batch.time, "time_ns", lambda: -1)
+    monkeypatch.setattr(task.time, "time_ns", lambda: -1)
     with pytest.raises(TetractlError, match="this computer's clock is before 1970"):
         run_trial(lab, tmp_path, 0, (), Interrupt())
     assert list(tmp_path.iterdir()) == []

@@ -3,8 +3,8 @@
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec
-from tetractl.run.batch import run_trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import run_trial
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 SQUARE = [

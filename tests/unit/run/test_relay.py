@@ -1,4 +1,5 @@
 import threading
+from contextlib import closing
 
 import pytest
 
@@ -29,7 +30,7 @@ class Watcher:
 
 def test_calls_arrive_in_order_in_another_thread():
     watcher = Watcher()
-    with Relay(watcher) as observer:
+    with closing(Relay(watcher)) as observer:
         observer.on_start("start")
         for i in range(100):
             observer.on_samples(i)
@@ -45,7 +46,7 @@ def test_calls_arrive_in_order_in_another_thread():
 
 def test_a_failure_comes_out_at_the_end_at_the_latest_and_nothing_follows_it():
     watcher = Watcher(fail="on_step")
-    with Relay(watcher) as observer:
+    with closing(Relay(watcher)) as observer:
         observer.on_step(1)
         with pytest.raises(LogError, match="disk full"):
             observer.on_stop("stop", "result")
@@ -56,7 +57,7 @@ def test_an_observer_that_cannot_follow_is_an_error_and_blocks_nobody(monkeypatc
     monkeypatch.setattr(relay, "SIZE", 5)
     watcher = Watcher()
     watcher.gate.clear()
-    with Relay(watcher) as observer:
+    with closing(Relay(watcher)) as observer:
         with pytest.raises(TetractlError, match="too slow"):
             for i in range(10):
                 observer.on_step(i)
@@ -66,7 +67,7 @@ def test_an_observer_that_cannot_follow_is_an_error_and_blocks_nobody(monkeypatc
 def test_a_bug_of_the_observer_is_raised():
     watcher = Watcher()
     watcher.on_step = lambda step: 1 / 0
-    with Relay(watcher) as observer:
+    with closing(Relay(watcher)) as observer:
         observer.on_step(1)
         with pytest.raises(ZeroDivisionError):
             observer.on_stop("stop", "result")

@@ -11,8 +11,8 @@ from support.durable import ENDLESS
 
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
-from tetractl.run.batch import log_path, run_trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
 
 HANDLES = Path("/proc/self/fd")
 SHORT = ["controller.steps_max=5", "plant.camera_rate=30"]

@@ -59,7 +59,7 @@ def test_a_trial_that_failed_is_counted_once(tmp_path):
 def test_a_log_that_was_set_aside_hides_no_row(tmp_path):
     arm = arm_of(tmp_path, ALL)
     edit(arm, code="older")
-    run(tmp_path, SMALL, logs=NONE, again=True)
+    run(tmp_path, SMALL, logs=NONE, rerun_outdated=True)
     assert len(list(arm.glob("*.attempt-1.mcap"))) == 3
     assert read(arm) == (dict.fromkeys(range(3), False), 3, [])
 
@@ -84,8 +84,8 @@ def test_rows_without_a_result_are_missed_only_where_there_is_no_log(tmp_path):
     assert (one.path, one.problem.partition(";")[0]) == (
         str(arm / ROWS), "2 trials have neither a log nor a result in their row"
     )  # fmt: skip
-    assert run(tmp_path, SMALL, logs=FIRST).plan.older == {arm.name: 3}
-    run(tmp_path, SMALL, logs=FIRST, again=True)
+    assert run(tmp_path, SMALL, logs=FIRST).outdated == {arm.name: 3}
+    run(tmp_path, SMALL, logs=FIRST, rerun_outdated=True)
     assert read(arm) == ({0: True, 1: False, 2: False}, 3, [])
 
 

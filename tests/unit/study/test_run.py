@@ -1,5 +1,4 @@
 import json
-import os
 import pickle
 from dataclasses import replace
 
@@ -10,12 +9,14 @@ from tetractl.core.errors import LogError, TetractlError, UsageError
 from tetractl.experiment.load import parse_spec
 from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.run.batch import log_path, run_trial
+from tetractl.run import task
+from tetractl.run.executors import Here
+from tetractl.run.folder_lock import locked
 from tetractl.run.interrupt import Interrupt
-from tetractl.study import local, work
+from tetractl.run.task import OtherCodeError, log_path, run_trial
 from tetractl.study.options import Logs, Shard
 from tetractl.study.repeat import repeat
-from tetractl.study.store import merge, read_rows
+from tetractl.study.store import read_rows
 
 ALL, NONE, FAILED = Logs(float("inf"), True), Logs(0, False), Logs(0, True)
 ARM = "dead_time=0.1"
@@ -59,25 +60,23 @@ def test_a_log_kept_changes_no_row(tmp_path):
         assert logged(log) == row.trial_digest
 
 
-def test_trials_come_first_over_all_arms_and_the_duration_is_told(tmp_path):
+def test_trials_come_first_over_all_arms(tmp_path):
     ran = run(tmp_path, SMALL)
-    assert [(task.arm, task.trial) for task in ran.plan.tasks] == [
-        (arm, trial) for trial in range(3) for arm in range(2)
-    ]
-    assert ran.watcher.told == [3]
-    assert ran.watcher.left_s[-1] == 0
-    assert (ran.report.done, ran.report.failed, ran.report.left) == (6, 0, 0)
+    arms = [arm.name for arm in ran.loaded.arms]
+    assert ran.watcher.started == [(arm, trial) for trial in range(3) for arm in arms]
+    assert ran.watcher.endings[-1].left_s == 0
+    assert ran.counts == (6, 0, 0)
 
 
-def test_trials_of_older_code_are_named_and_run_again_only_on_demand(tmp_path):
+def test_trials_of_outdated_code_are_named_and_run_again_only_on_demand(tmp_path):
     before = run(tmp_path, SMALL, logs=ALL)
     table = (tmp_path / "out" / "trials.csv").read_bytes()
     edit(before, code="older")
     kept = run(tmp_path, SMALL, logs=ALL)
-    assert (len(kept.plan.tasks), kept.plan.older) == (0, {ARM: 3})
+    assert (len(kept.tasks), kept.outdated) == (0, {ARM: 3})
     assert (tmp_path / "out" / "trials.csv").read_bytes() != table
-    again = run(tmp_path, SMALL, logs=ALL, again=True)
-    assert (len(again.plan.tasks), again.plan.older) == (3, {})
+    again = run(tmp_path, SMALL, logs=ALL, rerun_outdated=True)
+    assert (len(again.tasks), again.outdated) == (3, {})
     assert (tmp_path / "out" / "trials.csv").read_bytes() == table
     names = {path.name for path in (tmp_path / "out" / ARM).glob("*attempt*")}
     assert names == {f"trial-00{i}.attempt-1.mcap" for i in range(3)}
@@ -89,11 +88,19 @@ def test_a_study_of_another_spec_is_not_mixed_in(tmp_path):
         run(tmp_path, SMALL.replace("seed: 7", "seed: 8"))
 
 
+def test_a_folder_in_use_is_refused(tmp_path):
+    """What the lock does among processes is tested in run/test_folder_lock.py."""
+    ran = run(tmp_path, SMALL)
+    refused = pytest.raises(UsageError, match="out: in use by process")
+    with locked(tmp_path / "out"), refused, ran.store.opened():
+        pass
+
+
 def test_more_trials_and_values_are_added_to_those_there_are(tmp_path):
     run(tmp_path, SMALL)
     more = SMALL.replace("count: 3", "count: 4").replace("[0, 0.1]", "[0, 0.05, 0.1]")
     ran = run(tmp_path, more)
-    assert len(ran.plan.tasks) == 3 * 4 - 2 * 3
+    assert len(ran.tasks) == 3 * 4 - 2 * 3
     assert len(ran.rows) == 12
 
 
@@ -103,7 +110,7 @@ def test_lines_that_are_no_rows_are_passed_over(tmp_path):
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(lines[0] + b'{"trial": 1}\n\xff\xfe\n' + lines[2][:-9])
     ran = run(tmp_path, SMALL)
-    assert [(task.arm, task.trial) for task in ran.plan.tasks] == [(1, 1), (1, 2)]
+    assert [task.key for task in ran.tasks] == [(ARM, 1), (ARM, 2)]
     assert {key: row.trial_digest for key, row in ran.rows.items()} == {
         key: row.trial_digest for key, row in before.rows.items()
     }
@@ -120,32 +127,38 @@ def test_a_failed_trial_has_a_row_and_is_told(tmp_path):
     for (arm, trial), row in ran.rows.items():
         if row.logged:
             assert logged(log_path(tmp_path / "out" / arm, trial)) == row.trial_digest
-    assert (ran.report.done, ran.report.failed) == (8, 0)
+    assert ran.counts == (8, 0, 0)
 
 
-def test_fail_fast_stops_at_the_first_failure(tmp_path):
-    ran = run(tmp_path, FAILING, fail_fast=True)
-    assert (ran.report.done, ran.report.left) == (1, 7)
-
-
-@pytest.mark.parametrize("error", [ValueError("an  odd\nthing"), TetractlError("the disk is full")])
-def test_a_trial_without_an_outcome_is_told_and_run_again_the_next_time(
-    tmp_path, monkeypatch, error
+def test_a_trial_without_an_outcome_has_no_row_and_is_run_again_the_next_time(
+    tmp_path, monkeypatch
 ):
-    real = work.run_with
+    real = task.run_with
 
-    def broken(writer, spec, trial, observers, interrupt):
+    def broken(writers, spec, trial, *more):
         if trial == 1:
-            raise error
-        return real(writer, spec, trial, observers, interrupt)
+            raise TetractlError("the disk is full")
+        return real(writers, spec, trial, *more)
 
-    monkeypatch.setattr(work, "run_with", broken)
+    monkeypatch.setattr(task, "run_with", broken)
     ran = run(tmp_path, SMALL)
-    assert (ran.report.done, ran.report.failed, ran.report.left) == (4, 2, 0)
-    why = ran.watcher.failures[0][2]
-    assert why in ("ValueError: an odd thing", "the disk is full")
+    assert ran.counts == (4, 2, 0)
+    assert {why for *_, why in ran.watcher.failures} == {"the disk is full"}
     monkeypatch.undo()
-    assert len(run(tmp_path, SMALL).plan.tasks) == 2
+    assert len(run(tmp_path, SMALL).tasks) == 2
+
+
+def test_an_interrupted_trial_leaves_neither_row_nor_log(tmp_path):
+    interrupt = Interrupt()
+
+    class Stopper:
+        def __getattr__(self, name):
+            return lambda *args: name == "on_step" and interrupt.request()
+
+    ran = run(tmp_path, SMALL, logs=ALL, executor=Here(interrupt, [Stopper()]))
+    assert ran.report.interrupted
+    assert (ran.counts, ran.rows) == ((1, 0, 5), {})
+    assert not list(tmp_path.rglob("*.mcap*"))
 
 
 def test_shares_are_disjoint_and_merge_to_the_whole(tmp_path):
@@ -153,12 +166,12 @@ def test_shares_are_disjoint_and_merge_to_the_whole(tmp_path):
     for i in (1, 2):
         run(tmp_path, SMALL, out=f"share-{i}", logs=ALL, shard=Shard(i, 2))
     shares = [tmp_path / "share-1", tmp_path / "share-2"]
-    with whole.store.opened(whole.loaded.arms):
-        assert merge(whole.store, whole.loaded.arms, shares) == 0  # it has them all
+    with whole.store.opened():
+        assert whole.store.merge(shares) == 0  # it has them all
     gathered = run(tmp_path, SMALL, out="gathered", shard=Shard(1, 10_000))
-    with gathered.store.opened(gathered.loaded.arms):
+    with gathered.store.opened():
         before = len(gathered.rows)
-        assert merge(gathered.store, gathered.loaded.arms, shares) == 6  # the one for its log
+        assert gathered.store.merge(shares) == 6  # the one for its log
         assert before == 1
     assert {k: r.trial_digest for k, r in gathered.rows.items()} == {
         k: r.trial_digest for k, r in whole.rows.items()
@@ -184,20 +197,20 @@ def test_shares_that_contradict_each_other_are_refused(tmp_path):
     mine, other = (run(tmp_path, SMALL, out=out) for out in ("mine", "other"))
     edit(other, trial_digest="0" * 64)
     with (
-        mine.store.opened(mine.loaded.arms),
+        mine.store.opened(),
         pytest.raises(UsageError, match=f"trial 0 of {ARM} differs from that in .*mine"),
     ):
-        merge(mine.store, mine.loaded.arms, [tmp_path / "other"])
+        mine.store.merge([tmp_path / "other"])
     edit(other, code="older")
-    with mine.store.opened(mine.loaded.arms):  # of other code it may differ
-        assert merge(mine.store, mine.loaded.arms, [tmp_path / "other"]) == 0
+    with mine.store.opened():  # of other code it may differ
+        assert mine.store.merge([tmp_path / "other"]) == 0
     with pytest.raises(UsageError, match="holds no trial of this study"):
-        merge(mine.store, mine.loaded.arms, [tmp_path / "nowhere"])
+        mine.store.merge([tmp_path / "nowhere"])
 
 
 def test_a_trial_is_repeated_to_its_log(tmp_path):
     ran = run(tmp_path, SMALL)
-    with ran.store.opened(ran.loaded.arms):
+    with ran.store.opened():
         told = repeat(ran.loaded, ran.store, f"{ARM}/1")
         row = ran.rows[ARM, 1]
         log = log_path(tmp_path / "out" / ARM, 1)
@@ -216,7 +229,7 @@ def test_a_trial_is_repeated_with_the_number_of_trials_it_was_run_with(tmp_path)
     """The number is in the resolved spec of each log, and so in its digest."""
     run(tmp_path, SMALL)
     more = run(tmp_path, SMALL.replace("count: 3", "count: 4"))
-    with more.store.opened(more.loaded.arms):
+    with more.store.opened():
         for trial in (1, 3):
             assert "digest as in its row" in repeat(more.loaded, more.store, f"{ARM}/{trial}")
 
@@ -225,41 +238,27 @@ def test_a_repeated_trial_that_differs_is_set_aside(tmp_path):
     ran = run(tmp_path, SMALL)
     edit(ran, trial_digest="0" * 64, code="older")
     with (
-        ran.store.opened(ran.loaded.arms),
+        ran.store.opened(),
         pytest.raises(LogError, match="the digest of its log is") as told,
     ):
         repeat(ran.loaded, ran.store, f"{ARM}/1")
-    assert told.value.hint == "the row is of older code"
+    assert told.value.hint == "the row is of outdated code"
     logs = [path.name for path in (tmp_path / "out" / ARM).glob("*.mcap")]
     assert logs == ["trial-001.attempt-1.mcap"]
 
 
 def test_a_worker_with_other_code_ends_the_study(tmp_path, monkeypatch):
-    monkeypatch.setattr(work, "code_of", lambda spec: "other")
-    with pytest.raises(work.OtherCodeError, match="has other code"):
+    monkeypatch.setattr(task, "code_of", lambda spec: "other")
+    with pytest.raises(OtherCodeError, match="has other code"):
         run(tmp_path, SMALL)
     monkeypatch.undo()
-    assert len(run(tmp_path, SMALL).plan.tasks) == 6
-
-
-def kill_itself(item):
-    """As a worker's task: the processor's memory runs out at one trial."""
-    if item[0].trial == 1:
-        os._exit(9)
-    return work.run_task(*item, Interrupt())
-
-
-@pytest.mark.slow
-def test_a_trial_that_kills_its_process_fails_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(local, "_work", kill_itself)
-    ran = run(tmp_path, SMALL.replace("[0, 0.1]", "[0]"), jobs=2)
-    (failure,) = ran.watcher.failures
-    assert failure == ("dead_time=0", 1, "its process was killed, perhaps for want of memory")
-    assert sorted(trial for _, trial in ran.rows) == [0, 2]
+    assert len(run(tmp_path, SMALL).tasks) == 6
 
 
 def test_the_specs_of_tasks_are_those_of_the_arms(tmp_path):
     ran = run(tmp_path, SMALL, shard=Shard(2, 2))
-    for task in ran.plan.tasks:
-        assert pickle.loads(task.spec).experiment == ran.loaded.arms[task.arm].spec.experiment
-        assert (task.arm * 3 + task.trial) % 2 == 1
+    arms = {arm.name: (i, arm) for i, arm in enumerate(ran.loaded.arms)}
+    for each in ran.tasks:
+        i, arm = arms[each.arm]
+        assert pickle.loads(each.spec).experiment == arm.spec.experiment
+        assert (i * 3 + each.trial) % 2 == 1

@@ -7,6 +7,8 @@ from rich.console import Console
 
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.trial import Result, Start, Step
+from tetractl.run.batch import Ending
+from tetractl.run.task import Task
 from tetractl.view.terminal.live import LiveView
 from tetractl.view.terminal.progress import trial_line
 
@@ -49,24 +51,24 @@ class LabWatch:
         self._unit, self._live = unit, live
         self._view: LiveView | None = None
         self._notes: list[Note] = []
-        self._trial = self._count = 0
 
-    def trial_started(self, index: int, n: int) -> None:
+    def trial_started(self, task: Task) -> None:
         """Note which trial comes."""
-        self._trial, self._count = index, n
+        self._task = task
 
-    def trial_finished(self, index: int, result: Result) -> None:
+    def trial_ended(self, ending: Ending) -> None:
         """Print the trial's line."""
         self._close()
-        text = trial_line(index, self._count, result, self._unit)
-        self._quiet.print(text, highlight=False, markup=False, soft_wrap=True)
+        if ending.result:
+            text = trial_line(ending.task, ending.result, self._unit)
+            self._quiet.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def on_start(self, start: Start) -> None:
         """Open the live view."""
         if self._live:
             self._view = LiveView(self._console)
             self._view.__enter__()
-            self._view.trial_started(self._trial, self._count)
+            self._view.trial_started(self._task)
             self._view.on_start(start)
 
     def on_samples(self, samples: list[Sample]) -> None:

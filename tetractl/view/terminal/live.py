@@ -16,6 +16,8 @@ from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Start, Step
 from tetractl.log.read.trial_log import Event
 from tetractl.replay.recording import Moment, tracked
+from tetractl.run.batch import Ending
+from tetractl.run.task import Task
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.progress import Tally, duration
 
@@ -24,7 +26,7 @@ FRAME_S = 1 / 12  # least wall time between two pictures
 
 class LiveView:
     """Shows one trial after another on the terminal's other screen: an `Observer` of each trial and
-    a `BatchObserver`; a context manager.
+    a `RunObserver`; a context manager.
 
     It draws at most 12 pictures a second of `wall` time [s].
     """
@@ -35,7 +37,7 @@ class LiveView:
             console=console, screen=True, auto_refresh=False, redirect_stdout=False, transient=True
         )
         self._tally = Tally()
-        self._index = 0
+        self._index, self._count = 0, 1
         self._began: float | None = None
         self._drawn = -np.inf
 
@@ -51,15 +53,16 @@ class LiveView:
     ) -> None:
         self._live.stop()
 
-    def trial_started(self, index: int, n: int) -> None:
+    def trial_started(self, task: Task) -> None:
         """Set the number of the trial and that of all trials."""
-        self._index, self._tally.n = index, n
+        self._index, self._count = task.trial, task.count
         if self._began is None:
             self._began = self._wall()
 
-    def trial_finished(self, index: int, result: Result) -> None:
+    def trial_ended(self, ending: Ending) -> None:
         """Count the trial."""
-        self._tally.add(result)
+        if ending.result:
+            self._tally.add(ending.result)
 
     def on_start(self, start: Start) -> None:
         """Clear the view for a new trial."""
@@ -136,7 +139,7 @@ class LiveView:
                 Event(seconds(note.t_ns - first_ns), note.level, note.text) for note in self._notes
             ),
         )
-        done, n = len(self._tally.errors), max(self._tally.n, 1)
+        done, n = len(self._tally.errors), self._count
         footer = Footer(
             left=f"trial {self._index + 1} of {n}",
             fraction=done / n,

@@ -1,28 +1,23 @@
-"""Progress of a batch: on a terminal a bar with the time left, elsewhere a line for each trial."""
+"""Progress of a run of trials: on a terminal a bar with the time left, elsewhere lines."""
 
-from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-)
-from rich.text import Text
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from tetractl.core.trial import Result
+from tetractl.run.batch import Ending
+from tetractl.run.task import Task
+
+LINES = 10  # of progress that a study prints without a terminal
+FIRST = 3  # trials that the expected duration of a study is computed from
 
 
 class Tally:
     """Counts of the trials of a batch so far."""
 
     def __init__(self) -> None:
-        self.n = 0
         self.errors: list[float] = []
         self.aborted = 0
         self.entered = 0
@@ -43,21 +38,20 @@ class Tally:
         return ", ".join(words)
 
 
-class BatchProgress:
-    """A `BatchObserver` that prints to a console; a context manager.
+class _TrialsBar:
+    """A bar of trials done on a terminal, none elsewhere or if `quiet`; a context manager."""
 
-    `total` is the number of trials to be run, `unit` the experiment's length unit.
-    """
-
-    def __init__(self, console: Console, total: int, unit: str = "mm") -> None:
-        self._console, self._total, self._unit = console, total, unit
-        self._tally = Tally()
-        self._stack = ExitStack()
-        self._bar: Progress | None = None
+    def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
+        self._console, self._total = console, total
+        live = console.is_terminal and not (console.is_dumb_terminal or console.quiet or quiet)
+        self._done = 0
+        columns = TextColumn("trials"), BarColumn(bar_width=30), MofNCompleteColumn()
+        words = TextColumn("{task.description}")
+        self._bar = Progress(*columns, words, console=console, transient=True) if live else None
 
     def __enter__(self) -> Self:
-        if self._console.is_terminal and not self._console.is_dumb_terminal:
-            self._bar = self._stack.enter_context(trials_bar(self._console, _TimeLeft()))
+        if self._bar:
+            self._bar.start()
             self._task = self._bar.add_task("", total=self._total)
         return self
 
@@ -67,49 +61,76 @@ class BatchProgress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._stack.close()
-
-    def trial_started(self, index: int, n: int) -> None:
-        """Set the number of trials of the batch, earlier ones included."""
-        self._tally.n = n
-
-    def trial_finished(self, index: int, result: Result) -> None:
-        """Advance the bar, or print a line on the trial."""
-        self._tally.add(result)
         if self._bar:
-            self._bar.update(self._task, advance=1, description=self._tally.summary(self._unit))
-        else:
-            text = trial_line(index, max(self._tally.n, self._total), result, self._unit)
-            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+            self._bar.stop()
+
+    def trial_started(self, task: Task) -> None:
+        """Do nothing: trials count when they end."""
+
+    def _advance(self, *words: str) -> None:
+        self._done += 1
+        if self._bar:
+            self._bar.update(self._task, advance=1, description=", ".join(filter(None, words)))
+
+    def _say(self, text: str) -> None:
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
-def trial_line(index: int, n: int, result: Result, unit: str) -> str:
-    """Return a line on one finished trial, the `index`-th of n."""
+class BatchProgress(_TrialsBar):
+    """A `RunObserver` of a batch: the errors so far beside the bar, else a line for each trial.
+
+    `unit` is the experiment's length unit.
+    """
+
+    def __init__(self, console: Console, total: int, unit: str = "mm") -> None:
+        super().__init__(console, total)
+        self._tally, self._unit = Tally(), unit
+
+    def trial_ended(self, ending: Ending) -> None:
+        """Advance the bar, or print a line on the trial."""
+        if ending.result:
+            self._tally.add(ending.result)
+        self._advance(_left(ending), self._tally.summary(self._unit))
+        if ending.result and not self._bar:
+            self._say(trial_line(ending.task, ending.result, self._unit))
+
+
+class StudyProgress(_TrialsBar):
+    """A `RunObserver` of a study: failures, how long it takes and, without a terminal, a line after
+    each tenth of the trials. A quiet one prints failures only."""
+
+    def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
+        super().__init__(console, total, quiet)
+        self._quiet = quiet
+        self._results = 0
+
+    def trial_ended(self, ending: Ending) -> None:
+        """Print a failure and the expected duration; advance the bar, or print a line."""
+        task, left_s = ending.task, ending.left_s
+        if ending.failure:
+            self._say(f"failed: {task.arm}/{task.trial}: {ending.failure}")
+        self._results += ending.result is not None
+        if self._results == FIRST and ending.result and left_s and not self._quiet:
+            self._say(f"expected duration {duration(left_s)}, by the first {FIRST} trials")
+        before = self._done * LINES // self._total
+        self._advance(_left(ending))
+        if self._done * LINES // self._total > before and not (self._bar or self._quiet):
+            words = f"{self._done} of {self._total} trials", _left(ending)
+            self._say(", ".join(filter(None, words)))
+
+
+def _left(ending: Ending) -> str:
+    return "" if ending.left_s is None else f"{duration(ending.left_s)} left"
+
+
+def trial_line(task: Task, result: Result, unit: str) -> str:
+    """Return a line on a finished trial."""
     entered = ", entered an obstacle" if result.entered_obstacle else ""
     why = f" ({result.reason})" if result.outcome == "aborted" else ""
     return (
-        f"trial {index + 1} of {n}: {result.outcome}{why}, total error "
+        f"trial {task.trial + 1} of {task.count}: {result.outcome}{why}, total error "
         f"{result.total_error:.1f} {unit}, {result.steps} steps, {result.duration_s:.1f} s{entered}"
     )
-
-
-def trials_bar(console: Console, *columns: ProgressColumn) -> Progress:
-    """Return a bar of trials done, with further columns before its description."""
-    return Progress(
-        TextColumn("trials"),
-        BarColumn(bar_width=30),
-        MofNCompleteColumn(),
-        *columns,
-        TextColumn("{task.description}"),
-        console=console,
-        transient=True,
-    )
-
-
-class _TimeLeft(ProgressColumn):
-    def render(self, task: Task) -> Text:
-        left = task.time_remaining
-        return Text("" if left is None else f"{duration(left)} left", "dim")
 
 
 def duration(seconds: float) -> str:

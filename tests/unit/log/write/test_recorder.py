@@ -6,8 +6,8 @@ from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.write.recorder import Recorder
 from tetractl.log.write.writer import LogWriter
-from tetractl.run.batch import log_path, run_with
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_with
 
 
 @pytest.mark.slow

@@ -10,9 +10,11 @@ from support.trials import run_three_robots, three_robots
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note, Sample
 from tetractl.core.plan import Outcome
-from tetractl.run.batch import BatchObserver
+from tetractl.core.trial import Result
+from tetractl.run.batch import Ending, RunObserver
+from tetractl.run.task import Task
 from tetractl.view.terminal.live import LiveView
-from tetractl.view.terminal.progress import BatchProgress, duration
+from tetractl.view.terminal.progress import BatchProgress, StudyProgress, duration
 
 
 class Wall:
@@ -49,16 +51,23 @@ def pictures(console: Console) -> list[str]:
     return [re.sub(r"\x1b\[[0-9;?]*[a-z]", "", picture, flags=re.I) for picture in shown]
 
 
+def ended(trial: int, count: int, result: Result | None, left_s: float | None = None) -> Ending:
+    failure = None
+    if result is None or result.outcome is Outcome.ABORTED:
+        failure = "no camera" if result is None else f"aborted: {result.reason}"
+    return Ending(Task(trial, count, b"", "arm"), result, failure, left_s)
+
+
 def run(folder: Path, tick: float) -> Console:
     console = terminal()
     with LiveView(console, wall=Wall(tick)) as view:
-        watcher: BatchObserver = view
-        watcher.trial_started(2, 20)
+        watcher: RunObserver = view
+        watcher.trial_started(Task(2, 20, b""))
         run_three_robots(folder, observers=[view])
         result = three_robots().result
         assert result
-        watcher.trial_finished(2, result)
-        watcher.trial_started(3, 20)
+        watcher.trial_ended(ended(2, 20, result))
+        watcher.trial_started(Task(3, 20, b""))
         view.on_start(three_robots().start)
     return console
 
@@ -120,10 +129,8 @@ def test_without_a_terminal_progress_is_one_plain_line_a_trial():
     assert result
     aborted = replace(result, outcome=Outcome.ABORTED, reason="no [new] frame for 500 ms")
     with BatchProgress(console, total=2) as progress:
-        progress.trial_started(0, 2)
-        progress.trial_finished(0, result)
-        progress.trial_started(1, 2)
-        progress.trial_finished(1, aborted)
+        progress.trial_ended(ended(0, 2, result))
+        progress.trial_ended(ended(1, 2, aborted))
     end = f"total error {result.total_error:.1f} mm, {result.steps} steps, 8.2 s"
     assert written(console).splitlines() == [
         f"trial 1 of 2: sequence completed, {end}",
@@ -137,14 +144,50 @@ def test_on_a_terminal_progress_is_a_bar_with_the_errors_so_far():
     assert result
     entered = replace(result.verdict, entered=(True, False, False))
     with BatchProgress(console, total=3) as progress:
-        progress.trial_started(0, 3)
-        progress.trial_finished(0, result)
-        progress.trial_finished(1, replace(result, total_error=600.0, verdict=entered))
+        progress.trial_ended(ended(0, 3, result, 100.0))
+        second = replace(result, total_error=600.0, verdict=entered)
+        progress.trial_ended(ended(1, 3, second, 65.0))
     text = re.sub(r"\x1b\[[0-9;?]*[a-z]", "", written(console), flags=re.I)
     assert "2/3" in text
     mean = (result.total_error + 600) / 2
-    assert f"mean total error {mean:.1f} mm, 1 entered an obstacle" in text
+    assert f"1 min 5 s left, mean total error {mean:.1f} mm, 1 entered an obstacle" in text
     assert "steps" not in text
+
+
+def study_progress(console: Console, quiet: bool = False) -> list[str]:
+    """What 20 trials print, of which the fifth has no outcome and the sixth is aborted."""
+    result = three_robots().result
+    assert result
+    aborted = replace(result, outcome=Outcome.ABORTED, reason="no frame")
+    with StudyProgress(console, 20, quiet) as progress:
+        for i in range(20):
+            outcome = {4: None, 5: aborted}.get(i, result)
+            progress.trial_ended(ended(i, 20, outcome, 19.0 - i))
+    return written(console).splitlines()
+
+
+FAILURES = ["failed: arm/4: no camera", "failed: arm/5: aborted: no frame"]
+
+
+def test_a_study_prints_failures_the_expected_duration_and_each_tenth():
+    lines = study_progress(Console(file=io.StringIO(), force_terminal=False, width=40))
+    assert [line for line in lines if line.startswith("failed")] == FAILURES
+    assert [line for line in lines if "expected" in line] == [
+        "expected duration 17 s, by the first 3 trials"
+    ]
+    tenths = [f"{2 * i} of 20 trials, {20 - 2 * i} s left" for i in range(1, 11)]
+    assert [line for line in lines if "of 20" in line] == tenths
+    quiet = Console(file=io.StringIO(), force_terminal=False, width=40)
+    assert study_progress(quiet, quiet=True) == FAILURES
+
+
+def test_a_study_on_a_terminal_has_a_bar_and_no_tenths():
+    lines = study_progress(terminal(100))
+    text = re.sub(r"\x1b\[[0-9;?]*[a-z]", "", "\n".join(lines), flags=re.I)
+    assert "20/20 0 s left" in text
+    assert all(line in text for line in FAILURES)
+    assert "of 20" not in text
+    assert "\x1b[2K" not in "".join(study_progress(terminal(100), quiet=True))
 
 
 @pytest.mark.parametrize(

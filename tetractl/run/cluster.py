@@ -1,11 +1,11 @@
-"""Runs the trials of a study on a Dask cluster that is there already."""
+"""Runs tasks on a Dask cluster that is there already."""
 
 import itertools
 import logging
 import queue
 import tempfile
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from pathlib import Path
@@ -13,17 +13,15 @@ from types import TracebackType
 from typing import Any, Self
 
 from tetractl.core.errors import AbortError, UsageError
-from tetractl.run.batch import log_path
+from tetractl.run.executors import Ended, Ready
 from tetractl.run.interrupt import Interrupt
-from tetractl.study.local import Ended
-from tetractl.study.row import Row
-from tetractl.study.store import save_whole
-from tetractl.study.work import Task, run_task
+from tetractl.run.store import save_whole
+from tetractl.run.task import Finished, Task, log_path, run_task
 
 CONNECT_S = 10.0
 TLS = "DASK_DISTRIBUTED__COMM__TLS"  # what its variables of the environment begin with
-LOOK_S = 0.1  # how often an interruption is looked for
-COUNT_S = 1.0  # how often workers are counted: some come, some are lost
+LOOK_S = 0.1  # between two checks for an interruption
+COUNT_S = 1.0  # between two counts of the workers: some come, some are lost
 AHEAD = 2  # tasks handed out for each thread of a worker, so that none waits for the next
 FEWEST = 8  # the same while no worker has come yet
 
@@ -32,14 +30,13 @@ class Cluster:
     """Hands trials to the workers of the scheduler at `address`; a context manager.
 
     A trial whose worker is lost is given to another by the scheduler, three times at most. Logs
-    come back with the rows, so that workers need no folder in common. `place` returns the folder
-    for the log of a task.
+    come back with the results, so that workers need no folder in common.
 
-    Raises UsageError where distributed is not installed or no scheduler answers.
+    Raises UsageError if distributed is not installed or no scheduler answers.
     """
 
-    def __init__(self, address: str, interrupt: Interrupt, place: Callable[[Task], Path]) -> None:
-        self._address, self._interrupt, self._place = address, interrupt, place
+    def __init__(self, address: str, interrupt: Interrupt) -> None:
+        self._address, self._interrupt = address, interrupt
         self._ended = False
         self._workers, self._count_at_s = 1, 0.0
 
@@ -96,15 +93,15 @@ class Cluster:
             self._count_at_s = now + COUNT_S
         return self._workers
 
-    def run(self, tasks: Sequence[Task]) -> Generator[Ended]:
+    def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end; AbortError once the scheduler is gone."""
-        waiting, running = iter(tasks), dict[Any, Task]()
+        waiting, running = iter(tasks), dict[Any, tuple[Task, Path]]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         while not self._stopping:
             window = max(AHEAD * self.workers, FEWEST) - len(running)
             for task in itertools.islice(waiting, max(window, 0)):
                 future = self._client.submit(_work, task, pure=False)
-                running[future] = task
+                running[future] = task, ready(task)
                 future.add_done_callback(ended.put)
             if not running:
                 return
@@ -114,7 +111,8 @@ class Cluster:
                 if not self._connected:
                     raise self._gone() from None
                 continue
-            yield self._found(running.pop(future), future)
+            task, folder = running.pop(future)
+            yield task, self._found(task, folder, future)
         if self._connected:
             self._client.cancel(list(running))
 
@@ -136,27 +134,30 @@ class Cluster:
             "start a scheduler again; the same command, with its address, goes on with it",
         )
 
-    def _found(self, task: Task, future: Any) -> Ended:
-        """Return what became of a task, its log saved."""
+    def _found(self, task: Task, folder: Path, future: Any) -> Finished | Exception:
+        """Save the log of a task; return how it finished, or what kept it from an outcome."""
         from distributed import KilledWorker
 
+        found: Any = None
+        log: bytes | None = None
         try:  # Dask gives up all tasks when the connection to the scheduler is lost
             error = future.exception()
-            found, log = future.result() if error is None else (None, None)
+            if error is None:
+                found, log = future.result()
         except (OSError, CancelledError):
             raise self._gone() from None
         if isinstance(error, KilledWorker):
-            return task, AbortError("it was lost with each worker that it was given to")
+            return AbortError("it was lost with each worker that it was given to")
         if error is not None:
-            return task, error
+            return error
         future.release()
         if log is not None:
-            save_whole(log_path(self._place(task), task.trial), log)
-        return task, found
+            save_whole(log_path(folder, task.trial), log)
+        return found
 
 
-def _work(task: Task) -> tuple[Row | Exception | None, bytes | None]:
-    """Run a trial on a worker; return its row, or what kept it from its end, and its log."""
+def _work(task: Task) -> tuple[Finished | Exception, bytes | None]:
+    """Run a trial on a worker; return how it finished, or what kept it from that, and its log."""
     with tempfile.TemporaryDirectory(prefix="tetractl-") as name:
         try:
             found = run_task(task, Path(name), Interrupt())

@@ -8,14 +8,18 @@ from support import random_trials as made
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
-from tetractl.run.batch import log_path
-from tetractl.run.folder import default_folder, make_folder, set_aside, trials_to_run
+from tetractl.run.store import LogStore, default_folder, make_folder, set_aside
+from tetractl.run.task import log_path
 
 
 def log(folder, index, outcome=Outcome.ARRIVED, **fields):
     trial = made.trial(index + 1, index=index, steps=2, frames=2, **fields)
     result = replace(trial.result, outcome=outcome)
     return made.write(replace(trial, result=result), log_path(folder, index))
+
+
+def trials_to_run(experiment, folder, resume):
+    return LogStore(folder, experiment).lacking(resume)
 
 
 def spec(count=4, seed=None, **fields):

@@ -1,0 +1,261 @@
+"""Runs trials for `run`, `rerun` and commands that drive a plant; shows them, and stops them."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tetractl.cli.caution import need_consent
+from tetractl.cli.serving import served_run
+from tetractl.core.errors import Exit, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from tetractl.core.protocols import Observer
+    from tetractl.experiment.experiment import Experiment
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.run.batch import Report
+    from tetractl.run.interrupt import Interrupt
+    from tetractl.run.store import LogStore
+
+STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
+
+
+class PlantChoice(StrEnum):
+    """The plant of a run."""
+
+    SIM = "sim"
+    LAB = "lab"
+
+
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "-o", "--out", metavar="DIR", help="Folder for the logs.  \\[logs/<spec name>-<UTC time>]"
+    ),
+]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Print the spec, its limits and what would be run.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no progress.")]
+RecordWire = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="Lab only: keep every datagram and serial byte of each trial here."
+    ),
+]
+Unattended = Annotated[
+    bool,
+    typer.Option(
+        "--unattended",
+        help="Lab only, with --yes: go on where the terminal, or every reader of the output, "
+        "is gone; else that stops the robots.",
+    ),
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print the statistics as `stats --format json` does.")
+]
+
+
+def run_command(
+    loaded: "LoadedSpec",
+    out: Path | None,
+    only: int | None = None,
+    *,
+    jobs: int = 1,
+    resume: bool = False,
+    dry_run: bool,
+    quiet: bool,
+    yes: bool,
+    record_wire: Path | None,
+    port: int | None,
+    json: bool,
+    unattended: bool,
+) -> tuple[int, Path]:
+    """Run the trials of a spec, or `only` one, and print the statistics; or say what would be run.
+
+    Return the exit code and the folder. `port` is where the trials are served, None for nowhere.
+    """
+    from rich.console import Console
+
+    from tetractl.run.limits import check
+    from tetractl.run.store import LogStore, default_folder
+
+    experiment = loaded.experiment
+    in_lab = not experiment.plant.simulated
+    if in_lab and jobs > 1:
+        raise UsageError("--jobs: the lab runs one trial at a time")
+    if record_wire is not None and not in_lab:
+        raise UsageError("--record-wire: a simulation has no wire", "add --plant lab")
+    if unattended and not (in_lab and yes):
+        raise UsageError("--unattended: only the lab has robots to watch", "add --plant lab --yes")
+    check(experiment)
+    folder = out or default_folder(experiment.name, datetime.now(UTC))
+    store = LogStore(folder, experiment)
+    if dry_run:
+        todo = store.lacking(resume)
+        _describe(loaded, folder, todo if only is None else [only])
+        return Exit.DONE, folder
+    if in_lab:
+        need_consent(yes)
+    console = Console(stderr=True, quiet=quiet)
+    with (
+        served_run(experiment.name, port) as served,
+        store.opened(resume) as todo,
+        stoppable(experiment, console, unattended) as interrupt,
+    ):
+        todo = todo if only is None else [only]
+        report = run_trials(
+            loaded, store, todo, jobs, console, interrupt, record_wire, yes, served, unattended
+        )
+        return _conclude(report, todo, folder, interrupt.requested, json), folder
+
+
+@contextmanager
+def stoppable(
+    experiment: "Experiment", console: "Console", unattended: bool = False
+) -> "Iterator[Interrupt]":
+    """Compile the controller, then yield an interrupt that signals request inside the block.
+
+    In the lab a run that nobody can watch any more is one of them, unless `unattended`.
+    """
+    from tetractl.cli.hangup import hung_up_unread
+    from tetractl.cli.streams import hurrier
+    from tetractl.control.build import warm_up
+    from tetractl.run.interrupt import Interrupt, leave_on_signals
+
+    warm_up(experiment, lambda text: console.print(text, highlight=False))
+    interrupt = Interrupt(hurrier(STOPPING))
+    leave_on_signals(Exit.INTERRUPTED)  # again, once all is said
+    in_lab = not experiment.plant.simulated
+    with hung_up_unread(in_lab, unattended), interrupt.watch(robots=in_lab):
+        yield interrupt
+
+
+def run_trials(
+    loaded: "LoadedSpec",
+    store: "LogStore",
+    trials: list[int],
+    jobs: int,
+    console: "Console",
+    interrupt: "Interrupt",
+    record_wire: Path | None,
+    yes: bool,
+    served: "Sequence[Observer]" = (),
+    unattended: bool = False,
+) -> "Report":
+    """Run trials with what shows them, `served` among it: in the lab with the operator's stop.
+
+    The first trial that fails ends the run.
+    """
+    from tetractl.run.batch import run_batch
+    from tetractl.run.executors import Here, on_this_machine
+    from tetractl.run.task import batch_tasks
+
+    tasks = batch_tasks(loaded, trials)
+    live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not console.quiet
+    if not loaded.experiment.plant.simulated:
+        from tetractl.cli.lab_run import run_in_lab
+
+        unit = loaded.experiment.units.length
+        return run_in_lab(
+            tasks, store, unit, console, interrupt, live, record_wire, yes, served, unattended
+        )
+    if live:
+        from tetractl.view.terminal.live import LiveView
+
+        with LiveView(console) as view:
+            return run_batch(tasks, store, Here(interrupt, [view, *served]), view, fail_fast=True)
+    from tetractl.view.terminal.progress import BatchProgress
+
+    executor = Here(interrupt, served) if served else on_this_machine(jobs, len(tasks), interrupt)
+    with BatchProgress(console, len(tasks), loaded.experiment.units.length) as progress:
+        return run_batch(tasks, store, executor, progress, fail_fast=True)
+
+
+def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
+    """Print what a run would do; as YAML throughout, so that it can be kept as a spec."""
+    from tetractl.experiment.load import resolved_yaml
+    from tetractl.run.limits import limits
+    from tetractl.run.task import log_path
+
+    print(f"# {loaded.name} as it would be run; nothing is run or written")
+    print(resolved_yaml(loaded.experiment), end="")
+    print("# Limits")
+    for name, value in limits(loaded.experiment).items():
+        print(f"#   {name}: {value}")
+    print(f"# Trials to run: {len(trials)} of {loaded.experiment.trials.count}")
+    if trials:
+        ends = [str(log_path(folder, trial)) for trial in dict.fromkeys((trials[0], trials[-1]))]
+        print(f"# Logs to write: {' ... '.join(ends)}")
+
+
+def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, json: bool) -> int:
+    """Print the statistics of the whole folder, then how the run ended; return the exit code.
+
+    Raises what kept a trial from an outcome.
+    """
+    from tetractl.cli.streams import hurrier
+    from tetractl.run.task import log_path
+
+    error = next(iter(report.errors.values()), None)
+    if error and not report.results:
+        raise error
+    lacking, unprinted = len(trials) - len(report.results), None
+    try:
+        if report.results or not lacking:
+            _print_statistics(folder, json)
+    except KeyboardInterrupt:
+        hurrier(b"")()
+        print("the statistics were left out", file=sys.stderr)
+    except (BrokenPipeError, SystemExit):  # rich raises SystemExit on a closed pipe
+        pass
+    except OSError as failed:
+        unprinted = failed
+    except UsageError:
+        if not report.aborted:  # an aborted trial may leave no log, or one without poses
+            raise
+    for (_, trial), result in report.aborted.items():
+        print(f"error: trial {trial + 1}: {result.reason}", file=sys.stderr)
+    left = f"; {lacking} trials were not run" if lacking else ""
+    print(f"logs in {folder}{left}", file=sys.stderr)
+    if error:
+        raise error
+    if report.aborted:
+        return Exit.FAILED
+    if report.interrupted or (stopped and lacking):
+        again = f"the same command and --out {folder} --resume"
+        print(f"interrupted; go on with {again}", file=sys.stderr)
+        return Exit.INTERRUPTED
+    first = min((trial for _, trial in report.results), default=0)
+    print(f"look at one with: tetractl replay {log_path(folder, first)}", file=sys.stderr)
+    if unprinted:
+        raise unprinted
+    return Exit.DONE
+
+
+def _print_statistics(folder: Path, json: bool) -> None:
+    from json import dumps
+
+    from rich.console import Console
+
+    from tetractl.run.interrupt import interrupted_once
+    from tetractl.stats import export, table
+    from tetractl.stats.summary import summarise
+    from tetractl.stats.trials import load_trials
+
+    with interrupted_once():
+        results, damaged = load_trials([folder])
+        summary = summarise(results, damaged)
+        if json:
+            print(dumps(export.as_json(summary), indent=2, allow_nan=False), flush=True)
+        else:
+            table.print_table(summary, Console())

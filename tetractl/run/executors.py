@@ -1,0 +1,229 @@
+"""Runs tasks on this machine: in this process, or in worker processes that the parent stops."""
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Protocol
+
+from tetractl.core.errors import AbortError
+from tetractl.core.operators import Operators
+from tetractl.core.protocols import Observer
+from tetractl.run.interrupt import SIGNALS, Interrupt
+from tetractl.run.task import Finished, Task, run_task
+
+SIGNAL_AGAIN_S = 1.0
+ORPHAN_S = 5.0  # a worker without a parent closes its log within that
+KILLED = "a trial's process was killed twice, perhaps for want of memory"
+
+Ended = tuple[Task, Finished | Exception]
+"""A task, and how it finished or what kept it from an outcome."""
+
+Ready = Callable[[Task], Path]
+"""Is called in this process before a task is handed out; returns the folder for its log."""
+
+InLab = Callable[[int], AbstractContextManager[Operators | None]]
+"""Returns the operators of a trial in the lab, for as long as it runs, by the trial's number."""
+
+
+class Executor(Protocol):
+    """What runs tasks: `Here`, `Processes` or `cluster.Cluster`."""
+
+    @property
+    def workers(self) -> int:
+        """The number of trials that run at a time."""
+        ...
+
+    def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
+        """Yield the tasks in the order in which they end; those not started are left out."""
+        ...
+
+    def end(self) -> None:
+        """Start no further trial, and let those that run end early."""
+        ...
+
+
+def on_this_machine(jobs: int, tasks: int, interrupt: Interrupt) -> Executor:
+    """Return the executor of `jobs` trials at a time, if there are as many."""
+    jobs = min(jobs, tasks)
+    return Processes(jobs, interrupt) if jobs > 1 else Here(interrupt)
+
+
+class Here:
+    """Runs one trial after another in this process. `observers` are called in every trial."""
+
+    workers = 1
+
+    def __init__(
+        self,
+        interrupt: Interrupt,
+        observers: Sequence[Observer] = (),
+        in_lab: InLab = lambda trial: nullcontext(),
+    ) -> None:
+        self._interrupt, self._observers, self._in_lab = interrupt, observers, in_lab
+        self._ended = False
+
+    def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
+        """Yield the tasks in their order."""
+        for task in tasks:
+            if self._ended or self._interrupt.requested:
+                return
+            folder = ready(task)
+            try:
+                with self._in_lab(task.trial) as operators:
+                    found = run_task(task, folder, self._interrupt, self._observers, operators)
+            except Exception as error:
+                found = error
+            yield task, found
+
+    def end(self) -> None:
+        """Start no further trial."""
+        self._ended = True
+
+
+class Processes:
+    """Runs `workers` trials at a time, each in its process.
+
+    The first request of `interrupt` lets the trials that run end early, by the interrupt of their
+    process; the second ends them at once. When a process is killed, the trials that ran are run
+    again, each by itself; one whose process is killed again has failed.
+    """
+
+    def __init__(self, workers: int, interrupt: Interrupt) -> None:
+        self.workers, self._interrupt = workers, interrupt
+        self._context = multiprocessing.get_context("spawn")  # a fork would copy threads half-way
+        self._ending: Event | None = None
+        self._again = 0.0  # when SIGTERM may be sent to the workers once more
+
+    def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
+        """Yield the tasks in the order in which they end."""
+        with _signals_held_back():  # the process that looks after semaphores starts here
+            self._ending = self._context.Event()
+        waiting = deque(tasks)
+        while waiting and not self._ending.is_set():
+            suspects = list[Task]()
+            for task, found in self._in_pool(waiting, self.workers, ready):
+                if isinstance(found, BrokenProcessPool):
+                    suspects.append(task)
+                else:
+                    yield task, found
+            for suspect in suspects:
+                for task, found in self._in_pool(deque([suspect]), 1, ready):
+                    lost = isinstance(found, BrokenProcessPool)
+                    hint = "with fewer --jobs, go on by the same command"
+                    yield task, AbortError(KILLED, hint) if lost else found
+
+    def end(self) -> None:
+        """Start no further trial, and let those that run end early."""
+        assert self._ending is not None
+        self._ending.set()
+
+    def _in_pool(self, waiting: "deque[Task]", workers: int, ready: Ready) -> Iterator[Ended]:
+        """Run the tasks that wait until a worker is killed: the tasks that run then end with
+        BrokenProcessPool, and the others go on waiting."""
+        assert self._ending is not None
+        running, broken = dict[Future[Finished], Task](), False
+        with ProcessPoolExecutor(workers, self._context, _start_worker, (self._ending,)) as pool:
+            while True:
+                if self._interrupt.requested:
+                    self._ending.set()
+                while waiting and len(running) < workers and not (broken or self._ending.is_set()):
+                    task = waiting.popleft()
+                    running[_submitted(pool, task, ready(task))] = task
+                if not running:
+                    return
+                done, _ = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
+                for future in done:
+                    error = future.exception()
+                    if error is not None and not isinstance(error, Exception):
+                        raise error
+                    broken |= isinstance(error, BrokenProcessPool)
+                    yield running.pop(future), error or future.result()
+                self._stop_at_once()
+
+    def _stop_at_once(self) -> None:
+        """Send SIGTERM to the workers after a second request to stop."""
+        if self._interrupt.count > 1 and time.monotonic() >= self._again:
+            for process in multiprocessing.active_children():
+                if process.pid:
+                    os.kill(process.pid, signal.SIGTERM)
+            # once is not always enough: an exception raised in a finaliser is lost
+            self._again = time.monotonic() + SIGNAL_AGAIN_S
+
+
+def _submitted(pool: ProcessPoolExecutor, task: Task, folder: Path) -> "Future[Finished]":
+    try:
+        with _signals_held_back():  # a worker starts inside submit
+            return pool.submit(_work, task, folder)
+    except BrokenProcessPool as error:  # a worker was killed just now
+        lost: Future[Finished] = Future()
+        lost.set_exception(error)
+        return lost
+
+
+def _work(task: Task, folder: Path) -> Finished:
+    return run_task(task, folder, _interrupt)
+
+
+@contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """Block the signals in a process started inside the block, until `_start_worker`."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _SharedInterrupt(Interrupt):
+    """An interrupt of a worker: an event is the first request, SIGTERM the second."""
+
+    def __init__(self, ending: Event) -> None:
+        super().__init__()
+        self.ending = ending
+
+    @property
+    def requested(self) -> bool:
+        return self.count > 0 or self.ending.is_set()
+
+    def request(self) -> None:
+        """Count two requests: a worker gets SIGTERM only as the second."""
+        self.count = 2
+        self._break()
+
+
+_interrupt: Interrupt = Interrupt()  # of this process, if it is a worker
+
+
+def _start_worker(ending: Event) -> None:
+    """Prepare a worker: the parent alone acts on signals, and the worker ends when the parent does.
+
+    A terminal sends its signals to every process; SIGTERM here is the parent's.
+    """
+    global _interrupt
+    _interrupt = interrupt = _SharedInterrupt(ending)
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
+    sys.unraisablehook = interrupt.on_unraisable
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers what came before
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Wait for the end of the parent process, then end the trial, and this process soon after."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(ORPHAN_S)
+    os._exit(1)

@@ -1,0 +1,129 @@
+"""The folder of a batch: its lock, its logs, and the trials that an interrupted batch lacks."""
+
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+
+from tetractl.core.errors import LogError, UsageError
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import spec_hash
+from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX, attempt_name
+from tetractl.log.read.reader import read_result
+from tetractl.run.folder_lock import locked
+from tetractl.run.task import Finished, Task, log_path
+
+
+def default_folder(name: str, now: datetime) -> Path:
+    """Return logs/<spec name>-<UTC time>."""
+    return Path("logs") / f"{name}-{now:%Y%m%dT%H%M%SZ}"
+
+
+def make_folder(folder: Path) -> None:
+    """Create the folder; LogError if the file system refuses."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(f"{folder}: cannot create the folder: {error.strerror}") from error
+
+
+@contextmanager
+def made_and_locked(folder: Path) -> Iterator[None]:
+    """Create a folder and hold its lock; raises the errors of `make_folder` and `locked`."""
+    make_folder(folder)
+    with locked(folder):
+        yield
+
+
+class LogStore:
+    """The folder of a batch: the logs in it say which trials were run, and how they ended."""
+
+    def __init__(self, folder: Path, experiment: Experiment) -> None:
+        self.folder, self._experiment = folder, experiment
+
+    @contextmanager
+    def opened(self, resume: bool) -> Iterator[list[int]]:
+        """Create and lock the folder, yield the trials to run.
+
+        Raises the errors of `lacking` and `made_and_locked`.
+        """
+        self.lacking(resume)  # nothing is made for a batch that is refused
+        with made_and_locked(self.folder):
+            yield self.lacking(resume)
+
+    def lacking(self, resume: bool) -> list[int]:
+        """Return the trials to run: all of them or, to resume, those without a complete log.
+
+        Raises UsageError for a folder that holds logs already and, to resume, for logs of another
+        spec or seed; only the number of trials may differ.
+        """
+        folder, count = self.folder, self._experiment.trials.count
+        if folder.exists() and not folder.is_dir():
+            raise UsageError(f"{folder}: not a folder", "name another with --out")
+        if not resume and folder.exists() and any(map(_is_log, folder.iterdir())):
+            raise UsageError(
+                f"{folder}: holds logs already", "name another folder with --out, or add --resume"
+            )
+        return [trial for trial in range(count) if not self._is_complete(trial)]
+
+    def _is_complete(self, trial: int) -> bool:
+        path = log_path(self.folder, trial)
+        if not path.exists():
+            return False
+        try:
+            found = read_result(path)
+        except LogError:  # it is set aside and the trial is run again
+            return False
+        experiment = self._experiment
+        same = experiment.model_copy(update={"trials": found.experiment.trials})
+        if found.seed != experiment.trials.seed or spec_hash(found.experiment) != spec_hash(same):
+            raise UsageError(
+                f"{path}: was run with another spec or seed", "resume with the spec it was run with"
+            )
+        return found.outcome.complete and not found.recovered
+
+    def place(self, arm: str, trial: int) -> Path:
+        """Return the folder, unfinished logs of the trial set aside."""
+        set_aside(self.folder, trial)
+        return self.folder
+
+    def add(self, task: Task, finished: Finished) -> None:
+        """Do nothing: the log says it all."""
+
+
+def set_aside(folder: Path, trial: int) -> None:
+    """Rename the logs of a trial that is to be run to trial-003.attempt-1.mcap and so on.
+
+    An attempt is never overwritten. A recovered log keeps the number of the log it comes from.
+    """
+    path = log_path(folder, trial)
+    recovered = path.with_suffix(RECOVERED_SUFFIX)
+    for left in (path, path.with_name(path.name + ".part")):
+        if left.exists():
+            number = next(i for i in itertools.count(1) if not _attempts(folder, left, i))
+            for log in (left, recovered):
+                if log.exists():
+                    aside = log.with_name(attempt_name(log.name, number))
+                    aside.touch(exist_ok=False)  # no other process gets this name
+                    log.replace(aside)
+
+
+def _attempts(folder: Path, log: Path, number: int) -> list[Path]:
+    """Return the logs of one trial that were set aside under a number."""
+    stem = log.name.partition(SUFFIX)[0]
+    return [p for p in folder.iterdir() if p.name.startswith(f"{stem}.attempt-{number}.")]
+
+
+def _is_log(path: Path) -> bool:
+    return path.name.endswith((SUFFIX, PART))
+
+
+def save_whole(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all; LogError if it cannot be written."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror}") from error

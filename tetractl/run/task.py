@@ -1,0 +1,186 @@
+"""One trial of a batch or a study as an executor runs it: its log, its digest, its result."""
+
+import pickle
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+from tetractl.control.build import build_controller, warm_up
+from tetractl.core.commands import PlantInfo
+from tetractl.core.errors import TetractlError, UsageError
+from tetractl.core.operators import Operators
+from tetractl.core.plan import Outcome
+from tetractl.core.protocols import Observer
+from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.experiment.kinds import packages
+from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.log.provenance import trial_code
+from tetractl.log.write.recorder import Recorder
+from tetractl.log.write.writer import LogWriter
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.relay import Relay
+from tetractl.run.seeds import trial_seeds
+from tetractl.run.trial import Trial
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Trial number `trial` of `count`, counted from 0; of a study, that of the arm named `arm`.
+
+    `spec` is the pickled LoadedSpec. The log is kept if `log`, or if the trial fails and
+    `log_if_failed`. With `digest`, the trial's digest is computed, with a log or without. `code` is
+    the `code_of` that the process which runs the trial must have, "" for any.
+    """
+
+    trial: int
+    count: int
+    spec: bytes
+    arm: str = ""
+    log: bool = True
+    log_if_failed: bool = True
+    digest: bool = False
+    code: str = ""
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Arm and number, which no other task of a run has."""
+        return self.arm, self.trial
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """A trial that was run to an outcome, in `wall_s` on the clock and `cpu_s` of the processor.
+
+    `digest` and `warnings`, the number of warnings and errors among its messages, are those of a
+    task with `digest`.
+    """
+
+    result: Result
+    logged: bool
+    wall_s: float
+    cpu_s: float
+    digest: str = ""
+    warnings: int = 0
+
+
+class OtherCodeError(UsageError):
+    """A worker whose trials would differ: it can run none of them."""
+
+
+def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
+    """Return the tasks of a batch: trials of one spec that leave all their logs."""
+    data, count = pickle.dumps(spec), spec.experiment.trials.count
+    return [Task(trial, count, data) for trial in trials]
+
+
+def code_of(spec: LoadedSpec) -> str:
+    """Return what names the code that runs the trials of a spec on this machine."""
+    return trial_code(tuple(sorted(packages(spec.experiment).items())))
+
+
+def log_path(folder: Path, trial: int) -> Path:
+    """Return the file of a trial's log."""
+    return folder / f"trial-{trial:03d}.mcap"
+
+
+def run_task(
+    task: Task,
+    folder: Path,
+    interrupt: Interrupt,
+    observers: Sequence[Observer] = (),
+    operators: Operators | None = None,
+) -> Finished:
+    """Run a trial, its log in `folder` if one is kept.
+
+    Raises OtherCodeError in a process with other code than the task's, and whatever keeps the trial
+    from an outcome, such as a camera that does not answer. A log that is kept because of a failure
+    is written by running the trial again: it repeats.
+    """
+    if task.log_if_failed and not task.log:
+        with suppress(Exception):  # it comes again
+            finished = run_task(replace(task, log_if_failed=False), folder, interrupt)
+            if finished.result.outcome is not Outcome.ABORTED:
+                return finished
+        task = replace(task, log=True)
+    spec, digest = _loaded(task.spec, task.code), Recorder() if task.digest else None
+    with ExitStack() as stack:
+        log = stack.enter_context(_log(spec, folder, task.trial)) if task.log else None
+        wall_s, cpu_s = time.perf_counter(), time.process_time()
+        writers = [writer for writer in (log, digest) if writer]
+        result = run_with(writers, spec, task.trial, observers, interrupt, operators)
+        wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
+    if digest is None:
+        return Finished(result, task.log, wall_s, cpu_s)
+    if log and log.failure:  # the digest would be that of another outcome
+        raise log.failure
+    return Finished(result, task.log, wall_s, cpu_s, digest.trial_digest, digest.warnings)
+
+
+@lru_cache(maxsize=64)
+def _loaded(spec: bytes, code: str) -> LoadedSpec:
+    """Return a task's spec, its controller compiled; by the same bytes the same object."""
+    loaded: LoadedSpec = pickle.loads(spec)
+    if code and code_of(loaded) != code:
+        raise OtherCodeError(
+            "the worker has other code than the machine that runs the study",
+            "install the same tetractl, numpy, numba, llvmlite, scipy and packages there",
+        )
+    with suppress(TetractlError):  # the trial meets it again, and ends with it
+        warm_up(loaded.experiment, lambda text: None)
+    return loaded
+
+
+def run_trial(
+    spec: LoadedSpec,
+    folder: Path,
+    trial: int,
+    observers: Sequence[Observer],
+    interrupt: Interrupt,
+) -> Result:
+    """Run one trial and write its log."""
+    with _log(spec, folder, trial) as log:
+        return run_with([log], spec, trial, observers, interrupt)
+
+
+def _log(spec: LoadedSpec, folder: Path, trial: int) -> LogWriter:
+    return LogWriter(log_path(folder, trial), real_time=not spec.experiment.plant.simulated)
+
+
+def run_with(
+    writers: Sequence[Observer],
+    spec: LoadedSpec,
+    trial: int,
+    observers: Sequence[Observer],
+    interrupt: Interrupt,
+    operators: Operators | None = None,
+) -> Result:
+    """Run one trial with these writers in place of a log's.
+
+    In real time a background thread calls the observers, so that none of them delays the loop.
+    """
+    experiment = spec.experiment
+    plant, real_time = experiment.plant, not experiment.plant.simulated
+    clock, start_unix_ns = plant.clock(), _unix_ns() if real_time else EPOCH_NS
+    key, seed = trial_seeds(experiment.trials.seed, trial)
+    with ExitStack() as stack:
+        if real_time:
+            observers = [stack.enter_context(closing(Relay(observer))) for observer in observers]
+        return Trial(
+            start=start_of(spec, trial, PlantInfo("", plant.simulated, 0.0, {}), start_unix_ns),
+            plant=plant.build(experiment.setup, clock, seed, operators or Operators()),
+            controller=build_controller(experiment, key),
+            first_plan=experiment.controller.first_plan,
+            clock=clock,
+            observers=[*writers, *observers],
+            interrupt=interrupt,
+        ).run()
+
+
+def _unix_ns() -> int:
+    """Return the hour [ns since 1970]; a log holds none before."""
+    if (now := time.time_ns()) < 0:
+        raise TetractlError("this computer's clock is before 1970", "set its date, then run again")
+    return now

@@ -61,7 +61,7 @@ def analyze(
         print(json_text(items(found)))
     else:
         print_tables(tables(found))
-        print(printable(advice(found)))
+        print(printable(advice(found)), flush=True)
     if out:
         from tetractl.view.figures.analysis import analysis_figure
         from tetractl.view.style import save

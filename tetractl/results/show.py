@@ -1,15 +1,11 @@
 """Prints results in a format: one path for every command that prints statistics."""
 
-from typing import Literal
-
 from tetractl.core.table.data import json_text
 from tetractl.core.table.files import csv_text
 from tetractl.core.table.show import TEXTS, print_tables
 from tetractl.results.contrast import GroupComparison
 from tetractl.results.items import as_items, data_table
 from tetractl.results.tables import tables
-
-Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
 
 
 def show(found: GroupComparison, form: str) -> None:

@@ -14,6 +14,7 @@ from tetractl.results.flagged import flagged
 from tetractl.results.same_experiment import listing
 
 _SHOWN = 20  # flagged trials, before a table gets too long to read
+_FAR = 100.0  # times the least mean, from which on an error has six digits of its own
 _ABREAST = 3  # groups in one table of figures
 
 Show = Callable[[float], str]
@@ -39,7 +40,11 @@ def error_table(
     """Return one row per named distribution of errors, with three digits of the least mean, or of
     `scale`, but no more than `finest` decimals."""
     means = [values.mean for _, values in named if values.mean > 0]
-    show = lengths(min(means, default=0.0) if scale is None else scale, finest)
+    least = min(means, default=0.0) if scale is None else scale
+    decimals = lengths(least, finest)
+
+    def show(value: float) -> str:  # a result many times as large keeps its own digits
+        return f"{value:g}" if value > _FAR * least > 0 else decimals(value)
 
     def column(name: str, of: Callable[[Distribution], float]) -> Column:
         return Column(name, [of(values) for _, values in named], format=show)

@@ -73,13 +73,14 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     if len(loaded.arms) > MOST:
         more = len(loaded.arms) - MOST
         notes.append(f"and {more} arms more, which the table of trials has")
-    more_columns = (Column("aborted", aborted), Column("plant", plants, words=True))
-    return replace(
-        errors,
-        columns=(
-            replace(errors.columns[0], name="arm", unit=""),
-            *errors.columns[1:],
-            *more_columns,
-        ),
-        note="; ".join(notes),
+    first, n, mean, std, *_, interval = errors.columns
+    columns = (
+        replace(first, name="arm", unit=""),
+        n,
+        mean,
+        interval,
+        std,
+        Column("aborted", aborted),
+        Column("plant", plants, words=True),
     )
+    return replace(errors, columns=columns, note="; ".join(notes))

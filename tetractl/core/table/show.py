@@ -41,6 +41,7 @@ def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> N
 
 def _print(table: Table, console: "Console") -> None:
     from rich import box
+    from rich.cells import cell_len
     from rich.console import Console
     from rich.measure import Measurement
     from rich.table import Table as RichTable
@@ -48,12 +49,14 @@ def _print(table: Table, console: "Console") -> None:
 
     shown = RichTable(box=box.SIMPLE_HEAD, show_edge=False)
     for i, column in enumerate(table.columns):
-        left = column.words or i == 0
+        # without a terminal names, paths and numbers stay in one piece, and words are wrapped
+        whole = not console.is_terminal and (i == 0 or not column.words)
         shown.add_column(
             Text(column.heading),
-            justify="left" if left else "right",
+            justify="left" if column.words or i == 0 else "right",
             overflow="fold",
-            no_wrap=i == 0 and not console.is_terminal,  # names and paths stay in one piece
+            no_wrap=whole,
+            min_width=max(map(cell_len, [column.heading, *column.texts])) if whole else None,
         )
     for row in table.rows:
         shown.add_row(*(Text(printable(cell)) for cell in row))

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 WIDTH = 120
 """Characters of a line where there is no terminal; words that are longer are not broken."""
 
+WORDS = 24
+"""Least width of a column of words there, if any of them are as wide."""
+
 _FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 _WORDS = r">{\raggedright\arraybackslash}X"  # a column that breaks its lines
 _SPECIAL = str.maketrans(
@@ -49,14 +52,20 @@ def _print(table: Table, console: "Console") -> None:
 
     shown = RichTable(box=box.SIMPLE_HEAD, show_edge=False)
     for i, column in enumerate(table.columns):
+        texts = [column.heading, *column.texts]
         # without a terminal names, paths and numbers stay in one piece, and words are wrapped
         whole = not console.is_terminal and (i == 0 or not column.words)
+        if whole:
+            least = max(map(cell_len, texts))
+        else:
+            least = max(cell_len(word) for text in texts for word in text.split() or [""])
+            least = max(least, min(WORDS, max(map(cell_len, texts))))
         shown.add_column(
             Text(column.heading),
             justify="left" if column.words or i == 0 else "right",
             overflow="fold",
             no_wrap=whole,
-            min_width=max(map(cell_len, [column.heading, *column.texts])) if whole else None,
+            min_width=None if console.is_terminal else least,
         )
     for row in table.rows:
         shown.add_row(*(Text(printable(cell)) for cell in row))

@@ -57,7 +57,7 @@ def stats(
 
     Example: tetractl stats logs/slip
     """
-    from tetractl.results.batch import Source, sources
+    from tetractl.results.batch import one_source, sources
     from tetractl.results.contrast import contrast
     from tetractl.results.show import show
 
@@ -65,7 +65,7 @@ def stats(
         from tetractl.view.style import file_format
 
         file_format(plot)  # before the logs are read
-    listed = [*sources(paths), *([Source.of(against)] if against else [])]
+    listed = [*sources(paths), *([one_source(against)] if against else [])]
     groups = _described(listed)
     found = contrast(groups[:-1], groups[-1]) if against else contrast(groups)
     show(found, "json" if as_json else form)

@@ -143,17 +143,21 @@ def sources(paths: Sequence[str]) -> list[Source]:
     """Return the batches that paths name: each of several folders is one, as is each arm of a
     study whose folder is the only path; any other paths are one batch together."""
     if len(paths) > 1 and all(Path(path).is_dir() for path in paths):
-        found = [Source.of([path]) for path in paths]
+        found = [one_source([path]) for path in paths]
         if len({source.name for source in found}) < len(found):
             found = [Source(path, s.logs, s.rows) for path, s in zip(paths, found, strict=True)]
-        for path, source in zip(paths, found, strict=True):
-            if len(source.by_arm(Path(path))) > 1:
-                raise UsageError(
-                    f"{path}: is the folder of a study", "name the folders of its arms"
-                )
         return found
+    return Source.of(paths).by_arm(Path(paths[0])) if len(paths) == 1 else [one_source(paths)]
+
+
+def one_source(paths: Sequence[str]) -> Source:
+    """Return all paths as one batch; UsageError for the folder of a study with several arms."""
     source = Source.of(paths)
-    return source.by_arm(Path(paths[0])) if len(paths) == 1 else [source]
+    for folder in filter(Path.is_dir, map(Path, paths)):
+        listed = source if len(paths) == 1 else Source.of([folder])
+        if len(listed.by_arm(folder)) > 1:
+            raise UsageError(f"{folder}: is the folder of a study", "name the folders of its arms")
+    return source
 
 
 def _add_unlogged(

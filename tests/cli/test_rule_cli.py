@@ -26,7 +26,16 @@ def tetractl(*args, cwd, env=None):
 
 
 WITHOUT_JSON = [  # they write files, play, or give what has no form but its own
-    *(("init",), ("schema",), ("plot",), ("replay",), ("export",), ("open",), ("report",)),
+    *(
+        ("init",),
+        ("schema",),
+        ("plot",),
+        ("replay",),
+        ("redrive",),
+        ("export",),
+        ("open",),
+        ("report",),
+    ),
     *(("study",), ("lab", "stop"), ("lab", "calibrate")),
 ]
 

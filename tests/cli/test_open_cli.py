@@ -29,7 +29,7 @@ def test_a_trial_is_served_until_ctrl_c(log: Path):
     try:
         assert process.stdout is not None
         url = process.stdout.readline().strip()
-        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", url)
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{16,}/", url)
         with urlopen(url) as page:
             assert b'id="trial-data-0"' in page.read()
         asked = Request(f"{url}logs/0-trial-000.mcap", headers={"Range": "bytes=0-7"})

@@ -26,7 +26,16 @@ def tetractl(*args, cwd, env=None):
 
 
 WITHOUT_JSON = [  # they write files, play, or give what has no form but its own
-    *(("init",), ("schema",), ("plot",), ("replay",), ("export",), ("open",), ("report",)),
+    *(
+        ("init",),
+        ("schema",),
+        ("plot",),
+        ("replay",),
+        ("redrive",),
+        ("export",),
+        ("open",),
+        ("report",),
+    ),
     *(("study",), ("lab", "stop"), ("lab", "calibrate")),
 ]
 
@@ -39,7 +48,7 @@ def test_options_of_one_meaning_have_one_name():
         assert ("--out" in options) == ("-o" in options), words
         assert "--json" in options or words in WITHOUT_JSON, words
         takes_spec = any(p.name in ("spec", "specs") for p in command.params)
-        takes_spec |= words == ("verify",)  # of the spec that its log holds (decision 0031)
+        takes_spec |= words == ("what-if",)  # of the spec that its log holds (decision 0031)
         assert ("--set" in options) == takes_spec, words
     assert {"--out", "--json", "--set", "--yes"} <= seen
     assert "--output" not in seen

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.lab_processes import play
 
-from tetractl.lab.emulate.script import load_script
+from tetractl.emulate.script import load_script
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.audit import audit
 

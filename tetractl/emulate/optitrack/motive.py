@@ -9,6 +9,10 @@ from functools import partial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
+from tetractl.emulate.loop import Timeline
+from tetractl.emulate.optitrack.mangle import mangle
+from tetractl.emulate.optitrack.server import Address, MotiveServer
+from tetractl.emulate.optitrack.streaming import ServerCounts, Streaming, Trouble
 from tetractl.lab.cameras.optitrack.messages import (
     NEWEST,
     BodyName,
@@ -22,10 +26,6 @@ from tetractl.lab.cameras.optitrack.messages import (
 )
 from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
 from tetractl.lab.cameras.optitrack.wire import datagram, pack, parse
-from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.optitrack.mangle import mangle
-from tetractl.lab.emulate.optitrack.server import Address, MotiveServer
-from tetractl.lab.emulate.optitrack.streaming import ServerCounts, Streaming, Trouble
 from tetractl.lab.errors import WireError
 
 MODELS_CHANGED, EDIT_MODE = 2, 4

@@ -9,13 +9,13 @@ from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import SpecError
+from tetractl.emulate.faults import Fault, Mark
+from tetractl.emulate.kinds import ACTUATORS, CAMERAS
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import words
 from tetractl.experiment.yaml.frozen import frozen
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
-from tetractl.lab.emulate.faults import Fault, Mark
-from tetractl.lab.emulate.kinds import ACTUATORS, CAMERAS
 
 
 def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:

@@ -6,15 +6,15 @@ CAMERAS = Registry(
     "tetractl.emulated_cameras",
     "emulated camera",
     {
-        "optitrack": "tetractl.lab.emulate.optitrack.side:EmulatedOptitrack",
-        "apriltag": "tetractl.lab.emulate.apriltag.side:EmulatedAprilTag",
+        "optitrack": "tetractl.emulate.optitrack.side:EmulatedOptitrack",
+        "apriltag": "tetractl.emulate.apriltag.side:EmulatedAprilTag",
     },
 )
 ACTUATORS = Registry(
     "tetractl.emulated_actuators",
     "emulated actuator",
     {
-        "m3pi-xbee": "tetractl.lab.emulate.m3pi.side:EmulatedM3pi",
-        "field": "tetractl.lab.emulate.field_side:EmulatedField",
+        "m3pi-xbee": "tetractl.emulate.m3pi.side:EmulatedM3pi",
+        "field": "tetractl.emulate.field_side:EmulatedField",
     },
 )

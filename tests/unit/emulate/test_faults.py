@@ -8,6 +8,7 @@ import pytest
 import serial
 from support.emulated_lab import Client, emulated, turn_until
 
+from tetractl.emulate.optitrack.server import CLOCK_HZ
 from tetractl.lab.actuators.m3pi.broadcast import (
     BroadcastCommand,
     Flag,
@@ -24,7 +25,6 @@ from tetractl.lab.cameras.optitrack.messages import (
     ServerInfo,
 )
 from tetractl.lab.cameras.optitrack.wire import parse
-from tetractl.lab.emulate.optitrack.server import CLOCK_HZ
 from tetractl.lab.errors import WireError
 
 RUN = ((60, 60), (60, 60))

@@ -7,12 +7,12 @@ import math
 from collections.abc import Callable
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.loop import Timeline
+from tetractl.emulate.port import PseudoPort
 from tetractl.lab.actuators.field.coils import Pair
 from tetractl.lab.actuators.field.core import DriverCore, DriverLimits
 from tetractl.lab.actuators.field.protocol import DriverStatus, decode_command
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.port import PseudoPort
 from tetractl.lab.errors import WireError
 
 STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.emulate.loop import Loop, Timeline
+from tetractl.emulate.loop import Loop, Timeline
 
 
 @given(st.lists(st.integers(0, 100), max_size=30), st.integers(0, 120))

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.faults import Fault, Undo, Visible, setting
 from tetractl.experiment.base import Finite, Name, Point, Positive
 from tetractl.lab.cameras.optitrack.messages import Version
 from tetractl.lab.cameras.optitrack.section import VersionText
-from tetractl.lab.emulate.faults import Fault, Undo, Visible, setting
 
 if TYPE_CHECKING:
-    from tetractl.lab.emulate.optitrack.side import EmulatedOptitrack
+    from tetractl.emulate.optitrack.side import EmulatedOptitrack
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 

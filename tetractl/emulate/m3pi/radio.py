@@ -8,11 +8,11 @@ import random
 from collections.abc import Callable, Sequence
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.loop import Timeline
+from tetractl.emulate.m3pi.module import Delivery, Done, EmulatedModule, ModuleSettings
+from tetractl.emulate.m3pi.robot import EmulatedRobot
+from tetractl.emulate.port import PseudoPort
 from tetractl.lab.actuators.xbee.frames import BROADCAST_16
-from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.m3pi.module import Delivery, Done, EmulatedModule, ModuleSettings
-from tetractl.lab.emulate.m3pi.robot import EmulatedRobot
-from tetractl.lab.emulate.port import PseudoPort
 
 AIR_NS_A_BYTE = 32_000
 AIR_OVERHEAD = 17  # bytes: preamble, header, checksum

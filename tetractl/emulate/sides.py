@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from tetractl.core.setup import Setup
+from tetractl.emulate.faults import Fault
+from tetractl.emulate.loop import Loop, Timeline
 from tetractl.experiment.base import Model
 from tetractl.experiment.lab import LabSection
-from tetractl.lab.emulate.faults import Fault
-from tetractl.lab.emulate.loop import Loop, Timeline
 
 Facts = dict[str, Any]
 

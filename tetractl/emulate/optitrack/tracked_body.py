@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from random import Random
 
+from tetractl.emulate.sides import Body
 from tetractl.lab.cameras.optitrack.messages import RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis
-from tetractl.lab.emulate.sides import Body
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.loop import Timeline
 from tetractl.experiment.base import Model, Name, NonNegative, Positive
-from tetractl.lab.emulate.loop import Timeline
 
 Undo = Callable[[], None]
 

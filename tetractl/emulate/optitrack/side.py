@@ -7,17 +7,17 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.errors import SpecError
+from tetractl.emulate.faults import Fault
+from tetractl.emulate.loop import Loop
+from tetractl.emulate.optitrack.faults import FAULTS
+from tetractl.emulate.optitrack.motive import Motive
+from tetractl.emulate.optitrack.streaming import Streaming
+from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
+from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
-from tetractl.lab.emulate.faults import Fault
-from tetractl.lab.emulate.loop import Loop
-from tetractl.lab.emulate.optitrack.faults import FAULTS
-from tetractl.lab.emulate.optitrack.motive import Motive
-from tetractl.lab.emulate.optitrack.streaming import Streaming
-from tetractl.lab.emulate.optitrack.tracked_body import TrackedBody, View, expose
-from tetractl.lab.emulate.sides import Body, Facts, Stage
 
 
 class TrueBody(Model):

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.optitrack.streaming import Client, ServerCounts, Streaming
 from tetractl.lab.announcement import EMULATED
 from tetractl.lab.cameras.optitrack.messages import (
     Bare,
@@ -20,7 +21,6 @@ from tetractl.lab.cameras.optitrack.messages import (
     ServerInfo,
     Version,
 )
-from tetractl.lab.emulate.optitrack.streaming import Client, ServerCounts, Streaming
 
 CLOCK_HZ = 10_000_000
 CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock has nothing to do with the host's

@@ -6,7 +6,7 @@ from support.lab_processes import camera_of
 from support.paths import ROOT
 
 from tetractl.core.errors import SpecError
-from tetractl.lab.emulate.script import Sides, load_script, parse_script
+from tetractl.emulate.script import Sides, load_script, parse_script
 
 FOLDER = ROOT / "experiments" / "faults"
 SCRIPTS = sorted(FOLDER.rglob("*.yaml"))

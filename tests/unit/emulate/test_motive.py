@@ -11,6 +11,10 @@ import pytest
 from support.emulated_lab import Client, emulated, turn_until
 
 from tetractl.core.errors import TetractlError
+from tetractl.emulate.loop import Timeline
+from tetractl.emulate.optitrack.motive import Motive
+from tetractl.emulate.optitrack.server import ServerClock
+from tetractl.emulate.optitrack.streaming import Streaming
 from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
 from tetractl.lab.cameras.optitrack.messages import (
     Bare,
@@ -27,10 +31,6 @@ from tetractl.lab.cameras.optitrack.messages import (
 )
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 from tetractl.lab.cameras.optitrack.wire import pack
-from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.optitrack.motive import Motive
-from tetractl.lab.emulate.optitrack.server import ServerClock
-from tetractl.lab.emulate.optitrack.streaming import Streaming
 
 MULTICAST = ("lab.camera.transport=multicast", "lab.camera.group=239.255.42.98")
 

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.field import STEP_NS, CurrentDriver
 from tetractl.lab.actuators.field.coils import Coils, Pair
 from tetractl.lab.actuators.field.protocol import DriverStatus
-from tetractl.lab.emulate.field import STEP_NS, CurrentDriver
 
 
 @dataclass(slots=True)

@@ -7,16 +7,16 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from tetractl.emulate.cells import Cell, Dish
+from tetractl.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
+from tetractl.emulate.field import CurrentDriver
+from tetractl.emulate.loop import Loop
+from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.lab.actuators.field.core import DriverLimits
 from tetractl.lab.actuators.field.protocol import DriverStatus
 from tetractl.lab.actuators.field.section import FieldSection
-from tetractl.lab.emulate.cells import Cell, Dish
-from tetractl.lab.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
-from tetractl.lab.emulate.field import CurrentDriver
-from tetractl.lab.emulate.loop import Loop
-from tetractl.lab.emulate.port import PseudoPort
-from tetractl.lab.emulate.sides import Facts, Stage
 
 
 class FieldSettings(Model):

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Poses
+from tetractl.emulate.apriltag.optics import MM, Optics
 from tetractl.lab.cameras.apriltag.detect import MODULES, Grey, tag_picture
 from tetractl.lab.cameras.apriltag.section import FloorTag, RobotTag
-from tetractl.lab.emulate.apriltag.optics import MM, Optics
 
 FLOOR, WHITE, BLACK = 150.0, 225.0, 25.0  # grey levels at gain 1
 MODULE_PX = 16  # of a tag's texture

@@ -7,23 +7,23 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.experiment.base import Model, Name, Positive
-from tetractl.lab.actuators.m3pi.actuator import drivetrain
-from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
-from tetractl.lab.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
-from tetractl.lab.emulate.loop import Loop
-from tetractl.lab.emulate.m3pi.command_log import CommandLog
-from tetractl.lab.emulate.m3pi.module import ModuleSettings
-from tetractl.lab.emulate.m3pi.radio import EmulatedRadio
-from tetractl.lab.emulate.m3pi.robot import (
+from tetractl.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
+from tetractl.emulate.loop import Loop
+from tetractl.emulate.m3pi.command_log import CommandLog
+from tetractl.emulate.m3pi.module import ModuleSettings
+from tetractl.emulate.m3pi.radio import EmulatedRadio
+from tetractl.emulate.m3pi.robot import (
     Battery,
     EmulatedRobot,
     FirmwareProgram,
     Program,
     SlaveProgram,
 )
-from tetractl.lab.emulate.port import PseudoPort
-from tetractl.lab.emulate.sides import Facts, Stage
+from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.sides import Facts, Stage
+from tetractl.experiment.base import Model, Name, Positive
+from tetractl.lab.actuators.m3pi.actuator import drivetrain
+from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=-127, le=127)]

@@ -13,8 +13,8 @@ import cv2
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Poses
+from tetractl.emulate.apriltag.renderer import Renderer
 from tetractl.lab.announcement import EMULATED
-from tetractl.lab.emulate.apriltag.renderer import Renderer
 
 BOUNDARY = "emulated-by-tetractl"
 QUEUED = 32  # pictures of a client that reads slowly; more are dropped

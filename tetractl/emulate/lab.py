@@ -6,12 +6,12 @@ from typing import Any
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.setup import Setup
+from tetractl.emulate.faults import Fault, Injector
+from tetractl.emulate.loop import Loop, Timeline
+from tetractl.emulate.record import Record
+from tetractl.emulate.script import Script, Sides
+from tetractl.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
 from tetractl.experiment.lab import LabSection
-from tetractl.lab.emulate.faults import Fault, Injector
-from tetractl.lab.emulate.loop import Loop, Timeline
-from tetractl.lab.emulate.record import Record
-from tetractl.lab.emulate.script import Script, Sides
-from tetractl.lab.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
 
 TICK_NS = 2_000_000  # how often robots are looked at
 FLUSH_NS = 200_000_000

@@ -15,19 +15,19 @@ from pydantic import Field
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats, Poses
-from tetractl.experiment.base import Model, Name, NonNegative, Positive
-from tetractl.lab.cameras.apriltag.section import AprilTagSection, MjpegSource
-from tetractl.lab.emulate.apriltag.mjpeg import (
+from tetractl.emulate.apriltag.mjpeg import (
     EmulatedNetworkCamera,
     cut_before_its_end,
     cut_short,
     oversized,
 )
-from tetractl.lab.emulate.apriltag.optics import Optics
-from tetractl.lab.emulate.apriltag.renderer import Renderer
-from tetractl.lab.emulate.faults import Fault, Undo, Visible, setting
-from tetractl.lab.emulate.loop import Loop
-from tetractl.lab.emulate.sides import Body, Facts, Stage
+from tetractl.emulate.apriltag.optics import Optics
+from tetractl.emulate.apriltag.renderer import Renderer
+from tetractl.emulate.faults import Fault, Undo, Visible, setting
+from tetractl.emulate.loop import Loop
+from tetractl.emulate.sides import Body, Facts, Stage
+from tetractl.experiment.base import Model, Name, NonNegative, Positive
+from tetractl.lab.cameras.apriltag.section import AprilTagSection, MjpegSource
 
 KEEP_NS = 5_000_000  # between poses that are kept for exposures
 KEPT = 200

@@ -33,13 +33,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.cost import predict
+from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, LARGEST_STEP, PROGRESS
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
 
-LARGEST_STEP = 1.0  # of any signal in one iteration [rad]
-DEPTH_WEIGHT = 3.0  # W, of a depth against a miss
-PROGRESS = 0.8  # share of itself that the merit has to fall below in `patience` iterations
 NUDGE = 0.02  # rad, for derivatives
 CENTRAL = {1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Weights of the six-point central difference; its error is of order NUDGE^6."""

@@ -26,7 +26,7 @@ from tetractl.analysis.closed_loop import Noise
 from tetractl.analysis.plans import planner
 from tetractl.analysis.steering import steering
 from tetractl.experiment.experiment import Experiment
-from tetractl.stats.estimate import describe
+from tetractl.results.estimate import distributions
 
 CONTROLLER = (
     "controller={type: mpc, motion: exact, horizon_max: 60, steps_max: 150, estimate: true,"
@@ -107,7 +107,7 @@ def main() -> None:
         seed = spec.trials.seed
         found = steering(planner(spec), spec.setup, Noise.of(spec.plant), seed, asked.plans)
         errors = np.array([result.total_error for result in run(spec, asked.trials)])
-        (described,) = describe(errors[None])
+        (described,) = distributions(errors[None])
         way = spec.setup.speed.mean() * spec.setup.period_s
         predicted.append(found.error / way)
         measured.append(float(errors.mean()) / way)

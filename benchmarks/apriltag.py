@@ -29,15 +29,15 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.poses import Poses
+from tetractl.emulate.apriltag.mjpeg import EmulatedNetworkCamera
+from tetractl.emulate.apriltag.optics import Optics
+from tetractl.emulate.apriltag.renderer import CARD, Renderer
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.detect import MODULES, Grey
 from tetractl.lab.cameras.apriltag.refine import refined
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
 from tetractl.lab.cameras.apriltag.source import Picture, decoded
 from tetractl.lab.cameras.apriltag.track import Tracker
-from tetractl.lab.emulate.apriltag.mjpeg import EmulatedNetworkCamera
-from tetractl.lab.emulate.apriltag.optics import Optics
-from tetractl.lab.emulate.apriltag.renderer import CARD, Renderer
 
 MM = 1e-3
 NAMES = ("green", "blue", "red")

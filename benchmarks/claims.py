@@ -23,7 +23,7 @@ from solverbench.report import progress
 
 import tetractl
 from tetractl.core.poses import Floats
-from tetractl.stats.estimate import describe, proportion_interval
+from tetractl.results.estimate import distributions, proportion_interval
 
 CONTROLLERS = {
     "pso-mpc": "PSO-MPC, to the paper's letter",
@@ -113,7 +113,7 @@ COLUMNS = (
 def cell(trials: Sequence[Measured], field: str, form: str) -> str:
     """Return the mean of a field over trials with its 95 % interval."""
     values = np.array([[getattr(one, field) for one in trials]])
-    (one,) = describe(values)
+    (one,) = distributions(values)
     mean = form.format(one.mean)
     if not one.ci95.known:
         return mean
@@ -161,7 +161,7 @@ def draw(found: dict[tuple[str, int, str], list[Measured]], path: Path) -> None:
                 counts = sorted(n for name, n, arena in found if name == controller and not arena)
                 values = [found[controller, n, ""] for n in counts]
                 every = [np.array([[getattr(t, field) for t in trials]]) for trials in values]
-                about = [describe(one)[0] for one in every]
+                about = [distributions(one)[0] for one in every]
                 axes.plot(counts, [a.mean for a in about], "-o", ms=3, color=color, label=label)
                 known = [(n, a.ci95) for n, a in zip(counts, about, strict=True) if a.ci95.known]
                 axes.vlines(

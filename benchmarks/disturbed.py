@@ -37,10 +37,10 @@ from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.model.obstacles import Obstacles
+from tetractl.results.estimate import distributions
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
-from tetractl.stats.estimate import describe
 
 WORLD = (
     "plant.dead_time=0.14",
@@ -150,7 +150,7 @@ HEAD = (
 def row(name: str, results: list[Result]) -> str:
     """One line of a table in Markdown."""
     errors = np.array([result.total_error for result in results])
-    (described,) = describe(errors[None])
+    (described,) = distributions(errors[None])
     steps = np.concatenate([result.solve_ns[1:] for result in results]) / 1e6
     verdicts = [result.verdict for result in results]
     unsafe = (
@@ -196,7 +196,7 @@ def draw(found: dict[str, list[Result]], title: str, path: Path) -> None:
     axes = figure.subplots()
     for name, results in found.items():
         both = np.array([(one.duration_s, one.total_error) for one in results])
-        time_s, error = describe(both.T)
+        time_s, error = distributions(both.T)
         x, y = time_s.mean, error.mean
         wide = [[x - time_s.ci95.low], [time_s.ci95.high - x]]
         high = [[y - error.ci95.low], [error.ci95.high - y]]

@@ -31,9 +31,9 @@ from solverbench.report import progress
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
-from tetractl.stats.difference import paired_t
-from tetractl.stats.estimate import describe, proportion_interval
-from tetractl.stats.ranks import holm, signed_rank
+from tetractl.results.difference import paired_t
+from tetractl.results.estimate import distributions, proportion_interval
+from tetractl.results.ranks import holm, signed_rank
 
 SETTING = Mapping[str, Any]
 PUBLISHED: SETTING = {
@@ -191,7 +191,7 @@ def _differences(arm: Arm, ours: Arm) -> Floats:
 
 
 def _mean(errors: Floats) -> str:
-    (one,) = describe(errors[None])
+    (one,) = distributions(errors[None])
     if not one.ci95.known:
         return f"{one.mean:.3g} [{'all alike' if one.std < 1e-9 * one.mean else 'n too small'}]"
     return f"{one.mean:.3g} [{one.ci95.low:.3g}, {one.ci95.high:.3g}]"

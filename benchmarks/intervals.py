@@ -18,10 +18,10 @@ import numpy as np
 from scipy import stats
 
 from tetractl.core.poses import Floats
-from tetractl.stats.difference import from_both_intervals, paired_t, welch
-from tetractl.stats.effects import deviation_ratio, standardised
-from tetractl.stats.estimate import Interval, describe
-from tetractl.stats.ranks import rank_sum, signed_rank
+from tetractl.results.difference import from_both_intervals, paired_t, welch
+from tetractl.results.effects import deviation_ratio, standardised
+from tetractl.results.estimate import Interval, distributions
+from tetractl.results.ranks import rank_sum, signed_rank
 from tetractl.view.figures.ecdf import band
 
 SIZES = (5, 8, 20, 50)
@@ -95,7 +95,7 @@ def main() -> None:
 def _one_mean(errors: Errors, n: int, sets: int) -> str:
     """Return the cells of one row: coverage of a mean, and shares of negative lower ends."""
     rows = errors.draw(np.random.default_rng([n, 1]), (sets, n))
-    ours = [found.ci95 for found in describe(rows)]
+    ours = [found.ci95 for found in distributions(rows)]
     half = stats.t.ppf(0.975, n - 1) * rows.std(axis=1, ddof=1) / np.sqrt(n)
     middle = rows.mean(axis=1)
     student = [Interval(m - h, m + h) for m, h in zip(middle, half, strict=True)]
@@ -129,7 +129,7 @@ def _two_means(errors: Errors, n: int, sets: int) -> str:
     cells = []
     for interval in (_welch, from_both_intervals):
         for factor in (1, 4):
-            pairs = zip(describe(ours), describe(factor * theirs), strict=True)
+            pairs = zip(distributions(ours), distributions(factor * theirs), strict=True)
             found = [interval(one, other) for one, other in pairs]
             cells.append(_percent(_share(found, errors.mean * (1 - factor))))
     differences = (ours + common) / 2 - 4 * (theirs + common) / 2

@@ -20,7 +20,7 @@ from solverbench.problems import experiment as load_experiment
 from solverbench.report import progress
 
 from tetractl.experiment.experiment import Experiment
-from tetractl.stats.estimate import describe
+from tetractl.results.estimate import distributions
 
 PLANT = {
     "type": "sim",
@@ -112,7 +112,7 @@ def main() -> None:
         controller = {"type": asked.controller, "period": 0.2} | study.given | chosen
         results = [run(world(base, study, controller, i), 1)[0] for i in range(asked.worlds)]
         totals = np.array([result.total_error for result in results])
-        (errors,) = describe(totals[None])
+        (errors,) = distributions(totals[None])
         seconds = np.mean([result.duration_s for result in results])
         left = sum(min(result.verdict.edge) < 0 for result in results)
         entered = sum(result.entered_obstacle for result in results)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,19 +23,19 @@ from tetractl.core.protocols import Observer
 from tetractl.core.trial import Result
 from tetractl.experiment import load
 from tetractl.experiment.load import LoadedSpec
-from tetractl.log.read.trial_log import ResultSummary, TrialLog
+from tetractl.log.read.trial_log import TrialLog
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
     from tetractl.replay.verify import Verification
+    from tetractl.results.batch import Batch
+    from tetractl.results.contrast import GroupComparison
+    from tetractl.results.describe import Group
     from tetractl.run.batch import Ending
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.task import Task
-    from tetractl.stats.comparison import Comparison
-    from tetractl.stats.damaged import Damaged
-    from tetractl.stats.summary import Summary
 
 Strings = NDArray[np.str_]
 
@@ -126,25 +126,15 @@ def read_log(path: str | Path) -> TrialLog:
     return read_trial(Path(path))
 
 
-class Batch(NamedTuple):
-    """How the trials of a batch ended, and logs and rows that results could not be read from.
+def read_batch(*paths: str | Path) -> "Batch":
+    """Read how trials ended, about a millisecond per log; paths are logs, folders or patterns.
 
-    `path` of a trial read from a row of a study is the file and line of the row.
+    The batch has `trials`, earlier `attempts` at them, and what is `damaged`. Trials of a study
+    that have no log are read from its rows. Raises UsageError for a path without a trial.
     """
+    from tetractl.results.batch import open_batch
 
-    trials: list[ResultSummary]
-    damaged: "list[Damaged]"
-
-
-def read_batch(*paths: str | Path) -> Batch:
-    """Read how trials ended, about a millisecond a log; paths are logs, folders or patterns.
-
-    Trials of a study that have no log are read from its rows. Raises UsageError for a path without
-    a trial.
-    """
-    from tetractl.stats.trials import load_trials
-
-    return Batch(*load_trials(paths, rows=True))
+    return open_batch(paths)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,12 +185,12 @@ def to_arrays(trial: TrialLog) -> TrialArrays:
     )
 
 
-def to_dataframe(data: TrialLog | Batch) -> "pandas.DataFrame":
+def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
     """Return a trial with one row for each frame and robot, or a batch with one row for each trial.
 
-    `origin`, of a trial in the frame's `attrs`, says what was steered, such as "emulated lab".
-    Earlier attempts at a trial have `attempt` True. Units are in the names of the columns. Raises
-    UsageError where pandas is not installed.
+    These are the tables `poses` and `trials` of `tetractl export`. `origin`, of a trial in the
+    frame's `attrs`, names the plant, such as "emulated lab". Earlier attempts at a trial have
+    `attempt` True. Raises UsageError where pandas is not installed.
     """
     try:
         import pandas
@@ -209,54 +199,55 @@ def to_dataframe(data: TrialLog | Batch) -> "pandas.DataFrame":
             "a DataFrame needs pandas, which is not installed",
             "pip install pandas, or use to_arrays",
         ) from None
+    from tetractl.results.items import trials_table
+    from tetractl.results.trial_tables import poses
+
+    table = poses(data) if isinstance(data, TrialLog) else trials_table(data)
+    frame = pandas.DataFrame(table.as_dict())
     if isinstance(data, TrialLog):
-        frame = pandas.DataFrame(_columns(to_arrays(data)))
         frame.attrs["origin"] = data.origin.value
-        return frame
-    from tetractl.stats.export import rows
-
-    return pandas.DataFrame(rows(data.trials))
+    return frame
 
 
-def summarise(batch: Batch) -> "Summary":
+def summarise(batch: "Batch", name: str = "") -> "Group":
     """Return the statistics of a batch: errors with intervals, outcomes, the published result.
 
-    Raises UsageError where the trials are not of one experiment.
+    `name` is what tables and figures call it. Raises UsageError if the trials are not of one
+    experiment.
     """
-    from tetractl.stats import summary
+    from tetractl.results.describe import describe
 
-    return summary.summarise(batch.trials, batch.damaged)
+    return describe(batch, name)
 
 
-def compare(ours: "Summary", theirs: "Summary") -> "Comparison":
-    """Compare the total errors of two batches; differences are `ours` minus `theirs`."""
-    from tetractl.stats import comparison
+def compare(*groups: "Group") -> "GroupComparison":
+    """Compare the total errors of every two groups; differences are the earlier minus the later."""
+    from tetractl.results.contrast import contrast
 
-    return comparison.compare(ours, theirs)
+    return contrast(groups)
 
 
 def plot(
-    data: "TrialLog | Sequence[TrialLog] | Summary | Comparison",
+    data: "TrialLog | Sequence[TrialLog] | Group | GroupComparison",
     kind: str = "trajectory",
     *,
     file: str | Path | None = None,
 ) -> "Figure":
     """Draw a matplotlib figure, and write it to a .png, .svg or .pdf file if one is named.
 
-    `kind` names the figure of a trial: "trajectory", which alone shows several trials,
-    "convergence", "error", "timing" or one of another package. Statistics and comparisons have one
-    figure each, every trial a dot.
+    `kind` names a figure of `tetractl plot`; "trajectory", "errors", "arms", "ecdf" and "scatter"
+    show several trials. Statistics and comparisons have one figure each, every trial a dot.
     """
-    from tetractl.stats.comparison import Comparison
-    from tetractl.stats.summary import Summary
+    from tetractl.results.contrast import GroupComparison
+    from tetractl.results.describe import Group
     from tetractl.view import style
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.figures.kinds import draw
 
-    if isinstance(data, Comparison):
-        figure = batch_figure(data.ours, data)
-    elif isinstance(data, Summary):
-        figure = batch_figure(data)
+    if isinstance(data, GroupComparison):
+        figure = batch_figure(data.groups)
+    elif isinstance(data, Group):
+        figure = batch_figure([data])
     else:
         figure = draw(kind, [data] if isinstance(data, TrialLog) else data)
     if file is not None:
@@ -306,19 +297,3 @@ class _Watcher:
         """Pass the result on."""
         if ending.result:
             self.on_result(ending.task.trial, ending.result)
-
-
-def _columns(trial: TrialArrays) -> dict[str, NDArray[Any]]:
-    """Return the columns of a trial, one row for each frame and robot."""
-    frames, robots = trial.valid.shape
-    columns: dict[str, NDArray[Any]] = {
-        "time_s": np.repeat(trial.time_s, robots),
-        "frame": np.repeat(trial.frame, robots),
-        "robot": np.tile(trial.robots, frames),
-    }
-    for prefix, poses in (("", trial.poses), ("true_", trial.truth)):
-        for i, name in enumerate((f"x_{trial.unit}", f"y_{trial.unit}", "heading_rad")):
-            columns[prefix + name] = poses[..., i].ravel()
-    columns["valid"] = trial.valid.ravel()
-    columns[f"distance_{trial.unit}"] = trial.distance.ravel()
-    return columns

@@ -121,7 +121,7 @@ def test_commands_are_driven_again_through_the_simulation(folder):
     done = tetractl(folder, *words)
     assert done.returncode == 0, done.stderr
     assert "open loop" in done.stdout
-    most = next(line for line in done.stdout.splitlines() if line.startswith("  at most"))
+    most = next(line for line in done.stdout.splitlines() if line.startswith(" at most"))
     assert [float(cell) for cell in most.split()[2:]] == [0, 0]  # the same seed, the same world
     assert (folder / "again.svg").read_bytes().startswith(b"<?xml")
     assert tetractl(folder, "verify", "again").returncode == 0

@@ -20,7 +20,7 @@ PLAN = """
 import json, sys
 from pathlib import Path
 import numpy as np
-from tetractl.control import levenberg
+from oracles import levenberg
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels.cache import folder

@@ -80,10 +80,15 @@ def test_the_page_shows_the_numbers_of_stats(page: Page, statistics: dict):
     inside = json.loads(page.run("document.querySelector('script.statistics').textContent"))
     assert inside == statistics
     rows = page.run(
-        "[...document.querySelectorAll('tr[data-total-error]')]"
-        ".map((row) => Number(row.dataset.totalError))"
+        "[...document.querySelectorAll('details table tbody tr')]"
+        ".map((row) => Number(row.cells[2].textContent))"
     )
-    assert rows == [trial["total_error"] for trial in statistics["trials"]]
+    assert rows == pytest.approx([one["total_error"] for one in statistics["trials"]], abs=0.06)
+    links = page.run(
+        "[...document.querySelectorAll('svg.errors a')]"
+        ".map((dot) => dot.getAttribute('xlink:href'))"
+    )
+    assert links == ["#trial-1", "#trial-2", "#trial-3"]
     mean = page.run("document.querySelector('.figures b').textContent")
     assert float(mean.split()[0]) == pytest.approx(statistics["total_error"]["mean"], abs=0.06)
     for trial in range(3):

@@ -149,7 +149,7 @@ def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):
     one = tetractl("stats", "out/few-dead_time=0-a=3", cwd=tmp_path)
     assert "12 of 12 trials complete" in one.stdout
     two = tetractl("stats", "out/few-dead_time=0-a=3", "out/many-dead_time=0-a=3", cwd=tmp_path)
-    assert "Final total errors of 2 arms" in two.stdout
+    assert "few-dead_time=0-a=3 against many-dead_time=0-a=3" in two.stdout
     with_it = tetractl("stats", "out/few-dead_time=0-a=3", "--against", "out", cwd=tmp_path)
     assert (with_it.returncode, with_it.stdout) == (2, "")
     assert "out: is the folder of a study" in with_it.stderr

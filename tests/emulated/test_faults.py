@@ -7,7 +7,7 @@ import pytest
 from support.fault_checks import SCRIPTS, check
 from support.lab_processes import camera_of, play
 
-from tetractl.lab.emulate.script import load_script
+from tetractl.emulate.script import load_script
 
 LATE_S = 0.05  # half of the shortest tolerance: a host as late as that spoils the play
 

@@ -4,10 +4,9 @@ import json
 import os
 import signal
 import subprocess
-import sys
 
 import pytest
-from support.lab_processes import PATIENCE_S, ROOT, SMALL, SPEC, TETRACTL, Emulator, flags
+from support.lab_processes import PATIENCE_S, SMALL, SPEC, TETRACTL, Emulator, flags
 from support.terminal import Terminal
 
 from tetractl.lab.actuators.m3pi.broadcast import Flag
@@ -215,16 +214,3 @@ def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
     assert len(last) == 3
     assert not any(event["moving"] for event in last)
     assert [e for e in record if e["event"] == "command"][-1]["flags"] & Flag.EMERGENCY_STOP
-
-
-def test_no_line_of_the_runner_knows_that_a_lab_is_emulated():
-    folder = ROOT / "tetractl"
-    for path in folder.rglob("*.py"):
-        if "emulat" in path.name or path.parent.name == "emulate":
-            continue
-        text = path.read_text()
-        for name in ("lab_emulate", "lab.emulate", "is_emulated"):  # the last reads what it says
-            text = text.replace(name, "")
-        lines = [line for line in text.splitlines() if "emulat" in line and "import" in line]
-        assert lines == [], path
-    assert sys.version_info >= (3, 11)

@@ -5,7 +5,7 @@ from support.fault_checks import SCRIPTS, check
 from support.lab_processes import camera_of
 from support.virtual_play import play
 
-from tetractl.lab.emulate.script import load_script
+from tetractl.emulate.script import load_script
 
 PLAN_S = {"late_steps": 0.08}
 

@@ -11,6 +11,7 @@ from support.lab_processes import SPEC, flags
 from support.virtual_play import virtual_lab
 
 from tetractl.core.clock import VirtualClock
+from tetractl.emulate.script import parse_script
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab.actuators.m3pi.broadcast import Flag, decode_command
@@ -18,7 +19,6 @@ from tetractl.lab.actuators.xbee.framing import Decoder
 from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
 from tetractl.lab.cameras.optitrack.replay import replay_cameras
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.emulate.script import parse_script
 from tetractl.log.format.wire import read_wire
 from tetractl.log.read.reader import read_trial
 

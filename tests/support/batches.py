@@ -12,6 +12,8 @@ from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.origin import Origin
 from tetractl.log.read.trial_log import ResultSummary
+from tetractl.results.batch import Batch, Damaged
+from tetractl.results.describe import Group, describe
 
 REFERENCE = {"source": "Figure 5", "n": 20, "mean": 648.6, "std": 225.1}
 DISTURBED = {"type": "sim", "heading_noise": 0.05}
@@ -69,3 +71,10 @@ def batch(
     return [
         trial(f"trial-{i:03d}.mcap", spec, result(row, **fields), i) for i, row in enumerate(errors)
     ]
+
+
+def group(
+    trials: Sequence[ResultSummary], damaged: Sequence[Damaged] = (), name: str = ""
+) -> Group:
+    """The trials and earlier attempts described."""
+    return describe(Batch.of(trials, damaged), name)

@@ -20,8 +20,8 @@ from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
 from tetractl.core.operators import Operators
 from tetractl.core.trial import Result
+from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
-from tetractl.lab.emulate.m3pi.side import M3piSettings
 from tetractl.plant.disturbances.planning_time import PlanningTimeSection
 from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.plant.disturbances.start_error import StartErrorSection

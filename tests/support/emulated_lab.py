@@ -4,12 +4,12 @@ import socket
 from dataclasses import replace
 from pathlib import Path
 
+from tetractl.emulate.lab import EmulatedLab
+from tetractl.emulate.script import NOTHING, parse_script
+from tetractl.emulate.sides import Options
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import lab_of
 from tetractl.lab.cameras.optitrack.wire import pack, parse
-from tetractl.lab.emulate.lab import EmulatedLab
-from tetractl.lab.emulate.script import NOTHING, parse_script
-from tetractl.lab.emulate.sides import Options
 
 SPEC = """
 name: emulated

@@ -53,7 +53,7 @@ def check_log(expect, played):
         return
     if expect.outcome == "done":
         assert trial.result.outcome.complete
-        assert audit(trial).problems == []
+        assert audit(trial, same_host=True).problems == []
     else:
         assert trial.result.outcome == expect.outcome
         if expect.outcome == "aborted":

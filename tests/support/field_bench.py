@@ -4,12 +4,12 @@ import threading
 import time
 from collections import deque
 
+from tetractl.emulate.field import CurrentDriver
+from tetractl.emulate.loop import Loop, Timeline
+from tetractl.emulate.port import PseudoPort
 from tetractl.lab.actuators.field.core import DriverLimits
 from tetractl.lab.actuators.field.protocol import FieldCommand, encode_command
 from tetractl.lab.actuators.field.section import FieldSection
-from tetractl.lab.emulate.field import CurrentDriver
-from tetractl.lab.emulate.loop import Loop, Timeline
-from tetractl.lab.emulate.port import PseudoPort
 
 LIMITS = DriverLimits(current_max_ma=2000, slew_ma_s=100_000)
 PATIENCE_S = 10.0

@@ -7,10 +7,10 @@ import numpy as np
 from support.needs_opencv import cv2
 
 from tetractl.core.poses import Poses
+from tetractl.emulate.apriltag.optics import Optics
+from tetractl.emulate.apriltag.renderer import Renderer
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
 from tetractl.lab.cameras.apriltag.track import Tracker
-from tetractl.lab.emulate.apriltag.optics import Optics
-from tetractl.lab.emulate.apriltag.renderer import Renderer
 
 MM = 1e-3
 NAMES = ("green", "blue", "red")

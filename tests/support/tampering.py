@@ -69,9 +69,9 @@ def lab_log(folder: Path) -> Path:
 
     from tetractl.control.build import build_controller
     from tetractl.core.commands import PlantInfo
+    from tetractl.emulate.m3pi.side import M3piSettings
     from tetractl.experiment.load import load_spec, start_of
     from tetractl.experiment.plants import on_plant
-    from tetractl.lab.emulate.m3pi.side import M3piSettings
     from tetractl.log.write.writer import LogWriter
     from tetractl.run.seeds import trial_seeds
     from tetractl.run.trial import Trial

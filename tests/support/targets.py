@@ -20,6 +20,7 @@ from support.seeds import MS, ROOT, VERSIONS
 
 from tetractl.core.errors import LogError, SpecError, UsageError
 from tetractl.core.poses import CameraFrame
+from tetractl.emulate.script import parse_script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import calibrated, on_plant
@@ -32,7 +33,6 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.replay import replay_cameras
 from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
-from tetractl.lab.emulate.script import parse_script
 from tetractl.lab.errors import WireError
 from tetractl.log.format.wire import read_wire
 from tetractl.log.read.overview import overview

@@ -19,16 +19,16 @@ from tetractl.core.operators import Operators
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import CameraFrame, Observation, Pose
 from tetractl.core.protocols import Controller
+from tetractl.emulate.loop import Timeline
+from tetractl.emulate.m3pi.module import ModuleSettings
+from tetractl.emulate.m3pi.radio import EmulatedRadio
+from tetractl.emulate.m3pi.robot import EmulatedRobot
+from tetractl.emulate.m3pi.side import EmulatedM3pi, M3piSettings
+from tetractl.emulate.optitrack.streaming import Streaming
+from tetractl.emulate.sides import Options, Stage
 from tetractl.experiment.experiment import Experiment
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.actuators.xbee.link import Link
-from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.m3pi.module import ModuleSettings
-from tetractl.lab.emulate.m3pi.radio import EmulatedRadio
-from tetractl.lab.emulate.m3pi.robot import EmulatedRobot
-from tetractl.lab.emulate.m3pi.side import EmulatedM3pi, M3piSettings
-from tetractl.lab.emulate.optitrack.streaming import Streaming
-from tetractl.lab.emulate.sides import Options, Stage
 from tetractl.lab.inner_loop import IDLE_S
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab import LabPlant

@@ -26,11 +26,11 @@ from support.virtual_wires import (
 
 from tetractl.control.build import build_controller
 from tetractl.core.clock import SECOND
+from tetractl.emulate.lab import EmulatedLab
+from tetractl.emulate.script import NOTHING
+from tetractl.emulate.sides import Options
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import lab_of
-from tetractl.lab.emulate.lab import EmulatedLab
-from tetractl.lab.emulate.script import NOTHING
-from tetractl.lab.emulate.sides import Options
 from tetractl.lab.inner_loop import IDLE_S, InnerLoop
 
 BEFORE_NS = SECOND // 2  # the lab is up that long before anything connects
@@ -140,8 +140,8 @@ def virtual_wires(network, clock, plan_s=0.0):
             ("tetractl.run.task.build_controller", controller),
             ("tetractl.lab.cameras.optitrack.camera.NatNetClient", VirtualClient),
             ("tetractl.lab.cameras.optitrack.client.socket", SocketModule(network)),
-            ("tetractl.lab.emulate.optitrack.motive._bound", network.bound),
-            ("tetractl.lab.emulate.m3pi.side.PseudoPort", MemoryPort),
+            ("tetractl.emulate.optitrack.motive._bound", network.bound),
+            ("tetractl.emulate.m3pi.side.PseudoPort", MemoryPort),
             ("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial),
         ):
             stack.enter_context(mock.patch(name, value))

@@ -14,8 +14,8 @@ from typing import ClassVar
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.wire_tap import NO_TAP
+from tetractl.emulate.loop import Loop
 from tetractl.lab.cameras.optitrack.client import NatNetClient
-from tetractl.lab.emulate.loop import Loop
 from tetractl.lab.serial_port import PortHeldError
 
 STEP_NS = SECOND // 1000

@@ -69,7 +69,8 @@ def test_a_notebook(tmp_path, batch):
     summary = tetractl.summarise(ours)
     assert summary.counted == 3
     comparison = tetractl.compare(summary, tetractl.summarise(theirs))
-    assert comparison.welch.value == pytest.approx(
+    (contrast,) = comparison.contrasts
+    assert contrast.difference.value == pytest.approx(
         summary.total.mean - tetractl.summarise(theirs).total.mean
     )
     for data in (trial, [trial, logged], summary, comparison):

@@ -1,57 +1,91 @@
-"""An analysis in words and numbers, for people and as JSON."""
+"""An analysis as tables and as JSON."""
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
 from tetractl.core.poses import Floats
+from tetractl.core.table.numbers import fixed
+from tetractl.core.table.table import Column, Table
 
 SAYS = "predicted by a linearised closed loop along good plans; nothing was run"
 INSIDE = math.sqrt(2 * math.log(20))
 """Deviations to the edge of the ellipse that holds 95 % of a normal distribution in the plane."""
 
 
-def lines(found: Analysis) -> Iterator[str]:
-    """Yield the lines of an analysis."""
+def tables(found: Analysis) -> list[Table]:
+    """Return the tables of an analysis; `advice` belongs below them."""
     setup, here, unit = found.setup, found.steering, found.setup.unit
-    count, names = len(here.errors), setup.names
-    robots = f"{len(names)} robot{'s' * (len(names) > 1)}"
-    yield f"{setup.name}: {robots}, {SAYS}"
-    yield f"  noise assumed               {_noise(found)}"
-    yield f"  plans that reach            {here.reaching} of {count}, to {found.tolerance:g} {unit}"
-    yield f"  fewest signals that reach   {_shortest(found)}"
-    if found.alike:
-        low, high = found.alike
-        yield f"  smallest difference of a    {100 * found.gap:.3g} % ({low}, {high})"
-    plans = f"{count} plan{'s' * (count > 1)}"
-    yield f"mean total error [{unit}], the median of {plans} and their range"
-    for name, values in (
-        ("with feedback", here.errors),
-        ("without feedback", here.open_loop),
-        ("without noise", here.planned),
-    ):
-        low, high = float(values.min()), float(values.max())
-        yield f"  {name:<18} {np.median(values):10.3f}   {low:.3f} to {high:.3f}"
-    yield f"along the plan of the median error, {here.signals} signals"
-    values = " ".join(f"{value:.3g}" for value in here.singular)
-    yield f"  singular values of the ends by the signals [{unit}/rad]: {values}"
+    names, robots = setup.names, f"{len(setup.names)} robot{'s' * (len(setup.names) > 1)}"
     shares = zip(names, here.weakest, strict=True)
-    shown = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
-    yield f"  hardest to correct: {shown}"
-    yield f"  {'robot':<12} {'mean error':>10}   95 % ellipse: half axes [{unit}], angle [deg]"
-    for i, name in enumerate(names):
-        long, short, angle = ellipse(here.covariance[i])
-        axes = f"{long:.3g} x {short:.3g}, {math.degrees(angle):.0f}"
-        yield f"  {name:<12} {here.robot_errors[i]:10.3f}   {axes}"
+    facts = [
+        ("noise assumed", _noise(found)),
+        (
+            "plans that reach",
+            f"{here.reaching} of {len(here.errors)}, to {found.tolerance:g} {unit}",
+        ),
+        ("fewest signals that reach", _shortest(found)),
+    ]
+    if found.alike:
+        facts.append(
+            ("smallest difference of a", f"{100 * found.gap:.3g} % ({', '.join(found.alike)})")
+        )
+    facts += [
+        (
+            f"singular values of the ends by the {here.signals} signals [{unit}/rad]",
+            " ".join(f"{value:.3g}" for value in here.singular),
+        ),
+        ("hardest to correct", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)),
+    ]
+    plans = f"{len(here.errors)} plan{'s' * (len(here.errors) > 1)}"
+    errors = (here.errors, here.open_loop, here.planned)
+    axes = [ellipse(one) for one in here.covariance]
+    found_tables = [
+        Table.of_texts(f"{setup.name}: {robots}, {SAYS}", ("figure", "value"), facts),
+        Table(
+            f"Mean total error of {plans}",
+            (
+                Column("error", ["with feedback", "without feedback", "without noise"], unit),
+                Column("median", [float(np.median(values)) for values in errors], "", fixed(3)),
+                Column("min", [float(values.min()) for values in errors], "", fixed(3)),
+                Column("max", [float(values.max()) for values in errors], "", fixed(3)),
+            ),
+        ),
+        Table(
+            f"Along the plan of the median error, {here.signals} signals, with 95 % ellipses",
+            (
+                Column("robot", names),
+                Column("mean error", here.robot_errors, unit, fixed(3)),
+                Column("long half axis", [one[0] for one in axes], unit, "{:.3g}".format),
+                Column("short half axis", [one[1] for one in axes], unit, "{:.3g}".format),
+                Column("angle", [math.degrees(one[2]) for one in axes], "deg", fixed(0)),
+            ),
+        ),
+    ]
     if found.by_gap:
-        yield f"smallest relative difference of a against the mean total error [{unit}]"
-        yield "  " + "  ".join(f"{100 * gap:g} %: {error:.4g}" for gap, error in found.by_gap)
-        yield f"number of robots, the first of the spec, against the mean total error [{unit}]"
-        yield "  " + "  ".join(f"{n}: {error:.4g}" for n, error in found.by_count)
-    yield _advice(found)
+        gaps, by_gap = zip(*found.by_gap, strict=True)
+        counts, by_count = zip(*found.by_count, strict=True)
+        error = "mean total error"
+        found_tables += [
+            Table(
+                "With other values of a, the same ratio between neighbours",
+                (
+                    Column("smallest relative difference", gaps, "", _percent),
+                    Column(error, by_gap, unit, "{:.4g}".format),
+                ),
+            ),
+            Table(
+                "The first robots of the spec alone",
+                (Column("robots", counts), Column(error, by_count, unit, "{:.4g}".format)),
+            ),
+        ]
+    return found_tables
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:g} %"
 
 
 def as_json(found: Analysis) -> dict[str, Any]:
@@ -60,12 +94,12 @@ def as_json(found: Analysis) -> dict[str, Any]:
     robots = [
         {
             "name": name,
-            "a": float(setup.a[i]),
-            "speed": float(setup.speed[i]),
-            "mean_error": float(here.robot_errors[i]),
-            "end_covariance": here.covariance[i].tolist(),
-            "end_covariance_without_feedback": here.free_covariance[i].tolist(),
-            "share_of_weakest_direction": float(here.weakest[i]),
+            "a": setup.a[i],
+            "speed": setup.speed[i],
+            "mean_error": here.robot_errors[i],
+            "end_covariance": here.covariance[i],
+            "end_covariance_without_feedback": here.free_covariance[i],
+            "share_of_weakest_direction": here.weakest[i],
         }
         for i, name in enumerate(setup.names)
     ]
@@ -88,11 +122,11 @@ def as_json(found: Analysis) -> dict[str, Any]:
         "fewest_signals": here.shortest,
         "signal_s": here.signal_s,
         "mean_total_error": here.error,
-        "mean_total_error_by_plan": here.errors.tolist(),
-        "without_feedback_by_plan": here.open_loop.tolist(),
-        "without_noise_by_plan": here.planned.tolist(),
+        "mean_total_error_by_plan": here.errors,
+        "without_feedback_by_plan": here.open_loop,
+        "without_noise_by_plan": here.planned,
         "signals": here.signals,
-        "singular_values": here.singular.tolist(),
+        "singular_values": here.singular,
         "robots": robots,
         "smallest_gap": found.gap if found.alike else None,
         "most_alike": list(found.alike or ()),
@@ -141,7 +175,8 @@ def _shortest(found: Analysis) -> str:
     return f"{signals}, {signals * found.steering.signal_s:.3g} s"
 
 
-def _advice(found: Analysis) -> str:
+def advice(found: Analysis) -> str:
+    """Return what to change in the spec, in one line."""
     unit, error = found.setup.unit, found.steering.error
     if found.alike is None:
         return "advice: none is needed; one robot is alone"

@@ -18,7 +18,7 @@ def analyze(
         int, typer.Option(min=1, max=1000, metavar="N", help="Plans searched for each result.")
     ] = 5,
     form: Annotated[
-        Literal["text", "json"], typer.Option("--format", help="How to print.")
+        Literal["text", "json"], typer.Option("--format", help="Output format.")
     ] = "text",
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
     out: Annotated[
@@ -36,14 +36,14 @@ def analyze(
 
     Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
     """
-    import json
-
     from rich.console import Console
     from rich.progress import Progress
 
     from tetractl.analysis.analyze import analyze as found_of
+    from tetractl.analysis.text import advice, tables
     from tetractl.analysis.text import as_json as items
-    from tetractl.analysis.text import lines
+    from tetractl.core.table.data import json_text
+    from tetractl.core.table.show import print_tables
     from tetractl.core.text import printable
 
     if out:
@@ -58,10 +58,10 @@ def analyze(
             experiment, plans, lambda done, all_: bar.update(task, completed=done, total=all_)
         )
     if as_json or form == "json":
-        print(json.dumps(items(found), indent=2, allow_nan=False))
+        print(json_text(items(found)))
     else:
-        for line in lines(found):
-            print(printable(line))
+        print_tables(tables(found))
+        print(printable(advice(found)), flush=True)
     if out:
         from tetractl.view.figures.analysis import analysis_figure
         from tetractl.view.style import save

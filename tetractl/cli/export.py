@@ -12,7 +12,7 @@ from tetractl.core.errors import Exit, UsageError
 def export(
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG|FOLDER...", help="Logs of trials, folders of them, patterns."),
+        typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
     ],
     output: Annotated[
         Path,
@@ -31,7 +31,7 @@ def export(
         str | None, typer.Option("--format", metavar="NAME", help="csv or parquet.  \\[csv]")
     ] = None,
 ) -> int:
-    """Write trials as tidy tables: one row a trial, a control step, a pose, an estimate, an event.
+    """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.
 
     The names of columns end in their units. `log` and `trial` join the tables. Existing files of
     these names are overwritten.
@@ -42,23 +42,23 @@ def export(
     from rich.progress import track
 
     from tetractl.core.errors import LogError
-    from tetractl.export import tables
-    from tetractl.export.files import Tables
+    from tetractl.core.table.files import TableFiles
     from tetractl.log.read.find import find_logs
+    from tetractl.results.trial_tables import of_log
 
     paths, kind = _files(output, table, format_name)
     found, console, unread = find_logs(logs), Console(stderr=True), 0
-    rows = track(found, "reading logs", console=console, disable=not console.is_terminal)
-    with Tables(paths, kind) as files:
-        for path in rows:
+    tracked = track(found, "reading logs", console=console, disable=not console.is_terminal)
+    with TableFiles(paths, kind) as files:
+        for path in tracked:
             try:
-                added = tables.of_log(path, paths)
+                added = of_log(path, paths)
             except LogError as error:
                 print(f"warning: {error}", file=sys.stderr)
                 unread += 1
                 continue
-            for name, (trial, columns) in added.items():
-                files.add(str(path), trial, name, columns)
+            for name, rows in added.items():
+                files.add(name, rows, str(path))
     if unread == len(found):
         raise LogError("none of the logs can be read")
     for path in paths.values():
@@ -68,8 +68,8 @@ def export(
 
 def _files(output: Path, table: str | None, kind: str | None) -> tuple[dict[str, Path], str]:
     """Return the file of each table, and the format."""
-    from tetractl.export.files import FORMATS, check_format
-    from tetractl.export.tables import TABLES
+    from tetractl.core.table.files import FORMATS, check_format
+    from tetractl.results.trial_tables import TABLES
 
     if table is not None and table not in TABLES:
         raise UsageError(f"there is no table {table!r}", f"there are {', '.join(TABLES)}")

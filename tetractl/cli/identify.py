@@ -1,6 +1,5 @@
 """`tetractl identify`: how robots move and commands act, from logs."""
 
-import json
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -167,33 +166,16 @@ def _design(
 
 
 def _show(found: "Found", out: Path | None, as_json: bool) -> None:
-    """Print what was found, and write it as a file for specs where one is named."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
+    """Print what was found, and write it as a file for specs if one is named."""
+    from tetractl.core.table.data import json_text
+    from tetractl.core.table.show import print_tables
     from tetractl.experiment.identified import identified_yaml
-    from tetractl.experiment.yaml.problems import printable
     from tetractl.replay.identification import report
 
     if as_json:
-        print(json.dumps(report.as_json(found), indent=2, allow_nan=False))
+        print(json_text(found))
     else:
-        logs = "1 log" if len(found.sources) == 1 else f"{len(found.sources)} logs"
-        print(f"{logs}, {found.commands} directions: {found.origin}; 95 % intervals")
-        since = "" if found.frame_age is None else f"; its frame is {found.frame_age:.4f} s older"
-        print(f"dead time from sending: {report.cell(found.dead_time)} s{since}")
-        console = Console()
-        if not console.is_terminal:
-            console = Console(width=1000, color_system=None)
-        table = Table(box=box.SIMPLE_HEAD, show_edge=False)
-        for i, name in enumerate(report.HEADER):
-            header = name.replace("{unit}", found.unit)
-            table.add_column(Text(header), justify="right" if i else "left")
-        for row in report.rows(found):
-            table.add_row(*(Text(printable(cell)) for cell in row))
-        console.print(table)
+        print_tables(report.tables(found))
     if out is not None:
         when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         _write(out, identified_yaml(report.identified(found, when)))
@@ -203,21 +185,21 @@ def _show(found: "Found", out: Path | None, as_json: bool) -> None:
 
 def _show_design(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
     """Print a motion: its directions, and the deviations that a fit to it is predicted to have."""
+    from tetractl.core.table.data import json_text
+
     setup = loaded.experiment.setup
     if as_json:
         plain = {
-            "directions": design.directions.tolist(),
+            "directions": design.directions,
             "period": design.period_s,
             "clearance": design.clearance,
             "predicted": {
                 "dead_time_std": design.dead_time_std,
-                "a_std": dict(zip(setup.names, design.a_std.tolist(), strict=True)),
-                "heading_bias_std": dict(
-                    zip(setup.names, design.heading_bias_std.tolist(), strict=True)
-                ),
+                "a_std": dict(zip(setup.names, design.a_std, strict=True)),
+                "heading_bias_std": dict(zip(setup.names, design.heading_bias_std, strict=True)),
             },
         }
-        print(json.dumps(plain, indent=2))
+        print(json_text(plain))
         return
     knots = [0, *(i for i in range(1, len(design.directions)) if _turns(design, i))]
     print(

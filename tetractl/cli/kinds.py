@@ -1,4 +1,4 @@
-"""`tetractl kinds`: what can stand behind a `type` in a spec or a study."""
+"""`tetractl kinds`: what can be named in a spec, a study, a table, a figure or an emulated lab."""
 
 import json
 import sys
@@ -12,7 +12,7 @@ from tetractl.core.errors import Exit
 def kinds(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """List what a spec or a study can name as a `type`: optimisers, shapes, sweeps and so on.
+    """List every kind there is: optimisers, shapes, cameras, sweeps, statistics, figures and so on.
 
     Each line holds the seam, the `type`, the package that provides it, and its code.
     Exits with 2 where an installed package is broken.
@@ -20,11 +20,15 @@ def kinds(
     Example: tetractl kinds
     """
     from tetractl.core.registry import PluginError
+    from tetractl.emulate.kinds import ACTUATORS, CAMERAS
     from tetractl.experiment.kinds import SEAMS
+    from tetractl.results.kinds import STATISTICS
     from tetractl.study.kinds import SWEEPS
+    from tetractl.view.figures.kinds import FIGURES
 
     problems: dict[str, str] = {}
-    rows = [(seam, kind) for seam in (*SEAMS, SWEEPS) for kind in seam.kinds()]
+    seams = (*SEAMS, SWEEPS, STATISTICS, FIGURES, CAMERAS, ACTUATORS)
+    rows = [(seam, kind) for seam in seams for kind in seam.kinds()]
     for seam, kind in rows:
         try:
             seam.load(kind.name)
@@ -46,7 +50,7 @@ def kinds(
     else:
         for seam, kind in rows:
             package = f"{kind.package} {kind.version}" if kind.package else "built in"
-            print(f"{seam.what:<11} {kind.name:<14} {package:<22} {kind.code}")
+            print(f"{seam.what:<17} {kind.name:<19} {package:<22} {kind.code}")
         for problem in problems.values():
             print(f"error: {problem}", file=sys.stderr)
     return Exit.USAGE if problems else Exit.DONE

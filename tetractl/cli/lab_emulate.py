@@ -62,10 +62,10 @@ def emulate(
     import signal
 
     from tetractl.cli.spec import load
+    from tetractl.emulate.lab import EmulatedLab
+    from tetractl.emulate.script import NOTHING, load_script
+    from tetractl.emulate.sides import Options
     from tetractl.experiment.plants import lab_of
-    from tetractl.lab.emulate.lab import EmulatedLab
-    from tetractl.lab.emulate.script import NOTHING, load_script
-    from tetractl.lab.emulate.sides import Options
     from tetractl.run.interrupt import SIGNALS
 
     loaded = load(spec, sets or [])

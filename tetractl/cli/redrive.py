@@ -2,13 +2,17 @@
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tetractl.cli.caution import Yes
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit
+
+if TYPE_CHECKING:
+    from tetractl.core.table.table import Table
+    from tetractl.replay.redrive import Apart
 
 ROWS = 12  # of the table of distances
 
@@ -34,9 +38,8 @@ def redrive(
 
     Example: tetractl redrive trial-000.mcap --plant sim --plot apart.svg
     """
-    import numpy as np
-
     from tetractl.cli.drive import drive
+    from tetractl.core.table.show import print_tables
     from tetractl.log.read.find import find_log
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
@@ -57,18 +60,7 @@ def redrive(
     again = read_trial(path)
     apart = paths_apart(was, again)
     print(f"{log} ({was.origin.value}) and {path} ({again.origin.value}), open loop")
-    print("the same directions at the same times; distance of the two paths of each robot")
-    unit = apart.unit
-    times = np.unique(np.linspace(0, max(len(apart.time_s) - 1, 0), ROWS).astype(int))
-    width = max(10, *(len(name) for name in apart.names))
-    print("  time [s] " + " ".join(f"{name:>{width}}" for name in apart.names) + f"  [{unit}]")
-    for i in times[: len(apart.time_s)]:
-        cells = " ".join(_cell(value, width) for value in apart.distance[i])
-        print(f"  {apart.time_s[i]:8.2f} {cells}")
-    known = np.nan_to_num(apart.distance, nan=-1.0)
-    most = known.max(axis=0, initial=0.0)
-    print("  at most  " + " ".join(_cell(value, width) for value in most))
-    print("  at last  " + " ".join(_cell(value, width) for value in apart.final))
+    print_tables([_table(apart)])
     print(f"log in {path}")
     if picture is not None:
         from tetractl.view.figures.redriven import redriven_figure
@@ -79,5 +71,24 @@ def redrive(
     return Exit.FAILED if was.damage else Exit.DONE
 
 
-def _cell(value: float, width: int) -> str:
-    return f"{value:{width}.2f}" if value == value and value >= 0 else f"{'-':>{width}}"
+def _table(apart: "Apart") -> "Table":
+    """Return the distances at a few times, then the largest and the last of each robot."""
+    import numpy as np
+
+    from tetractl.core.table.numbers import fixed
+    from tetractl.core.table.table import Column, Table
+
+    last = max(len(apart.time_s) - 1, 0)
+    rows = np.unique(np.linspace(0, last, ROWS).astype(int))[: len(apart.time_s)]
+    known = np.nan_to_num(apart.distance, nan=-1.0).max(axis=0, initial=-1.0)
+    most = np.where(known >= 0, known, np.nan)
+    times = [*(f"{apart.time_s[i]:.2f}" for i in rows), "at most", "at last"]
+    distances = np.vstack([apart.distance[rows], most, apart.final])
+    columns = (
+        Column(name, values, apart.unit, fixed(2))
+        for name, values in zip(apart.names, distances.T, strict=True)
+    )
+    return Table(
+        "The same directions at the same times: distance of the two paths of each robot",
+        (Column("time", times, "s"), *columns),
+    )

@@ -12,7 +12,7 @@ from tetractl.core.errors import Exit, LogError
 def report(
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG|FOLDER...", help="Logs of trials, folders of them, patterns."),
+        typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
     ],
     output: Annotated[
         Path, typer.Option("-o", "--out", metavar="FILE", help="Page to write, overwritten.")

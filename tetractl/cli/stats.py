@@ -1,22 +1,21 @@
-"""`tetractl stats`: statistics of a batch, and how two batches compare."""
+"""`tetractl stats`: statistics of batches, and how they compare."""
 
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from tetractl.results.batch import Source
+    from tetractl.results.contrast import GroupComparison
+    from tetractl.results.describe import Group
 
-    from tetractl.stats.arms import Arms
-    from tetractl.stats.comparison import Comparison
-    from tetractl.stats.summary import Summary
-
-Format = Literal["table", "json", "csv", "markdown", "latex"]
+Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
 
 
 def stats(
@@ -28,28 +27,29 @@ def stats(
             " several batches.",
         ),
     ],
-    form: Annotated[Format, typer.Option("--format", help="How to print.")] = "table",
+    form: Annotated[Format, typer.Option("--format", help="Output format.")] = "table",
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
     against: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PATH",
-            help="Log, folder or quoted glob of another batch to compare with; may be repeated.",
+            help="Log, folder or quoted glob of one more batch, with which alone the others are"
+            " compared; may be repeated.",
         ),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Draw the batch too, as .png, .svg or .pdf."),
+        typer.Option(metavar="FILE", help="Draw the batches too, as .png, .svg or .pdf."),
     ] = None,
 ) -> int:
-    """Print statistics of a batch: errors with intervals, the published result beside them.
+    """Print statistics of batches: errors with intervals, the published result, comparisons.
 
-    Of several folders every two are compared, by their names: paired where the worlds match, with
+    Every two batches are compared, or each with that of --against: paired if the worlds match, with
     tests corrected for their number. Of a study's trials without logs the rows are read.
 
     Trials that were aborted or interrupted are listed and counted, but stay out of the means; so
     are attempts that --resume set aside.
-    Exits with 1 where a log is damaged.
+    Exits with 1 if a log is damaged.
 
     Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
 
@@ -57,94 +57,57 @@ def stats(
 
     Example: tetractl stats logs/slip
     """
+    from tetractl.results.batch import one_source, sources
+    from tetractl.results.contrast import contrast
+    from tetractl.results.show import show
 
     if plot:
         from tetractl.view.style import file_format
 
         file_format(plot)  # before the logs are read
-    form = "json" if as_json else form
-    arms = {path: _arms_in(path) for path in (*paths, *(against or ()))}
-    if len(paths) == 1 and not against and arms[paths[0]]:
-        return _several(arms[paths[0]], form, plot)
-    for path, found in arms.items():
-        if found:
-            raise UsageError(f"{path}: is the folder of a study", "name the folders of its arms")
-    if not against and len(paths) > 1 and all(Path(path).is_dir() for path in paths):
-        return _several(paths, form, plot)
-    return _one(paths, against, form, plot)
-
-
-def _arms_in(folder: str) -> list[str]:
-    """Return the folders of the arms where a folder is a study's, with nothing else in it."""
-    from tetractl.log.read.find import find_logs, find_rows
-
-    place = Path(folder)
-    arms = [rows.parent for rows in find_rows(place)] if place.is_dir() else []
-    if len(arms) < 2 or any(arm.parent != place for arm in arms):
-        return []
-    logs = find_logs([place], attempts=True, bare=[place])
-    return [str(arm) for arm in arms] if {log.parent for log in logs} <= set(arms) else []
-
-
-def _one(paths: list[str], against: list[str] | None, form: Format, plot: Path | None) -> int:
-    """Print one batch, and how it compares with another."""
-    from tetractl.stats.comparison import compare
-
-    ours = _summary(paths)
-    theirs = _summary(against) if against else None
-    comparison = compare(ours, theirs) if theirs else None
-    _show(form, ours, comparison)
+    listed = [*sources(paths), *([one_source(against)] if against else [])]
+    groups = _described(listed)
+    found = contrast(groups[:-1], groups[-1]) if against else contrast(groups)
+    show(found, "json" if as_json else form)
     if plot:
-        from tetractl.view.figures.batch import batch_figure
-        from tetractl.view.style import save
-
-        save(batch_figure(ours, comparison), plot)
-        print(f"wrote {plot}", file=sys.stderr)
-    whole = all(batch.whole for batch in (ours, theirs) if batch)
-    return Exit.DONE if whole else Exit.FAILED
+        _draw(found, plot)
+    return Exit.DONE if found.whole else Exit.FAILED
 
 
-def _several(folders: list[str], form: Format, plot: Path | None) -> int:
-    """Print how the batches in several folders compare, each called by its folder."""
-    from tetractl.stats.arms import Arm, compare_arms
-
-    names = [Path(folder).resolve().name for folder in folders]
-    if len(set(names)) < len(names):
-        names = folders
-    found = compare_arms(
-        [Arm(name, _summary([folder])) for name, folder in zip(names, folders, strict=True)]
-    )
-    _show_arms(form, found)
-    if plot:
-        from tetractl.view.figures.ecdf import distributions_figure
-        from tetractl.view.style import save
-
-        save(distributions_figure(found), plot)
-        print(f"wrote {plot}", file=sys.stderr)
-    return Exit.DONE if all(arm.summary.whole for arm in found.arms) else Exit.FAILED
-
-
-def _summary(paths: list[str]) -> "Summary":
+def _described(listed: "Sequence[Source]") -> "list[Group]":
+    """Read and describe batches; name what is damaged on stderr."""
     from tetractl.core.errors import LogError
     from tetractl.core.text import printable
-    from tetractl.stats.summary import summarise
-    from tetractl.stats.trials import load_trials, split_attempts
+    from tetractl.results.describe import describe
 
-    with _progress() as on_log:
-        trials, damaged = load_trials(paths, on_log, rows=True)
-    for trial in split_attempts(trials)[0]:
-        if trial.recovered:
-            print(f"damaged: {printable(trial.path)}: read as far as possible", file=sys.stderr)
-    for log in damaged:
-        if not log.set_aside:
+    groups = []
+    for source in listed:
+        with _progress() as on_log:
+            batch = source.read(on_log)
+        for trial in batch.trials:
+            if trial.recovered:
+                print(f"damaged: {printable(trial.path)}: read as far as possible", file=sys.stderr)
+        for log in batch.lost:
             print(f"damaged: {printable(log.path)}: {printable(log.problem)}", file=sys.stderr)
-    if not trials:
-        raise LogError(f"{' '.join(paths)}: none of {len(damaged)} logs can be read")
-    return summarise(trials, damaged)
+        if not batch.trials and not batch.attempts:
+            raise LogError(f"{source.name}: none of {len(batch.damaged)} logs can be read")
+        groups.append(describe(batch, source.name))
+    return groups
+
+
+def _draw(found: "GroupComparison", file: Path) -> None:
+    """Draw every trial of one or two groups as a dot, the distributions of more."""
+    from tetractl.view.figures.batch import batch_figure
+    from tetractl.view.figures.ecdf import distributions_figure
+    from tetractl.view.style import save
+
+    few = len(found.groups) <= 2
+    save(batch_figure(found.groups) if few else distributions_figure(found.groups), file)
+    print(f"wrote {file}", file=sys.stderr)
 
 
 @contextmanager
-def _progress() -> "Iterator[Callable[[int, int], object]]":
+def _progress() -> Iterator[Callable[[int, int], object]]:
     """Show a bar on a terminal; yields what to call with the numbers of logs read and of all."""
     from rich.console import Console
     from rich.progress import Progress
@@ -153,44 +116,3 @@ def _progress() -> "Iterator[Callable[[int, int], object]]":
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("Reading logs")
         yield lambda done, count: bar.update(task, completed=done, total=count)
-
-
-def _show(form: Format, summary: "Summary", comparison: "Comparison | None") -> None:
-    import json
-
-    from rich.console import Console
-
-    from tetractl.stats import export, latex, table
-
-    match form:
-        case "table":
-            table.print_table(summary, Console(), comparison)
-        case "json":
-            print(json.dumps(export.as_json(summary, comparison), indent=2, allow_nan=False))
-        case "csv":
-            print(export.as_csv(summary, comparison), end="")
-        case "markdown":
-            print(table.as_markdown(summary, comparison))
-        case "latex":
-            print(latex.as_latex(summary, comparison))
-
-
-def _show_arms(form: Format, arms: "Arms") -> None:
-    import json
-
-    from rich.console import Console
-
-    from tetractl.stats import arms_export, latex, table
-    from tetractl.stats.arms_rows import arms_grids
-
-    match form:
-        case "table":
-            table.print_grids(arms_grids(arms), Console())
-        case "json":
-            print(json.dumps(arms_export.arms_json(arms), indent=2, allow_nan=False))
-        case "csv":
-            print(arms_export.arms_csv(arms), end="")
-        case "markdown":
-            print(table.grids_markdown(arms_grids(arms)))
-        case "latex":
-            print(latex.grids_latex(arms_grids(arms)))

@@ -164,16 +164,14 @@ def _conclude(
 ) -> int:
     """Write tables and figures, print the errors, say what is lacking and `how` to go on; return
     the exit code."""
-    from rich.console import Console
-
+    from tetractl.core.table.show import print_tables
     from tetractl.study.figure import write_figures
-    from tetractl.study.summary import print_summary
-    from tetractl.study.table import counted_rows, write_tables
+    from tetractl.study.table import arms_table, counted_rows, write_tables
 
     rows = [row for _, row in counted_rows(loaded, store)]
     if rows:
         paths = [*write_tables(loaded, store), *write_figures(loaded, store)]
-        print_summary(loaded, store, Console())
+        print_tables([arms_table(loaded, store)])
         print(*paths, sep="\n")
     count = loaded.study.trials.count
     wanted = sum(map(share.has, range(len(loaded.arms) * count)))

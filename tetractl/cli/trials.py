@@ -243,19 +243,11 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
 
 
 def _print_statistics(folder: Path, json: bool) -> None:
-    from json import dumps
-
-    from rich.console import Console
-
+    from tetractl.results.batch import open_batch
+    from tetractl.results.contrast import contrast
+    from tetractl.results.describe import describe
+    from tetractl.results.show import show
     from tetractl.run.interrupt import interrupted_once
-    from tetractl.stats import export, table
-    from tetractl.stats.summary import summarise
-    from tetractl.stats.trials import load_trials
 
     with interrupted_once():
-        results, damaged = load_trials([folder])
-        summary = summarise(results, damaged)
-        if json:
-            print(dumps(export.as_json(summary), indent=2, allow_nan=False), flush=True)
-        else:
-            table.print_table(summary, Console())
+        show(contrast([describe(open_batch([folder]))]), "json" if json else "table")

@@ -1,6 +1,6 @@
 """`tetractl what-if`: what another controller would have decided."""
 
-import json
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +9,7 @@ import typer
 from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
+    from tetractl.core.table.table import Table
     from tetractl.replay.what_if import WhatIf
 
 SAYS = (
@@ -36,7 +37,9 @@ def what_if(
 
     Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
     """
-    from tetractl.experiment.yaml.problems import printable
+    from tetractl.core.table.data import json_text
+    from tetractl.core.table.show import print_tables
+    from tetractl.core.text import printable
     from tetractl.log.read.find import find_logs
     from tetractl.log.read.reader import read_trial
     from tetractl.replay import what_if as replay
@@ -48,47 +51,51 @@ def what_if(
         other.controller.warm_up(other.setup)
         found = replay.what_if(log, other)
         if as_json:
-            done.append({"path": str(path), "origin": log.origin.value, **_plain(found)})
+            items = {**asdict(found), "changed": found.changed}
+            done.append({"path": str(path), "origin": log.origin.value, **items})
             continue
         print(printable(f"{path} ({log.origin.value}), with {', '.join(sets)}:"))
-        print(f"  {SAYS}")
-        _print(found)
+        print_tables(_tables(found, SAYS))
     if as_json:
-        print(json.dumps({"prediction": SAYS, "set": list(sets), "logs": done}, indent=2))
+        print(json_text({"prediction": SAYS, "set": list(sets), "logs": done}))
     return Exit.DONE
 
 
-def _plain(found: "WhatIf") -> dict[str, Any]:
-    steps = [{**asdict(step), "apart": step.apart.tolist()} for step in found.steps]
-    return {**asdict(found), "steps": steps, "changed": found.changed}
+def _tables(found: "WhatIf", title: str) -> "list[Table]":
+    """Return the steps of a prediction side by side with the recorded ones."""
+    from tetractl.core.table.numbers import fixed
+    from tetractl.core.table.table import Column, Table
+
+    unit, steps, three = found.unit, found.steps, fixed(3)
+    columns = (
+        Column("k", [step.k for step in steps]),
+        Column("time", [step.time_s for step in steps], "s", fixed(2)),
+        Column("sent", [step.recorded for step in steps], "rad", fixed(4)),
+        Column("other", [step.other for step in steps], "rad", fixed(4)),
+        Column("change", [step.difference for step in steps], "rad", "{:+.4f}".format),
+        Column("signals", [f"{step.recorded_length}/{step.other_length}" for step in steps]),
+        Column("predicted error", [step.recorded_error for step in steps], unit, three),
+        Column("with other", [step.other_error for step in steps], unit, three),
+        Column("ends differ", [step.apart.max() for step in steps], unit, three),
+    )
+    return [Table(title, columns, "\n".join(_summary(found)))]
 
 
-def _print(found: "WhatIf") -> None:
+def _summary(found: "WhatIf") -> "Iterator[str]":
     import numpy as np
 
-    unit = found.unit
-    print(
-        f"  {'k':>5} {'time [s]':>9} {'sent [rad]':>11} {'other':>8} {'change':>8} {'signals':>9}  "
-        f"predicted total error [{unit}], ends apart [{unit}]"
-    )
-    for step in found.steps:
-        lengths = f"{step.recorded_length}/{step.other_length}"
-        print(
-            f"  {step.k:5d} {step.time_s:9.2f} {step.recorded:11.4f} {step.other:8.4f} "
-            f"{step.difference:+8.4f} {lengths:>9}  {step.recorded_error:.3f} / "
-            f"{step.other_error:.3f}, at most {step.apart.max():.3f}"
-        )
     if found.ended:
-        print(f"  {found.ended}")
+        yield found.ended
     if not found.steps:
         return
+    unit = found.unit
     apart = np.array([step.apart for step in found.steps])
     turned = np.abs([step.difference for step in found.steps])
-    print(
-        f"  {found.changed} of {len(found.steps)} steps would have sent another direction, by "
+    yield (
+        f"{found.changed} of {len(found.steps)} steps would have sent another direction, by "
         f"{turned.mean():.4f} rad on average and {turned.max():.4f} at most"
     )
-    print(
-        f"  predicted ends of a robot are {apart.mean():.3f} {unit} apart on average and "
+    yield (
+        f"the predicted ends of a robot differ by {apart.mean():.3f} {unit} on average and "
         f"{apart.max():.3f} at most"
     )

@@ -33,6 +33,7 @@ BETTER = 0.05  # share of that by which another robot's commands must fit each o
 ALONE_NS = SECOND // 2  # a robot alone must be seen to follow another twice in a row for so long
 ALONE_GAINS = (-1.25, 1.25)  # its own commands are tried with: a wheel may be stuck, or inverted
 ALONE_BETTER = 0.25  # share of that by which another's commands must fit it better,
+ALONE_CLEAR = 0.06  # share of those commands likewise: noise and wheels 10 % off reach 0.05,
 EXPLAINED = 0.8  # and share of them that must be seen
 TINY = 1e-12
 
@@ -161,6 +162,7 @@ class _Evidence:
             (self._apart[i] > APART)
             & (told > APART)
             & (better > ALONE_BETTER * self._apart[i])
+            & (better > ALONE_CLEAR * told)
             & (misfit < -EXPLAINED * told)
         )
 

@@ -1,17 +1,19 @@
 """The figures of a report, drawn as `tetractl plot` draws them: of one trial, and of a batch."""
 
+import re
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from html import escape
 from pathlib import Path
 
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.results.describe import Group
 
 OF_A_TRIAL = ("trajectory", "convergence", "error", "timing")
 OF_A_BATCH = {
     "errors": "The error of each trial over time, the median, and the middle half of the trials",
-    "scatter": "Where each robot ended round its target, a dot a trial, with the covariance",
+    "scatter": "Where each robot ended round its target, a dot per trial, with the covariance",
 }
 FEWEST = 2  # trials of which the figures of a batch say anything
 
@@ -37,6 +39,25 @@ def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
     where = f": {name}" if name else ""
     drawn = [_figure(kind, seen, text + where) for kind, text in OF_A_BATCH.items()]
     return _row("paper wide", drawn)
+
+
+def of_groups(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
+    """Return every total error as inline SVG, its dot a link to its trial, "" without any error.
+
+    `numbers` are those of the trials on the page by path.
+    """
+    from tetractl.view.figures.batch import batch_figure
+    from tetractl.view.style import svg
+
+    if not any(group.counted for group in groups):
+        return ""
+    links = {path: f"#trial-{number}" for path, number in numbers.items()}
+    drawing = svg(batch_figure(groups, links)).decode()
+    drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
+    drawing = re.sub(r'(<a xlink:href="#trial-(\d+)")>', r"\1><title>trial \2</title>", drawing)
+    drawing = drawing[drawing.index("<svg") :].replace("<svg", '<svg class="errors"', 1)
+    text = "Every total error, a dot per trial, and the errors of each robot"
+    return _row("paper wide", [f"<figure>{drawing}<figcaption>{text}</figcaption></figure>"])
 
 
 def _row(kind: str, figures: Sequence[str]) -> str:

@@ -4,36 +4,28 @@ import hashlib
 import json
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import LogError
-from tetractl.log.read.find import find_logs
+from tetractl.core.table.data import plain
+from tetractl.core.table.numbers import lengths
+from tetractl.core.table.show import html
+from tetractl.core.table.table import Table
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report import figures
-from tetractl.report.errors_svg import Row, errors_svg
 from tetractl.report.trial_data import Detail, trial_data
-from tetractl.stats import export
-from tetractl.stats.rows import Grid, grids
-from tetractl.stats.summary import Summary, summarise
-from tetractl.stats.text import lengths
-from tetractl.stats.trials import load_trials
+from tetractl.results.batch import sources
+from tetractl.results.contrast import GroupComparison, contrast
+from tetractl.results.describe import Group, describe
+from tetractl.results.items import as_items
+from tetractl.results.tables import page_trials, tables
 
 ASSETS = files("tetractl.report") / "assets"
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
-
-
-@dataclass(frozen=True, slots=True)
-class Batch:
-    """The logs of one path and their statistics."""
-
-    name: str
-    summary: Summary
-    paths: tuple[Path, ...]
 
 
 def report(
@@ -41,53 +33,55 @@ def report(
 ) -> tuple[str, list[str]]:
     """Return the page of some logs, folders or patterns, and the logs that could not be read.
 
-    Each folder is a batch of its own; logs named one by one are a batch together. `progress` is
-    called with the number of logs read and of all. Raises UsageError where there is no log, or
-    where the trials of a batch belong to several experiments.
+    Each folder is a group, as is each arm of a study; logs named one by one are a group together.
+    Trials of a study without a log are in the tables alone. `progress` is called with the number of
+    logs read and of all. Raises UsageError if there is no log, or if the trials of a group belong
+    to several experiments.
     """
-    batches = _batches(paths)
-    detail, shown = Detail.of(sum(len(batch.paths) for batch in batches)), []
-    unread: list[str] = []
+    groups, unread = _groups(paths)
+    logged = [group.batch.logs for group in groups]
+    count = sum(map(len, logged))
+    detail, shown = Detail.of(count), list[tuple[Path, dict[str, Any]]]()
     first: TrialLog | None = None
-    read: list[list[TrialLog]] = [[] for _ in batches]
-    numbered = [
-        (batch, path) for batch, trials in zip(read, batches, strict=True) for path in trials.paths
-    ]
-    for number, (logs, path) in enumerate(numbered, 1):
-        progress(number, len(numbered))
-        try:
-            log = read_trial(path)
-        except LogError as error:
-            unread.append(str(error))
-            continue
-        first = first or log
-        logs.append(figures.lean(log))
-        shown.append((path, trial_data(log, path.name, detail)))
-    if first is None:
-        raise LogError(f"none of the logs can be read: {unread[0]}")
+    drawn: list[str] = []
+    done = 0
+    for group, found in zip(groups, logged, strict=True):
+        logs = []
+        for path in found:
+            done += 1
+            progress(done, count)
+            try:
+                log = read_trial(path)
+            except LogError as error:
+                unread.append(str(error))
+                continue
+            first = first or log
+            logs.append(figures.lean(log))
+            shown.append((path, trial_data(log, path.name, detail)))
+        drawn.append(figures.of_batch(group.name if len(groups) > 1 else "", logs))
     numbers = {str(path): number for number, (path, _) in enumerate(shown, 1)}
-    body = [
-        _header(title or batches[0].summary.experiment.name, batches),
-        _player(shown, batches[0].summary.unit),
-        _errors(batches, numbers, read),
-        *(_tables(batch, numbers, len(batches) > 1) for batch in batches),
-        f"<section><h2>Figures of the first trial</h2>{figures.of_trial(first)}</section>",
-        _provenance(first),
-    ]
-    scripts = "".join((ASSETS / name).read_text() for name in SCRIPTS)
-    return _page(title or batches[0].summary.experiment.name, "".join(body), scripts), unread
+    name = title or groups[0].experiment.name
+    body = [_header(name, groups), _errors(groups, numbers, drawn), _statistics(groups, numbers)]
+    if first is not None:
+        body.insert(1, _player(shown, groups[0].unit))
+        body.append(
+            f"<section><h2>Figures of the first trial</h2>{figures.of_trial(first)}</section>"
+        )
+        body.append(_provenance(first))
+    scripts = "".join((ASSETS / script).read_text() for script in SCRIPTS) if shown else ""
+    return _page(name, "".join(body), scripts), unread
 
 
-def _batches(paths: Sequence[Path]) -> list[Batch]:
-    folders = [path for path in paths if path.is_dir()]
-    single = [path for path in paths if not path.is_dir()]
-    groups: list[tuple[str, list[Path]]] = [(str(folder), [folder]) for folder in folders]
-    if single:
-        groups.insert(0, ("logs" if len(single) > 1 else single[0].name, single))
-    return [
-        Batch(name, summarise(*load_trials(group)), tuple(find_logs(group)))
-        for name, group in groups
-    ]
+def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
+    """Describe each folder and the single logs; return them and what could not be read."""
+    folders = [str(path) for path in paths if path.is_dir()]
+    single = [str(path) for path in paths if not path.is_dir()]
+    listed = [*(sources(single) if single else []), *(sources(folders) if folders else [])]
+    batches = [(source.name, source.read()) for source in listed]
+    unread = [f"{log.path}: {log.problem}" for _, batch in batches for log in batch.lost]
+    if not any(batch.trials for _, batch in batches):
+        raise LogError(f"none of the logs can be read: {', '.join(unread[:1])}")
+    return [describe(batch, name) for name, batch in batches], unread
 
 
 def _page(title: str, body: str, scripts: str) -> str:
@@ -108,24 +102,22 @@ def _page(title: str, body: str, scripts: str) -> str:
     )
 
 
-def _header(title: str, batches: Sequence[Batch]) -> str:
+def _header(title: str, groups: Sequence[Group]) -> str:
     cards = []
-    for batch in batches:
-        summary = batch.summary
-        total, unit = summary.total, summary.unit.replace("um", "µm")
+    for group in groups:
+        total, unit = group.total, group.unit.replace("um", "µm")
         show = lengths(total.mean)
-        interval = ""
-        if total.ci95.known:
-            interval = f"95 % {show(total.ci95.low)} to {show(total.ci95.high)}, "
-        entered = sum(trial.result.entered_obstacle for trial in summary.trials)
-        name = f"{escape(batch.name)}: " if len(batches) > 1 else ""
+        interval = f"95 % {total.ci95.text(show)}, " if total.ci95.known else ""
+        trials = group.batch.trials
+        entered = sum(trial.result.entered_obstacle for trial in trials)
+        name = f"{escape(group.name)}: " if len(groups) > 1 else ""
         cards += [
             f"<div>{name}mean total error<b>{show(total.mean)} {unit}</b>"
-            f'<span class="quiet">{interval}n {total.n}, {summary.origin}</span></div>',
-            f"<div>entered an obstacle<b>{entered} of {len(summary.trials)}</b>"
+            f'<span class="quiet">{interval}n {total.n}, {group.origin}</span></div>',
+            f"<div>entered an obstacle<b>{entered} of {len(trials)}</b>"
             '<span class="quiet">trials</span></div>',
         ]
-    about = escape(batches[0].summary.experiment.description)
+    about = escape(groups[0].experiment.description)
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
         '<button id="theme" aria-label="Light or dark">◐</button></header>'
@@ -153,77 +145,32 @@ def _json(value: Any) -> str:
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-def _errors(
-    batches: Sequence[Batch], numbers: Mapping[str, int], logs: Sequence[Sequence[TrialLog]]
-) -> str:
-    rows = [
-        Row(
-            batch.name if len(batches) > 1 else "this batch",
-            [
-                (trial.result.total_error, numbers[trial.path])
-                for trial in batch.summary.trials
-                if trial.outcome.complete and not trial.recovered and trial.path in numbers
-            ],
-            batch.summary,
-        )
-        for batch in batches
-    ]
-    picture = errors_svg(rows) + "".join(
-        figures.of_batch(batch.name if len(batches) > 1 else "", trials)
-        for batch, trials in zip(batches, logs, strict=True)
-    )
+def _errors(groups: Sequence[Group], numbers: Mapping[str, int], drawn: Sequence[str]) -> str:
+    """Return the figure of every total error, each dot a link to its trial, and those of `drawn`"""
+    picture = figures.of_groups(groups, numbers) + "".join(drawn)
     return f"<section><h2>Errors</h2>{picture}</section>" if picture else ""
 
 
-def _tables(batch: Batch, numbers: Mapping[str, int], several: bool) -> str:
-    name = f": {escape(batch.name)}" if several else ""
-    tables = "".join(f"<div>{_grid(grid)}</div>" for grid in grids(batch.summary))
-    data = _json(export.as_json(batch.summary))
-    return (
-        f'<section><h2>Statistics{name}</h2><div class="tables">{tables}</div>'
-        f"{_trials(batch, numbers)}</section>"
-        f'<script type="application/json" class="statistics">{data}</script>\n'
-    )
+def _statistics(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
+    """Return the tables of each group, those of their comparison, and all of it as JSON."""
+    found = contrast(groups)
+    links = {str(number): f"#trial-{number}" for number in numbers.values()}
+    parts = []
+    for group in groups:
+        name = f": {escape(group.name)}" if len(groups) > 1 else ""
+        parts.append(
+            f"<section><h2>Statistics{name}</h2>{_tables(tables(GroupComparison((group,))))}"
+            "<details open><summary>All trials</summary>"
+            f"{html([page_trials(group, numbers)], links)}</details></section>"
+        )
+    if found.contrasts:
+        parts.append(f"<section><h2>Comparison</h2>{_tables(tables(found))}</section>")
+    data = _json(plain(as_items(found)))
+    return "".join(parts) + f'<script type="application/json" class="statistics">{data}</script>\n'
 
 
-def _grid(grid: Grid) -> str:
-    head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in grid.header)
-    rows = "".join(
-        f'<tr><th scope="row">{escape(row[0])}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
-        + "</tr>"
-        for row in grid.rows
-    )
-    kind = ' class="words"' if grid.words else ""
-    return (
-        f'<div class="scroll"><table{kind}><caption>{escape(grid.title)}</caption>'
-        f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
-    )
-
-
-def _trials(batch: Batch, numbers: Mapping[str, int]) -> str:
-    unit = batch.summary.unit.replace("um", "µm")
-    show = lengths(batch.summary.total.mean)
-    rows = "".join(
-        f'<tr data-total-error="{trial.result.total_error!r}">'
-        f'<th scope="row">{_link(numbers.get(trial.path))}</th>'
-        f"<td>{escape(Path(trial.path).name)}</td><td>{show(trial.result.total_error)}</td>"
-        f"<td>{trial.result.duration_s:.2f}</td><td>{trial.result.steps}</td>"
-        f"<td>{'yes' if trial.result.entered_obstacle else 'no'}</td>"
-        f"<td>{escape(trial.outcome.value)}</td></tr>"
-        for trial in batch.summary.trials
-    )
-    return (
-        '<details open><summary>All trials</summary><div class="scroll"><table class="trials">'
-        f'<thead><tr><th scope="col">trial</th><th scope="col">log</th>'
-        f'<th scope="col">total error [{unit}]</th><th scope="col">duration [s]</th>'
-        '<th scope="col">steps</th><th scope="col">entered</th><th scope="col">outcome</th></tr>'
-        f"</thead><tbody>{rows}</tbody></table></div></details>"
-    )
-
-
-def _link(number: int | None) -> str:
-    return f'<a href="#trial-{number}">{number}</a>' if number else ""
+def _tables(shown: Sequence[Table]) -> str:
+    return f'<div class="tables">{"".join(f"<div>{html([one])}</div>" for one in shown)}</div>'
 
 
 def _provenance(log: TrialLog) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.stats.estimate import Distribution, describe
+from tetractl.results.estimate import Distribution, distributions
 from tetractl.study.arm import Arm
 from tetractl.study.cells import as_yaml
 from tetractl.study.load import LoadedStudy
@@ -14,7 +14,7 @@ from tetractl.study.store import Store
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class FieldValue:
     """The arms in which a field has one value, and the total error of their worlds."""
 
     value: Any
@@ -39,23 +39,25 @@ def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribu
     ]
     worlds = sorted(set.intersection(*(set(found) for found in errors)))
     means = [float(np.mean([found[world] for found in errors])) for world in worlds]
-    return describe(np.array([means], dtype=np.float64))[0]
+    return distributions(np.array([means], dtype=np.float64))[0]
 
 
-def groups(loaded: LoadedStudy, store: Store, path: str, arms: Iterable[Arm]) -> list[Group]:
+def field_values(
+    loaded: LoadedStudy, store: Store, path: str, arms: Iterable[Arm]
+) -> list[FieldValue]:
     """Return the arms that set a field, grouped by its value: numbers rising, others in order."""
     found: dict[str, list[Arm]] = {}
     for arm in arms:
         if path in arm.values:
             found.setdefault(as_yaml(arm.values[path]), []).append(arm)
     made = [
-        Group(several[0].values[path], len(several), error_of(loaded, store, several))
+        FieldValue(several[0].values[path], len(several), error_of(loaded, store, several))
         for several in found.values()
     ]
     return sorted(made, key=lambda group: group.value) if numeric(made) else made
 
 
-def numeric(found: Iterable[Group]) -> bool:
+def numeric(found: Iterable[FieldValue]) -> bool:
     """Whether a field's values are all numbers."""
     values = [group.value for group in found]
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)

@@ -11,7 +11,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
 from tetractl.study.cells import as_yaml, shown
-from tetractl.study.effect import Group, groups, numeric
+from tetractl.study.effect import FieldValue, field_values, numeric
 from tetractl.study.load import LoadedStudy
 from tetractl.study.store import Store
 from tetractl.study.table import counted_rows
@@ -44,7 +44,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
     curves = {
         name: [
             group
-            for group in groups(
+            for group in field_values(
                 loaded, store, field, (arm for arm in loaded.arms if arm.controller == name)
             )
             if group.error.n > 0
@@ -78,7 +78,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
     return figure
 
 
-def _places(axes: Axes, found: Sequence[Group]) -> dict[str, float]:
+def _places(axes: Axes, found: Sequence[FieldValue]) -> dict[str, float]:
     """Return the place of each value on the x axis, which is labelled to fit."""
     if not numeric(found):
         labels = {as_yaml(group.value): shown(group.value) for group in found}
@@ -93,7 +93,7 @@ def _places(axes: Axes, found: Sequence[Group]) -> dict[str, float]:
     return {as_yaml(group.value): float(group.value) for group in found}
 
 
-def _alike(found: Sequence[Group], fields: int) -> bool:
+def _alike(found: Sequence[FieldValue], fields: int) -> bool:
     """Whether neighbouring values differ in the field alone, so that a line may join them."""
     return len({group.arms for group in found}) == 1 and (fields == 1 or found[0].arms > 1)
 
@@ -101,7 +101,7 @@ def _alike(found: Sequence[Group], fields: int) -> bool:
 def _draw(
     axes: Axes,
     x: list[float],
-    found: Sequence[Group],
+    found: Sequence[FieldValue],
     line: str,
     name: str,
     look: dict[str, Any],
@@ -123,7 +123,7 @@ def _draw(
     axes.autoscale_view()
 
 
-def _headline(loaded: LoadedStudy, store: Store, found: Sequence[Group]) -> str:
+def _headline(loaded: LoadedStudy, store: Store, found: Sequence[FieldValue]) -> str:
     """Return what was steered, how often, and what is drawn."""
     origins = sorted({row.columns["origin"] for _, row in counted_rows(loaded, store)})
     counts = sorted({group.error.n for group in found})

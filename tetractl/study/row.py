@@ -7,9 +7,9 @@ from typing import Any, Self
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.experiment.experiment import Experiment
-from tetractl.export.tables import trials
 from tetractl.log.format.metadata import result_metadata, timing_metadata
 from tetractl.log.read.trial_log import ResultSummary
+from tetractl.results.trial_tables import trial
 
 HOST_COLUMNS = ("deadline_misses",)
 """Columns of `export` that differ between two runs of a trial; they are in the table of times."""
@@ -48,7 +48,7 @@ class Row:
         took_s: tuple[float, float],
     ) -> Self:
         """Return the row of a trial with its digest; it took wall and CPU time."""
-        columns = {name: values[0] for name, values in trials(found).items() if name != "trial"}
+        columns = {column.key: column.known[0] for column in trial(found).columns}
         times = {name: columns.pop(name) for name in HOST_COLUMNS}
         solve_ms = [ns / MILLISECOND for ns in found.result.solve_ns]
         times |= {

@@ -6,7 +6,7 @@ from support.trials import THREE_M3PI, experiment
 
 from tetractl.analysis.analyze import Change, analyze, best_change, first, respaced, smallest_gap
 from tetractl.analysis.plans import planner
-from tetractl.analysis.text import as_json, ellipse, lines
+from tetractl.analysis.text import advice, as_json, ellipse, tables
 from tetractl.control.optimizers.multistart import Multistart
 
 SETUP = experiment().setup
@@ -57,8 +57,7 @@ def test_alike_robots_are_found_and_a_better_a_is_advised():
     assert change is not None
     assert change.robot in found.alike
     assert change.error < 0.8 * found.steering.error
-    *_, advice = lines(found)
-    assert f"change a of {change.robot} from {change.old:g} to {change.new:g}" in advice
+    assert f"change a of {change.robot} from {change.old:g} to {change.new:g}" in advice(found)
 
 
 def test_robots_more_apart_and_fewer_are_easier():
@@ -79,7 +78,8 @@ def test_one_robot_has_no_map():
     found = of(a=(6,))
     assert (found.alike, found.by_gap, found.looked) == (None, (), False)
     assert len(as_json(found)["robots"]) == 1
-    assert list(lines(found))[-1].startswith("advice: none is needed")
+    assert advice(found).startswith("advice: none is needed")
+    assert len(tables(found)) == 3
 
 
 def test_more_noise_is_more_error():
@@ -90,7 +90,7 @@ def test_more_noise_is_more_error():
 def test_what_the_plant_has_beside_the_noise_is_said():
     found = of(a=(6,), plant=NOISE | {"dead_time": 0.1, "lost_commands": 0.1})
     assert found.left_out == ("dead_time", "lost_commands")
-    assert any("not dead_time, lost_commands" in line for line in lines(found))
+    assert "not dead_time, lost_commands" in dict(tables(found)[0].rows)["noise assumed"]
 
 
 def test_any_controller_is_analysed_by_multistart():

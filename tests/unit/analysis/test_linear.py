@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles.levenberg import positions
 from support.problems import problem, world
 
 from tetractl.analysis.linear import linearise
 from tetractl.control.cost import predict
-from tetractl.control.levenberg import positions
 from tetractl.core.poses import Poses
 
 STEP = 1e-6

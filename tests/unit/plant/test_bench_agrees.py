@@ -8,7 +8,7 @@ from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
 from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.lab.emulate.m3pi.side import M3piSettings
+from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.model.motion.exact import step as exact
 from tetractl.plant.simulation import SimPlant
 

@@ -10,9 +10,9 @@ from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
+from tetractl.emulate.m3pi.robot import EmulatedRobot
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.actuators.m3pi.command import Drivetrain, Wheel
-from tetractl.lab.emulate.m3pi.robot import EmulatedRobot
 from tetractl.model.wheels import body_velocity
 
 PERIOD = SECOND // 5

@@ -11,7 +11,6 @@ from support.trials import THREE_M3PI
 from tetractl.api import to_arrays
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import parse_spec
-from tetractl.export.tables import steps
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.identification.tracks import track_of
 from tetractl.replay.recording import Recording
@@ -19,6 +18,7 @@ from tetractl.replay.redrive import recorded_directions
 from tetractl.replay.verify import verify
 from tetractl.replay.what_if import other_experiment, what_if
 from tetractl.report.trial_data import Detail, trial_data
+from tetractl.results.trial_tables import steps
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 from tetractl.view.figures.kinds import draw
@@ -63,7 +63,7 @@ def test_it_is_verified_whole(path):
 
 def test_tables_and_arrays_hold_no_direction_then(log):
     off = [step.command.field_off for step in log.steps]
-    assert [u is None for u in steps(log)["direction_rad"]] == off
+    assert [u is None for u in steps(log).as_dict()["direction_rad"]] == off
     assert np.isnan(to_arrays(log).direction).tolist() == off
 
 

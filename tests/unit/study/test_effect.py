@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from support.studies import FAILING, STUDY, run
 
-from tetractl.stats.estimate import describe
+from tetractl.results.estimate import distributions
 from tetractl.study.arm import arm_name
 from tetractl.study.cells import as_cell, as_yaml, shown
-from tetractl.study.effect import error_of, groups
+from tetractl.study.effect import error_of, field_values
 from tetractl.study.figure import error_figure, write_figures
 from tetractl.study.options import Logs, Shard
-from tetractl.study.table import write_tables
+from tetractl.study.table import arms_table, write_tables
 
 
 @pytest.fixture(scope="module")
@@ -24,20 +24,20 @@ def errors(ran, arm):
 
 def test_the_error_of_one_arm_is_that_of_its_trials(ran):
     arm = ran.loaded.arms[2]
-    assert error_of(ran.loaded, ran.store, [arm]) == describe(np.array([errors(ran, arm)]))[0]
+    assert error_of(ran.loaded, ran.store, [arm]) == distributions(np.array([errors(ran, arm)]))[0]
 
 
 def test_over_several_arms_a_world_counts_once(ran):
     few = [arm for arm in ran.loaded.arms if arm.controller == "few"]
-    found = groups(ran.loaded, ran.store, "plant.dead_time", few)
+    found = field_values(ran.loaded, ran.store, "plant.dead_time", few)
     assert [(group.value, group.arms, group.error.n) for group in found] == [(0, 2, 5), (0.1, 2, 5)]
     mean = np.mean([errors(ran, arm) for arm in few if arm.values["plant.dead_time"] == 0], axis=0)
-    assert found[0].error == describe(mean[None])[0]
+    assert found[0].error == distributions(mean[None])[0]
 
 
 def test_a_trial_that_aborted_does_not_count(tmp_path):
     ran = run(tmp_path, FAILING)
-    found = groups(ran.loaded, ran.store, "robots.r.speed", ran.loaded.arms)
+    found = field_values(ran.loaded, ran.store, "robots.r.speed", ran.loaded.arms)
     assert [(group.value, group.error.n) for group in found] == [(200, 4), (1e308, 0)]
 
 
@@ -60,6 +60,15 @@ def test_the_table_has_one_tidy_row_a_trial(ran):
         times = list(csv.DictReader(file))
     assert float(times[0]["wall_s"]) > 0
     assert len(times) == 40
+
+
+def test_the_errors_of_arms_are_a_table(ran):
+    found = arms_table(ran.loaded, ran.store)
+    assert found.header[:3] == ["arm", "n", "mean"]
+    assert found.header[-2:] == ["aborted", "plant"]
+    assert [row[0] for row in found.rows] == [arm.name for arm in ran.loaded.arms]
+    assert found.columns[2].values[0] == pytest.approx(np.mean(errors(ran, ran.loaded.arms[0])))
+    assert found.note == "disturbances are assumed in the spec, not measured"
 
 
 def test_there_is_a_figure_for_each_field_with_a_line_for_each_controller(ran):

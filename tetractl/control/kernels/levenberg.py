@@ -7,6 +7,8 @@ they come nearer than their separation. L signals answer for few residuals R, so
 taken in the small space of the residuals:
 
     du = -J' (J J' + lambda I)^-1 r,      J (R, L).
+
+Its readable reference, which must agree with it, is `tests/oracles/levenberg.py`.
 """
 
 import math
@@ -26,7 +28,7 @@ from tetractl.core.problem import Problem
 Integers = NDArray[np.int64]
 
 LARGEST_STEP = 1.0  # of any signal in one iteration [rad]
-DEPTH_WEIGHT = 3.0  # of a depth against a miss
+DEPTH_WEIGHT = 3.0  # W, of a depth against a miss
 PROGRESS = 0.8  # share of itself that the merit has to fall below in `patience` iterations
 
 

@@ -3,8 +3,9 @@
 A particle swarm needs some ten thousand rollouts because it learns nothing from a rollout but its
 cost. The cost (8) is smooth, its gradient costs about as much as a rollout, and the number of
 misses (two a robot) is small against the number of signals: Levenberg-Marquardt
-(`tetractl.control.levenberg`) solves it in a few dozen steps from about every third smooth random
-sequence. What remains global, the way round an obstacle, is left to chance and cheap selection:
+(`tetractl.control.kernels.levenberg`) solves it in a few dozen steps from about every third smooth
+random sequence. What remains global, the way round an obstacle, is left to chance and cheap
+selection:
 each round scatters many smooth sequences, evaluates them in one vectorised rollout and polishes
 only the most promising.
 """

@@ -1,15 +1,14 @@
 """Tracks from CSV files: tracked poses in one, commands in another, as `tetractl export` writes."""
 
-import csv
 import math
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools
+from tetractl.core.table.files import read_csv
 from tetractl.replay.identification.tracks import Track
 
 ORIGIN = "CSV"
@@ -33,7 +32,7 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
     commands: dict[Trial, list[Row]] = {}
     unit, named = "", {}
     for path in paths:
-        rows = list(_rows(path))
+        rows = list(read_csv(path))
         columns = rows[0].keys() if rows else ()
         if all(name in columns for name in COMMANDS):
             into = commands
@@ -105,17 +104,6 @@ def _track(poses: list[Row], commands: list[Row], unit: str, path: Path, trial: 
         until=float(sent[-1]) + gap,
         frame_age=max(0.0, float(np.median(ages))) if ages else None,
     )
-
-
-def _rows(path: Path) -> Iterator[Row]:
-    try:
-        if path.exists() and not path.is_file():
-            raise UsageError(f"{path}: is no regular file")
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            for row in csv.DictReader(stream):
-                yield {key: value or "" for key, value in row.items() if key}
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f"{path}: is no CSV file: {error}") from None
 
 
 def _number(row: Row, column: str, path: Path, optional: bool = False) -> float:

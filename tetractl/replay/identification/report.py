@@ -1,33 +1,25 @@
-"""What was identified, as a file for specs, as JSON, and as the cells of a table."""
+"""What was identified, as a file for specs and as a table."""
 
 import math
-from dataclasses import asdict
-from typing import Any
 
+from tetractl.core.table.numbers import NONE
+from tetractl.core.table.table import Column, Table
 from tetractl.experiment.identified import Identified, IdentifiedRobot, Value
 from tetractl.replay.identification.chain import Interval
 from tetractl.replay.identification.identify import Found
 
-HEADER = (
-    "robot",
-    "a [rad/s]",
-    "speed [{unit}/s]",
-    "heading bias [rad]",
-    "track radius [{unit}]",
-    "position noise [{unit}]",
-    "heading noise [rad]",
-    "heading walk [rad/sqrt(s)]",
-    "lost",
-)
-QUANTITIES = (
-    "a",
-    "speed",
-    "heading_bias",
-    "track_radius",
-    "position_noise",
-    "heading_noise",
-    "heading_walk",
-)
+QUANTITIES = {
+    "a": "rad/s",
+    "speed": "{unit}/s",
+    "heading_bias": "rad",
+    "track_radius": "{unit}",
+    "position_noise": "{unit}",
+    "heading_noise": "rad",
+    "heading_walk": "rad/sqrt(s)",
+}
+"""The fields of a robot in a table, with their units."""
+_ABREAST = 3  # robots in one table
+MOST = 6  # decimals
 
 
 def identified(found: Found, when: str) -> Identified:
@@ -54,27 +46,41 @@ def identified(found: Found, when: str) -> Identified:
     )
 
 
-def as_json(found: Found) -> dict[str, Any]:
-    """Return it as plain data; an end of an interval that is not known is null."""
-    plain: dict[str, Any] = _finite(asdict(found))
-    return plain
-
-
-def rows(found: Found) -> list[list[str]]:
-    """Return the cells of HEADER, a row a robot."""
+def tables(found: Found) -> list[Table]:
+    """Return each value with its 95 % interval, a column per robot."""
+    logs = "1 log" if len(found.sources) == 1 else f"{len(found.sources)} logs"
+    since = "" if found.frame_age is None else f"; its frame is {found.frame_age:.4f} s older"
+    parts = [found.robots[i : i + _ABREAST] for i in range(0, len(found.robots), _ABREAST)]
     return [
-        [robot.name, *(cell(getattr(robot, name)) for name in QUANTITIES), str(robot.lost)]
-        for robot in found.robots
+        Table(
+            f"{logs}, {found.commands} directions: {found.origin}; 95 % intervals",
+            (
+                Column("quantity", [_label(name, found.unit) for name in QUANTITIES] + ["lost"]),
+                *(
+                    Column(
+                        robot.name,
+                        [*(cell(getattr(robot, name)) for name in QUANTITIES), str(robot.lost)],
+                    )
+                    for robot in robots
+                ),
+            ),
+            f"dead time from sending: {cell(found.dead_time)} s{since}",
+        )
+        for robots in parts
     ]
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name.replace('_', ' ')} [{QUANTITIES[name].format(unit=unit)}]"
 
 
 def cell(interval: Interval | None) -> str:
     """Return a value and the ends of its interval, with the digits that the interval leaves."""
     if interval is None:
-        return "-"
+        return NONE
     ends = [one for one in (interval.low, interval.high) if math.isfinite(one)]
     width = max((abs(one - interval.value) for one in ends), default=0.0)
-    digits = 3 if width <= 0 else min(max(1 - math.floor(math.log10(width)), 0), 9)
+    digits = 3 if width <= 0 else min(max(1 - math.floor(math.log10(width)), 0), MOST)
     low, high = (
         f"{one:.{digits}f}" if math.isfinite(one) else "?" for one in (interval.low, interval.high)
     )
@@ -84,11 +90,3 @@ def cell(interval: Interval | None) -> str:
 def _value(interval: Interval) -> Value:
     low, high = (one if math.isfinite(one) else None for one in (interval.low, interval.high))
     return Value(value=interval.value, low=low, high=high)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,89 +1,103 @@
 """The errors of a batch: a dot for each trial, the means, and the published result."""
 
 import math
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tetractl.core.colors import BLUE, GREEN, RED
+from tetractl.core.colors import BLUE, PALETTE, RED
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
-from tetractl.stats.comparison import Comparison
-from tetractl.stats.estimate import Distribution, describe_published
-from tetractl.stats.summary import Summary
+from tetractl.results.batch import counts
+from tetractl.results.describe import Group
+from tetractl.results.estimate import Distribution, published_distribution
 from tetractl.view import style
 
+COLORS = [BLUE, *(color for color in PALETTE if color not in (BLUE, RED))]
+_NAME = 18  # characters of a line of a group's name
 _ASIDE = 0.14  # how far dots stand left of the centre of their category
 _MANY = 100  # more trials than this get small dots
 _LABELS = 12  # most categories that get a label
 
 
-def batch_figure(summary: Summary, comparison: Comparison | None = None) -> Figure:
-    """Draw the total errors of the counted trials and, beside them, those of each robot.
+def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None) -> Figure:
+    """Draw the total errors of the counted trials of each group, and those of each robot.
 
-    A headline says what was steered.
+    The robots are those of the first group. `links` are the addresses of dots in an SVG by the path
+    of their trial. A headline names the plants.
     """
-    if summary.counted == 0:
+    drawn = [group for group in groups if group.counted]
+    if not drawn:
         raise LogError("no complete trial to plot")
     with style.styled():
-        figure = _drawn(summary, comparison)
-    origin = summary.origin.value
-    if comparison:
-        origin = f"this batch: {origin}; against: {comparison.theirs.origin}"
-    style.headline(figure, origin)
+        figure = _drawn(drawn, links or {})
+    plants = [group.origin.value for group in drawn]
+    if len(drawn) > 1:
+        plants = [f"{group.name}: {group.origin.value}" for group in drawn]
+    style.headline(figure, "; ".join(plants))
     return figure
 
 
-def _drawn(summary: Summary, comparison: Comparison | None) -> Figure:
+def _drawn(groups: Sequence[Group], links: Mapping[str, str]) -> Figure:
     figure = style.figure(style.PAGE_IN, 3.3)
-    unit = style.unit_of(summary.unit)
+    first = groups[0]
+    unit = style.unit_of(first.unit)
     left, right = figure.subplots(1, 2, width_ratios=[1, 1.25], gridspec_kw={"wspace": 0.05})
-    _finish(left, _totals(left, summary, comparison))
+    _finish(left, _totals(left, groups, links))
     left.set_ylabel(f"total error [{unit}]")
-    top = float(summary.errors.max())
-    for i, (errors, found) in enumerate(zip(summary.errors.T, summary.robots, strict=True)):
+    top = float(first.errors.max())
+    for i, (errors, found) in enumerate(zip(first.errors.T, first.robots, strict=True)):
         _strip(right, i, errors, found, BLUE, top)
-    _finish(right, [robot.name for robot in summary.experiment.robots])
-    whose = "each robot, this batch" if comparison else "each robot"
+    _finish(right, [robot.name for robot in first.experiment.robots])
+    whose = f"each robot, {first.name}" if len(groups) > 1 else "each robot"
     right.set_ylabel(f"error of {whose} [{unit}]")
     figure.legend(handles=_key(), loc="outside lower center", ncols=3)
     return figure
 
 
-def _totals(axes: Axes, summary: Summary, comparison: Comparison | None) -> list[str]:
+def _totals(axes: Axes, groups: Sequence[Group], links: Mapping[str, str]) -> list[str]:
     """Draw the strips of total errors and return their labels."""
-    batches = [("this batch", summary, BLUE)]
-    if comparison and comparison.theirs.counted:
-        batches.append(("against", comparison.theirs, GREEN))
-    top = max(float(batch.totals.max()) for _, batch, _ in batches)
+    top = max(float(group.totals.max()) for group in groups)
     labels = []
-    for i, (label, batch, color) in enumerate(batches):
-        _strip(axes, i, batch.totals, batch.total, color, top)
-        labels.append(f"{label}\nn = {batch.counted}")
-    if reference := summary.experiment.reference:
-        found = describe_published(reference.n, reference.mean, reference.std)
+    for i, group in enumerate(groups):
+        paths = [trial.path for trial in group.batch.trials if counts(trial)]
+        color = COLORS[i % len(COLORS)]
+        _strip(axes, i, group.totals, group.total, color, top, [links.get(p) for p in paths])
+        name = textwrap.fill(group.name, _NAME) if len(groups) > 1 else "this batch"
+        labels.append(f"{name}\nn = {group.counted}")
+    if reference := groups[0].experiment.reference:
+        found = published_distribution(reference.n, reference.mean, reference.std)
         _mean(axes, len(labels), found, RED)
         labels.append(f"published\nn = {reference.n}")
     return labels
 
 
 def _strip(
-    axes: Axes, at: float, values: Floats, found: Distribution, color: str, top: float
+    axes: Axes,
+    at: float,
+    values: Floats,
+    found: Distribution,
+    color: str,
+    top: float,
+    links: Sequence[str | None] = (),
 ) -> None:
     """Draw the values of one category left of its centre and their mean right of it."""
-    axes.plot(
+    dots = axes.scatter(
         at - _ASIDE + _spread(values, top),
         values,
-        "o",
+        s=16 if len(values) <= _MANY else 4,
         color=color,
-        markersize=4 if len(values) <= _MANY else 2,
-        markeredgewidth=0,
+        linewidths=0,
         alpha=0.55,
         clip_on=False,
+        gid="trials",
     )
+    if any(links):
+        dots.set_urls(list(links))
     _mean(axes, at + 1.4 * _ASIDE, found, color)
 
 

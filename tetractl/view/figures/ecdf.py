@@ -16,12 +16,12 @@ from tetractl.core.colors import PALETTE
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.stats.arms import Arms
-from tetractl.stats.estimate import CONFIDENCE
+from tetractl.results.describe import Group
+from tetractl.results.estimate import CONFIDENCE
 from tetractl.view import style
 from tetractl.view.figures.axes import by_folder
 
-_BANDS = 4  # most batches whose bands can be told apart
+_BANDS = 4  # most batches whose bands can be distinguished
 
 
 def band(n: int) -> float:
@@ -39,12 +39,12 @@ def ecdf_figure(logs: Sequence[TrialLog]) -> Figure:
     return _drawn(list(batches), errors, logs[0].start.setup.unit)
 
 
-def distributions_figure(arms: Arms) -> Figure:
-    """Draw the errors of the counted trials of every arm; a headline says what was steered."""
+def distributions_figure(groups: Sequence[Group]) -> Figure:
+    """Draw the errors of the counted trials of every group; a headline names the plants."""
     figure = _drawn(
-        [arm.name for arm in arms.arms], [arm.summary.totals for arm in arms.arms], arms.unit
+        [group.name for group in groups], [group.totals for group in groups], groups[0].unit
     )
-    style.headline(figure, ", ".join(sorted({arm.summary.origin.value for arm in arms.arms})))
+    style.headline(figure, ", ".join(sorted({group.origin.value for group in groups})))
     return figure
 
 
@@ -63,7 +63,7 @@ def _drawn(labels: Sequence[str], errors: Sequence[Floats], unit: str) -> Figure
         axes.set_xlim(0, 1.02 * end or 1.0)
         axes.set_ylim(0, 1.02)
         axes.set_xlabel(f"total error [{style.unit_of(unit)}]")
-        axes.set_ylabel("share of the trials")
+        axes.set_ylabel("fraction of trials")
         handles, _ = axes.get_legend_handles_labels()
         handles.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="95 % band of a whole curve"))
         figure.legend(handles=handles, loc="outside lower center", ncols=3)

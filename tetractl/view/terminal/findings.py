@@ -3,29 +3,42 @@
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
+from tetractl.core.table.numbers import NONE, fixed
+from tetractl.core.table.show import print_tables
+from tetractl.core.table.table import Column, Table
 from tetractl.lab.preflight import Preflight
 
 ANSWERS = {True: "yes", False: "no", None: "cannot"}
 
 
+def robots_table(found: Preflight) -> Table:
+    """Return one row per robot; robots that are not tracked have no offset."""
+    robots = found.robots
+    return Table(
+        "Robots",
+        (
+            Column("robot", [robot.name for robot in robots]),
+            Column("off its start", [robot.off_mm for robot in robots], "mm", _distance),
+            Column("off its heading", [robot.off_heading for robot in robots], "rad", _turn),
+            Column("battery", [robot.status.battery_v for robot in robots], "V", fixed(2)),
+            Column("answers", [ANSWERS[robot.status.answers] for robot in robots]),
+        ),
+    )
+
+
+def _distance(off_mm: float | None) -> str:
+    return "not tracked" if off_mm is None else f"{off_mm:.0f}"
+
+
+def _turn(off_rad: float | None) -> str:
+    return NONE if off_rad is None else f"{off_rad:+.2f}"
+
+
 def print_findings(found: Preflight) -> None:
     """Print a table of the robots, the camera's figures, and every warning and problem."""
-    table = Table(box=None, header_style="bold")
-    for name in ("robot", "off its start", "off its heading", "battery", "answers"):
-        table.add_column(name, justify="left" if name == "robot" else "right")
-    for robot in found.robots:
-        battery_v = robot.status.battery_v
-        table.add_row(
-            robot.name,
-            "not tracked" if robot.off_mm is None else f"{robot.off_mm:.0f} mm",
-            "" if robot.off_heading is None else f"{robot.off_heading:+.2f} rad",
-            "" if battery_v is None else f"{battery_v:.2f} V",
-            ANSWERS[robot.status.answers],
-        )
     console = Console()
-    console.print(table)
+    print_tables([robots_table(found)], console)
     rate = "unknown" if found.camera_rate_hz is None else f"{found.camera_rate_hz:.1f} Hz"
     lines = [f"camera: {rate}"]
     if found.latency_ms is not None:

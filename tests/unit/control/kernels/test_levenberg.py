@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from oracles import levenberg
 from support import problems
 
-from tetractl.control import levenberg
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.kernels.levenberg import lay_out_polish
 from tetractl.control.kernels.levenberg import polish as compiled_polish

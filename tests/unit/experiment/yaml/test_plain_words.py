@@ -2,12 +2,12 @@
 
 import pytest
 
+from tetractl.emulate.script import Script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.kinds import SEAMS
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.explain import KINDS, LIMITS
 from tetractl.experiment.yaml.problems import InvalidSpecError, did_you_mean
-from tetractl.lab.emulate.script import Script
 
 ERRORS = {  # of a schema, those that data out of YAML can cause in strict mode
     "int": {"int_type", "int_from_float", *LIMITS} - {"string_too_short", "string_too_long"},

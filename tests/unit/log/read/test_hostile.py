@@ -43,7 +43,7 @@ from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import MAGIC, scan
 from tetractl.replay.verify import verify
-from tetractl.stats.trials import counts, load_trials
+from tetractl.results.batch import counts, open_batch
 
 
 @pytest.fixture(scope="module")
@@ -243,9 +243,9 @@ def test_a_bad_result_costs_its_own_trial_only(
     """Regression: one such log ended `stats` of a whole batch with a traceback."""
     edited(contents, tmp_path / "bad.mcap", record, changes)
     write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
-    trials, damaged = load_trials([tmp_path])
-    bad, good = trials
-    assert (bad.recovered, good.recovered, damaged) == (True, False, [])
+    batch = open_batch([tmp_path])
+    bad, good = batch.trials
+    assert (bad.recovered, good.recovered, batch.damaged) == (True, False, ())
     assert not counts(bad)
     log = read_trial(tmp_path / "bad.mcap")
     assert log.damage
@@ -268,9 +268,9 @@ def test_a_bad_run_costs_its_own_trial_only(
 ) -> None:
     edited(contents, tmp_path / "bad.mcap", RUN, changes)
     write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
-    trials, damaged = load_trials([tmp_path])
-    assert len(trials) == 1
-    assert [Path(log.path).name for log in damaged] == ["bad.mcap"]
+    batch = open_batch([tmp_path])
+    assert len(batch.trials) == 1
+    assert [Path(log.path).name for log in batch.damaged] == ["bad.mcap"]
 
 
 NAN, INF = float("nan"), float("inf")

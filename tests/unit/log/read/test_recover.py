@@ -15,7 +15,8 @@ from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.recover import PART_SUFFIX, recover, recovered_path
 from tetractl.log.read.salvage import MAGIC, scan
 from tetractl.log.write.sink import Sink
-from tetractl.stats.trials import load_trials, one_batch
+from tetractl.results.batch import open_batch
+from tetractl.results.describe import describe
 
 
 @pytest.fixture(scope="module")
@@ -121,13 +122,13 @@ def test_a_recovered_trial_counts_once(tmp_path: Path, name: str, simulated: boo
     done = recover(tmp_path / name)
     assert find_logs([tmp_path]) == [tmp_path / name]
     assert find_logs(tmp_path.glob("*")) == [tmp_path / name]
-    assert len(load_trials([tmp_path / name, str(done.path)])[0]) == 1
+    assert len(open_batch([tmp_path / name, str(done.path)]).trials) == 1
     (tmp_path / name).unlink()
     assert find_logs([tmp_path]) == [Path(str(done.path))]
-    trials, unreadable = load_trials([tmp_path])
-    assert (len(trials), unreadable) == (1, [])
-    assert trials[0].recovered
-    assert one_batch(trials).name == "made-up"
+    batch = open_batch([tmp_path])
+    assert (len(batch.trials), batch.damaged) == (1, ())
+    assert batch.trials[0].recovered
+    assert describe(batch).experiment.name == "made-up"
 
 
 def torn(log: Path, folder: Path) -> Path:

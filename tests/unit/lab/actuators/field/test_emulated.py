@@ -8,13 +8,13 @@ from support.field_bench import LIMITS, Wire, section
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.poses import Pose
+from tetractl.emulate.cells import Cell, Dish
+from tetractl.emulate.field import CurrentDriver
+from tetractl.emulate.loop import Timeline
+from tetractl.emulate.port import PseudoPort
 from tetractl.lab import firmware
 from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.actuators.field.protocol import DriverStatus
-from tetractl.lab.emulate.cells import Cell, Dish
-from tetractl.lab.emulate.field import CurrentDriver
-from tetractl.lab.emulate.loop import Timeline
-from tetractl.lab.emulate.port import PseudoPort
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 

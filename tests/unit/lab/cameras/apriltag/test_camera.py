@@ -11,11 +11,11 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Poses
+from tetractl.emulate.apriltag.mjpeg import EmulatedNetworkCamera
+from tetractl.emulate.apriltag.renderer import Renderer
 from tetractl.experiment.lab import LabLimits
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.section import FloorTag
-from tetractl.lab.emulate.apriltag.mjpeg import EmulatedNetworkCamera
-from tetractl.lab.emulate.apriltag.renderer import Renderer
 from tetractl.lab.guard import Guard
 from tetractl.lab.rig import guard_rules
 

@@ -5,8 +5,8 @@ import pytest
 from support.needs_opencv import cv2
 from support.tag_scene import LARGE, ROBOTS, SMALL, STANDING, rendered
 
+from tetractl.emulate.apriltag.renderer import CARD
 from tetractl.lab.cameras.apriltag.detect import MODULES, Detector, tag_picture
-from tetractl.lab.emulate.apriltag.renderer import CARD
 
 # Codes of the family 36h11 and the places of their bits, most significant first, as defined by the
 # AprilTag project; the other three quarters follow by turning the first.

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, look, rendered, tracker
 
+from tetractl.emulate.apriltag.optics import Optics
+from tetractl.emulate.apriltag.renderer import Renderer
 from tetractl.lab.cameras.apriltag.plane import SQUARE, Plane
-from tetractl.lab.emulate.apriltag.optics import Optics
-from tetractl.lab.emulate.apriltag.renderer import Renderer
 
 OPTICS = Optics.facing(FLOOR, MM, *LARGE)
 SIDE = 0.12

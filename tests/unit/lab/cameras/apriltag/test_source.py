@@ -17,16 +17,16 @@ from support.tag_scene import film, jpeg
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
-from tetractl.lab.cameras.apriltag.multipart import Multipart
-from tetractl.lab.cameras.apriltag.section import DeviceSource, FileSource, MjpegSource
-from tetractl.lab.cameras.apriltag.source import Picture, SourceEndedError, decoded, open_feed
-from tetractl.lab.emulate.apriltag.mjpeg import (
+from tetractl.emulate.apriltag.mjpeg import (
     BOUNDARY,
     cut_before_its_end,
     cut_short,
     oversized,
     part,
 )
+from tetractl.lab.cameras.apriltag.multipart import Multipart
+from tetractl.lab.cameras.apriltag.section import DeviceSource, FileSource, MjpegSource
+from tetractl.lab.cameras.apriltag.source import Picture, SourceEndedError, decoded, open_feed
 
 PATIENCE_S = 20.0  # generous, for loaded hosts
 PICTURE = np.tile(np.arange(0, 240, 2, dtype=np.uint8), (90, 1))

@@ -1,0 +1,142 @@
+"""A table and its writers: the same cells to a reader and to a program."""
+
+import csv
+import io
+import json
+import math
+import re
+
+import numpy as np
+import pandas
+import pytest
+from pyarrow import parquet
+from rich.console import Console
+from support.paths import ROOT
+
+from tetractl.core.errors import UsageError
+from tetractl.core.table.data import flat, json_text
+from tetractl.core.table.files import TableFiles, csv_text, read_csv
+from tetractl.core.table.numbers import fixed
+from tetractl.core.table.show import TEXTS, WIDTH, html, print_tables
+from tetractl.core.table.table import Column, Table
+
+LONG = "words " * 60
+TABLE = Table(
+    "Speeds",
+    (
+        Column("robot", ["green", "=1+1"]),
+        Column("speed", np.array([180.25, math.nan]), "mm/s", fixed(1)),
+        Column("moved", [True, None]),
+        Column("note", ["a | b", "<b>"], words=True),
+    ),
+    "measured",
+)
+
+
+def printed(*tables, **console):
+    out = io.StringIO()
+    print_tables(tables, Console(file=out, **console))
+    return out.getvalue()
+
+
+def test_a_reader_sees_formats_units_and_what_is_not_known():
+    assert TABLE.header == ["robot", "speed [mm/s]", "moved", "note"]
+    assert list(TABLE.rows) == [("green", "180.2", "True", "a | b"), ("=1+1", "-", "-", "<b>")]
+    for text in (printed(TABLE), *(write([TABLE]) for write in TEXTS.values())):
+        assert "180.2" in text
+        assert "mm/s" in text or r"mm/\allowbreak{}s" in text
+        assert "measured" in text
+
+
+def test_a_data_file_has_the_values_and_the_unit_in_the_name():
+    rows = list(csv.reader(io.StringIO(csv_text(TABLE))))
+    assert rows == [
+        ["robot", "speed_mm_s", "moved", "note"],
+        ["green", "180.25", "true", "a | b"],
+        ["'=1+1", "", "", "<b>"],
+    ]
+    assert pandas.DataFrame(TABLE.as_dict()).speed_mm_s.tolist()[0] == 180.25
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path, kind):
+    path = tmp_path / f"speeds.{kind}"
+    with TableFiles({"speeds": path}, kind) as files:
+        files.add("speeds", TABLE)
+        files.add("speeds", TABLE)
+        assert not path.exists()
+    read = pandas.read_csv if kind == "csv" else pandas.read_parquet
+    found = read(path)
+    assert found.speed_mm_s.isna().tolist() == [False, True] * 2
+    if kind == "csv":
+        assert [row["note"] for row in read_csv(path)] == ["a | b", "<b>"] * 2
+    else:
+        assert str(parquet.read_schema(path).field("speed_mm_s").type) == "double"
+
+
+def test_other_columns_are_refused_and_leave_no_file(tmp_path):
+    path = tmp_path / "speeds.csv"
+    with (
+        pytest.raises(UsageError, match=r"b\.mcap: its speeds have other columns .*: other"),
+        TableFiles({"speeds": path}, "csv") as files,
+    ):
+        files.add("speeds", TABLE)
+        files.add("speeds", TABLE.with_first(other=1), "b.mcap")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_terminal_words_are_wrapped_and_names_are_not_broken():
+    path = "folder/" * 40
+    wide = Table.of_texts("Logs", ("log", "note"), [("a", LONG), ("b", LONG)])
+    lines = printed(wide).splitlines()
+    assert WIDTH - 20 < max(map(len, lines)) <= WIDTH
+    assert any(path in line for line in printed(Table.of_texts("", ("log",), [(path,)])).split())
+
+
+def test_a_wide_name_leaves_words_and_numbers_whole():
+    columns = (
+        Column("name", ["n" * 110]),
+        Column("size", ["-11.28 to 6.43"]),
+        Column("verdict", ["none: a verdict needs 8 pairs"], words=True),
+    )
+    text = printed(Table("", columns))
+    for whole in ("n" * 110, "-11.28 to 6.43", "verdict", "needs"):
+        assert whole in text
+
+
+def test_columns_that_are_empty_in_all_rows_are_left_out():
+    found = Table.of_texts("", ("name", "empty", "why"), [("a", "-", ""), ("b", "", "x")])
+    assert found.header == ["name", "why"]
+
+
+def test_records_that_lack_a_key_have_no_value_there():
+    found = Table.of_records("", [{"a": 1}, {"a": 2, "b": 3}])
+    assert found.as_dict() == {"a": [1, 2], "b": [None, 3]}
+
+
+def test_html_escapes_and_links_cells_of_the_first_column():
+    text = html([TABLE], {"green": "#trial-1"})
+    assert '<a href="#trial-1">green</a>' in text
+    assert "&lt;b&gt;" in text and "<b>" not in text
+
+
+def test_json_is_plain_and_strict():
+    found = json.loads(json_text({"a": np.array([1.0, math.inf]), "b": (np.int64(2), math.nan)}))
+    assert found == {"a": [1.0, None], "b": [2, None]}
+
+
+def test_nested_items_become_one_row():
+    nested = {"a": {"value": 1, "ci95": [0, 2]}, "b": {"ci95": None}, "c": ["x", "y"]}
+    expected = {"a_value": 1, "a_low": 0, "a_high": 2, "b_low": None, "b_high": None, "c": "x; y"}
+    assert flat(nested) == expected
+
+
+def test_no_other_module_writes_tables():
+    """CSV, tables of rich and of HTML are written in one room."""
+    writers = r"\bcsv\.(reader|writer|Dict)|import csv\n|rich\.table|pyarrow|<table"
+    found = {
+        str(path.relative_to(ROOT))
+        for path in (ROOT / "tetractl").rglob("*.py")
+        if re.search(writers, path.read_text("utf-8"))
+    }
+    assert found == {"tetractl/core/table/files.py", "tetractl/core/table/show.py"}

@@ -1,0 +1,270 @@
+"""The emulated Motive over real UDP, against our client's codec and against PyPI's `natnet`."""
+
+import json
+import math
+import socket
+import statistics
+import threading
+from itertools import pairwise
+
+import pytest
+from support.emulated_lab import Client, emulated, turn_until
+
+from tetractl.core.errors import TetractlError
+from tetractl.emulate.loop import Timeline
+from tetractl.emulate.optitrack.motive import Motive
+from tetractl.emulate.optitrack.server import ServerClock
+from tetractl.emulate.optitrack.streaming import Streaming
+from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
+from tetractl.lab.cameras.optitrack.messages import (
+    Bare,
+    Connect,
+    EchoRequest,
+    EchoResponse,
+    MessageKind,
+    ModelDef,
+    NatNetFrame,
+    Request,
+    Response,
+    ServerInfo,
+    Version,
+)
+from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.wire import pack
+
+MULTICAST = ("lab.camera.transport=multicast", "lab.camera.group=239.255.42.98")
+
+
+@pytest.fixture
+def opened(tmp_path):
+    open_now = []
+
+    def start(*sets, **options):
+        lab = emulated(tmp_path, *sets, **options)
+        lab.__enter__()
+        client = Client(lab)
+        open_now.extend((lab, client.socket))
+        return lab, client
+
+    yield start
+    for thing in reversed(open_now):
+        thing.close()
+
+
+@pytest.mark.parametrize("version", ["2.6", "2.9", "3.0", "3.1", "4.0", "4.1", "4.2", "4.3"])
+def test_handshake_models_and_frames(opened, version):
+    lab, client = opened(script=f"emulation: {{camera: {{version: '{version}'}}}}")
+    info = client.ask(Connect("a test"), ServerInfo)
+    assert str(info.version) == version
+    assert "EMULATED" in info.name
+    if info.version >= (3, 0):
+        assert info.data_port == lab.camera.motive.data_port
+        assert info.multicast is False
+    models = client.ask(Bare(MessageKind.REQUEST_MODELDEF), ModelDef)
+    assert models.ids() == {"Green": 1, "blue": 7}
+    first, second = client.next(NatNetFrame, 2)
+    assert second.number == first.number + 1
+    assert [body.id for body in first.bodies] == [1, 7]
+    assert first.params == 0
+    poses = [planar_pose(body, UpAxis.Y) for body in first.bodies]
+    assert poses[0].x == pytest.approx(0.5)
+    assert poses[0].y == pytest.approx(0.5)
+    assert poses[0].heading == pytest.approx(0.5, abs=1e-5)
+    assert poses[1].heading == pytest.approx(-2.0, abs=1e-5)
+
+
+def test_axes_origin_rotation_and_heading_offset(opened):
+    _lab, client = opened(
+        "lab.camera.origin=[100, -50]",
+        "lab.camera.rotation=0.7",
+        "lab.camera.robots.0.heading_offset=0.2",
+        script="emulation: {camera: {up: z}}",
+    )
+    client.ask(Connect(), ServerInfo)
+    body = client.next(NatNetFrame).bodies[0]
+    pose = planar_pose(body, UpAxis.Z, 0.2)
+    cos, sin = math.cos(0.7), math.sin(0.7)
+    assert 100 + 1000 * (cos * pose.x - sin * pose.y) == pytest.approx(500, abs=1e-3)
+    assert -50 + 1000 * (sin * pose.x + cos * pose.y) == pytest.approx(500, abs=1e-3)
+    assert pose.heading + 0.7 == pytest.approx(0.5, abs=1e-5)
+
+
+def test_requests(opened):
+    _lab, client = opened()
+    assert response_float(client.ask(Request("FrameRate"), Response)) == 120.0
+    assert response_float(client.ask(Request("UnitsToMillimeters"), Response)) == 1000.0
+    assert response_int(client.ask(Request("UpAxis"), Response)) == UpAxis.Y
+    assert client.ask(Request("MakeTea"), Bare).kind is MessageKind.UNRECOGNIZED
+
+
+def test_up_axis_may_be_unknown(opened):
+    _, client = opened(script="emulation: {camera: {knows_up_axis: false}}")
+    assert client.ask(Request("UpAxis"), Bare).kind is MessageKind.UNRECOGNIZED
+
+
+def test_echo_tells_a_clock_of_its_own(opened):
+    lab, client = opened()
+    first = client.ask(EchoRequest(17), EchoResponse)
+    before = lab.timeline.now_ns
+    second = client.ask(EchoRequest(18), EchoResponse)
+    assert (first.client, second.client) == (17, 18)
+    assert second.server >= first.server
+    assert second.server == pytest.approx(ServerClock().ticks(before), abs=10_000_000)
+    assert abs(second.server - before // 100) > 10_000_000  # it is not the host's clock
+
+
+def test_a_client_can_pin_the_version(opened):
+    lab, client = opened(script="emulation: {camera: {version: '4.2'}}")
+    client.version = Version(3, 1)
+    info = client.ask(Connect(bitstream=(3, 1, 0, 0)), ServerInfo)
+    assert info.version == (4, 2)
+    assert client.next(NatNetFrame).precision is None
+    client.version = Version(2, 9)
+    client.got.clear()
+    client.send(Request("Bitstream,2.9"))
+    turn_until(lab, lambda: next(iter(lab.camera.motive.server.clients.values())).version == (2, 9))
+    while True:  # a frame of the old version may still be on its way
+        try:
+            client.poll()
+            break
+        except ValueError:
+            client.got.clear()
+    assert client.next(NatNetFrame).ticks is None
+
+
+def test_unicast_clients_time_out_and_are_kept_alive(opened):
+    lab, client = opened()
+    client.ask(Connect(), ServerInfo)
+    (known,) = lab.camera.motive.server.clients.values()
+    known.heard_ns -= 4_000_000_000
+    before = known.heard_ns
+    client.send(Bare(MessageKind.KEEPALIVE))
+    turn_until(lab, lambda: known.heard_ns != before)
+    client.next(NatNetFrame)
+    known.heard_ns -= 6_000_000_000
+    turn_until(lab, lambda: not lab.camera.motive.server.clients)
+    assert lab.camera.motive.counts.timed_out == 1
+    client.send(Bare(MessageKind.KEEPALIVE))  # too late: it has to connect again
+    client.ask(Request("FrameRate"), Response)
+    assert not lab.camera.motive.server.clients
+    client.ask(Connect(), ServerInfo)
+    client.next(NatNetFrame)
+
+
+def test_latency_and_jitter_are_those_of_the_real_capture():
+    timeline = Timeline(lambda when: None)  # virtual time: the same minute every time
+    streaming = Streaming(command_port=0, data_port=0)
+    motive = Motive(
+        timeline, streaming, [], tuple, lambda *_: None, lambda _: None, lambda _: None, seed=1
+    )
+    sent = []
+    motive._stream = lambda frame, now: sent.append((frame, now))
+    motive.open()
+    try:
+        timeline.run_to(60_000_000_000)
+    finally:
+        motive.close()
+    delays = [
+        (ServerClock().ticks(now) - frame.ticks.exposure) / 10_000 for frame, now in sent
+    ]  # ms
+    gaps = [(b - a) / 1e6 for (_, a), (_, b) in pairwise(sent)]
+    assert len(sent) == pytest.approx(7200, abs=2)
+    assert statistics.mean(delays) == pytest.approx(5.4, abs=0.1)
+    assert statistics.mean(gaps) == pytest.approx(1000 / 120, abs=0.01)
+    assert 0.3 < statistics.stdev(gaps) < 0.6
+    assert min(gaps) > 3.8
+    assert max(gaps) < 12.8
+
+
+def test_garbage_is_counted_and_survived(opened):
+    lab, client = opened()
+    for noise in (b"", b"\0", b"\xff" * 300, pack(Connect())[:-1]):
+        client.socket.sendto(noise, ("127.0.0.1", lab.camera.motive.command_port))
+    turn_until(lab, lambda: lab.camera.motive.counts.refused == 4)
+    assert client.ask(Connect(), ServerInfo)
+
+
+def test_multicast(opened):
+    lab, client = opened(*MULTICAST)
+    port = lab.camera.motive.data_port
+    info = client.ask(Connect(), ServerInfo)
+    assert (info.multicast, info.group, info.data_port) == (True, (239, 255, 42, 98), port)
+    data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        data.setblocking(False)
+        data.bind(("239.255.42.98", port))
+        group = socket.inet_aton("239.255.42.98") + socket.inet_aton("127.0.0.1")
+        data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        own, client.socket = client.socket, data
+        first, second = client.next(NatNetFrame, 2)
+        client.socket = own
+        assert second.number == first.number + 1
+        assert client.got and not lab.camera.motive.server.clients
+    finally:
+        data.close()
+
+
+def test_a_port_that_is_taken_is_refused(opened, tmp_path):
+    lab, _ = opened()
+    other = tmp_path / "other"
+    other.mkdir()
+    taken = emulated(other, command_port=lab.camera.motive.command_port)
+    with pytest.raises(TetractlError, match="cannot take UDP"), taken:
+        pass
+    assert list(other.glob("radio")) == []
+
+
+@pytest.mark.parametrize("transport", ["unicast", "multicast"])
+def test_the_public_client_reads_our_frames(opened, transport):
+    natnet = pytest.importorskip("natnet")
+    multicast = transport == "multicast"
+    lab, _ = opened(*(MULTICAST if multicast else ()))
+    frames, enough = [], threading.Event()
+
+    def take(frame):
+        frames.append(frame)
+        if len(frames) == 20:
+            enough.set()
+
+    thread = threading.Thread(target=lab.run)
+    thread.start()
+    client = natnet.NatNetClient(
+        "127.0.0.1",
+        "127.0.0.1",
+        multicast_address="239.255.42.98",
+        command_port=lab.camera.motive.command_port,
+        data_port=lab.camera.motive.data_port,
+        use_multicast=multicast,
+    )
+    try:
+        client.on_data_frame_received_event.handlers.append(take)
+        client.connect()
+        if not multicast:
+            # its data socket is another than the one frames go to; its command socket takes them
+            client.update_sync()
+        client.run_async()
+        assert enough.wait(20)
+    finally:
+        client.shutdown()
+        lab.loop.end()
+        thread.join()
+    numbers = [frame.prefix.frame_number for frame in frames]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    body = frames[-1].rigid_bodies[0]
+    assert (body.id_num, body.tracking_valid) == (1, True)
+    assert body.pos == pytest.approx((0.5, 0.06, -0.5))
+
+
+def test_the_record_tells_what_was_exposed(opened, tmp_path):
+    lab, client = opened()
+    client.ask(Connect(), ServerInfo)
+    turn_until(lab, lambda: lab.camera.motive.counts.frames > 5)
+    lab.close()
+    events = [json.loads(line) for line in (tmp_path / "record.jsonl").read_text().splitlines()]
+    assert events[0]["event"] == "ready"
+    assert events[0]["emulation"] is True
+    assert events[-1]["event"] == "end"
+    truth = [event for event in events if event["event"] == "truth"]
+    assert truth[0]["poses"] == [[500.0, 500.0, 0.5], [500.0, 1500.0, -2.0]]
+    gaps = [b["t_ns"] - a["t_ns"] for a, b in pairwise(truth)]
+    assert all(abs(gap - 8_333_333) <= 1 for gap in gaps)

@@ -1,0 +1,238 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+from support.batches import DISTURBED, batch, experiment, group
+
+from tetractl.core.errors import UsageError
+from tetractl.log.read.origin import Origin
+from tetractl.results.contrast import RANK_SUM, SIGNED_RANK, contrast
+from tetractl.results.effects import (
+    detectable,
+    detectable_between,
+    deviation_ratio,
+    standardised,
+)
+from tetractl.results.items import as_items, contrast_items, data_table
+from tetractl.results.tables import detects, tables
+
+RNG = np.random.default_rng(8)
+ERRORS = RNG.gamma(4, 50, (20, 3))
+EXACT = {"motion": "exact"}
+
+
+def arm(name, errors, origin=None, seed=1, **fields):
+    fields = {"plant": DISTURBED} | fields
+    trials = batch(np.asarray(errors).tolist(), experiment(**fields))
+    trials = [replace(one, origin=origin or one.origin, seed=seed) for one in trials]
+    return group(trials, name=name)
+
+
+def only(*groups):
+    """The one contrast of two groups."""
+    (found,) = contrast(groups).contrasts
+    return found
+
+
+def three():
+    return contrast(
+        [
+            arm("a", ERRORS),
+            arm("b", ERRORS + 30, controller=EXACT),
+            arm("c", ERRORS[::-1] * 3, controller={"motion": "arc"}),
+        ]
+    )
+
+
+def test_every_two_groups_are_compared_by_pairs_and_corrected_for_their_number():
+    found = three().contrasts
+    assert [one.name for one in found] == ["a - b", "a - c", "b - c"]
+    assert all(one.alike and one.pairs == 20 for one in found)
+    last = found[2]
+    ours, theirs = (ERRORS + 30).sum(axis=1), (ERRORS[::-1] * 3).sum(axis=1)
+    test = stats.wilcoxon(ours - theirs, method="exact")
+    assert (last.test, last.p_value) == (SIGNED_RANK, pytest.approx(test.pvalue))
+    assert last.difference.value == pytest.approx((ours - theirs).mean())
+    corrected = sorted(one.p_holm for one in found)
+    assert corrected[0] == pytest.approx(3 * min(one.p_value for one in found))
+    assert last.verdict == "lower"
+
+
+def test_with_a_baseline_each_group_is_compared_with_that_alone():
+    a, b, c = three().groups
+    found = contrast([a, b], baseline=c)
+    assert [group.name for group in found.groups] == ["a", "b", "c"]
+    assert [one.name for one in found.contrasts] == ["a - c", "b - c"]
+    corrected = sorted(one.p_holm for one in found.contrasts)
+    assert corrected[0] == pytest.approx(2 * min(one.p_value for one in found.contrasts))
+
+
+def test_a_baseline_and_two_folders_are_the_same_comparison():
+    a, b, _ = three().groups
+    assert contrast([a], baseline=b) == contrast([a, b])
+
+
+def test_two_groups_compare_either_way():
+    ours, theirs = arm("a", ERRORS / 4, controller=EXACT), arm("b", ERRORS)
+    found = only(ours, theirs)
+    assert found.verdict == "lower"
+    assert found.difference.value == pytest.approx(ours.total.mean - theirs.total.mean)
+    assert found.both.high < 0
+    assert found.delta.value < -0.9
+    assert found.differs == ("controller.motion: exact != euler",)
+    assert only(theirs, ours).verdict == "higher"
+
+
+def test_a_group_does_not_differ_from_itself():
+    found = arm("a", ERRORS)
+    same = only(found, found)
+    assert (same.verdict, same.delta.value, same.difference.value) == (None, 0.0, 0.0)
+    assert same.reason == "no interval: all pairs differ alike"
+    assert same.differs == ()
+
+
+def test_trials_of_the_same_world_are_paired_whatever_their_order():
+    spec = experiment(plant=DISTURBED)
+    other = experiment(plant=DISTURBED, controller=EXACT, name="other")
+    ours, theirs = batch((0.9 * ERRORS).tolist(), other), batch(ERRORS.tolist(), spec)
+    found = only(group(ours[::-1]), group(theirs[3:]))
+    assert found.pairs == 17
+    totals = ERRORS[3:].sum(axis=1)
+    test = stats.ttest_rel(0.9 * totals, totals)
+    assert found.difference.value == pytest.approx(-0.1 * totals.mean())
+    assert found.difference.p_value == pytest.approx(test.pvalue)
+    assert found.both.high > 0 > found.difference.ci95.high
+    assert found.verdict == "lower"
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"plant": DISTURBED | {"dead_time": 0.1}}, "differ in more than the controller"),
+        ({"seed": 2}, "no seed and trial in common"),
+        ({"origin": Origin.LAB}, "no two trials in a lab are alike"),
+    ],
+)
+def test_other_worlds_are_not_paired(fields, why):
+    found = only(arm("a", ERRORS, **fields), arm("b", ERRORS))
+    assert (found.pairs, found.test) == (0, RANK_SUM)
+    assert why in found.why_unpaired
+    assert found.difference.ci95.known
+
+
+def test_what_is_not_paired_is_tested_by_the_rank_sum():
+    other = arm("b", ERRORS[:9] * 2, plant=DISTURBED | {"dead_time": 0.1})
+    found = only(arm("a", ERRORS), other)
+    test = stats.mannwhitneyu(ERRORS.sum(axis=1), 2 * ERRORS[:9].sum(axis=1), method="exact")
+    assert found.p_value == pytest.approx(test.pvalue)
+    assert detects(found).startswith("20 and 9 trials detect ")
+
+
+def test_unlike_plants_have_a_difference_but_no_test_and_no_verdict():
+    a, b, c = arm("a", ERRORS), arm("b", ERRORS * 4, plant={"type": "sim"}), arm("c", ERRORS * 2)
+    found = contrast([a, b, c])
+    first, tested, _ = found.contrasts
+    assert (first.alike, first.verdict) == (False, None)
+    assert first.reason == "plants are not alike"
+    assert first.difference.value == pytest.approx(a.total.mean - b.total.mean)
+    unknown = (first.p_value, first.p_holm, first.difference.p_value, first.deviations.p_value)
+    assert all(map(math.isnan, (*unknown, first.detects)))
+    assert tested.p_holm == tested.p_value  # nothing else is tested
+    items = contrast_items(first)
+    assert (items["comparable"], items["verdict_reason"]) == (False, first.reason)
+
+
+def test_few_trials_carry_no_verdict():
+    found = only(arm("a", ERRORS[:7]), arm("b", ERRORS[:7] + 50, controller=EXACT))
+    assert (found.verdict, found.reason) == (None, "a verdict needs 8 pairs")
+    found = only(arm("a", ERRORS[:7]), arm("b", ERRORS + 50, seed=2))
+    reason = "a verdict needs 8 complete trials on each side"
+    assert (found.verdict, found.reason) == (None, reason)
+
+
+def test_a_verdict_needs_the_corrected_p_too():
+    """Five of 15 comparisons have an interval off 0, and differ by no more than chance would."""
+    off = np.zeros((20, 3))
+    off[:, 0] = np.linspace(-1.9, 1.9, 20) + 0.64
+    arms = [
+        arm(str(i), ERRORS + (off if i == 5 else 0.0), controller={"steps_max": 100 + i})
+        for i in range(6)
+    ]
+    last = contrast(arms).contrasts[-1]
+    assert last.difference.ci95.high < 0
+    assert (last.p_holm > 0.05, last.verdict) == (True, "undecided")
+
+
+def test_groups_of_other_units_are_refused():
+    with pytest.raises(UsageError, match="b has errors in um, a in mm"):
+        contrast([arm("a", ERRORS), arm("b", ERRORS, units={"length": "um"})])
+
+
+def test_the_tables_hold_what_the_json_and_the_csv_hold():
+    found = three()
+    items = as_items(found)
+    assert [one["name"] for one in items["groups"]] == ["a", "b", "c"]
+    first = items["comparisons"][0]
+    shown = next(one for one in tables(found) if one.title.startswith("Comparison"))
+    row = next(shown.rows)
+    assert row[:2] == ("a - b", "20 pairs")
+    assert row[-1] == first["verdict"]
+    data = data_table(found).as_dict()
+    assert data["difference"] == [one["difference"] for one in items["comparisons"]]
+    assert data["cliffs_delta_low"][0] == first["cliffs_delta"]["ci95"][0]
+    assert data["both_high"][0] == first["both"]["ci95"][1]
+
+
+@pytest.mark.parametrize(("n", "size"), [(8, 1.16), (20, 0.66), (100, 0.283)])
+def test_what_pairs_detect_is_what_the_noncentral_t_says(n, size):
+    assert detectable(n) == pytest.approx(size, abs=0.005)
+    found, bound = detectable(n), stats.t.ppf(0.975, n - 1)
+    power = stats.nct.sf(bound, n - 1, found * math.sqrt(n))
+    assert power == pytest.approx(0.8, abs=1e-3)
+    assert detectable(n, tests=10) > found
+
+
+def test_two_batches_detect_less_than_pairs():
+    assert detectable_between(20, 20) == pytest.approx(0.91, abs=0.005)
+    assert detectable_between(64, 64) == pytest.approx(0.5, abs=0.005)  # Cohen's table
+    assert math.isnan(detectable(1)) and math.isnan(detectable_between(1, 9))
+
+
+def test_a_ratio_of_deviations_is_by_the_jackknife():
+    one, other = RNG.normal(0, 1, 12), RNG.gamma(2, 3, 20)
+
+    def pseudo(values):
+        n, every = len(values), math.log(values.var(ddof=1))
+        return [n * every - (n - 1) * math.log(np.delete(values, i).var(ddof=1)) for i in range(n)]
+
+    found = deviation_ratio(one, other)
+    test = stats.ttest_ind(pseudo(one), pseudo(other), equal_var=False)
+    ends = test.confidence_interval()
+    assert found.value == pytest.approx(one.std(ddof=1) / other.std(ddof=1))
+    assert found.p_value == pytest.approx(test.pvalue)
+    expected = (math.exp(ends.low / 2), math.exp(ends.high / 2))
+    assert (found.ci95.low, found.ci95.high) == pytest.approx(expected)
+
+
+def test_deviations_turn_with_the_sides():
+    one, other = RNG.gamma(3, 1, 15), RNG.gamma(3, 4, 30)
+    found, back = deviation_ratio(one, other), deviation_ratio(other, one)
+    assert found.value * back.value == pytest.approx(1)
+    assert found.ci95.low * back.ci95.high == pytest.approx(1)
+    assert "needs 5 values" in (deviation_ratio(one[:4], other).ci95.reason or "")
+    assert "are equal" in (deviation_ratio(np.ones(9), other).ci95.reason or "")
+
+
+def test_a_standardised_difference_is_in_deviations_of_the_pairs():
+    differences = RNG.normal(2, 4, 30)
+    found = standardised(differences)
+    assert found.value == pytest.approx(differences.mean() / differences.std(ddof=1))
+    t = found.value * math.sqrt(30)
+    exact = [
+        optimize.brentq(lambda nc, share=share: stats.nct.cdf(t, 29, nc) - share, -3, 9) / 30**0.5
+        for share in (0.975, 0.025)
+    ]
+    assert (found.ci95.low, found.ci95.high) == pytest.approx(exact, abs=0.05)
+    assert not standardised(np.full(9, 2.0)).ci95.known

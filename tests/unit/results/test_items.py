@@ -1,0 +1,124 @@
+import csv
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result, trial
+
+from tetractl.core.plan import Outcome
+from tetractl.core.table.data import json_text
+from tetractl.core.table.files import csv_text
+from tetractl.results.batch import Damaged
+from tetractl.results.contrast import contrast
+from tetractl.results.items import as_items, data_table
+
+ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
+SPEC_PLAIN = experiment()
+SPEC = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
+
+
+def as_json(*groups):
+    return json.loads(json_text(as_items(contrast(groups))))
+
+
+def rows_of(*groups):
+    return list(csv.DictReader(io.StringIO(csv_text(data_table(contrast(groups))))))
+
+
+def test_json_holds_every_key_scripts_rely_on():
+    found = as_json(group(batch(ERRORS, SPEC)))
+    assert (found["n_trials"], found["n_counted"], found["unit"]) == (20, 20, "mm")
+    figures = {"mean", "std", "median", "min", "max", "ci95"}
+    assert figures <= set(found["total_error"])
+    assert [robot["name"] for robot in found["robots"]] == ["green", "blue", "red"]
+    assert all(figures <= set(robot) for robot in found["robots"])
+    for count in ("obstacle_violations", "aborted", "deadline_misses", "n_attempts"):
+        assert found[count] == 0
+    assert (found["origin"], found["arrived"]) == ("disturbed simulation", None)
+    assert found["outcomes"]["sequence completed"] == 20
+    assert found["reference"]["comparable"]
+    assert (found["attempts"], found["flagged"]) == ([], [])
+    assert (found["kind"], found["disturbed"]) == ("simulated", True)
+    assert set(found["solve_ms"]) == {"p50", "p99", "max"}
+    assert {"n", "mean", "std", "difference", "ci95", "p_value"} <= set(found["reference"])
+    low, high = found["total_error"]["ci95"]
+    assert low < found["total_error"]["mean"] < high
+    keys = {"path", "seed", "total_error", "robot_errors", "steps", "duration_s", "outcome"}
+    assert keys | {"entered_obstacle", "recovered"} <= set(found["trials"][0])
+    assert found["trials"][0]["total_error"] == pytest.approx(sum(ERRORS[0]))
+    assert found["scaled"]["body_lengths"] == pytest.approx(found["scaled"]["mean"] / 50)
+
+
+def test_json_without_a_reference_or_enough_trials_says_null():
+    found = as_json(group(batch(ERRORS[:1])))
+    assert found["reference"] is None
+    assert found["scaled"] is None
+    assert found["total_error"]["std"] is None
+    assert found["total_error"]["ci95"] is None
+    assert found["total_error"]["ci95_reason"] == "one value has no spread"
+
+
+def test_json_stays_json_where_nothing_is_known():
+    trials = batch([[math.nan] * 3] * 2, SPEC, outcome=Outcome.ABORTED, solve_ns=())
+    found = as_json(group(trials, [Damaged("torn.mcap", "no header")]))
+    assert found["total_error"]["mean"] is None
+    assert found["reference"]["difference"] is None
+    assert found["solve_ms"] == {"p50": None, "p99": None, "max": None}
+    assert found["trials"][0]["robot_errors"] == [None] * 3
+    assert found["damaged"] == [{"path": "torn.mcap", "problem": "no header"}]
+
+
+def test_json_of_a_comparison_holds_both_groups():
+    found = as_json(group(batch(ERRORS), name="a"), group(batch(ERRORS[:9]), name="b"))
+    assert [(one["name"], one["n_counted"]) for one in found["groups"]] == [("a", 20), ("b", 9)]
+    (comparison,) = found["comparisons"]
+    assert (comparison["one"], comparison["other"], comparison["pairs"]) == ("a", "b", 9)
+    assert (comparison["one_n"], comparison["other_n"]) == (20, 9)
+    assert comparison["both"]["ci95_method"] == "both intervals"
+    assert -1 <= comparison["cliffs_delta"]["value"] <= 1
+
+
+def test_csv_has_a_row_per_trial_with_units_in_its_columns():
+    rows = rows_of(group(batch(ERRORS)))
+    assert len(rows) == 20
+    assert float(rows[3]["total_error_mm"]) == pytest.approx(sum(ERRORS[3]))
+    assert float(rows[3]["error_blue_mm"]) == ERRORS[3][1]
+    assert rows[3]["outcome"] == "sequence completed"
+
+
+def test_csv_of_a_comparison_has_a_row_per_comparison():
+    found = [group(batch(ERRORS[:n]), name=f"first {n}") for n in (2, 3, 4)]
+    rows = rows_of(*found)
+    assert [(row["one"], row["other"]) for row in rows] == [
+        ("first 2", "first 3"),
+        ("first 2", "first 4"),
+        ("first 3", "first 4"),
+    ]
+    assert [(row["one_n"], row["pairs"], row["unit"]) for row in rows][2] == ("3", "3", "mm")
+
+
+def test_an_undisturbed_simulation_has_no_p_and_no_scaled_error():
+    spec = experiment(reference=REFERENCE, scale=SCALE)
+    found = as_json(group(batch(ERRORS, spec)))
+    reference = found["reference"]
+    assert (found["origin"], reference["comparable"]) == ("undisturbed simulation", False)
+    assert (reference["mean"], reference["difference"], reference["p_value"]) == (648.6, None, None)
+    assert found["scaled"] is None
+
+
+def test_attempts_are_rows_that_say_so():
+    trials = batch(ERRORS[:2])
+    aborted = result([1, 2, 3], outcome=Outcome.ABORTED)
+    summary = group([*trials, trial("x.attempt-1.mcap", SPEC_PLAIN, aborted)])
+    rows = rows_of(summary)
+    assert [(row["attempt"], row["counted"]) for row in rows] == [
+        ("false", "true"),
+        ("false", "true"),
+        ("true", "false"),
+    ]
+    assert {row["origin"] for row in rows} == {"undisturbed simulation"}
+    found = as_json(summary)
+    assert (found["n_trials"], found["n_attempts"]) == (2, 1)
+    assert found["attempts"][0]["outcome"] == "aborted"

@@ -1,0 +1,28 @@
+"""What a lab check prints, and what scripts read of it."""
+
+from tetractl.core.commands import RobotStatus
+from tetractl.lab.preflight import Preflight, RobotFinding
+from tetractl.view.terminal.findings import as_json, print_findings, robots_table
+
+READY = RobotFinding("green", 3.4, -0.02, "", "", RobotStatus(True, 7.41))
+LOST = RobotFinding("red", None, None, "", "red is not tracked", RobotStatus(None))
+FOUND = Preflight(
+    (READY, LOST), (8.0, 12.5), 119.9, ("no radio",), ("dusty",), {"server": "Motive"}
+)
+
+
+def test_a_robot_that_is_not_tracked_has_no_place():
+    assert list(robots_table(FOUND).rows) == [
+        ("green", "3", "-0.02", "7.41", "yes"),
+        ("red", "not tracked", "-", "-", "cannot"),
+    ]
+
+
+def test_everything_found_is_printed_and_is_in_the_json(capsys):
+    print_findings(FOUND)
+    lines = capsys.readouterr().out.splitlines()
+    for line in ("camera: 119.9 Hz", "server: Motive", "warning: dusty", "problem: no radio"):
+        assert line in lines
+    assert lines[-1] == "not ready"
+    found = as_json(FOUND)
+    assert (found["ready"], found["robots"][0]["off_mm"]) == (False, 3.4)

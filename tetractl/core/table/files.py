@@ -1,0 +1,194 @@
+"""Writes tables as data: CSV after RFC 4180, and Parquet by pyarrow; reads CSV."""
+
+import csv
+import io
+from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self, TextIO
+
+from tetractl.core.errors import LogError, UsageError
+from tetractl.core.table.table import Column, Table
+from tetractl.core.text import cell
+
+PART = ".part"
+
+
+class TableFile(Protocol):
+    """A file of one table, to which rows are added."""
+
+    def add(self, table: Table) -> None:
+        """Add rows; the columns are those of the first call."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file."""
+        ...
+
+
+class CsvFile:
+    """A table as CSV: UTF-8, a header, empty cells for what is not known."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("w", encoding="utf-8", newline="")
+        self._headed = False
+
+    def add(self, table: Table) -> None:
+        """Add rows."""
+        _write_csv(table, self._file, header=not self._headed)
+        self._headed = True
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def csv_text(table: Table) -> str:
+    """Return a table as CSV."""
+    text = io.StringIO()
+    _write_csv(table, text, header=True)
+    return text.getvalue()
+
+
+def _write_csv(table: Table, stream: TextIO, header: bool) -> None:
+    writer = csv.writer(stream, lineterminator="\n")
+    if header:
+        writer.writerow([column.key for column in table.columns])
+    writer.writerows(zip(*(_cells(column.known) for column in table.columns), strict=True))
+
+
+def _cells(values: list[Any]) -> list[Any]:
+    """Return cells as R, MATLAB and spreadsheets read them: truth values as true and false.
+
+    A text that a spreadsheet would compute gets an apostrophe in front.
+    """
+    if any(isinstance(value, bool) for value in values):
+        return [str(v).lower() if isinstance(v, bool) else v for v in values]
+    if any(isinstance(value, str) for value in values):
+        return [cell(v) if isinstance(v, str) else v for v in values]
+    return values
+
+
+def read_csv(path: Path) -> Iterator[dict[str, str]]:
+    """Yield the rows of a CSV file by column; raises UsageError where it is none."""
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{path}: is no regular file")
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            for row in csv.DictReader(stream):
+                yield {key: value or "" for key, value in row.items() if key}
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f"{path}: is no CSV file: {error}") from None
+
+
+class ParquetFile:
+    """A table as Parquet, one row group per call of `add`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._writer = path, None
+
+    def add(self, table: Table) -> None:
+        """Add rows; the first call decides the type of each column."""
+        import pyarrow
+        import pyarrow.parquet
+
+        if self._writer is None:
+            found = pyarrow.table({column.key: _typed(column) for column in table.columns})
+            self._writer = pyarrow.parquet.ParquetWriter(self._path, found.schema)
+        else:
+            known = {column.key: column.known for column in table.columns}
+            found = pyarrow.table(known, schema=self._writer.schema)
+        self._writer.write_table(found)
+
+    def close(self) -> None:
+        """Write the file's footer."""
+        if self._writer is not None:
+            self._writer.close()
+
+
+def _typed(column: Column) -> Any:
+    """Return a pyarrow array; without any known value it is of text if of words, else of numbers"""
+    import pyarrow
+
+    values = column.known
+    if any(value is not None for value in values):
+        return pyarrow.array(values)
+    return pyarrow.array(values, pyarrow.string() if column.words else pyarrow.float64())
+
+
+FORMATS = {"csv": CsvFile, "parquet": ParquetFile}
+
+
+def check_format(name: str) -> None:
+    """Raise UsageError for an unknown format, or one whose library is not installed."""
+    if name not in FORMATS:
+        raise UsageError(f"cannot write {name!r} tables", f"choose {' or '.join(FORMATS)}")
+    if name == "parquet" and find_spec("pyarrow") is None:
+        raise UsageError(
+            "Parquet needs pyarrow, which is not installed",
+            "pip install 'tetractl[parquet]', or choose csv",
+        )
+
+
+class TableFiles:
+    """The files of several tables, each complete or absent: NAME.part until the block ends well."""
+
+    def __init__(self, paths: Mapping[str, Path], format_name: str) -> None:
+        self._paths = dict(paths)
+        self._kind = FORMATS[format_name]
+        self._files: dict[str, TableFile] = {}
+        self._keys: dict[str, list[str]] = {}
+
+    def __enter__(self) -> Self:
+        try:
+            for name, path in self._paths.items():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._files[name] = self._kind(_part(path))
+        except OSError as error:
+            raise _refused(error) from error
+        return self
+
+    def add(self, name: str, table: Table, source: str = "") -> None:
+        """Add rows to the file `name`; `source` is where they are from.
+
+        Raises UsageError where the columns are not those of the rows before.
+        """
+        keys = [column.key for column in table.columns]
+        known = self._keys.setdefault(name, keys)
+        if keys != known:
+            odd = sorted(set(keys) ^ set(known))
+            raise UsageError(
+                f"{source}: its {name} have other columns than those before: {', '.join(odd[:4])}",
+                "export the logs of each experiment by themselves",
+            )
+        try:
+            self._files[name].add(table)
+        except OSError as error:
+            raise _refused(error) from error
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            for file in self._files.values():
+                file.close()
+            for path in self._paths.values():
+                part = _part(path)
+                if kind is None and part.exists():
+                    part.replace(path)
+                else:
+                    part.unlink(missing_ok=True)
+        except OSError as failure:
+            raise _refused(failure) from failure
+
+
+def _part(path: Path) -> Path:
+    return path.with_name(path.name + PART)
+
+
+def _refused(error: OSError) -> LogError:
+    return LogError(f"{error.filename or 'table'}: cannot write the table: {error.strerror}")

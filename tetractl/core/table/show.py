@@ -1,0 +1,180 @@
+"""Writes tables for readers: to a terminal, as Markdown, LaTeX and HTML."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING
+
+from tetractl.core.table.numbers import NONE
+from tetractl.core.table.table import Table
+from tetractl.core.text import printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+WIDTH = 120
+"""Characters of a line where there is no terminal; words that are longer are not broken."""
+
+WORDS = 20
+"""Least width of a column of words there, if any of them are as wide."""
+
+_FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
+_WORDS = r">{\raggedright\arraybackslash}X"  # a column that breaks its lines
+_SPECIAL = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"$<$",
+        ">": r"$>$",
+        **{c: "\\" + c for c in "&%$#_{}"},
+    }
+)
+_MINUS = re.compile(r"(?<![\w.])-(?=\d)")
+
+
+def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> None:
+    """Print tables to a terminal, or as plain text of WIDTH characters where there is none."""
+    from rich.console import Console
+
+    console = console or Console()
+    for table in tables:
+        _print(table, console)
+
+
+def _print(table: Table, console: "Console") -> None:
+    from rich import box
+    from rich.cells import cell_len
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    shown = RichTable(box=box.SIMPLE_HEAD, show_edge=False)
+    for i, column in enumerate(table.columns):
+        texts = [column.heading, *column.texts]
+        # without a terminal names, paths and numbers stay in one piece, and words are wrapped
+        whole = not console.is_terminal and (i == 0 or not column.words)
+        if whole:
+            least = max(map(cell_len, texts))
+        else:
+            least = max(cell_len(word) for text in texts for word in text.split() or [""])
+            least = max(least, min(WORDS, max(map(cell_len, texts))))
+        shown.add_column(
+            Text(column.heading),
+            justify="left" if column.words or i == 0 else "right",
+            overflow="fold",
+            no_wrap=whole,
+            min_width=None if console.is_terminal else least,
+        )
+    for row in table.rows:
+        shown.add_row(*(Text(printable(cell)) for cell in row))
+    if not console.is_terminal:
+        console = Console(file=console.file, width=10_000, color_system=None)
+        least = Measurement.get(console, console.options, shown).minimum
+        console.width = max(WIDTH, least)
+    console.print(Text(printable(table.title), style="bold"), soft_wrap=not console.is_terminal)
+    console.print(shown)
+    for line in table.note.splitlines():
+        console.print(Text(printable(line)))
+    console.print()
+
+
+def markdown(tables: Sequence[Table]) -> str:
+    """Return tables in Markdown."""
+    parts = []
+    for table in tables:
+        first, *others = table.columns
+        rule = ["---", *("---" if column.words else "---:" for column in others)]
+        parts.append(f"**{_markdown(table.title)}**\n")
+        parts += [
+            "| " + " | ".join(map(_markdown, line)) + " |"
+            for line in ([first.heading, *table.header[1:]], rule, *table.rows)
+        ]
+        parts += ["", _markdown(table.note), ""] if table.note else [""]
+    return "\n".join(parts)
+
+
+def _markdown(text: str) -> str:
+    return printable(text).replace("\\", "\\\\").replace("|", "\\|")
+
+
+def latex(tables: Sequence[Table]) -> str:
+    r"""Return `tabular` and `tabularx` environments that fit the width of the text.
+
+    The document needs the packages booktabs, graphicx and tabularx. Numbers are made smaller where
+    they are wider than the text, words wrapped. Below numbers stand the table's title and note.
+    """
+    parts = [r"% needs \usepackage{booktabs,graphicx,tabularx}"]
+    for table in tables:
+        parts.append(f"% {printable(' '.join([table.title, table.note]).strip())}")
+        parts += _latex_words(table) if table.words else _latex_numbers(table)
+        parts.append("")
+    return "\n".join(parts)
+
+
+def _latex_numbers(table: Table) -> list[str]:
+    width = len(table.columns)
+    note = ". ".join(filter(None, (table.title, table.note)))
+    last = rf"\multicolumn{{{width}}}{{l}}{{\footnotesize {_escaped(note)}}} \\"
+    begin = rf"\begin{{tabular}}{{l{'r' * (width - 1)}}}"
+    return [_FITTED, begin, *_latex_body(table), last, r"\end{tabular}}"]
+
+
+def _latex_words(table: Table) -> list[str]:
+    begin = rf"\begin{{tabularx}}{{\linewidth}}{{{_WORDS * len(table.columns)}}}"
+    return [begin, *_latex_body(table), r"\end{tabularx}"]
+
+
+def _latex_body(table: Table) -> list[str]:
+    header, *rows = (
+        " & ".join(map(_latex_cell, row)) + r" \\" for row in (table.header, *table.rows)
+    )
+    return [r"\toprule", header, r"\midrule", *rows, r"\bottomrule"]
+
+
+def _latex_cell(text: str) -> str:
+    if text == NONE or text.startswith(f"{NONE} "):
+        return f"-- {_escaped(text.removeprefix(NONE))}".strip()
+    return (r"\quad " if text.startswith("  ") else "") + _escaped(text)
+
+
+def _escaped(text: str) -> str:
+    """Return text with its special characters written out, breakable after the parts of a path."""
+    text = printable(text).strip().translate(_SPECIAL)
+    text = _MINUS.sub("$-$", text).replace("[um]", r"[$\mu$m]")
+    return text.replace("/", r"/\allowbreak{}")
+
+
+def html(tables: Sequence[Table], links: Mapping[str, str] | None = None) -> str:
+    """Return HTML tables, each in an element that scrolls; `links` are targets by cell text of a
+    first column."""
+    return "".join(_html(table, links or {}) for table in tables)
+
+
+def _html(table: Table, links: Mapping[str, str]) -> str:
+    def named(text: str) -> str:
+        shown = escape(text)
+        return f'<a href="{escape(links[text])}">{shown}</a>' if text in links else shown
+
+    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.header)
+    rows = "".join(
+        f'<tr><th scope="row">{named(first)}</th>'
+        + "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+        + "</tr>"
+        for first, *cells in table.rows
+    )
+    kind = ' class="words"' if table.words else ""
+    caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
+    note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+    return (
+        f'<div class="scroll"><table{kind}>{caption}'
+        f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}</div>"
+    )
+
+
+TEXTS: Mapping[str, Callable[[Sequence[Table]], str]] = {
+    "markdown": markdown,
+    "latex": latex,
+    "html": html,
+}

@@ -1,0 +1,115 @@
+"""A table: columns of values, each with a name, a unit and a format for readers."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from tetractl.core.table.numbers import NONE
+
+
+def as_text(value: Any) -> str:
+    """Return a value for a reader: "-" for what is not known."""
+    return NONE if value is None or value != value else str(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """The values of one quantity, one per row; None or NaN where it is not known.
+
+    A reader sees each value through `format`, below the heading "name [unit]"; a data file holds
+    the values themselves, below `name_unit`. Columns of `words` are left-aligned and may be
+    wrapped; all others are numbers.
+    """
+
+    name: str
+    values: Sequence[Any] | np.ndarray
+    unit: str = ""
+    format: Callable[[Any], str] = as_text
+    words: bool = False
+
+    @property
+    def heading(self) -> str:
+        """What a reader sees above the column."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def key(self) -> str:
+        """The column's name in a data file: its unit is the end of it, such as `speed_mm_s`."""
+        return f"{self.name}_{self.unit.replace('/', '_')}" if self.unit else self.name
+
+    @property
+    def texts(self) -> list[str]:
+        """What a reader sees of each value."""
+        return [self.format(value) for value in self.values]
+
+    @property
+    def known(self) -> list[Any]:
+        """The values for a data file: None in place of NaN."""
+        if not isinstance(self.values, np.ndarray):
+            return [None if value != value else value for value in self.values]
+        found = self.values.tolist()
+        if self.values.dtype.kind == "f" and np.isnan(self.values).any():
+            return [None if value != value else value for value in found]
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns of equal length under a `title`; `note` is text that belongs below them."""
+
+    title: str
+    columns: tuple[Column, ...]
+    note: str = ""
+
+    @classmethod
+    def of_texts(
+        cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = ""
+    ) -> Self:
+        """Return a table of words, without its columns (but the first) that are empty in all rows.
+
+        A cell is empty where it is "" or "-".
+        """
+        values = list(zip(*rows, strict=True)) or [()] * len(header)
+        columns = [
+            Column(name, cells, words=True) for name, cells in zip(header, values, strict=True)
+        ]
+        return cls(title, (columns[0], *filter(_filled, columns[1:])), note)
+
+    @classmethod
+    def of_records(cls, title: str, records: Sequence[Mapping[str, Any]]) -> Self:
+        """Return one row per record; a record that lacks a key has an unknown value there."""
+        keys = dict.fromkeys(key for record in records for key in record)
+        return cls(title, tuple(Column(key, [one.get(key) for one in records]) for key in keys))
+
+    @property
+    def header(self) -> list[str]:
+        """The headings for a reader."""
+        return [column.heading for column in self.columns]
+
+    @property
+    def rows(self) -> Iterator[tuple[str, ...]]:
+        """The rows for a reader."""
+        return zip(*(column.texts for column in self.columns), strict=True)
+
+    @property
+    def words(self) -> bool:
+        """Whether columns besides the first are words."""
+        return any(column.words for column in self.columns[1:])
+
+    def __len__(self) -> int:
+        return len(self.columns[0].values) if self.columns else 0
+
+    def with_first(self, **constants: Any) -> "Table":
+        """Return the table with columns in front that have the same value in each row."""
+        first = (Column(name, [value] * len(self)) for name, value in constants.items())
+        return Table(self.title, (*first, *self.columns), self.note)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the values by column, as a data frame takes them."""
+        return {column.key: column.values for column in self.columns}
+
+
+def _filled(column: Column) -> bool:
+    return any(text not in ("", NONE) for text in column.texts)

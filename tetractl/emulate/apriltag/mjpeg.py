@@ -1,0 +1,168 @@
+"""An emulated network camera: rendered pictures as a multipart MJPEG stream on this computer."""
+
+import queue
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import TracebackType
+from typing import Self
+
+import cv2
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.errors import TetractlError
+from tetractl.core.poses import Poses
+from tetractl.emulate.apriltag.renderer import Renderer
+from tetractl.lab.announcement import EMULATED
+
+BOUNDARY = "emulated-by-tetractl"
+QUEUED = 32  # pictures of a client that reads slowly; more are dropped
+WAIT_S = 0.05
+
+
+class EmulatedNetworkCamera:
+    """Serves http://127.0.0.1:`port`/ ; a context manager.
+
+    `poses_at(t_ns)` returns the robots' poses on `clock`, for times up to half an exposure ago.
+    Picture k is exposed k / `rate_hz` after the camera was entered and leaves `latency_s` of the
+    optics later, or as soon as it is drawn; a host too busy to draw all misses some. `mangle`
+    changes the bytes of a part before they are sent; `frozen` stops exposures while it is set. One
+    that `drips` sends its answer's header byte by byte, without an end.
+    TetractlError where the port is taken.
+    """
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        poses_at: Callable[[int], Poses],
+        clock: Clock,
+        rate_hz: float = 30.0,
+        quality: int = 90,
+        port: int = 0,
+        mangle: Callable[[bytes], bytes] = lambda part: part,
+        drips: bool = False,
+    ) -> None:
+        self.renderer = renderer
+        self.mangle, self._drips = mangle, drips
+        self.frozen = threading.Event()
+        self.exposed = 0  # the number of the last picture
+        self._poses_at, self._clock = poses_at, clock
+        self._rate_hz, self._quality = rate_hz, quality
+        self._clients: set[queue.Queue[tuple[int, bytes]]] = set()
+        self._closing = threading.Event()
+        camera = self
+
+        class Answer(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                camera._serve(self)
+
+            def log_message(self, format: str, *args: object) -> None:
+                """Print nothing."""
+
+        try:
+            self._server = ThreadingHTTPServer(("127.0.0.1", port), Answer)
+        except OSError as error:
+            raise TetractlError(f"port {port} cannot be opened: {error.strerror}") from error
+        self._server.daemon_threads = True
+        self._threads = [
+            threading.Thread(
+                target=self._server.serve_forever, args=(WAIT_S,), name="emulated-http", daemon=True
+            ),
+            threading.Thread(target=self._expose, name="emulated-camera", daemon=True),
+        ]
+
+    @property
+    def port(self) -> int:
+        """The port that was really taken."""
+        return self._server.server_address[1]
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody reads the stream."""
+        return bool(self._clients)
+
+    @property
+    def url(self) -> str:
+        """The stream's address."""
+        return f"http://127.0.0.1:{self.port}/"
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop exposing, and close every connection."""
+        self._closing.set()
+        self._server.shutdown()
+        self._server.server_close()
+        for thread in self._threads:
+            thread.join()
+
+    def _expose(self) -> None:
+        optics = self.renderer.optics
+        start = self._clock.now()
+        half, latency = round(optics.exposure_s * SECOND / 2), round(optics.latency_s * SECOND)
+        while not self._closing.is_set():
+            due = int((self._clock.now() - start - half) * self._rate_hz / SECOND)
+            self.exposed = max(self.exposed + 1, due)  # a busy host misses some
+            exposed = start + round(self.exposed * SECOND / self._rate_hz)
+            self._clock.sleep_until(exposed + half)
+            if self.frozen.is_set() or not self._clients:
+                continue
+            picture = self.renderer.picture(self._poses_at, exposed)
+            _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
+            for client in list(self._clients):
+                with suppress(queue.Full):
+                    client.put_nowait((exposed + latency, jpeg.tobytes()))
+
+    def _serve(self, answer: BaseHTTPRequestHandler) -> None:
+        mine: queue.Queue[tuple[int, bytes]] = queue.Queue(QUEUED)
+        self._clients.add(mine)
+        try:
+            answer.send_response(200)
+            answer.send_header("Server", f"camera ({EMULATED})")
+            answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+            if self._drips:
+                answer.flush_headers()
+            while self._drips and not self._closing.wait(WAIT_S):
+                answer.wfile.write(b"X")
+            answer.end_headers()
+            while not self._closing.is_set():
+                with suppress(queue.Empty):
+                    due, jpeg = mine.get(timeout=WAIT_S)
+                    self._clock.sleep_until(due)
+                    answer.wfile.write(self.mangle(part(jpeg)))
+        except OSError:
+            pass  # the client has gone
+        finally:
+            self._clients.discard(mine)
+
+
+def cut_short(whole: bytes) -> bytes:
+    """Return half of a part, as of a connection that lost the rest."""
+    return whole[: len(whole) // 2]
+
+
+def cut_before_its_end(whole: bytes) -> bytes:
+    """Return a part whose JPEG has lost the second half of its data, but not its end marker."""
+    jpeg = whole.partition(b"\r\n\r\n")[2]
+    return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
+
+
+def oversized(whole: bytes) -> bytes:
+    """Return a part whose JPEG claims to be 32767 x 32767."""
+    at = whole.index(b"\xff\xc0") + 5
+    return whole[:at] + b"\x7f\xff\x7f\xff" + whole[at + 4 :]
+
+
+def part(jpeg: bytes) -> bytes:
+    """Return one part of the stream, its boundary first."""
+    head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+    return head.encode() + jpeg + b"\r\n"

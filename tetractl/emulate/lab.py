@@ -1,0 +1,205 @@
+"""The emulated lab put together: two sides, faults, a record, and a helping hand."""
+
+from collections.abc import Callable
+from typing import Any
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import SpecError
+from tetractl.core.setup import Setup
+from tetractl.emulate.faults import Fault, Injector
+from tetractl.emulate.loop import Loop, Timeline
+from tetractl.emulate.record import Record
+from tetractl.emulate.script import Script, Sides
+from tetractl.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
+from tetractl.experiment.lab import LabSection
+
+TICK_NS = 2_000_000  # how often robots are looked at
+FLUSH_NS = 200_000_000
+CARRY_NS = 500_000_000  # how long a robot is in the helper's hands
+
+Report = Callable[[str, Facts], None]
+
+
+class EmulatedLab:
+    """An emulated lab on real wires. `report(event, facts)` is called with what a
+    person should see.
+
+    Use it as a context manager: leaving it takes ports and names away, whatever happened.
+    """
+
+    def __init__(
+        self,
+        lab: LabSection,
+        setup: Setup,
+        script: Script,
+        options: Options,
+        report: Report = lambda event, facts: None,
+        make_loop: type[Loop] = Loop,
+    ) -> None:
+        _check_names(script, setup)
+        self._setup, self._script, self._options = setup, script, options
+        self._record, self._report = Record(None), report
+        start_ns = make_loop.now()
+        self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
+        self.loop = make_loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
+        self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
+        stage = Stage(
+            lab,
+            setup,
+            self.timeline,
+            options,
+            self._note,
+            self._exposed,
+            self.injector.sent,
+            self._client,
+        )
+        sides = Sides.of(lab.camera.type, lab.actuator.type)
+        told = script.emulation
+        self.actuator: EmulatedActuator = sides.actuator(
+            stage, told.actuator or sides.actuator.Settings()
+        )
+        self.camera: EmulatedCamera = sides.camera(
+            stage, told.camera or sides.camera.Settings(), self.actuator.bodies
+        )
+        self._moving = [False] * len(setup.names)
+        self._ran = False  # since the robots were last put on their starts
+        self._still_since: int | None = start_ns  # None while any robot moves
+        self._put_on_starts()
+
+    def __enter__(self) -> "EmulatedLab":
+        self.loop.catch_up()
+        try:
+            self._record = Record(self._options.record)
+            facts = {
+                "emulation": True,
+                **self.actuator.open(self.loop),
+                **self.camera.open(self.loop),
+                "robots": list(self._setup.names),
+            }
+        except BaseException:
+            self.close()
+            raise
+        self._tick()
+        self._flush()
+        self._note("ready", **facts)
+        self._record.flush()
+        self._report("ready", facts)
+        self.injector.happened("start")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def run(self) -> None:
+        """Run in real time until `loop.end()`."""
+        self.loop.run()
+
+    def close(self) -> None:
+        """Take ports and names away, and close the record; idempotent."""
+        counts = self.actuator.close() | self.camera.close()
+        self._note("end", worst_lag_ms=self.loop.worst_lag_ns / 1e6, **counts)
+        self._record.close()
+
+    def _device_of(self, fault: Fault) -> EmulatedCamera | EmulatedActuator:
+        return self.camera if type(fault) in self.camera.faults else self.actuator
+
+    def _note(self, event: str, **facts: Any) -> None:
+        self._record.add(self.timeline.now_ns, event, **facts)
+
+    def _exposed(self, exposure: int, frame: int) -> None:
+        self.injector.exposed(exposure)
+        bodies = self.actuator.bodies
+        self._note(
+            "truth",
+            exposure=exposure,
+            frame=frame,
+            poses=[[round(b.x, 3), round(b.y, 3), round(b.heading, 5)] for b in bodies],
+            **self.actuator.truth,
+        )
+
+    def _client(self, address: str) -> None:
+        self._note("client", address=address)
+        self._report("client", {"address": address})
+        self.injector.happened("client")
+
+    def _fault(self, phase: str, fault: Fault) -> None:
+        named = {key: getattr(fault, key, None) for key in ("robot", "name")}
+        facts = {
+            "name": fault.fault,
+            "phase": phase,
+            "robot": named["robot"],
+            "mark": named["name"],
+        }
+        self._note("fault", **facts)
+        self._record.flush()
+        self._report("fault", facts)
+
+    def _tick(self) -> None:
+        """Let the actuator's side go on, and look who moves."""
+        now = self.timeline.now_ns
+        self.actuator.tick()
+        if self.actuator.driven and not self._ran:
+            self._ran = True
+            if self._still_since is not None:  # what was before the run does not count
+                self._still_since = now
+            self._note("run")
+            self._report("run", {})
+            self.injector.happened("run")
+        for i, body in enumerate(self.actuator.bodies):
+            if self._moving[i] == body.standing:
+                self._moving[i] = not body.standing
+                self._note("robot", name=body.name, moving=self._moving[i])
+        if any(self._moving):
+            if self._still_since is not None:
+                self._report("moving", {})
+            self._still_since = None
+        elif self._still_since is None:
+            self._still_since = now
+            self._report("rest", {})
+        self._help(now)
+        self.timeline.at(now + TICK_NS, self._tick)
+
+    def _help(self, now: int) -> None:
+        """Carry the robots back to their starts once they have stood long enough."""
+        wait = self._options.replace_after
+        if wait is None or not self._ran or self._still_since is None:
+            return
+        if now - self._still_since < round(wait * SECOND):
+            return
+        self._ran = False
+        self.camera.hide(True)
+        self.actuator.switch(False)
+        self.timeline.at(now + CARRY_NS, self._put_down)
+
+    def _put_down(self) -> None:
+        self._put_on_starts()
+        self.actuator.switch(True)
+        self.camera.hide(False)
+        self._note("placed")
+        self._report("placed", {})
+
+    def _put_on_starts(self) -> None:
+        """Put every robot where the spec, or the script, says that it stands at first."""
+        mm, starts = self._setup.metres * 1000, self._setup.starts
+        placed = {robot.name: robot for robot in self._script.emulation.robots}
+        for i, body in enumerate(self.actuator.bodies):
+            x, y, heading = starts.x[i], starts.y[i], starts.heading[i]
+            if (other := placed.get(body.name)) is not None:
+                x, y = other.start or (x, y)
+                heading = heading if other.heading is None else other.heading
+            body.place(float(x * mm), float(y * mm), float(heading))
+
+    def _flush(self) -> None:
+        self._record.flush()
+        self.timeline.at(self.timeline.now_ns + FLUSH_NS, self._flush)
+
+
+def _check_names(script: Script, setup: Setup) -> None:
+    """Raise SpecError where a script names a robot that the spec has not."""
+    told = script.emulation
+    lists = [told.robots, *(getattr(side, "robots", ()) for side in (told.camera, told.actuator))]
+    names = [robot.name for robots in lists for robot in robots]
+    names += [name for fault in script.faults for name in fault.names()]
+    for name in names:
+        if name not in setup.names:
+            raise SpecError(f"the script's {name} is no robot of the spec")

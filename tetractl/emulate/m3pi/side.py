@@ -1,0 +1,281 @@
+"""The emulated actuator of type `m3pi-xbee`: its settings and faults, a radio, and robots."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from tetractl.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
+from tetractl.emulate.loop import Loop
+from tetractl.emulate.m3pi.command_log import CommandLog
+from tetractl.emulate.m3pi.module import ModuleSettings
+from tetractl.emulate.m3pi.radio import EmulatedRadio
+from tetractl.emulate.m3pi.robot import (
+    Battery,
+    EmulatedRobot,
+    FirmwareProgram,
+    Program,
+    SlaveProgram,
+)
+from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.sides import Facts, Stage
+from tetractl.experiment.base import Model, Name, Positive
+from tetractl.lab.actuators.m3pi.actuator import drivetrain
+from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
+
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=-127, le=127)]
+MODES = {"transparent": 0, "api1": 1, "api2": 2}
+SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zigbee
+
+
+class TrueRobot(Model):
+    """A robot as it truly is, where that differs from what the spec says of it."""
+
+    name: Name
+    """Name of a robot of the spec."""
+    left: WheelSection | None = None
+    """Its left wheel."""
+    right: WheelSection | None = None
+    """Its right wheel."""
+    swap: bool | None = None
+    """Whether its left wheel hangs on the motor meant for the right."""
+    radius_mm: Positive | None = None
+    """Distance r from a wheel to its centre [mm]."""
+    lag: Annotated[float, Field(gt=0, le=1)] = 0.04
+    """Time constant of its wheels [s]."""
+    battery_mv: int = Field(default=5100, ge=0, le=9000)
+    """Its battery's voltage without load."""
+
+
+class M3piSettings(Model):
+    """How radio and robots differ from what the spec says."""
+
+    firmware: Literal["802.15.4", "zigbee"] = "802.15.4"
+    """What the radio's module runs."""
+    hardware: int | None = Field(default=None, ge=0, le=0xFFFF)
+    """The module's hardware version (HV); that of a Series 1 or 2 by default."""
+    explicit: bool = False
+    """Whether the module reports what it hears in frames of type 0x91 (AO=1)."""
+    baud: Literal[9600, 19200, 38400, 57600, 115200] | None = None
+    """The module's speed; the spec's by default."""
+    mode: Literal["api2", "api1", "transparent"] | None = None
+    """The module's mode; the spec's by default."""
+    loss: Share = 0.0
+    """Probability that a robot does not hear a transmission."""
+    robots: tuple[TrueRobot, ...] = ()
+    """The robots that are not as the spec says."""
+
+
+class RobotFault(Fault):
+    """A fault of one robot."""
+
+    robot: Name
+    """The robot it happens to."""
+
+
+class Veer(RobotFault):
+    """A robot's motors get other counts than sent."""
+
+    fault: Literal["veer"]
+    counts: tuple[Count, Count]
+    """What they get instead of any count but 0, as sent."""
+
+    def begin(self, device: "EmulatedM3pi") -> Undo:
+        """Replace the counts."""
+        return setting(device.robot(self.robot), veer=self.counts)
+
+
+class WheelStuck(RobotFault):
+    """A wheel does not turn any more."""
+
+    fault: Literal["wheel_stuck"]
+    wheel: Literal["left", "right", "both"]
+    """Which wheel."""
+
+    def begin(self, device: "EmulatedM3pi") -> Undo:
+        """Stick the wheel."""
+        stuck = self.wheel in ("left", "both"), self.wheel in ("right", "both")
+        return setting(device.robot(self.robot), stuck=stuck)
+
+
+class Loss(Fault):
+    """Robots do not hear a share of the transmissions."""
+
+    fault: Literal["loss"]
+    share: Share
+    """How many of all, 0 to 1."""
+
+    def begin(self, device: "EmulatedM3pi") -> Undo:
+        """Lose transmissions from now on."""
+        return setting(device.radio, loss=self.share)
+
+
+class Off(RobotFault):
+    """A robot is switched off."""
+
+    fault: Literal["off"]
+
+    def begin(self, device: "EmulatedM3pi") -> Undo:
+        """Switch it off."""
+        robot = device.robot(self.robot)
+        robot.switch(False)
+        return lambda: robot.switch(True)
+
+
+class WrongId(RobotFault):
+    """A robot's firmware was built with another number."""
+
+    fault: Literal["wrong_id"]
+    id: int = Field(ge=0, le=31)
+    """Its number in broadcasts."""
+
+    def begin(self, device: "EmulatedM3pi") -> Undo:
+        """Load the other firmware."""
+        boot = partial(FirmwareProgram, self.id)
+        return setting(device.robot(self.robot), boot=boot, program=boot())
+
+
+class LowBattery(RobotFault):
+    """A robot's battery has this voltage."""
+
+    fault: Literal["low_battery"]
+    millivolts: int = Field(ge=0, le=9000)
+    """Its voltage."""
+
+    def begin(self, device: "EmulatedM3pi") -> Undo:
+        """Set the voltage."""
+        battery = device.robot(self.robot).battery
+        return setting(battery, open_mv=float(self.millivolts), sag_mv=0.0)
+
+
+class EmulatedM3pi:
+    """An XBee on a pseudo-terminal, and the robots that hear it."""
+
+    Settings: ClassVar[type[Model]] = M3piSettings
+    faults: ClassVar[Sequence[type[Fault]]] = (
+        Veer,
+        WheelStuck,
+        Unplug,
+        StuckPort,
+        Loss,
+        Off,
+        WrongId,
+        LowBattery,
+    )
+
+    def __init__(self, stage: Stage, settings: M3piSettings) -> None:
+        section = stage.lab.actuator
+        assert isinstance(section, M3piSection), "the table of kinds goes by the type"
+        truths = {truth.name: truth for truth in settings.robots}
+        self.robots = [
+            _robot(stage, section, section.robot(name), truths.get(name) or TrueRobot(name=name))
+            for name in stage.setup.names
+        ]
+        self.port = PseudoPort(stage.options.link or Path(section.port))
+        module = _module(section, settings)
+        slave = isinstance(section.protocol, SlaveSection)
+        self.radio = EmulatedRadio(
+            stage.timeline,
+            self.port,
+            module,
+            self.robots,
+            [_address(section, name) for name in stage.setup.names],
+            settings.loss,
+            stage.options.seed,
+            CommandLog(module.mode, slave, stage.note).read,
+            lambda robot, data: stage.note("heard", robot=robot.name, hex=data.hex()),
+        )
+        self._loop: Loop | None = None
+
+    @property
+    def bodies(self) -> Sequence[EmulatedRobot]:
+        """The robots, in the order of the setup."""
+        return self.robots
+
+    @property
+    def driven(self) -> bool:
+        """Whether any motor is driven."""
+        return any(any(robot.counts()) for robot in self.robots)
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """The speeds of all wheels [mm/s]."""
+        return {"wheels": [[round(r.left, 2), round(r.right, 2)] for r in self.robots]}
+
+    def open(self, loop: Loop) -> Facts:
+        """Plug the radio in."""
+        self._loop = loop
+        self.plug()
+        link = str(self.port.link)
+        return {"actuator": f"radio at {link}", "port": link}
+
+    def close(self) -> Facts:
+        """Pull the radio out."""
+        self.unplug()
+        return {"garbled": self.radio.garbled}
+
+    def switch(self, on: bool) -> None:
+        """Switch every robot on or off."""
+        for robot in self.robots:
+            robot.switch(on)
+
+    def advance(self, until_ns: int) -> None:
+        """Move the robots on."""
+        for robot in self.robots:
+            robot.advance(until_ns)
+
+    def tick(self) -> None:
+        """Send what robots have to answer."""
+        self.radio.poll_answers()
+
+    def plug(self) -> None:
+        """Plug the radio in."""
+        assert self._loop is not None, "open() gives the loop"
+        self.port.plug()
+        self._loop.watch(self.port.fd, self.radio.readable)
+
+    def unplug(self) -> None:
+        """Pull the radio out; idempotent."""
+        if self._loop is not None:
+            self._loop.forget(self.port.fd)
+        self.port.unplug()
+
+    def robot(self, name: str) -> EmulatedRobot:
+        """Return a robot by name."""
+        return next(robot for robot in self.robots if robot.name == name)
+
+
+def _robot(stage: Stage, section: M3piSection, robot: M3piRobot, truth: TrueRobot) -> EmulatedRobot:
+    radius = truth.radius_mm or robot.radius_mm
+    if radius is None:
+        assert stage.setup.wheel_radius is not None, "the spec's check asks for one of the two"
+        radius = stage.setup.wheel_radius * stage.mm
+    fields = {"left": truth.left, "right": truth.right, "swap": truth.swap}
+    given = {name: value for name, value in fields.items() if value is not None}
+    true = robot.model_copy(update=given)
+    boot: Callable[[], Program] = partial(FirmwareProgram, section.index(robot.name))
+    if isinstance(section.protocol, SlaveSection):
+        boot = SlaveProgram
+    battery = Battery(float(truth.battery_mv))
+    wheels = drivetrain(section, true)
+    found = EmulatedRobot(robot.name, boot, wheels, radius, 0, 0, 0, truth.lag, battery)
+    found.now_ns = stage.timeline.now_ns
+    return found
+
+
+def _module(section: M3piSection, settings: M3piSettings) -> ModuleSettings:
+    hardware, firmware = SERIES_2 if settings.firmware == "zigbee" else SERIES_1
+    mode = MODES[settings.mode or section.mode]
+    hardware = hardware if settings.hardware is None else settings.hardware
+    return ModuleSettings(
+        settings.baud or section.baud, mode, hardware, firmware, explicit=settings.explicit
+    )
+
+
+def _address(section: M3piSection, name: str) -> int:
+    """Return a robot's 16-bit radio address; the number in broadcasts plus 1 by default."""
+    address = section.robot(name).address
+    return section.index(name) + 1 if address is None else address

@@ -1,0 +1,214 @@
+"""The emulated Motive: NatNet over UDP, unicast or multicast, frames at camera rate."""
+
+import random
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import TetractlError
+from tetractl.emulate.loop import Timeline
+from tetractl.emulate.optitrack.mangle import mangle
+from tetractl.emulate.optitrack.server import Address, MotiveServer
+from tetractl.emulate.optitrack.streaming import ServerCounts, Streaming, Trouble
+from tetractl.lab.cameras.optitrack.messages import (
+    NEWEST,
+    BodyName,
+    Message,
+    MessageKind,
+    ModelDef,
+    NatNetFrame,
+    RigidBody,
+    Ticks,
+    Version,
+)
+from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
+from tetractl.lab.cameras.optitrack.wire import datagram, pack, parse
+from tetractl.lab.errors import WireError
+
+MODELS_CHANGED, EDIT_MODE = 2, 4
+GROWN = bytes(24)  # what descriptions of bodies are longer by, above 4.3
+DATAGRAMS_A_TURN = 100
+
+
+class Motive:
+    """The server. `expose` returns the bodies at the timeline's present moment.
+
+    Exposures count from 1 and never back. `on_exposed(exposure, frame number)` is called at each,
+    `on_sent(exposure)` after its datagrams have left or, where none are sent, would have.
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        streaming: Streaming,
+        names: list[BodyName],
+        expose: Callable[[], tuple[RigidBody, ...]],
+        on_exposed: Callable[[int, int], None],
+        on_sent: Callable[[int], None],
+        on_client: Callable[[str], None],
+        seed: int,
+    ) -> None:
+        self.streaming = streaming
+        self.trouble = Trouble()
+        self.counts = ServerCounts()
+        self.server = MotiveServer(streaming, names, self.counts, on_client)
+        self._timeline = timeline
+        self._expose = expose
+        self._on_exposed = on_exposed
+        self._on_sent = on_sent
+        self._random = random.Random(seed)
+        self._last: NatNetFrame | None = None
+        self._start_ns = 0
+        self._exposures = 0
+        self.command: socket.socket | None = None
+        self.data: socket.socket | None = None
+
+    @property
+    def now_ns(self) -> int:
+        """The timeline's present moment [ns]."""
+        return self._timeline.now_ns
+
+    @property
+    def command_port(self) -> int:
+        """The port that was really taken."""
+        return self.streaming.command_port if self.command is None else _port(self.command)
+
+    @property
+    def data_port(self) -> int:
+        """The port frames come from or, in multicast, go to."""
+        return self.server.data_port
+
+    def open(self) -> int:
+        """Take the ports and expose the first frame now; return the file to watch."""
+        s = self.streaming
+        multicast = s.transport == "multicast"
+        self.command = _bound(s.address, s.command_port)
+        self.data = _bound(s.frames_from or s.address, 0 if multicast else s.data_port)
+        if multicast:
+            interface = socket.inet_aton(s.address)
+            self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+        if not (multicast and s.data_port):
+            self.server.data_port = _port(self.data)  # in multicast too: nobody else has that one
+        self._start_ns = self._timeline.now_ns
+        self._plan()
+        return self.command.fileno()
+
+    def close(self) -> None:
+        """Release the ports; idempotent."""
+        for opened in (self.command, self.data):
+            if opened is not None:
+                opened.close()
+
+    def readable(self, catch_up: Callable[[], None] = lambda: None) -> None:
+        """Answer what came to the command port, each at the time to which `catch_up` brings it."""
+        assert self.command is not None, "it is open"
+        for _ in range(DATAGRAMS_A_TURN):
+            try:
+                asked, sender = self.command.recvfrom(65_535)
+            except BlockingIOError:
+                return
+            except OSError:  # a client that has gone answers ours by a port-unreachable
+                continue
+            if self.trouble.silent:
+                continue
+            catch_up()  # else an echo could tell a time before it was asked for
+            try:
+                message = parse(asked, self.streaming.version)
+            except WireError:
+                self.counts.refused += 1
+                continue
+            answer = self.server.answer(message, sender, self._timeline.now_ns)
+            if answer is not None:
+                self._send(self.command, _packed(answer, self.server.version(sender)), sender)
+
+    def _plan(self) -> None:
+        due = self._start_ns + round(self._exposures * SECOND / self.streaming.rate_hz)
+        self._exposures += 1
+        self._timeline.at(due, self._take)
+
+    def _take(self) -> None:
+        """Expose one frame; it leaves after the server's latency."""
+        now = self._timeline.now_ns
+        number = self._exposures - self.trouble.counter
+        self._on_exposed(self._exposures, number)
+        s, jitter = self.streaming, self._random
+        delay = s.latency + min(max(jitter.gauss(0, s.jitter), -4 * s.jitter), 4 * s.jitter)
+        if jitter.random() < 1 / 250:
+            delay += jitter.uniform(0, 0.45 / s.rate_hz)
+        leaves = now + round(delay * SECOND)
+        seconds = (now - self._start_ns) / SECOND
+        exposed = now
+        if self.trouble.outdated:
+            self.trouble.outdated -= 1
+            exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
+        ticks = self.server.clock.ticks
+        frame = NatNetFrame(
+            number,
+            self._expose(),
+            params=MODELS_CHANGED * s.models_changed | EDIT_MODE * self.trouble.edit_mode,
+            latency=delay,
+            timestamp_s=seconds,
+            ticks=Ticks(ticks(exposed), ticks(now + round(0.6 * delay * SECOND)), 0),
+            precision=(int(seconds), int(seconds % 1 * 2**32)),
+        )
+        self._timeline.at(leaves, partial(self._transmit, self._exposures, frame))
+        self._plan()
+
+    def _transmit(self, exposure: int, frame: NatNetFrame) -> None:
+        now = self._timeline.now_ns
+        if self.trouble.frozen and self._last is not None:
+            frame = self._last
+        self._last = frame
+        if not (self.trouble.silent or self.trouble.no_frames):
+            self._stream(frame, now)
+        self._on_sent(exposure)
+
+    def _stream(self, frame: NatNetFrame, now: int) -> None:
+        if frame.ticks is not None:
+            frame = replace(
+                frame, ticks=replace(frame.ticks, transmit=self.server.clock.ticks(now))
+            )
+        packed: dict[Version, bytes] = {}
+        for address, version in self.server.receivers(now):
+            if version not in packed:
+                packed[version] = _packed(frame, self.trouble.version or version)
+            message = packed[version]
+            if self.trouble.damaged and self._random.random() < self.trouble.damaged:
+                message = mangle(message, self._random)
+            self._send(self.data, message, address)
+        self.counts.frames += 1
+
+    def _send(self, sender: socket.socket | None, data: bytes, to: Address) -> None:
+        assert sender is not None, "it is open"
+        with suppress(OSError):  # a full buffer or a client that has gone loses a datagram
+            sender.sendto(data, to)
+            self.counts.datagrams += 1
+
+
+def _packed(message: Message, version: Version) -> bytes:
+    """Pack as a server of this version does; of versions above 4.3 only this much is known."""
+    if version > NEWEST and isinstance(message, ModelDef):
+        return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
+    return pack(message, min(version, NEWEST))
+
+
+def _port(of: socket.socket) -> int:
+    return of.getsockname()[1]
+
+
+def _bound(address: str, port: int) -> socket.socket:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.setblocking(False)
+        bound.bind((address, port))
+    except OSError as error:
+        bound.close()
+        raise TetractlError(
+            f"cannot take UDP {address}:{port}: {error.strerror}",
+            hint="is another emulation or Motive running? Choose other ports with --command-port "
+            "and --data-port; 0 takes any",
+        ) from None
+    return bound

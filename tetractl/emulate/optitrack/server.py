@@ -1,0 +1,153 @@
+"""What the emulated Motive answers, and to whom it streams; without sockets."""
+
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from tetractl.core.clock import SECOND
+from tetractl.emulate.optitrack.streaming import Client, ServerCounts, Streaming
+from tetractl.lab.announcement import EMULATED
+from tetractl.lab.cameras.optitrack.messages import (
+    Bare,
+    BodyName,
+    Connect,
+    EchoRequest,
+    EchoResponse,
+    Message,
+    MessageKind,
+    ModelDef,
+    Request,
+    Response,
+    ServerInfo,
+    Version,
+)
+
+CLOCK_HZ = 10_000_000
+CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock has nothing to do with the host's
+Address = tuple[str, int]
+
+
+@dataclass(slots=True)
+class ServerClock:
+    """The server's clock: from `since_ns` of the host's on it runs at `rate`, `ahead_ns` ahead."""
+
+    ahead_ns: int = 0
+    rate: float = 1.0
+    since_ns: int = 0
+
+    def ticks(self, when_ns: int) -> int:
+        """Return what the clock reads at a time of the host's."""
+        gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
+        return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
+
+
+class MotiveServer:
+    """Keeps the clients and answers them; `on_client` is called with each new one's address.
+
+    `data_port` is the port that frames come from or, in multicast, go to.
+    """
+
+    def __init__(
+        self,
+        streaming: Streaming,
+        names: Sequence[BodyName],
+        counts: ServerCounts,
+        on_client: Callable[[str], None],
+    ) -> None:
+        self.streaming = streaming
+        self.clients: dict[Address, Client] = {}
+        self.data_port = streaming.data_port
+        self.clock = ServerClock()
+        self._names = tuple(names)
+        self._counts = counts
+        self._on_client = on_client
+        self._greeted: set[Address] = set()
+
+    def version(self, client: Address) -> Version:
+        """Return the protocol version that a client gets."""
+        known = self.clients.get(client)
+        return known.version if known else self.streaming.version
+
+    def answer(self, message: Message, sender: Address, now_ns: int) -> Message | None:
+        """Return the answer to a message, None where there is none."""
+        if sender in self.clients:
+            self.clients[sender].heard_ns = now_ns
+        match message:
+            case Connect():
+                self._admit(message, sender, now_ns)
+                return self._info()
+            case EchoRequest(client):
+                return EchoResponse(client, self.clock.ticks(now_ns))
+            case Request(text) if text.startswith("Bitstream,"):
+                return self._change_version(text.removeprefix("Bitstream,"), sender)
+            case Request(text):
+                return self._reply(text)
+            case Bare(MessageKind.REQUEST_MODELDEF):
+                self._counts.models_asked += 1
+                return ModelDef(self._names) if self.streaming.answers_models else None
+            case Bare(MessageKind.DISCONNECT):
+                self.clients.pop(sender, None)
+        return None
+
+    def receivers(self, now_ns: int) -> list[tuple[Address, Version]]:
+        """Return where frames go, and in which version; unicast clients time out."""
+        s = self.streaming
+        if s.transport == "multicast":
+            return [((s.group, self.data_port), s.version)]
+        silent = round(s.client_timeout * SECOND)
+        for address, client in list(self.clients.items()):
+            if now_ns - client.heard_ns > silent:
+                del self.clients[address]
+                self._counts.timed_out += 1
+        return [(address, client.version) for address, client in self.clients.items()]
+
+    def _admit(self, message: Connect, sender: Address, now_ns: int) -> None:
+        if sender not in self._greeted:
+            self._greeted.add(sender)
+            self._on_client(f"{sender[0]}:{sender[1]}")
+        if self.streaming.transport == "multicast":
+            return
+        version = self.streaming.version
+        if message.bitstream is not None and self._can_change(asked := message.bitstream[:2]):
+            version = Version(*asked)
+        self.clients[sender] = Client(version, now_ns)
+
+    def _can_change(self, asked: tuple[int, int]) -> bool:
+        """Whether a unicast client can have this version: servers from 4.0 on can be asked."""
+        version = Version(*asked)
+        if self.streaming.keeps_version:
+            return False
+        return (4, 0) <= self.streaming.version >= version and version.known
+
+    def _change_version(self, text: str, sender: Address) -> Message:
+        major, _, minor = text.partition(".")
+        known = self.clients.get(sender)
+        numbers = major.isdecimal() and minor.isdecimal()
+        if known and numbers and self._can_change((int(major), int(minor))):
+            known.version = Version(int(major), int(minor))
+            return Response(struct.pack("<i", 0))
+        return Response(struct.pack("<i", 1))
+
+    def _info(self) -> ServerInfo:
+        a, b, c, d = (int(part) for part in self.streaming.group.split("."))
+        major, minor = self.streaming.version
+        return ServerInfo(
+            f"Motive ({EMULATED})",
+            (3, 0, 0, 0),
+            (major, minor, 0, 0),
+            CLOCK_HZ,
+            self.data_port,
+            self.streaming.transport == "multicast",
+            (a, b, c, d),
+        )
+
+    def _reply(self, text: str) -> Message:
+        match text:
+            case "FrameRate":
+                return Response(struct.pack("<f", self.streaming.rate_hz))
+            case "UnitsToMillimeters":
+                return Response(struct.pack("<f", self.streaming.unit_mm))
+            case "UpAxis" if self.streaming.knows_up_axis:
+                return Response(struct.pack("<i", self.streaming.up))
+            case _:
+                return Bare(MessageKind.UNRECOGNIZED)

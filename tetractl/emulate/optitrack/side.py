@@ -1,0 +1,182 @@
+"""The emulated camera of type `optitrack`: settings, faults, and a Motive that sees bodies."""
+
+from collections.abc import Sequence
+from random import Random
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from tetractl.core.errors import SpecError
+from tetractl.emulate.faults import Fault
+from tetractl.emulate.loop import Loop
+from tetractl.emulate.optitrack.faults import FAULTS
+from tetractl.emulate.optitrack.motive import Motive
+from tetractl.emulate.optitrack.streaming import Streaming
+from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
+from tetractl.emulate.sides import Body, Facts, Stage
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
+from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, Version
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
+
+
+class TrueBody(Model):
+    """How a robot's rigid body truly is, where that differs from the spec."""
+
+    name: Name
+    """Name of a robot of the spec."""
+    heading_offset: Finite | None = None
+    """Heading of the robot less that of its rigid body [rad]."""
+    body: str | None = Field(default=None, min_length=1, max_length=64)
+    """What the body is called in Motive."""
+    streamed: bool = True
+    """Whether the body is in the frames; it is in the list of names in any case."""
+
+
+class OptitrackSettings(Model):
+    """How the cameras differ from what the spec says."""
+
+    version: VersionText = "4.1"
+    """The camera server's protocol version, 2.5 or later. Above 4.3 frames are laid out as in 4.3,
+    and descriptions of rigid bodies are longer."""
+    keeps_version: bool = False
+    """Whether it streams in its own version to clients that ask for another."""
+    frames_from: Ipv4 | None = None
+    """Address that frames come from, as of a second network card; the server's by default."""
+    answers_models: bool = True
+    """Whether it tells the names of its rigid bodies."""
+    models_changed: bool = False
+    """Whether every frame tells that the rigid bodies have changed."""
+    rate: float = Field(default=120.0, ge=1, le=500)
+    """Camera frames a second [Hz]."""
+    latency: float = Field(default=0.0054, ge=0, le=1)
+    """From exposure to transmission [s]."""
+    unit_mm: Positive = 1000.0
+    """The unit of length that it reports [mm]; positions are in metres in any case."""
+    noise_mm: NonNegative = 0.0
+    """Standard deviation of a body's position along each axis of the floor [mm]."""
+    noise_rad: NonNegative = 0.0
+    """Standard deviation of a body's heading [rad]."""
+    up: Literal["y", "z"] | None = None
+    """The cameras' vertical axis; the spec's, or y."""
+    knows_up_axis: bool = True
+    """Whether the server answers `UpAxis`."""
+    robots: tuple[TrueBody, ...] = ()
+    """The robots whose bodies lie otherwise than the spec says."""
+
+
+class EmulatedOptitrack:
+    """Motive and the rigid bodies on the robots."""
+
+    Settings: ClassVar[type[Model]] = OptitrackSettings
+    faults: ClassVar[Sequence[type[Fault]]] = FAULTS
+
+    def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
+        section = stage.lab.camera
+        assert isinstance(section, OptitrackSection), "the table of kinds goes by the type"
+        self.swapped: set[int] = set()
+        hidden = {robot.name for robot in settings.robots if not robot.streamed}
+        self.tracked = _tracked(section, settings, bodies, Random(stage.options.seed))
+        self.hidden = {body.id for body in self.tracked if body.robot.name in hidden}
+        self.view = _view(stage, section, settings)
+        self.motive = Motive(
+            stage.timeline,
+            _streaming(stage, section, settings, self.view.up),
+            [BodyName(body.body_name, body.id) for body in self.tracked],
+            lambda: expose(self.tracked, self.view, self.swapped, self.hidden),
+            stage.exposed,
+            stage.sent,
+            stage.client,
+            stage.options.seed,
+        )
+
+    def open(self, loop: Loop) -> Facts:
+        """Take the UDP ports."""
+        loop.watch(self.motive.open(), lambda: self.motive.readable(loop.catch_up))
+        streaming = self.motive.streaming
+        return {
+            "camera": f"{streaming.address}:{self.motive.command_port} ({streaming.transport})",
+            "address": streaming.address,
+            "command_port": self.motive.command_port,
+            "data_port": self.motive.data_port,
+            "transport": streaming.transport,
+        }
+
+    def close(self) -> Facts:
+        """Release the UDP ports."""
+        self.motive.close()
+        counts = self.motive.counts
+        return {"frames": counts.frames, "refused": counts.refused, "timed_out": counts.timed_out}
+
+    def hide(self, hidden: bool) -> None:
+        """Lose every body, or track all again."""
+        for body in self.tracked:
+            body.tracked = not hidden
+
+    def tracked_body(self, name: str) -> TrackedBody:
+        """Return a robot's rigid body by the robot's name."""
+        return self.tracked[self.place_of(name)]
+
+    def place_of(self, name: str) -> int:
+        """Return a robot's place among the robots."""
+        return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
+
+
+def _tracked(
+    section: OptitrackSection,
+    settings: OptitrackSettings,
+    bodies: Sequence[Body],
+    random: Random,
+) -> list[TrackedBody]:
+    noise = settings.noise_mm, settings.noise_rad
+    truths = {robot.name: robot for robot in settings.robots}
+    taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
+    free = iter(sorted(set(range(1, 1000)) - taken))
+    found: list[TrackedBody] = []
+    for body in bodies:
+        robot = section.robot(body.name)
+        number = robot.body if isinstance(robot.body, int) else next(free)
+        truth = truths.get(body.name, TrueBody(name=body.name))
+        named = truth.body or (robot.body if isinstance(robot.body, str) else robot.name)
+        offset = truth.heading_offset
+        offset = robot.heading_offset if offset is None else offset
+        found.append(TrackedBody(body, number, named, offset, noise, random))
+    return found
+
+
+def _view(stage: Stage, section: OptitrackSection, settings: OptitrackSettings) -> View:
+    """Return how the cameras' coordinates lie; Motive's own default is y up."""
+    up = UpAxis.Z if (settings.up or section.up_axis) == "z" else UpAxis.Y
+    x, y = section.origin
+    return View(up, (x * stage.mm, y * stage.mm), section.rotation)
+
+
+def _streaming(
+    stage: Stage, section: OptitrackSection, settings: OptitrackSettings, up: UpAxis
+) -> Streaming:
+    options = stage.options
+    return Streaming(
+        options.address,
+        section.command_port if options.command_port is None else options.command_port,
+        section.data_port if options.data_port is None else options.data_port,
+        section.transport,
+        section.group,
+        _version(settings.version),
+        settings.rate,
+        settings.latency,
+        up=up,
+        knows_up_axis=settings.knows_up_axis,
+        frames_from=settings.frames_from,
+        keeps_version=settings.keeps_version,
+        answers_models=settings.answers_models,
+        models_changed=settings.models_changed,
+        unit_mm=settings.unit_mm,
+    )
+
+
+def _version(text: str) -> Version:
+    major, minor = text.split(".")
+    version = Version(int(major), int(minor))
+    if version < OLDEST:
+        raise SpecError(f"cannot emulate NatNet {version}", hint=f"take {OLDEST} or a later one")
+    return version

@@ -1,0 +1,175 @@
+"""A script for the emulated lab: how it differs from the spec, which faults happen when, and what
+is expected of whoever drives it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
+
+from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from tetractl.core.errors import SpecError
+from tetractl.emulate.faults import Fault, Mark
+from tetractl.emulate.kinds import ACTUATORS, CAMERAS
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
+from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.explain import words
+from tetractl.experiment.yaml.frozen import frozen
+from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
+
+
+def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
+    """Return the fault that a mapping's `fault` names among those of the script's devices."""
+    if isinstance(value, Fault):
+        return value
+    kinds = _sides(info).faults
+    name = value.get("fault") if isinstance(value, dict) else None
+    if name not in kinds:
+        text = f"fault must be one of {', '.join(kinds)}"
+        raise PydanticCustomError("fault", "{text}", {"text": text})
+    return kinds[name].model_validate(value, strict=True)
+
+
+def _camera_settings(value: Any, info: ValidationInfo) -> Model:
+    return _sides(info).camera.Settings.model_validate(value, strict=True)
+
+
+def _actuator_settings(value: Any, info: ValidationInfo) -> Model:
+    return _sides(info).actuator.Settings.model_validate(value, strict=True)
+
+
+class Placed(Model):
+    """Where a robot truly stands at first, where that is not its start."""
+
+    name: Name
+    """Name of a robot of the spec."""
+    start: Point | None = None
+    """Where it stands [length unit]."""
+    heading: Finite | None = None
+    """How it stands [rad]."""
+
+
+class Emulation(Model):
+    """How the emulated lab differs from what the spec says."""
+
+    camera: Annotated[Model, PlainValidator(_camera_settings)] | None = None
+    """The camera's side; its fields depend on the camera's type."""
+    actuator: Annotated[Model, PlainValidator(_actuator_settings)] | None = None
+    """The actuator's side; its fields depend on the actuator's type."""
+    robots: tuple[Placed, ...] = ()
+    """The robots that do not stand on their starts at first."""
+
+
+class Runner(Model):
+    """What a test does to whoever drives the lab."""
+
+    sets: tuple[str, ...] = Field(default=(), alias="set")
+    """`--set` settings that both sides get."""
+    on_mark: dict[str, Literal["KILL", "STOP", "CONT", "INT", "TERM", "HUP", "QUIT"]] = Field(
+        default={}
+    )
+    """Signals to send it when a `mark` of that name comes."""
+    second: bool = False
+    """A second runner is started on the same port at the mark `second`."""
+    file_limit: int | None = Field(default=None, ge=1)
+    """Greatest size of a file it may write [bytes], as if the disk were full."""
+    trials: int = Field(default=1, ge=1, le=20)
+    """Number of trials."""
+
+
+class Expect(Model):
+    """What is expected, machine-readable: the end-to-end test reads it."""
+
+    outcome: Literal["done", "aborted", "refused", "interrupted", "killed"]
+    """How the run ends; `refused` is before any wheel turns."""
+    exit: int
+    """The runner's exit code; less than 0 for the signal that killed it."""
+    says: str = ""
+    """A regular expression for what the runner says, in its output or its log."""
+    tolerance: NonNegative | None = None
+    """The fault's own tolerance [s]; the stop leaves within 0.1 s more."""
+    robots: tuple[Name, ...] = ()
+    """The robots that have to stop; all by default."""
+    still: Positive | None = None
+    """All robots stand still this long after the fault is first visible [s]."""
+    inside: bool = False
+    """No robot's centre ever leaves the arena."""
+    apart_mm: Positive | None = None
+    """Centres of robots never come nearer than this [mm]."""
+
+
+class Script(Model):
+    """A script, as read from YAML."""
+
+    about: str = Field(min_length=1, max_length=500)
+    """What it is for, one or two sentences."""
+    row: str = Field(default="", max_length=200)
+    """The kind of fault it stands for."""
+    emulation: Emulation = Emulation()
+    """How the emulated lab differs from what the spec says."""
+    faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
+        default=(), max_length=100
+    )
+    """What goes wrong, and when."""
+    runner: Runner = Runner()
+    """What a test does to whoever drives the lab."""
+    expect: Expect | None = None
+    """What a test expects."""
+
+
+NOTHING = Script(about="nothing goes wrong")
+
+
+@dataclass(frozen=True, slots=True)
+class Sides:
+    """The classes that emulate a lab's camera and actuator."""
+
+    camera: Any
+    actuator: Any
+
+    @classmethod
+    def of(cls, camera: str, actuator: str) -> Self:
+        """Return the classes for a lab's types; SpecError where one cannot be emulated."""
+        for registry, name in ((CAMERAS, camera), (ACTUATORS, actuator)):
+            if name not in registry:
+                known = ", ".join(registry.names())
+                raise SpecError(f"{name} cannot be emulated", f"what can: {known}")
+        return cls(CAMERAS.load(camera), ACTUATORS.load(actuator))
+
+    @property
+    def faults(self) -> dict[str, type[Fault]]:
+        """Every fault that the lab can have, by name."""
+        kinds = (*self.camera.faults, *self.actuator.faults, Mark)
+        return {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in kinds}
+
+
+def load_script(path: Path, camera: str = "optitrack", actuator: str = "m3pi-xbee") -> Script:
+    """Read a script for a lab of these types; InvalidSpecError with a line for each problem."""
+    return parse_script(read_text(path), str(path), camera, actuator)
+
+
+def parse_script(
+    text: str, origin: str, camera: str = "optitrack", actuator: str = "m3pi-xbee"
+) -> Script:
+    """Read the text of a script; `origin` is what problems call it."""
+    document = parse_document(text, origin)
+    sides = Sides.of(camera, actuator)
+    try:
+        script = Script.model_validate(frozen(document.data), strict=True, context={"sides": sides})
+    except ValidationError as error:
+        problems = [_problem(details, document) for details in error.errors(include_url=False)]
+        raise InvalidSpecError([*document.found, *problems]) from None
+    if document.found:
+        raise InvalidSpecError(document.found)
+    return script
+
+
+def _sides(info: ValidationInfo) -> Sides:
+    assert info.context is not None, "parse_script gives the sides"
+    return info.context["sides"]
+
+
+def _problem(details: ErrorDetails, document: Document) -> SpecProblem:
+    loc = tuple(details["loc"])
+    place = document.keys.get(loc) if details["type"] == "extra_forbidden" else None
+    return (place or document.place(loc)).problem(loc, words(details, details["input"]))

@@ -1,1 +1,0 @@
-"""Export: logs as tidy tables that other programs read, CSV and Parquet."""

@@ -1,0 +1,1 @@
+"""Results: batches of trials opened, described, compared, and laid out as tables."""

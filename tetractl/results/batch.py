@@ -1,0 +1,195 @@
+"""Opens batches: the results of trials from logs and from the rows of studies, each once."""
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tetractl.core.errors import LogError, UsageError
+from tetractl.log.read.find import ROWS, find_logs, find_rows, is_set_aside
+from tetractl.log.read.reader import read_result
+from tetractl.log.read.rows import row_results
+from tetractl.log.read.trial_log import ResultSummary
+
+OnLog = Callable[[int, int], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Damaged:
+    """A log from which no trial could be read, or rows that lack some, and why."""
+
+    path: str
+    problem: str
+
+    @property
+    def set_aside(self) -> bool:
+        """Whether it is an attempt that was set aside, so that the batch lacks nothing."""
+        return is_set_aside(Path(self.path).name)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Trials that were read together.
+
+    `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete where a
+    complete log of the trial exists, whatever they are called. `damaged` are logs and rows that no
+    trial could be read from, attempts among them. The path of a trial from a study's row is the
+    file and line of the row.
+    """
+
+    trials: tuple[ResultSummary, ...]
+    attempts: tuple[ResultSummary, ...] = ()
+    damaged: tuple[Damaged, ...] = ()
+
+    @classmethod
+    def of(cls, found: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()) -> "Batch":
+        """Return the trials as a batch, separated from earlier attempts at them."""
+        found = list(found)
+        done = {_key(trial) for trial in found if trial.outcome.complete}
+        trials: list[ResultSummary] = []
+        attempts: list[ResultSummary] = []
+        for trial in found:
+            replaced = not trial.outcome.complete and _key(trial) in done
+            aside = replaced or is_set_aside(Path(trial.path).name)
+            (attempts if aside else trials).append(trial)
+        return cls(tuple(trials), tuple(attempts), tuple(damaged))
+
+    @property
+    def logs(self) -> list[Path]:
+        """The logs of the trials that were read from one, not from a row."""
+        return [Path(trial.path) for trial in self.trials if f"{ROWS}:" not in trial.path]
+
+    @property
+    def lost(self) -> tuple[Damaged, ...]:
+        """Logs and rows whose trials the batch lacks."""
+        return tuple(log for log in self.damaged if not log.set_aside)
+
+    @property
+    def lost_attempts(self) -> tuple[Damaged, ...]:
+        """Attempts that cannot be read."""
+        return tuple(log for log in self.damaged if log.set_aside)
+
+    @property
+    def whole(self) -> bool:
+        """Whether no log of a trial is damaged."""
+        return not self.lost and not any(trial.recovered for trial in self.trials)
+
+
+def _key(trial: ResultSummary) -> tuple[int, int]:
+    return trial.seed, trial.trial
+
+
+def counts(trial: ResultSummary) -> bool:
+    """Whether a trial's errors enter the means: it is complete and its errors are known."""
+    errors = (trial.result.total_error, *trial.result.robot_errors)
+    return trial.outcome.complete and all(map(math.isfinite, errors))
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The files of a batch that is called `name`: logs, and files of a study's rows."""
+
+    name: str
+    logs: Sequence[Path]
+    rows: Sequence[Path] = ()
+
+    @classmethod
+    def of(cls, paths: Sequence[Path | str], rows: bool = True) -> "Source":
+        """List the files of logs, folders and patterns, attempts among them.
+
+        Raises UsageError for a path without any.
+        """
+        places = [Path(path) for path in paths]
+        kept = {place: found for place in places if (found := find_rows(place))} if rows else {}
+        logs = find_logs(places, attempts=True, bare=kept)
+        more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+        name = str(paths[0]) if any(c in str(paths[0]) for c in "*?[") else places[0].resolve().name
+        return cls(name + more, logs, [file for found in kept.values() for file in found])
+
+    def by_arm(self, folder: Path) -> "list[Source]":
+        """Return the source of each arm if `folder` is a study's and holds nothing else."""
+        logs: dict[Path, list[Path]] = {rows.parent: [] for rows in self.rows}
+        for log in self.logs:
+            logs.setdefault(log.parent, []).append(log)
+        if not 1 < len(logs) == len(self.rows) or any(arm.parent != folder for arm in logs):
+            return [self]
+        return [Source(rows.parent.name, logs[rows.parent], [rows]) for rows in self.rows]
+
+    def read(self, on_log: OnLog = lambda done, count: None) -> Batch:
+        """Read every result; `on_log` is called with the numbers of logs read and of all."""
+        trials: list[ResultSummary] = []
+        damaged: list[Damaged] = []
+        for done, log in enumerate(self.logs, start=1):
+            try:
+                trials.append(read_result(log))
+            except LogError as error:
+                damaged.append(Damaged(str(log), str(error).removeprefix(f"{log}: ")))
+            on_log(done, len(self.logs))
+        _add_unlogged(self.rows, trials, damaged)
+        return Batch.of(trials, damaged)
+
+
+def open_batch(paths: Sequence[Path | str], rows: bool = True) -> Batch:
+    """Read the results of the logs in files, folders and patterns.
+
+    With `rows`, trials of a study that have no log in their folder are read from its rows. Raises
+    UsageError for a path without a trial.
+    """
+    return Source.of(paths, rows).read()
+
+
+def sources(paths: Sequence[str]) -> list[Source]:
+    """Return the batches that paths name: each of several folders is one, as is each arm of a
+    study whose folder is the only path; any other paths are one batch together."""
+    if len(paths) > 1 and all(Path(path).is_dir() for path in paths):
+        found = [one_source([path]) for path in paths]
+        if len({source.name for source in found}) < len(found):
+            found = [Source(path, s.logs, s.rows) for path, s in zip(paths, found, strict=True)]
+        return found
+    return Source.of(paths).by_arm(Path(paths[0])) if len(paths) == 1 else [one_source(paths)]
+
+
+def one_source(paths: Sequence[str]) -> Source:
+    """Return all paths as one batch; UsageError for the folder of a study with several arms."""
+    source = Source.of(paths)
+    for folder in filter(Path.is_dir, map(Path, paths)):
+        listed = source if len(paths) == 1 else Source.of([folder])
+        if len(listed.by_arm(folder)) > 1:
+            raise UsageError(f"{folder}: is the folder of a study", "name the folders of its arms")
+    return source
+
+
+def _add_unlogged(
+    files: Iterable[Path], trials: list[ResultSummary], damaged: list[Damaged]
+) -> None:
+    """Add the trials of files of rows to those read from logs, each once.
+
+    A log precedes the row of its trial, unless the log has lost its end: then it is damaged, and
+    the row counts. Logs that were set aside are attempts, and no reason to leave the row out.
+    """
+    logs: dict[tuple[Path, int], list[ResultSummary]] = defaultdict(list)
+    for trial in trials:
+        path = Path(trial.path)
+        if not is_set_aside(path.name):
+            logs[path.parent.resolve(), trial.trial].append(trial)
+    for file in {file.resolve(): file for file in files}.values():
+        try:
+            rows = row_results(file)
+        except LogError as error:
+            damaged.append(Damaged(str(file), str(error).removeprefix(f"{file}: ")))
+            continue
+        lost = 0
+        for number, row in rows.items():
+            logged = logs[file.parent.resolve(), number]
+            if row is None:
+                lost += not logged
+            elif all(log.recovered and not log.outcome.complete for log in logged):
+                trials.append(row)
+                for log in logged:
+                    trials.remove(log)
+                    damaged.append(Damaged(log.path, f"its end is lost, and read from {row.path}"))
+        if lost:
+            problem = f"{lost} trials have neither a log nor a result in their row"
+            again = "the study's --rerun-outdated runs them again"
+            damaged.append(Damaged(str(file), f"{problem}; {again}"))

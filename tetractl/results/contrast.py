@@ -1,0 +1,220 @@
+"""Compares the total errors of groups, two by two: of two folders, or of the arms of a study."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+from tetractl.log.read.trial_log import ResultSummary
+from tetractl.results.batch import counts
+from tetractl.results.describe import Group
+from tetractl.results.difference import (
+    Effect,
+    MeanDifference,
+    cliffs_delta,
+    from_both_intervals,
+    paired_t,
+    welch,
+)
+from tetractl.results.effects import (
+    Ratio,
+    detectable,
+    detectable_between,
+    deviation_ratio,
+    standardised,
+)
+from tetractl.results.estimate import CONFIDENCE, Interval
+from tetractl.results.ranks import holm, rank_sum, signed_rank
+from tetractl.results.same_experiment import differences
+
+ENOUGH = 8
+"""Fewest trials on each side, or pairs, for a verdict."""
+SIGNED_RANK, RANK_SUM = "signed rank", "rank sum"
+_NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "scale", "lab"}
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """The total errors of two groups; differences are those of `one` minus those of `other`.
+
+    With `pairs`, the trials in the same world, `difference` and `standardised` are of the pairs and
+    `test` is Wilcoxon's signed-rank test; else `difference` is Welch's, `both` the interval from
+    those of the two means, and `test` the rank-sum test. `why_unpaired` is "" with pairs. `p_holm`
+    and `deviation_p_holm` are corrected for all contrasts that are tested. `detects` is the
+    difference, in standard deviations (of the differences, or of the values), that so many trials
+    show in 80 % of all studies. `verdict` is "lower", "higher" or "undecided", None for the
+    `reason`. Groups of unlike plants, `alike` False, are not tested: their p is NaN.
+    """
+
+    one: Group
+    other: Group
+    alike: bool
+    pairs: int
+    why_unpaired: str
+    difference: MeanDifference
+    both: Interval
+    test: str
+    p_value: float
+    standardised: Effect
+    delta: Effect
+    deviations: Ratio
+    detects: float
+    differs: tuple[str, ...]
+    p_holm: float = math.nan
+    deviation_p_holm: float = math.nan
+    verdict: str | None = None
+    reason: str | None = None
+
+    @property
+    def name(self) -> str:
+        """What is subtracted from what."""
+        return f"{self.one.name} - {self.other.name}"
+
+    @property
+    def counted(self) -> str:
+        """How much is compared: "20 pairs", or "20 and 9" trials."""
+        return (
+            f"{self.pairs} pairs" if self.pairs else f"{self.one.counted} and {self.other.counted}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class GroupComparison:
+    """Groups, and the contrasts of every two of them or of each with a baseline."""
+
+    groups: tuple[Group, ...]
+    contrasts: tuple[Contrast, ...] = ()
+
+    @property
+    def unit(self) -> str:
+        """The length unit of every error."""
+        return self.groups[0].unit
+
+    @property
+    def whole(self) -> bool:
+        """Whether no log is damaged."""
+        return all(group.batch.whole for group in self.groups)
+
+
+def contrast(groups: Sequence[Group], baseline: Group | None = None) -> GroupComparison:
+    """Compare every two groups or, with a baseline, each group with that; one group with none.
+
+    Raises UsageError where they do not share the unit of length.
+    """
+    every = (*groups, baseline) if baseline else tuple(groups)
+    first = every[0]
+    for group in every:
+        if group.unit != first.unit:
+            units = f"{group.name} has errors in {group.unit}, {first.name} in {first.unit}"
+            raise UsageError(units, "compare those of one unit")
+    two = [(group, baseline) for group in groups] if baseline else list(combinations(groups, 2))
+    tests = sum(one.origin is other.origin for one, other in two)
+    found = [_contrast(one, other, max(tests, 1)) for one, other in two]
+    return GroupComparison(every, tuple(_corrected(found)))
+
+
+def _contrast(one: Group, other: Group, tests: int) -> Contrast:
+    """Compare two groups; p-values are not corrected yet, and there is no verdict."""
+    a, b = one.total, other.total
+    alike = one.origin is other.origin
+    paired, why = paired_differences(one, other)
+    if len(paired):
+        difference, test, p_value = paired_t(paired), SIGNED_RANK, signed_rank(paired)
+        detects = detectable(len(paired), tests)
+    else:
+        difference = welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
+        test, p_value = RANK_SUM, rank_sum(one.totals, other.totals)
+        detects = detectable_between(a.n, b.n, tests)
+    deviations = deviation_ratio(one.totals, other.totals)
+    if not alike:
+        p_value = detects = math.nan
+        difference = replace(difference, p_value=math.nan)
+        deviations = replace(deviations, p_value=math.nan)
+    return Contrast(
+        one=one,
+        other=other,
+        alike=alike,
+        pairs=len(paired),
+        why_unpaired=why,
+        difference=difference,
+        both=from_both_intervals(a, b),
+        test=test,
+        p_value=p_value,
+        standardised=standardised(paired),
+        delta=cliffs_delta(one.totals, other.totals),
+        deviations=deviations,
+        detects=detects,
+        differs=tuple(differences(one.experiment, other.experiment)),
+    )
+
+
+def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
+    """Return one minus other of trials of the same seed and number, where their worlds match.
+
+    Where there are no pairs the text says why; it is "" where there are. The world of a trial is
+    all of the spec but the controller; from it and the seed a simulation draws its disturbances.
+    """
+    if not (one.origin.simulated and other.origin.simulated):
+        return np.zeros(0), "no two trials in a lab are alike"
+    ours, theirs = (
+        group.experiment.model_dump(mode="json", exclude=_NOT_THE_WORLD) for group in (one, other)
+    )
+    if ours != theirs:
+        return np.zeros(0), "the batches differ in more than the controller"
+    others = _by_world(other.batch.trials)
+    pairs = [
+        error - others[world]
+        for world, error in _by_world(one.batch.trials).items()
+        if world in others
+    ]
+    if not pairs:
+        return np.zeros(0), "the batches have no seed and trial in common"
+    return np.array(pairs), ""
+
+
+def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
+    """Return the total errors of the trials that count by seed and number."""
+    return {
+        (trial.seed, trial.trial): trial.result.total_error for trial in trials if counts(trial)
+    }
+
+
+def _corrected(found: Sequence[Contrast]) -> list[Contrast]:
+    """Correct the p-values for their number, and give the verdicts."""
+    p_values = holm([one.p_value for one in found])
+    deviations = holm([one.deviations.p_value for one in found])
+    corrected = []
+    for one, p_holm, deviation in zip(found, p_values, deviations, strict=True):
+        verdict, reason = _verdict(one, p_holm)
+        corrected.append(
+            replace(one, p_holm=p_holm, deviation_p_holm=deviation, verdict=verdict, reason=reason)
+        )
+    return corrected
+
+
+def _verdict(found: Contrast, p_holm: float) -> tuple[str | None, str | None]:
+    """Return the verdict, or None and the reason.
+
+    "lower" or "higher" needs ENOUGH pairs (or trials on each side), every interval of the
+    difference on that side of 0, and a corrected p below 0.05.
+    """
+    if not found.alike:
+        return None, "plants are not alike"
+    n = found.pairs or min(found.one.counted, found.other.counted)
+    if n < ENOUGH:
+        what = "pairs" if found.pairs else "complete trials on each side"
+        return None, f"a verdict needs {ENOUGH} {what}"
+    intervals = [found.difference.ci95] if found.pairs else [found.difference.ci95, found.both]
+    for interval in intervals:
+        if not interval.known:
+            return None, f"no interval: {interval.reason}"
+    if p_holm < 1 - CONFIDENCE:
+        if all(interval.high < 0 for interval in intervals):
+            return "lower", None
+        if all(interval.low > 0 for interval in intervals):
+            return "higher", None
+    return "undecided", None

@@ -1,0 +1,139 @@
+"""Describes a batch of trials: its errors with intervals, how the trials ended, what is known."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.experiment.experiment import Experiment, Reference, Scale
+from tetractl.log.read.origin import Origin
+from tetractl.results.batch import Batch, counts
+from tetractl.results.difference import MeanDifference, welch
+from tetractl.results.estimate import Distribution, Interval, distributions
+from tetractl.results.kinds import statistics
+from tetractl.results.same_experiment import experiment_of
+from tetractl.results.statistic import Value
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """The published result, and the difference from it by Welch's t (measured minus published).
+
+    `difference` is None where the two are not comparable, such as an undisturbed simulation and
+    real robots.
+    """
+
+    reference: Reference
+    difference: MeanDifference | None
+
+
+@dataclass(frozen=True, slots=True)
+class Scaled:
+    """The mean error of one robot scaled to another kind of robot by the ratio of speeds.
+
+    error = (total error / N) (scale.speed / mean speed of the N robots), in `scale.unit`; lengths
+    are the same in body lengths. NaN where no robot moves. `published` scales the reference.
+    """
+
+    scale: Scale
+    error: float
+    ci95: Interval
+    published: float
+
+    def body_lengths(self, error: float) -> float:
+        """Convert an error in `scale.unit` to body lengths."""
+        return error / self.scale.body_length
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """A batch of trials of N robots, described under a name; lengths in `unit`.
+
+    `total` and `robots` describe the errors of the n trials that count: the complete ones, whose
+    outcome the controller decided. `statistics` are the values of `results.kinds`, over all trials.
+    `published` and `scaled` are None where the spec asks for none; `scaled` too for a simulation
+    without disturbances and an emulated lab.
+    """
+
+    name: str
+    batch: Batch
+    experiment: Experiment
+    origin: Origin
+    totals: Floats  # (n,) total errors
+    errors: Floats  # (n, N) errors of each robot
+    total: Distribution
+    robots: tuple[Distribution, ...]
+    statistics: tuple[Value, ...]
+    published: Published | None
+    scaled: Scaled | None
+
+    @property
+    def unit(self) -> str:
+        """The length unit of every error."""
+        return self.experiment.units.length
+
+    @property
+    def counted(self) -> int:
+        """Number of trials behind the means."""
+        return self.total.n
+
+    @property
+    def n_attempts(self) -> int:
+        """Number of earlier attempts, readable or not."""
+        return len(self.batch.attempts) + len(self.batch.lost_attempts)
+
+    @property
+    def items(self) -> dict[str, Any]:
+        """The statistics by their keys in JSON, such as `arrived` and `solve_ms`."""
+        return {key: item for value in self.statistics for key, item in value.items.items()}
+
+
+def describe(batch: Batch, name: str = "") -> Group:
+    """Describe the trials of one experiment.
+
+    Raises UsageError where they belong to several, or where a simulated trial occurs twice.
+    """
+    experiment = experiment_of(batch)
+    origin = batch.trials[0].origin
+    counted = [trial.result for trial in batch.trials if counts(trial)]
+    totals = np.array([result.total_error for result in counted], dtype=float)
+    errors = np.array([result.robot_errors for result in counted], dtype=float)
+    errors = errors.reshape(len(counted), len(experiment.robots))
+    total, *each = distributions(np.vstack([totals, errors.T]))
+    return Group(
+        name=name or experiment.name,
+        batch=batch,
+        experiment=experiment,
+        origin=origin,
+        totals=totals,
+        errors=errors,
+        total=total,
+        robots=tuple(each),
+        statistics=tuple(statistic.of_batch(batch.trials) for statistic in statistics()),
+        published=_published(experiment, total, origin),
+        scaled=_scaled(experiment, total) if origin.comparable else None,
+    )
+
+
+def _published(experiment: Experiment, total: Distribution, origin: Origin) -> Published | None:
+    if (reference := experiment.reference) is None:
+        return None
+    if not origin.comparable:
+        return Published(reference, None)
+    known = reference.n, reference.mean, reference.std
+    return Published(reference, welch(total.n, total.mean, total.std, *known))
+
+
+def _scaled(experiment: Experiment, total: Distribution) -> Scaled | None:
+    if (scale := experiment.scale) is None:
+        return None
+    speeds = sum(robot.speed for robot in experiment.robots)
+    # (total / N) (scale.speed / mean speed): the number of robots cancels
+    factor = scale.speed / speeds if speeds > 0 else math.nan
+    interval = total.ci95
+    if interval.known:
+        interval = Interval(interval.low * factor, interval.high * factor, interval.method)
+    published = experiment.reference.mean * factor if experiment.reference else math.nan
+    return Scaled(scale, total.mean * factor, interval, published)

@@ -1,0 +1,179 @@
+"""Estimates with intervals: a mean and a share. Differences are in `difference`.
+
+All are closed formulas: the same values always give the same interval, and none is resampled. An
+estimate that needs more data than there is, is NaN with a reason.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from scipy import special
+
+from tetractl.core.poses import Floats
+from tetractl.core.table.numbers import NONE
+
+CONFIDENCE = 0.95
+
+_FEWEST = 3  # values for an interval of a mean: two have no skewness
+_NAN = math.nan
+Z = float(special.ndtri((1 + CONFIDENCE) / 2))
+"""Of the normal distribution: |z| lies below it with the confidence of the intervals."""
+
+
+def finite(value: float) -> float | None:
+    """Return a number for JSON, None where it is not finite."""
+    return value if math.isfinite(value) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A 95 % interval; where there is none, `low` and `high` are NaN and `reason` is the cause."""
+
+    low: float
+    high: float
+    method: str | None = None
+    reason: str | None = None
+
+    @classmethod
+    def none(cls, reason: str) -> Self:
+        """Return the absence of an interval, with its cause."""
+        return cls(_NAN, _NAN, None, reason)
+
+    @property
+    def known(self) -> bool:
+        """Whether there is an interval."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+    def text(self, show: Callable[[float], str]) -> str:
+        """Return both ends by a format, or the reason why there is none."""
+        if self.known:
+            return f"{show(self.low)} to {show(self.high)}"
+        return f"none: {self.reason}" if self.reason else NONE
+
+    @property
+    def ends(self) -> list[float] | None:
+        """Both ends for JSON, None where there is no interval."""
+        return [self.low, self.high] if self.known else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the items of JSON that describe the interval."""
+        return {"ci95": self.ends, "ci95_method": self.method, "ci95_reason": self.reason}
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """n values described: mean, standard deviation (n - 1), median, range, interval of the mean.
+
+    For n = 0 everything is NaN, for n = 1 the deviation.
+    """
+
+    n: int
+    mean: float
+    std: float
+    median: float
+    min: float
+    max: float
+    ci95: Interval
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the items of JSON that describe the values; what is not known is None."""
+        return {
+            "n": self.n,
+            "mean": finite(self.mean),
+            "std": finite(self.std),
+            "median": finite(self.median),
+            "min": finite(self.min),
+            "max": finite(self.max),
+            **self.ci95.as_dict(),
+        }
+
+
+def distributions(rows: Floats) -> list[Distribution]:
+    """Describe each row of an array of shape (R, n)."""
+    count, n = rows.shape
+    if n == 0:
+        nothing = Distribution(0, _NAN, _NAN, _NAN, _NAN, _NAN, Interval.none("no values"))
+        return [nothing] * count
+    rows = np.sort(rows, axis=1)  # makes every number independent of the order of the trials
+    low, high = rows[:, 0], rows[:, -1]
+    mean = np.clip(rows.mean(axis=1), low, high)
+    std = np.where(high > low, rows.std(axis=1, ddof=1), 0.0) if n > 1 else np.full(count, _NAN)
+    median = np.median(rows, axis=1)
+    intervals = map(_mean_interval, rows, mean, std)
+    figures = np.column_stack([mean, std, median, low, high]).tolist()
+    return [
+        Distribution(n, *row, ci95=interval)
+        for row, interval in zip(figures, intervals, strict=True)
+    ]
+
+
+def published_distribution(n: int, mean: float, std: float) -> Distribution:
+    """Describe a published result of which only n, mean and deviation are known; the interval is
+    Student's on a logarithmic scale."""
+    if mean <= 0 or std <= 0:
+        return Distribution(n, mean, std, _NAN, _NAN, _NAN, Interval.none("nothing varies"))
+    low, high = _log_t(n, mean, std)
+    return Distribution(n, mean, std, _NAN, _NAN, _NAN, Interval(low, high, "log-t"))
+
+
+def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
+    """Return the bound below which |t| lies with a confidence, t being Student's."""
+    return float(special.stdtrit(degrees, (1 + confidence) / 2))
+
+
+def _mean_interval(values: Floats, mean: float, std: float) -> Interval:
+    """Return the interval of the mean of sorted values (n,).
+
+    Of values that are never negative, such as distances, both ends are positive: Student's on a
+    logarithmic scale, its upper end moved out for skewness. Of others it is Student's.
+    """
+    n = len(values)
+    if n == 1:
+        return Interval.none("one value has no spread")
+    if not std > 0:
+        return Interval.none(f"all {n} values are equal")
+    if n < _FEWEST:
+        return Interval.none(f"an interval needs {_FEWEST} values")
+    if values[0] < 0:
+        half = t_quantile(n - 1) * std / math.sqrt(n)
+        return Interval(float(mean - half), float(mean + half), "t")
+    low, high = _log_t(n, mean, std)
+    return Interval(low, max(high, _skewed_end(values, mean, std)), "log-t")
+
+
+def _log_t(n: int, mean: float, std: float) -> tuple[float, float]:
+    """Return m exp(-+ t(0.975, n - 1) s / (sqrt(n) m)): the error of log m is s / (sqrt(n) m)."""
+    half = t_quantile(n - 1) * std / (math.sqrt(n) * mean)
+    return float(mean * math.exp(-half)), float(mean * math.exp(half))
+
+
+def _skewed_end(values: Floats, mean: float, std: float) -> float:
+    """Return the upper end of Hall's interval of a mean (J. R. Statist. Soc. B 54, 1992).
+
+    With the skewness G of the sample and g = G / sqrt(n), f(T) = T + g T^2 / 3 + g^2 T^3 / 27 +
+    g / 6 takes the skewness out of Student's T; the end is m - f^-1(-t(0.975, n - 1)) s / sqrt(n).
+    """
+    n = len(values)
+    off = (values - mean) / std  # scaled first: cubes of small lengths would vanish
+    moment = float(np.mean(off**3) / np.mean(off**2) ** 1.5)
+    g = math.sqrt(n - 1) / (n - 2) * moment
+    t = -t_quantile(n - 1)
+    if abs(g) > 1e-6:
+        t = 3 / g * float(np.cbrt(1 + g * (t - g / 6)) - 1)
+    return float(mean - t * std / math.sqrt(n))
+
+
+def proportion_interval(successes: int, n: int) -> Interval:
+    """Wilson's interval of a proportion p: (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) /
+    (1 + z^2 / n)."""
+    if n == 0:
+        return Interval.none("no trials")
+    p, z2 = successes / n, Z**2
+    middle, scale = p + z2 / (2 * n), 1 + z2 / n
+    half = Z * math.sqrt(p * (1 - p) / n + z2 / (4 * n**2))
+    low = (middle - half) / scale if successes > 0 else 0.0
+    high = (middle + half) / scale if successes < n else 1.0
+    return Interval(low, high, "Wilson")

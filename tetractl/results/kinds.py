@@ -1,0 +1,28 @@
+"""The statistics by name, in the order of the tables. A new one is one file and one line here."""
+
+from tetractl.core.registry import Registry
+from tetractl.results.statistic import Statistic
+
+STATISTICS = Registry(
+    "tetractl.statistics",
+    "statistic",
+    {
+        "outcomes": "tetractl.results.outcomes:OUTCOMES",
+        "arrived": "tetractl.results.outcomes:ARRIVED",
+        "obstacle_violations": "tetractl.results.outcomes:OBSTACLE_VIOLATIONS",
+        "left_arena": "tetractl.results.safety:LEFT_ARENA",
+        "clearance": "tetractl.results.safety:CLEARANCE",
+        "edge": "tetractl.results.safety:EDGE",
+        "apart": "tetractl.results.safety:APART",
+        "aborted": "tetractl.results.outcomes:ABORTED",
+        "interrupted": "tetractl.results.outcomes:INTERRUPTED",
+        "recovered": "tetractl.results.outcomes:RECOVERED",
+        "solve_ms": "tetractl.results.timing:SOLVE_MS",
+        "deadline_misses": "tetractl.results.timing:DEADLINE_MISSES",
+    },
+)
+
+
+def statistics() -> list[Statistic]:
+    """Return every statistic that can be used, the built-in ones first."""
+    return list(STATISTICS.usable().values())

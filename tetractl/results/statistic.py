@@ -1,0 +1,86 @@
+"""A statistic of a batch: in every table, in JSON, and as columns of each trial in CSV."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.table.numbers import lengths
+from tetractl.core.trial import Result
+from tetractl.log.read.trial_log import ResultSummary
+from tetractl.results.batch import counts
+from tetractl.results.estimate import Interval, distributions, proportion_interval
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """The value of a statistic: `items` of JSON by key, and `rows` (label, text) of a table."""
+
+    items: dict[str, Any]
+    rows: tuple[tuple[str, str], ...]
+
+
+def _nothing(trial: ResultSummary) -> dict[str, Any]:
+    return {}
+
+
+@dataclass(frozen=True, slots=True)
+class Statistic:
+    """`of_batch` returns the value of a batch of trials, all of one experiment and at least one;
+    `of_trial` the columns of one trial in CSV, which are its items in JSON too."""
+
+    of_batch: Callable[[Sequence[ResultSummary]], Value]
+    of_trial: Callable[[ResultSummary], dict[str, Any]] = _nothing
+
+
+def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
+    """Return the statistic of a number of each trial: mean and 95 % interval of those that count.
+
+    A trial for which it is not finite is left out of the mean; its column is empty.
+    """
+
+    def of_batch(trials: Sequence[ResultSummary]) -> Value:
+        values = [of(trial.result) for trial in trials if counts(trial)]
+        (found,) = distributions(np.array([[value for value in values if math.isfinite(value)]]))
+        show = lengths(found.mean)
+        text = f"{show(found.mean)} (95 % interval {found.ci95.text(show)})"
+        return Value({key: found.as_dict()}, ((f"{label}, mean", text),))
+
+    def of_trial(trial: ResultSummary) -> dict[str, Any]:
+        value = of(trial.result)
+        return {key: value if math.isfinite(value) else None}
+
+    return Statistic(of_batch, of_trial)
+
+
+def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
+    """Return the number of trials for which something holds, as a statistic."""
+
+    def of_batch(trials: Sequence[ResultSummary]) -> Value:
+        found = sum(map(holds, trials))
+        return Value({key: found}, ((label, str(found)),))
+
+    return Statistic(of_batch)
+
+
+def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
+    """Return the number of trials for which something holds, with the 95 % interval of its share
+    (Wilson), as a statistic."""
+
+    def of_batch(trials: Sequence[ResultSummary]) -> Value:
+        found = sum(map(holds, trials))
+        interval = proportion_interval(found, len(trials))
+        text = f"{found} of {len(trials)}{_percent(interval)}"
+        return Value(
+            {key: found, f"{key}_ci95": interval.ends}, ((f"{label}, 95 % interval", text),)
+        )
+
+    return Statistic(of_batch)
+
+
+def _percent(interval: Interval) -> str:
+    if not interval.known:
+        return ""
+    return f" ({100 * interval.low:.0f} to {100 * interval.high:.0f} %)"

@@ -1,0 +1,246 @@
+"""Lays groups and their contrasts out as tables for readers."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from tetractl.core.table.numbers import NONE, digits, fixed, lengths, p_value
+from tetractl.core.table.table import Column, Table
+from tetractl.experiment.experiment import Experiment
+from tetractl.log.read.origin import Origin
+from tetractl.results.contrast import Contrast, GroupComparison
+from tetractl.results.describe import Group
+from tetractl.results.estimate import Distribution, Interval
+from tetractl.results.flagged import flagged
+from tetractl.results.same_experiment import listing
+
+_SHOWN = 20  # flagged trials, before a table gets too long to read
+_FAR = 100.0  # times the least mean, from which on an error has six digits of its own
+_ABREAST = 3  # groups in one table of figures
+
+Show = Callable[[float], str]
+
+
+def tables(found: GroupComparison) -> list[Table]:
+    """Return every table: errors, how the trials ended, comparisons, flagged trials."""
+    groups = found.groups
+    names = [group.name for group in groups] if len(groups) > 1 else ["value"]
+    parts = [slice(i, i + _ABREAST) for i in range(0, len(groups), _ABREAST)]
+    trials = [_trials(groups[part], names[part]) for part in parts]
+    every = [_errors(groups), *trials, *_contrasts(found.contrasts), _flagged(groups)]
+    return [table for table in every if len(table)]
+
+
+def error_table(
+    title: str,
+    named: Sequence[tuple[str, Distribution]],
+    unit: str,
+    scale: float | None = None,
+    finest: int = 9,
+) -> Table:
+    """Return one row per named distribution of errors, with three digits of the least mean, or of
+    `scale`, but no more than `finest` decimals."""
+    means = [values.mean for _, values in named if values.mean > 0]
+    least = min(means, default=0.0) if scale is None else scale
+    decimals = lengths(least, finest)
+
+    def show(value: float) -> str:  # a result many times as large keeps its own digits
+        return f"{value:g}" if value > _FAR * least > 0 else decimals(value)
+
+    def column(name: str, of: Callable[[Distribution], float]) -> Column:
+        return Column(name, [of(values) for _, values in named], format=show)
+
+    def interval(ends: Interval) -> str:
+        return ends.text(show)
+
+    return Table(
+        title,
+        (
+            Column("error", [name for name, _ in named], unit),
+            Column("n", [values.n for _, values in named]),
+            column("mean", lambda values: values.mean),
+            column("std", lambda values: values.std),
+            column("median", lambda values: values.median),
+            column("min", lambda values: values.min),
+            column("max", lambda values: values.max),
+            Column("95 % interval", [values.ci95 for _, values in named], format=interval),
+        ),
+    )
+
+
+def _errors(groups: Sequence[Group]) -> Table:
+    first = groups[0]
+    if len(groups) == 1:
+        named = [("total", first.total)]
+        complete = f"{first.counted} of {len(first.batch.trials)} trials complete"
+        what = f"{first.experiment.name}, {first.origin}"
+        title = f"{what}: final error [{first.unit}], {complete}"
+        robots = [robot.name for robot in first.experiment.robots]
+        each = list(zip(robots, first.robots, strict=True))
+    else:
+        named = [(group.name, group.total) for group in groups]
+        plants = ", ".join(dict.fromkeys(str(group.origin) for group in groups))
+        title = f"Final total errors of {len(groups)} groups, {plants}"
+        if len(groups) == 2:
+            title = f"{groups[0].name} against {groups[1].name}: final total error, {plants}"
+        each = []
+    for group in groups:
+        if group.published and all(name != "published" for name, _ in named):
+            known = group.published.reference
+            ends = Interval.none("")
+            nan = math.nan
+            row = Distribution(known.n, known.mean, known.std, nan, nan, nan, ends)
+            named.append(("published", row))
+    scale = min((group.total.mean for group in groups if group.counted), default=math.nan)
+    return error_table(title, [*named, *each], first.unit, scale, finest(first.experiment))
+
+
+def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:
+    """Return how the trials of a few groups ended: a row per figure, a named column per group."""
+    columns = [dict(_figures(group)) for group in groups]
+    labels = list(dict.fromkeys(label for column in columns for label in column))
+    return Table(
+        "Trials",
+        (
+            Column("figure", labels),
+            *(
+                Column(name, [column.get(label) for label in labels], words=True)
+                for name, column in zip(names, columns, strict=True)
+            ),
+        ),
+    )
+
+
+def _figures(group: Group) -> list[tuple[str, str]]:
+    """Return the figures of one group, each with its label."""
+    rows = [("plant", str(group.origin))]
+    if group.origin is Origin.DISTURBED:
+        rows.append(("  its disturbances", "assumed in the spec, not measured"))
+    complete = f"{group.counted} of {len(group.batch.trials)}"
+    rows.append(("complete, with known errors", complete))
+    if group.published:
+        found = group.published.difference
+        if found is None:
+            text = f"{NONE} (not real robots)"
+            rows.append((f"difference from published [{group.unit}]", text))
+        else:
+            show = lengths(found.value)
+            rows += [
+                (f"difference from published [{group.unit}]", show(found.value)),
+                (f"  its 95 % interval [{group.unit}]", found.ci95.text(show)),
+                ("  p (Welch)", p_value(found.p_value)),
+            ]
+    if scaled := group.scaled:
+        show, unit = lengths(scaled.error), scaled.scale.unit
+        label = f"robot error scaled to {scaled.scale.name} [{unit}]"
+        rows += [
+            (label, show(scaled.error)),
+            (f"  95 % interval of that [{unit}]", scaled.ci95.text(show)),
+            ("  in body lengths", digits(scaled.body_lengths(scaled.error))),
+        ]
+        if math.isfinite(scaled.published):
+            in_bodies = digits(scaled.body_lengths(scaled.published))
+            text = f"{lengths(scaled.published)(scaled.published)} ({in_bodies} body lengths)"
+            rows.append((f"  published error scaled [{unit}]", text))
+    return [
+        *rows,
+        *(row for value in group.statistics for row in value.rows),
+        ("earlier attempts, not counted", str(group.n_attempts)),
+        ("logs that could not be read", str(len(group.batch.lost))),
+    ]
+
+
+def _contrasts(found: Sequence[Contrast]) -> list[Table]:
+    """Return the differences of the means, how large they are, and what the tests rest on."""
+    if not found:
+        return []
+    first = found[0].one
+    sizes = [abs(one.difference.value) for one in found]
+    show = lengths(max(filter(math.isfinite, sizes), default=0.0), finest(first.experiment))
+    two = fixed(2)
+    names = Column("one - other", [one.name for one in found])
+    verdicts = [one.verdict or f"none: {one.reason}" for one in found]
+    compared = "Comparison of the mean total errors"
+    if any(one.test for one in found) and len(found) > 1:
+        compared += f", p corrected for {len(found)} tests"
+    differences = Table(
+        compared,
+        (
+            names,
+            Column("trials", [one.counted for one in found], words=True),
+            Column("difference", [one.difference.value for one in found], first.unit, show),
+            Column("95 % interval", [one.difference.ci95.text(show) for one in found]),
+            Column("p (Holm)", [one.p_holm for one in found], format=p_value),
+            Column("verdict on the mean error", verdicts, words=True),
+        ),
+    )
+    effects = Table.of_texts(
+        "Size of the differences, with 95 % intervals",
+        (names.name, "in sd of pairs", "Cliff's delta", "sd ratio", "p of sd (Holm)"),
+        [
+            (
+                one.name,
+                _with_ends(one.standardised.value, one.standardised.ci95, two),
+                _with_ends(one.delta.value, one.delta.ci95, two),
+                _with_ends(one.deviations.value, one.deviations.ci95, two),
+                p_value(one.deviation_p_holm),
+            )
+            for one in found
+        ],
+    )
+    basis = Table.of_texts(
+        "What the comparisons rest on",
+        (names.name, "test", "what n can show", "why not paired", "differs in"),
+        [
+            (
+                one.name,
+                one.test if one.alike else NONE,
+                detects(one),
+                one.why_unpaired,
+                listing(one.differs) or "nothing",
+            )
+            for one in found
+        ],
+    )
+    return [differences, effects, basis]
+
+
+def _with_ends(value: float, ends: Interval, show: Show) -> str:
+    return f"{show(value)} ({ends.text(show)})" if math.isfinite(value) else NONE
+
+
+def detects(one: Contrast) -> str:
+    """Return what so many trials can show, such as "20 pairs detect 0.66 sd at 80 %"."""
+    what = one.counted if one.pairs else f"{one.counted} trials"
+    return f"{what} detect {fixed(2)(one.detects)} sd at 80 %" if one.detects > 0 else NONE
+
+
+def _flagged(groups: Sequence[Group]) -> Table:
+    found = [trial for group in groups for trial in flagged(group.batch)]
+    rows = [(trial.path, trial.outcome, ", ".join(trial.notes)) for trial in found[:_SHOWN]]
+    if len(found) > _SHOWN:
+        rows.append((f"{len(found) - _SHOWN} more", NONE, "--format json names all"))
+    return Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
+
+
+def finest(experiment: Experiment) -> int:
+    """Return the decimals of about a millionth of the arena, below which an error means nothing."""
+    extent = max(experiment.arena.width, experiment.arena.height)
+    return min(max(6 - math.floor(math.log10(extent)), 0), 9)
+
+
+def page_trials(group: Group, numbers: Mapping[str, int]) -> Table:
+    """Return the table of a page: the number of each trial there, its errors and how it ended."""
+    trials = group.batch.trials
+    show = lengths(group.total.mean)
+    return Table(
+        "",
+        (
+            Column("trial", [numbers.get(trial.path) for trial in trials]),
+            Column("log", [trial.path.rpartition("/")[2] for trial in trials]),
+            Column("total error", [t.result.total_error for t in trials], group.unit, show),
+            Column("duration", [t.result.duration_s for t in trials], "s", fixed(2)),
+            Column("steps", [trial.result.steps for trial in trials]),
+            Column("entered", [("no", "yes")[t.result.entered_obstacle] for t in trials]),
+            Column("outcome", [trial.outcome.value for trial in trials]),
+        ),
+    )

@@ -1,0 +1,158 @@
+"""The tables of a trial: one row per control step, pose, estimate and event, and one of the trial.
+
+Every column has its unit: s, ms, rad, rad/s, the length unit of the experiment such as mm, mm/s.
+Times count from the first direction sent. `log` and `trial` are in every table, so that tables can
+be joined.
+"""
+
+from collections.abc import Callable, Container, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.table.table import Column, Table
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.trial_log import ResultSummary, TrialLog
+from tetractl.results.batch import Batch
+from tetractl.results.items import trials_table
+
+_WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
+
+
+def steps(log: TrialLog) -> Table:
+    """Return one row per control step k: the direction sent, its plan and its searches.
+
+    `left_NAME` and `right_NAME` are the wheel speeds of (24)-(25), `delivered_NAME` is False where
+    the plant knows that a command did not arrive.
+    """
+    setup, found = log.start.setup, log.steps
+    columns: dict[str, Any] = {
+        "k": [step.k for step in found],
+        "time_s": [log.elapsed_s(step.command.sent_ns) for step in found],
+        "observed_s": [log.elapsed_s(step.observation.sampled_ns) for step in found],
+        "direction_rad": [step.command.direction for step in found],
+        "cost": [step.plan.cost for step in found],
+        "target_cost": [step.plan.target_cost for step in found],
+        "obstacle_cost": [step.plan.obstacle_cost for step in found],
+        "signals": [len(step.plan.signals) for step in found],
+        "searches": [len(step.plan.searches) for step in found],
+        "iterations": [len(step.plan.search.history) - 1 for step in found],
+        "evaluations": [step.plan.evaluations for step in found],
+        "stopped": [str(step.plan.search.stopped) for step in found],
+        "solve_ms": [step.solve_ns / 1e6 for step in found],
+        "deadline_missed": [step.deadline_missed for step in found],
+    }
+    for i, name in enumerate(setup.names):
+        columns[f"delivered_{name}"] = [step.command.delivered[i] for step in found]
+    if setup.wheel_radius is not None:
+        for i, name in enumerate(setup.names):
+            for side in ("left", "right"):
+                speeds = [getattr(step.command, side) for step in found]
+                columns[f"{side}_{name}_{setup.unit}_s"] = [
+                    None if one is None else float(one[i]) for one in speeds
+                ]
+    return _table("steps", columns)
+
+
+def poses(log: TrialLog) -> Table:
+    """Return one row per camera frame and robot: the measured pose, and a simulation's true one.
+
+    `valid` is False where the robot was not tracked.
+    """
+    setup, frames = log.start.setup, len(log.frames)
+    unit, robots = setup.unit, len(setup.names)
+    columns: dict[str, Any] = {
+        "time_s": np.repeat((log.mocap_ns - log.began_ns) / 1e9, robots),
+        "frame": np.repeat(log.frames, robots),
+        "robot": np.tile(setup.names, frames),
+    }
+    truth = np.full_like(log.mocap, np.nan) if log.truth is None else log.truth
+    for prefix, known in (("", log.mocap), ("true_", truth)):
+        for i, name in enumerate((f"x_{unit}", f"y_{unit}", "heading_rad")):
+            columns[prefix + name] = known[..., i].ravel()
+    columns["valid"] = log.valid.ravel()
+    columns[f"distance_{unit}"] = setup.distances(log.mocap[..., :2]).ravel()
+    return _table("poses", columns)
+
+
+def estimates(log: TrialLog) -> Table:
+    """Return one row per control step and robot: what the controller estimated, with standard
+    deviations."""
+    setup = log.start.setup
+    of = {
+        "a_rad_s": "a",
+        "a_std_rad_s": "a_std",
+        f"speed_{setup.unit}_s": "speed",
+        f"speed_std_{setup.unit}_s": "speed_std",
+        "heading_bias_rad": "heading_bias",
+        "heading_bias_std_rad": "heading_bias_std",
+        "dead_time_s": "dead_time",
+        "dead_time_std_s": "dead_time_std",
+    }
+    columns: dict[str, list[Any]] = {name: [] for name in ("k", "time_s", "robot", *of)}
+    for step in log.steps:
+        if (found := step.plan.estimate) is None:
+            continue
+        for i, robot in enumerate(setup.names):
+            columns["k"].append(step.k)
+            columns["time_s"].append(log.elapsed_s(step.command.sent_ns))
+            columns["robot"].append(robot)
+            for column, name in of.items():
+                value = getattr(found, name)
+                one = value[i] if isinstance(value, np.ndarray) else value
+                columns[column].append(None if one is None else float(one))
+    return _table("estimates", columns)
+
+
+def events(log: TrialLog) -> Table:
+    """Return one row per event: a lost command, lost tracking, the reason of the end."""
+    found = log.events
+    columns = {
+        "time_s": [event.time_s for event in found],
+        "level": [event.level for event in found],
+        "text": [event.text for event in found],
+    }
+    return _table("events", columns)
+
+
+OF_TRIAL: Mapping[str, Callable[[TrialLog], Table]] = {
+    "steps": steps,
+    "poses": poses,
+    "estimates": estimates,
+    "events": events,
+}
+TABLES = ("trials", *OF_TRIAL)
+
+
+def of_log(path: Path, names: Container[str]) -> dict[str, Table]:
+    """Return the named tables of a log, each with the columns `log` and `trial` in front.
+
+    Raises LogError where the log cannot be read.
+    """
+    found: dict[str, Table] = {}
+    if "trials" in names:
+        result = read_result(path)
+        found["trials"] = trial(result).with_first(log=str(path), trial=result.trial)
+    if any(name in names for name in OF_TRIAL):
+        log = read_trial(path)
+        found |= {
+            name: table(log).with_first(log=str(path), trial=log.start.trial)
+            for name, table in OF_TRIAL.items()
+            if name in names
+        }
+    return found
+
+
+def trial(result: ResultSummary) -> Table:
+    """Return the one row of a trial: its plant, errors, outcome and statistics."""
+    found = trials_table(Batch.of([result]))
+    left_out = ("path", "trial")  # `log` and `trial` stand in front
+    return Table("trials", tuple(c for c in found.columns if c.name not in left_out))
+
+
+def _table(name: str, columns: Mapping[str, Any]) -> Table:
+    return Table(
+        name,
+        tuple(Column(key, values, words=key in _WORDS) for key, values in columns.items()),
+    )

@@ -1,0 +1,94 @@
+"""Runs in an emulated lab in which nothing goes wrong, and what is expected of each.
+
+`RUNS` are, by name: the script's emulation, settings of both sides, and after how many seconds of
+standing still the robots are put back on their starts.
+"""
+
+import math
+
+import numpy as np
+
+from tetractl.log.read.reader import read_trial
+from tetractl.replay.audit import audit
+
+SLAVES = tuple(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3))
+UNEVEN = """
+emulation:
+  camera: {version: '4.3'}
+  actuator:
+    robots:
+      - {name: green, left: {gain_mm: 7.2, dead_zone: 6}, right: {gain_mm: 8.4, dead_zone: 4}}
+      - {name: blue, swap: true, lag: 0.08}
+"""
+OFFSET = "lab.camera.robots.2.heading_offset=0.4"
+RUNS = {
+    "multicast, two trials": (
+        "",
+        ("lab.camera.transport=multicast", "trials.count=2", "lab.limits.placing=30"),
+        0.5,
+    ),
+    "version 2.9, z up, elsewhere": (
+        "emulation: {camera: {version: '2.9'}}",
+        (
+            "lab.camera.up_axis=z",
+            "lab.camera.origin=[300, -200]",
+            "lab.camera.rotation=1.1",
+            OFFSET,
+        ),
+        None,
+    ),
+    "version asked for, plain API frames at 38400": (
+        "emulation: {camera: {version: '4.2'}}",
+        ("lab.camera.version='3.1'", "lab.actuator.mode=api1", "lab.actuator.baud=38400"),
+        None,
+    ),
+    "transparent radio, uneven robots": (
+        UNEVEN,
+        (
+            "lab.actuator.mode=transparent",
+            "lab.actuator.robots.1.swap=true",
+            "lab.limits.wheel_error=0.4",  # the spec knows of no dead zone: a quarter of the speed
+        ),
+        None,
+    ),
+    "serial slaves": (
+        "",
+        ("lab.actuator.protocol={type: slave, accept_no_watchdog: true}", *SLAVES),
+        None,
+    ),
+}
+
+
+def script_of(name, folder):
+    """Write the script of a run into a folder; return its path."""
+    script = folder / "script.yaml"
+    script.write_text("about: nothing goes wrong\n" + RUNS[name][0])
+    return script
+
+
+def check(sets, played):
+    """Every trial is complete, its log agrees with itself, and its poses are the true ones."""
+    assert played.exits == [0], played.said
+    count = 2 if "trials.count=2" in sets else 1
+    assert len(played.logs) == count
+    for log in played.logs:
+        trial = read_trial(log)
+        assert trial.damage is None
+        assert trial.result.outcome.complete
+        assert audit(trial, same_host=True).problems == []
+    check_poses(played, trial)
+    assert played.of("robot", moving=False), "they drove, and stand"
+
+
+def check_poses(played, trial):
+    """The log's poses are the true ones, frame by frame."""
+    first = {e["frame"]: e["poses"] for e in played.of("truth")}
+    true = np.array([first[number] for number in trial.frames])
+    assert len(true) > 100
+    np.testing.assert_allclose(trial.mocap[:, :, :2], true[:, :, :2], atol=0.05)
+    turned = np.vectorize(lambda a: math.remainder(a, math.tau))(
+        trial.mocap[:, :, 2] - true[:, :, 2]
+    )
+    np.testing.assert_allclose(turned, 0.0, atol=1e-3)
+    steps = np.diff(true[:, :, :2], axis=0)
+    assert (np.hypot(steps[..., 0], steps[..., 1]).sum(axis=0) > 50).all()

@@ -9,15 +9,15 @@ import numpy as np
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.commands import HALTS, Command, Note, PlantInfo, Sample, Transmission, Verdict
 from tetractl.core.errors import AbortError
-from tetractl.core.operators import Operators
 from tetractl.core.poses import CameraFrame, Observation, Poses
 from tetractl.core.setup import Setup
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.guard import GuardState
-from tetractl.lab.placing import wait_until_ready
 from tetractl.lab.preflight import Preflight, dropped
+from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked
 from tetractl.lab.rig import Rig, build_rig
-from tetractl.lab.standstill import unrest, unseen
+from tetractl.lab.start_gate import wait_until_ready
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
@@ -33,19 +33,19 @@ class LabPlantSection(LabSection):
         return MonotonicClock()
 
     def build(
-        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, operators: Operators
+        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> "LabPlant":
         """Return the plant of one trial; nothing is opened yet."""
-        rig = build_rig(self, setup, clock, operators.emergency, operators.tap)
-        return LabPlant(rig, operators)
+        rig = build_rig(self, setup, clock, supervision.emergency, supervision.tap)
+        return LabPlant(rig, supervision)
 
 
 class LabPlant:
     """A `Plant` of real robots; after a fault every call raises AbortError with the reason."""
 
-    def __init__(self, rig: Rig, operators: Operators) -> None:
+    def __init__(self, rig: Rig, supervision: LabSupervision) -> None:
         self.rig, self.setup, self.clock = rig, rig.setup, rig.clock
-        self._operators = operators
+        self._supervision = supervision
         rig.on_frame = self._see
         self._heading = self.setup.starts.heading
         self._path_check = PathCheck.of(self.setup)
@@ -61,7 +61,7 @@ class LabPlant:
         """Connect, look everything over, and wait until the robots stand on their starts."""
         rig = self.rig
         rig.__enter__()
-        findings = wait_until_ready(rig, self._operators)
+        findings = wait_until_ready(rig, self._supervision)
         now = self.clock.now()
         self._news.extend(Note(now, "warning", warning) for warning in findings.all_warnings)
         rig.guard.ready()
@@ -132,17 +132,17 @@ class LabPlant:
         A fault that came too late for a further step, such as a stop that could not be sent, counts
         as robots that are not seen to stand.
         """
-        not_shown = unrest if self.rig.actuator.halts else unseen
-        restless = not_shown(self.rig) if self._newest else ""
-        if restless:
-            self._news.append(Note(self.clock.now(), "error", restless))
+        not_shown = wait_for_rest if self.rig.actuator.halts else wait_until_tracked
+        not_at_rest = not_shown(self.rig) if self._newest else ""
+        if not_at_rest:
+            self._news.append(Note(self.clock.now(), "error", not_at_rest))
         if outdated := self.rig.guard.outdated:
             self._news.append(Note(self.clock.now(), "warning", dropped(outdated)))
         if self.rig.guard.state is GuardState.ABORT:
-            restless = restless or self.rig.guard.reason
+            not_at_rest = not_at_rest or self.rig.guard.reason
         self._judging = False
         final = self._newest.poses if self._newest is not None else self.setup.starts
-        return self._path_check.verdict(final, restless)
+        return self._path_check.verdict(final, not_at_rest)
 
     def close(self) -> None:
         """Release camera and actuator."""

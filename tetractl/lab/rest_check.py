@@ -13,18 +13,18 @@ LOOK_NS = SECOND // 20
 ROLLING_NS = SECOND // 2  # robots that have not come to rest by then are stopped again
 
 
-def restless(rig: Rig) -> list[str]:
+def moving_robots(rig: Rig) -> list[str]:
     """Return who was not seen to stand still in the last frames, and how, a line each."""
     frames = tuple(rig.recent)
     if not frames:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
     newest = frames[-1].sampled_ns
     window = [frame for frame in frames if newest - frame.sampled_ns <= REST_NS]
-    lines = [_restless(rig, i, window) for i in range(len(rig.setup.names))]
+    lines = [_not_at_rest(rig, i, window) for i in range(len(rig.setup.names))]
     return [line for line in lines if line]
 
 
-def unrest(rig: Rig) -> str:
+def wait_for_rest(rig: Rig) -> str:
     """Wait until every robot is seen to stand still, and stop them again while one is not.
 
     Returns who is not seen to stand within `limits.standstill`, and how, "" where all are.
@@ -34,7 +34,7 @@ def unrest(rig: Rig) -> str:
     while True:
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
         now, newest = rig.clock.now(), rig.newest
-        lines = _blind(rig) or restless(rig)
+        lines = _stream_lost(rig) or moving_robots(rig)
         if not lines and newest is not None and newest.received_ns - began >= REST_NS:
             return ""
         if now - began >= limit_ns:
@@ -43,14 +43,14 @@ def unrest(rig: Rig) -> str:
             rig.loop.stop()
 
 
-def unseen(rig: Rig) -> str:
+def wait_until_tracked(rig: Rig) -> str:
     """Wait until every robot is tracked, of robots that cannot stand still.
 
     Returns who is not within `limits.standstill`, "" where all are.
     """
     limit_ns = round(rig.limits.standstill * SECOND)
     began = rig.clock.now()
-    while lines := _blind(rig) or _lost(rig):
+    while lines := _stream_lost(rig) or _lost(rig):
         if rig.clock.now() - began >= limit_ns:
             return _late(rig, lines)
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
@@ -61,7 +61,7 @@ def _late(rig: Rig, lines: list[str]) -> str:
     return f"{rig.limits.standstill:g} s after the stop: {'; '.join(lines)}"
 
 
-def _blind(rig: Rig) -> list[str]:
+def _stream_lost(rig: Rig) -> list[str]:
     """Return a line where the cameras show nothing now."""
     newest = rig.newest
     silent_ns = rig.clock.now() - (newest.received_ns if newest is not None else 0)
@@ -76,7 +76,7 @@ def _lost(rig: Rig) -> list[str]:
     return [rig.not_tracked(i) for i, pose in enumerate(poses) if pose is None]
 
 
-def _restless(rig: Rig, i: int, window: list[CameraFrame]) -> str:
+def _not_at_rest(rig: Rig, i: int, window: list[CameraFrame]) -> str:
     """Return how robot i was not seen to stand within the frames, "" where it was."""
     name, newest = rig.setup.names[i], window[-1].sampled_ns
     seen = [(f.sampled_ns, pose) for f in window if (pose := f.poses[i]) is not None]

@@ -9,12 +9,12 @@ from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent
-from tetractl.experiment.choice import Choice, OneOf
 from tetractl.experiment.controller import ControllerSection, OptimizerSection
 from tetractl.experiment.kinds import MOTIONS, OPTIMIZERS
+from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.model.obstacles import Obstacles
 
-_OPTIMIZER = Choice(OPTIMIZERS, default="pso")
+_OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
 
 
 class Collision(Model):
@@ -73,7 +73,7 @@ class MpcFields(ControllerSection):
     hold: PositiveInt = 1
     """Control periods for which each signal of a sequence is meant to be held: the plan's grid is
     `hold` times coarser than the control's, and a signal under way can still be changed."""
-    motion: Annotated[str, OneOf(MOTIONS)] = "euler"
+    motion: Annotated[str, KindName(MOTIONS)] = "euler"
     """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
     `exact` is the closed form of (1)-(3) under a held direction."""
     estimate: bool = False

@@ -12,11 +12,12 @@ Lengths are in the spec's length unit, times ns on the run's clock.
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.motion_check import REPEATS, MotionCheck
 from tetractl.lab.pose_filter import MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
@@ -198,15 +199,8 @@ class Guard:
         self._motion.sent(now_ns, speed, turning, share)
         self._swaps.sent(now_ns, turning)
 
-    def believed(self, frame: CameraFrame) -> tuple[tuple[Pose | None, bool], ...]:
-        """Return each robot's last believed pose and whether it is of this frame."""
-        return tuple(
-            (track.pose, track.pose is not None and track.seen_ns == frame.sampled_ns)
-            for track in self._filters
-        )
-
-    def see(self, frame: CameraFrame) -> CameraFrame | None:
-        """Judge one camera frame; return it with the believed poses alone.
+    def see(self, frame: CameraFrame) -> AcceptedFrame | None:
+        """Check one camera frame; return it with the poses that are accepted.
 
         None for a frame that was not exposed after those before it: it is dropped and counted.
         """
@@ -222,16 +216,15 @@ class Guard:
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         self._motion.frame(now)
-        believed: list[Pose | None] = []
+        fresh: list[bool] = []
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             self._disobedient.discard(i)
             if pose is None:
                 track.lost()
             elif not track.add(pose, now, self._fault(i, pose, now)):
                 self._jumps += 1
-                pose = None
-            believed.append(pose)
-        return replace(frame, poses=tuple(believed))
+            fresh.append(pose is not None and not track.refused)
+        return AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
 
     def no_frame(self, silent_ns: int) -> str:
         """Return what is wrong where no newer frame came for `silent_ns`."""

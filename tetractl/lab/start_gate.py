@@ -49,7 +49,6 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
 
 
 def _check_stream(rig: Rig) -> None:
-    newest = rig.newest
-    silent_ns = rig.clock.now() - (newest.received_ns if newest else 0)
+    silent_ns = rig.silent_ns()
     if silent_ns > max(rig.limits.stream_lost, SILENCE_S) * SECOND:
         raise AbortError(rig.guard.no_frame(silent_ns))

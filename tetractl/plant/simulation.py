@@ -10,15 +10,15 @@ from pydantic import Field, model_validator
 from tetractl.core.clock import SECOND, Clock, VirtualClock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.errors import AbortError
-from tetractl.core.operators import Operators
 from tetractl.core.poses import Bools, Observation, Poses
 from tetractl.core.setup import Setup
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
-from tetractl.experiment.choice import Choice, OneOf
 from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
 from tetractl.experiment.kinds import DISTURBANCES, MOTIONS
 from tetractl.experiment.lab import STOP_GAP_NS, STOPS
 from tetractl.experiment.plant import PlantSection
+from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.direct import DirectDrive
@@ -41,7 +41,7 @@ class SimSection(PlantSection):
     simulated: ClassVar[bool] = True
     switches_field: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
-    motion: Annotated[str, OneOf(MOTIONS)] = "exact"
+    motion: Annotated[str, KindName(MOTIONS)] = "exact"
     """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25), computed from the newest
     frame, between two commands; `euler` moves by (4)-(6) themselves, on straight chords. Robots on
     `drive` ignore it."""
@@ -68,7 +68,7 @@ class SimSection(PlantSection):
     trial and robot."""
     speed_error: Fraction = 0.0
     """As `a_error`, for the speed."""
-    disturbances: tuple[Annotated[DisturbanceSection, Choice(DISTURBANCES)], ...] = Field(
+    disturbances: tuple[Annotated[DisturbanceSection, KindSection(DISTURBANCES)], ...] = Field(
         default=(), max_length=100
     )
     """Further disturbances, which act one after another."""
@@ -112,7 +112,7 @@ class SimSection(PlantSection):
         return VirtualClock()
 
     def build(
-        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, operators: Operators
+        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> "SimPlant":
         """Return the simulation of one trial."""
         return SimPlant(self, setup, clock, seed)

@@ -1,14 +1,12 @@
-"""What people and files have to do with a run in the lab."""
+"""What people have to do with a run in the lab."""
 
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from tetractl.core.wire_tap import NO_TAP, Tap
 
-
-class Attendant(Protocol):
+class PlacementPrompt(Protocol):
     """A person who puts robots on their starts."""
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
@@ -25,15 +23,14 @@ class Attendant(Protocol):
 
 
 @dataclass(slots=True)
-class Operators:
-    """The people at a run in the lab, and the recording of its wires.
+class LabSupervision:
+    """The people at a run in the lab.
 
-    `emergency` set is the emergency stop. `attendant` None: nobody is asked, and robots that are
+    `emergency` set is the emergency stop. `prompt` None: nobody is asked, and robots that are
     not on their starts within the spec's `placing` time end the run. `cancelled` returns whether a
     person wants to wait no longer.
     """
 
     emergency: threading.Event = field(default_factory=threading.Event)
-    attendant: Attendant | None = None
-    tap: Tap = NO_TAP
+    prompt: PlacementPrompt | None = None
     cancelled: Callable[[], bool] = lambda: False

@@ -28,11 +28,11 @@ from tetractl.control.lengths import Searcher, choose, least_length
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo
-from tetractl.core.operators import Operators
 from tetractl.core.plan import Limits
 from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Plant
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
@@ -120,7 +120,7 @@ def run(spec: Experiment, trials: int, build: Build = as_specified) -> list[Resu
     for trial in range(trials):
         key, seed = trial_seeds(spec.trials.seed, trial)
         clock, nowhere = VirtualClock(), PlantInfo("", True, 0.0, {})
-        plant = spec.plant.build(spec.setup, clock, seed, Operators())
+        plant = spec.plant.build(spec.setup, clock, seed, LabSupervision())
         results.append(
             Trial(
                 start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),

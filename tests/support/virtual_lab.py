@@ -15,10 +15,10 @@ from support.labs import CAMERA_HZ
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Health
-from tetractl.core.operators import Operators
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import CameraFrame, Observation, Pose
 from tetractl.core.protocols import Controller
+from tetractl.core.supervision import LabSupervision
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.m3pi.module import ModuleSettings
 from tetractl.emulate.m3pi.radio import EmulatedRadio
@@ -261,8 +261,8 @@ def virtual_lab(
     actuator = M3piActuator(section, setup, clock)
     actuator.link = MemoryLink(section, clock, port)
     actuator._protocol._link = actuator.link
-    eye, operators = EmulatedEye(clock, robots, seed, noise), Operators()
-    rig = Rig(eye, actuator, lab.limits, setup, clock, operators.emergency, threaded=False)
+    eye, supervision = EmulatedEye(clock, robots, seed, noise), LabSupervision()
+    rig = Rig(eye, actuator, lab.limits, setup, clock, supervision.emergency, threaded=False)
     due = 0
 
     def turn() -> None:
@@ -273,4 +273,4 @@ def virtual_lab(
             rig.loop.step()
 
     clock.steps += [radio.poll_answers, turn]
-    return VirtualLab(LabPlant(rig, operators), clock, robots, eye)
+    return VirtualLab(LabPlant(rig, supervision), clock, robots, eye)

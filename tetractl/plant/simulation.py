@@ -12,9 +12,9 @@ from pydantic import Field, model_validator
 from tetractl.core.clock import SECOND, Clock, VirtualClock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.errors import AbortError
-from tetractl.core.operators import Operators
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
 from tetractl.experiment.choice import Choice, OneOf
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection, Order
@@ -114,7 +114,7 @@ class SimSection(PlantSection):
         return VirtualClock()
 
     def build(
-        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, operators: Operators
+        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> "SimPlant":
         """Return the simulation of one trial."""
         return SimPlant(self, setup, clock, seed)

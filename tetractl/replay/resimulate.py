@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Command
 from tetractl.core.errors import AbortError, TetractlError
-from tetractl.core.operators import Operators
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Plant
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import Result, Step, TrialRecords
 from tetractl.log.read import bounds
 from tetractl.log.read.trial_log import TrialLog
@@ -71,7 +71,7 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
     section, setup = log.experiment.plant, log.start.setup
     _, seed = trial_seeds(log.start.seed, log.start.trial)
     clock = section.clock()
-    plant = section.build(setup, clock, seed, Operators())
+    plant = section.build(setup, clock, seed, LabSupervision())
     ending = _Ending(plant, clock, stop.sent_ns, section.planning_max_s > 0)
     recorder = _Recorder(log, ending)
     Trial(

@@ -196,8 +196,8 @@ class Trial:
             samples, news = self.plant.samples(), self.plant.news()
         finally:
             self.plant.close()
-        if verdict.unrest and outcome is not Outcome.ABORTED:
-            outcome, reason = Outcome.ABORTED, verdict.unrest
+        if verdict.not_at_rest and outcome is not Outcome.ABORTED:
+            outcome, reason = Outcome.ABORTED, verdict.not_at_rest
         result = Result.of(
             self.start.setup,
             verdict,

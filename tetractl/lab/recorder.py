@@ -15,8 +15,8 @@ from typing import Self
 
 from mcap.writer import CompressionType, Writer
 
-from tetractl import __version__
 from tetractl.core.errors import LogError
+from tetractl.core.version import __version__
 
 QUEUE = 100_000  # passages that may wait for the disk
 

@@ -13,9 +13,9 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-from tetractl import __version__
 from tetractl.core.cache import compiler_settings
 from tetractl.core.cache import digest as cache_name
+from tetractl.core.version import __version__
 
 PACKAGES = (
     "numpy",

@@ -7,7 +7,7 @@ from support.emulated_lab import FIELD_SPEC
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.operators import Operators
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.lab import firmware
@@ -19,7 +19,7 @@ def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_pat
     with running(tmp_path, FIELD_SPEC) as (lab, experiment):
         clock = experiment.lab.clock()
         plant = experiment.lab.build(
-            experiment.setup, clock, np.random.SeedSequence(1), Operators()
+            experiment.setup, clock, np.random.SeedSequence(1), LabSupervision()
         )
         try:
             info = plant.open()
@@ -39,7 +39,7 @@ def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_pat
         turned = [np.angle(np.exp(1j * (direction - heading))) for heading in headings]
         assert np.abs(turned).max() < 0.3
         assert stop.direction is None
-        assert verdict.unrest == ""
+        assert verdict.not_at_rest == ""
         others = [item for item in plant.news() if isinstance(item, Command)]
         assert len(others) > 10
         before = [(body.x, body.y) for body in lab.actuator.bodies]

@@ -8,9 +8,9 @@ import numpy as np
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.errors import AbortError
-from tetractl.core.operators import Operators
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab import LabLimits
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact
@@ -191,21 +191,25 @@ class FakeLab:
     actuator: FakeActuator
     world: World
     clock: SteppedClock
-    operators: Operators
+    supervision: LabSupervision
 
 
 def fake_lab(setup: Setup, limits: LabLimits | None = None, **actuator: object) -> FakeLab:
     clock = SteppedClock()
     world = World(setup, clock)
-    camera, moved, operators = FakeCamera(world), FakeActuator(world, **actuator), Operators()
+    camera, moved, supervision = (
+        FakeCamera(world),
+        FakeActuator(world, **actuator),
+        LabSupervision(),
+    )
     rig = Rig(
         camera,
         moved,
         limits or LabLimits(),
         setup,
         clock,
-        operators.emergency,
+        supervision.emergency,
         threaded=False,
     )
     clock.steps.append(rig.loop.step)
-    return FakeLab(LabPlant(rig, operators), camera, moved, world, clock, operators)
+    return FakeLab(LabPlant(rig, supervision), camera, moved, world, clock, supervision)

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from tetractl.core.operators import Operators
     from tetractl.core.protocols import Observer
+    from tetractl.core.supervision import LabSupervision
     from tetractl.core.wire_tap import Tap
     from tetractl.run.batch import Report, TrialStore
     from tetractl.run.interrupt import Interrupt
@@ -39,11 +39,11 @@ def run_in_lab(
     """
     from rich.console import Console
 
-    from tetractl.core.operators import Operators
+    from tetractl.core.supervision import LabSupervision
     from tetractl.lab.recorder import WireRecorder
     from tetractl.run.batch import run_batch
     from tetractl.run.executors import Here
-    from tetractl.view.terminal.lab_watch import LabWatch, TerminalAttendant
+    from tetractl.view.terminal.lab_watch import LabWatch, TerminalPrompt
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
     quiet, console = console, Console(stderr=True)  # what concerns safety is always said
@@ -52,19 +52,19 @@ def run_in_lab(
         says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
         console.print(says, style="bold", highlight=False)
         watch = LabWatch(console, quiet, unit, live and key.listening)
-        attendant = None if yes or not key.listening else TerminalAttendant(console, entered)
+        prompt = None if yes or not key.listening else TerminalPrompt(console, entered)
 
         @contextmanager
-        def operators(trial: int) -> "Iterator[Operators]":
+        def supervision(trial: int) -> "Iterator[LabSupervision]":
             with ExitStack() as stack:
                 tap = _recorder(stack, record, trial)
-                yield Operators(emergency, attendant, tap, lambda: interrupt.requested)
+                yield LabSupervision(emergency, prompt, tap, lambda: interrupt.requested)
                 if isinstance(tap, WireRecorder) and tap.error:
                     console.print(f"{tap.path}: recording ended: {tap.error}", highlight=False)
 
         gc.collect()
         gc.freeze()  # so that collecting what was imported never delays the inner loop
-        executor = Here(interrupt, [watch, *served], operators)
+        executor = Here(interrupt, [watch, *served], supervision)
         return run_batch(tasks, store, executor, watch, fail_fast=True)
 
 

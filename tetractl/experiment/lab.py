@@ -19,9 +19,9 @@ from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
 from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive, inconsistent
-from tetractl.experiment.choice import Choice
 from tetractl.experiment.kinds import ACTUATORS, CAMERAS
 from tetractl.experiment.plant import PlantSection
+from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.problems import Loc
 
 STOPS = 10
@@ -176,9 +176,9 @@ class LabSection(PlantSection):
     """Real robots in a real arena: a camera in, an actuator out."""
 
     simulated: ClassVar[bool] = False
-    camera: Annotated[CameraSection, Choice(CAMERAS)]
+    camera: Annotated[CameraSection, KindSection(CAMERAS)]
     """What tracks the robots."""
-    actuator: Annotated[ActuatorSection, Choice(ACTUATORS)]
+    actuator: Annotated[ActuatorSection, KindSection(ACTUATORS)]
     """What moves the robots."""
     limits: LabLimits = LabLimits()
     """What ends a run, and what it waits for."""

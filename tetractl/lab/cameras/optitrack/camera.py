@@ -5,11 +5,10 @@ from types import TracebackType
 from typing import Self
 
 from tetractl.core.clock import Clock
-from tetractl.core.commands import Health
+from tetractl.core.commands import EMULATED_NAME, Health
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
 from tetractl.core.wire_tap import NO_TAP, Tap
-from tetractl.lab.announcement import is_emulated
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.client import NatNetClient
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
@@ -95,4 +94,4 @@ class OptitrackCamera:
             "rigid_bodies": diagnosis.bodies(stream),
             "clock_round_trip_ms": round_trip,
         }
-        return Health(tuple(problems), tuple(warnings), facts, emulated=is_emulated(server))
+        return Health(tuple(problems), tuple(warnings), facts, emulated=EMULATED_NAME in server)

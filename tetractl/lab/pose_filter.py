@@ -17,7 +17,7 @@ SPACING_NS = SECOND // 10  # between the poses kept for that, besides the last
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class MotionLimits:
     """How far a robot can come: `speed` [length unit/s] and `turning` [rad/s] at most.
 
     `jump` and `jump_heading` are allowed beyond that, once in a window. `lowest` and `highest`
@@ -36,13 +36,13 @@ class Reach:
 
 
 @dataclass(slots=True)
-class Track:
+class PoseFilter:
     """The believed poses of one robot: the last, and some of the last second.
 
     `refused` says why the newest pose that came was not believed, "" where it was or none came.
     """
 
-    reach: Reach
+    limits: MotionLimits
     pose: Pose | None = None
     seen_ns: int = 0
     refused: str = ""
@@ -87,19 +87,19 @@ class Track:
         )
 
     def _too_far(self, then: Pose, pose: Pose, dt: float) -> bool:
-        reach = self.reach
+        limits = self.limits
         gone = math.hypot(pose.x - then.x, pose.y - then.y)
         turned = abs(math.remainder(pose.heading - then.heading, math.tau))
         return (
-            gone > FASTER * reach.speed * dt + reach.jump
-            or turned > FASTER * reach.turning * dt + reach.jump_heading
+            gone > FASTER * limits.speed * dt + limits.jump
+            or turned > FASTER * limits.turning * dt + limits.jump_heading
         )
 
     def _off_the_floor(self, pose: Pose) -> str:
         """Return how a body cannot be that of a robot on the floor, "" where it can."""
-        reach = self.reach
-        if pose.height is not None and not reach.lowest <= pose.height <= reach.highest:
-            return f"its body is at a height of {pose.height * reach.mm:.0f} mm"
-        if pose.tilt is not None and not pose.tilt <= reach.tilt:
+        limits = self.limits
+        if pose.height is not None and not limits.lowest <= pose.height <= limits.highest:
+            return f"its body is at a height of {pose.height * limits.mm:.0f} mm"
+        if pose.tilt is not None and not pose.tilt <= limits.tilt:
             return f"its body is tilted by {pose.tilt:.2f} rad"
         return ""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tetractl.lab.identities import Identities
+from tetractl.lab.swap_detection import SwapDetector
 
 NAMES = ("green", "blue", "red")
 A = np.array([6.0, 4.0, 3.0])
@@ -31,7 +31,7 @@ def drive(
 
     Returns the fault found and the metres driven until then. The direction changes every 0.2 s.
     """
-    seen, random = Identities(NAMES), np.random.default_rng(3)
+    seen, random = SwapDetector(NAMES), np.random.default_rng(3)
     heading, shown, told = np.zeros(3), np.zeros(3), np.zeros(3)
     queue, next_ns, last = [], 0, 0
     closed, opened = (round(second * 1e9) for second in blind)
@@ -139,7 +139,7 @@ def test_one_with_the_number_of_another_is_noticed():
 
 
 def test_robots_that_are_told_the_same_cannot_be_told_apart():
-    seen = Identities(NAMES[:2])
+    seen = SwapDetector(NAMES[:2])
     for now in range(FRAME, 10**9, FRAME):
         seen.sent(now, (1.0, 1.0))
         for i in range(2):
@@ -148,7 +148,7 @@ def test_robots_that_are_told_the_same_cannot_be_told_apart():
 
 
 def test_a_restart_forgets_what_was_seen():
-    seen = Identities(NAMES[:2])
+    seen = SwapDetector(NAMES[:2])
     for now in range(FRAME, 400_000_000, FRAME):
         seen.sent(now, (1.0, -1.0))
         seen.turned(0, now, FRAME, -FRAME / 1e9)

@@ -38,7 +38,7 @@ EXPLAINED = 0.8  # and share of them that must be seen
 TINY = 1e-12
 
 
-class Identities:
+class SwapDetector:
     """Compares how N robots are told to turn with how they turn."""
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -51,7 +51,7 @@ class Identities:
     def restart(self) -> None:
         """Forget what was seen, as when robots start from rest."""
         n = len(self._names)
-        self._all, self._stretch = _Evidence(n), _Evidence(n)
+        self._all, self._stretch = _TurnIntegrals(n), _TurnIntegrals(n)
         self._followed = np.zeros((n, n), dtype=np.bool_)  # by robot i, in its last stretch
         self._alone = np.zeros((n, n), dtype=np.bool_)  # in its last two
         self._watched_ns = np.zeros(n, dtype=np.int64)  # of the stretch, while told to turn
@@ -121,7 +121,7 @@ class Identities:
             until_ns = since
 
 
-class _Evidence:
+class _TurnIntegrals:
     """The integrals of the module's Q over a stretch of time, for N robots and D delays."""
 
     def __init__(self, n: int) -> None:

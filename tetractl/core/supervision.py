@@ -8,7 +8,7 @@ from typing import Protocol
 from tetractl.core.wire_tap import NO_TAP, Tap
 
 
-class Attendant(Protocol):
+class PlacementPrompt(Protocol):
     """A person who puts robots on their starts."""
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
@@ -25,15 +25,15 @@ class Attendant(Protocol):
 
 
 @dataclass(slots=True)
-class Operators:
+class LabSupervision:
     """The people at a run in the lab, and the recording of its wires.
 
-    `emergency` set is the emergency stop. `attendant` None: nobody is asked, and robots that are
+    `emergency` set is the emergency stop. `prompt` None: nobody is asked, and robots that are
     not on their starts within the spec's `placing` time end the run. `cancelled` returns whether a
     person wants to wait no longer.
     """
 
     emergency: threading.Event = field(default_factory=threading.Event)
-    attendant: Attendant | None = None
+    prompt: PlacementPrompt | None = None
     tap: Tap = NO_TAP
     cancelled: Callable[[], bool] = lambda: False

@@ -12,7 +12,7 @@ from tetractl.experiment.base import Model
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class DelayedCommand:
     """A command on its way to N robots: it acts from `due_ns` on those `reached` (N,).
 
     `direction` is u [rad], None for a stop and where it switches the `field_off`. `headings` (N,)
@@ -49,12 +49,12 @@ class Disturbance:
         """
         return 0.0
 
-    def sent(self, order: Order) -> Order:
+    def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return what becomes of a command or of one of the repeated stops.
 
         Where it would act before one that was sent earlier, it acts together with that.
         """
-        return order
+        return command
 
     def moved(self, poses: Poses, moving: Floats, seconds: float) -> Poses:
         """Return the true poses after the `seconds` between two camera frames.

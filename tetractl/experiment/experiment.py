@@ -11,11 +11,11 @@ from tetractl.core.colors import NAMED, known_colors
 from tetractl.core.poses import Poses
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
-from tetractl.experiment.choice import Choice
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.kinds import CONTROLLERS, PLANTS, SHAPES
 from tetractl.experiment.lab import LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
+from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.shape import ShapeSection
 
 
@@ -26,7 +26,7 @@ class Units(Model):
     """Of every position, distance, speed and cost."""
 
 
-Obstacle = Annotated[ShapeSection, Choice(SHAPES)]
+Obstacle = Annotated[ShapeSection, KindSection(SHAPES)]
 
 
 class Arena(Model):
@@ -112,8 +112,8 @@ class Scale(Model):
     """Their body length [unit]."""
 
 
-_PLANT = Choice(PLANTS, default="sim")
-_CONTROLLER = Choice(CONTROLLERS, default="mpc")
+_PLANT = KindSection(PLANTS, default="sim")
+_CONTROLLER = KindSection(CONTROLLERS, default="mpc")
 
 
 class Experiment(Model):
@@ -138,7 +138,7 @@ class Experiment(Model):
     """What chooses the direction."""
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
     """What the direction steers; a simulation where no `type` is given."""
-    lab: Annotated[LabSection, Choice(PLANTS, default="lab")] | None = None
+    lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
     """File beside the spec, of `tetractl identify`: its a and speed of each robot and its dead time

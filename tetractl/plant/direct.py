@@ -3,7 +3,7 @@
 import numpy as np
 
 from tetractl.core.poses import Floats, Poses
-from tetractl.experiment.disturbance import Order
+from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.base import Held, Motion
 
 NEVER = 2**62
@@ -44,26 +44,26 @@ class DirectDrive:
         self.poses = Poses(x[-1], y[-1], heading[-1])
         return x, y, heading
 
-    def take(self, order: Order) -> None:
+    def take(self, command: DelayedCommand) -> None:
         """Let a command act on the robots that received it.
 
         The wheel speeds of `arc` are those of the headings measured when the command was sent; the
         chords of `euler` begin at the true headings.
         """
-        got, held = order.reached, self._held
+        got, held = command.reached, self._held
         heading = self.poses.heading
         held.moving = np.where(
-            got, float(order.field_off or order.direction is not None), held.moving
+            got, float(command.field_off or command.direction is not None), held.moving
         )
-        self._free = np.where(got, order.field_off, self._free)
-        if order.direction is None:
+        self._free = np.where(got, command.field_off, self._free)
+        if command.direction is None:
             held.turning = np.where(got, 0.0, held.turning)
             held.course = np.where(got, heading, held.course)
             return
         answered = heading
-        if self._motion.name == "arc" and order.headings is not None:
-            answered = order.headings
-        turning = self._a * np.sin(order.direction - answered)
-        held.direction = np.where(got, order.direction, held.direction)
+        if self._motion.name == "arc" and command.headings is not None:
+            answered = command.headings
+        turning = self._a * np.sin(command.direction - answered)
+        held.direction = np.where(got, command.direction, held.direction)
         held.turning = np.where(got, turning, held.turning)
         held.course = np.where(got, heading, held.course)

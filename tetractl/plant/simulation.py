@@ -16,11 +16,11 @@ from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
-from tetractl.experiment.choice import Choice, OneOf
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection, Order
+from tetractl.experiment.disturbance import DelayedCommand, Disturbance, DisturbanceSection
 from tetractl.experiment.kinds import DISTURBANCES, MOTIONS
 from tetractl.experiment.lab import STOP_GAP_NS, STOPS
 from tetractl.experiment.plant import PlantSection
+from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
@@ -43,7 +43,7 @@ class SimSection(PlantSection):
     simulated: ClassVar[bool] = True
     switches_field: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
-    motion: Annotated[str, OneOf(MOTIONS)] = "exact"
+    motion: Annotated[str, KindName(MOTIONS)] = "exact"
     """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25), computed from the newest
     frame, between two commands; `euler` moves by (4)-(6) themselves, on straight chords. Robots on
     `drive` ignore it."""
@@ -70,7 +70,7 @@ class SimSection(PlantSection):
     trial and robot."""
     speed_error: Fraction = 0.0
     """As `a_error`, for the speed."""
-    disturbances: tuple[Annotated[DisturbanceSection, Choice(DISTURBANCES)], ...] = Field(
+    disturbances: tuple[Annotated[DisturbanceSection, KindSection(DISTURBANCES)], ...] = Field(
         default=(), max_length=100
     )
     """Further disturbances, which act one after another."""
@@ -150,7 +150,7 @@ class SimPlant:
         self._by_frame = bool(self._moving) or (
             section.heading_noise > 0 and isinstance(self._drive, DirectDrive)
         )
-        self._orders: deque[Order] = deque()
+        self._due: deque[DelayedCommand] = deque()
         self._path_check = PathCheck.of(setup)
         self._time = 0
         self._ticks = 0  # true samples taken so far
@@ -220,8 +220,8 @@ class SimPlant:
             for i in range(STOPS if self._repeats_stops else 1):
                 sent = now + i * STOP_GAP_NS
                 every, due = np.ones(count, dtype=np.bool_), self._due_ns(seen, sent)
-                order = Order(due, None, every, seen.poses.heading, np.zeros((2, count)))
-                heard |= self._dispatch(order).reached
+                stop = DelayedCommand(due, None, every, seen.poses.heading, np.zeros((2, count)))
+                heard |= self._dispatch(stop).reached
             still = None if self.setup.wheel_radius is None else zeros
             self._stop = Command(None, now, tuple(heard.tolist()), still, still)
             self._advance(now)
@@ -229,7 +229,7 @@ class SimPlant:
 
     def settle(self) -> Verdict:
         """Wait until the robots stand and for a camera frame of it, and judge the true path."""
-        stopped = self._orders[-1].due_ns if self._orders else self.clock.now()
+        stopped = self._due[-1].due_ns if self._due else self.clock.now()
         stand = stopped + round(self._drive.rest_s * SECOND)
         self.clock.sleep_until(stand + round(2 * SECOND / self.spec.camera_rate))
         self._advance(self.clock.now())
@@ -287,13 +287,15 @@ class SimPlant:
         headings = answered.poses.heading
         due = self._due_ns(answered, now)
         off = direction is None
-        order = self._dispatch(Order(due, direction, self._heard(), headings, field_off=off))
+        delayed = self._dispatch(
+            DelayedCommand(due, direction, self._heard(), headings, field_off=off)
+        )
         left = right = None
         setup = self.setup
         if setup.wheel_radius is not None:
             towards = headings if direction is None else direction
             left, right = wheel_speeds(headings, towards, setup.a, setup.speed, setup.wheel_radius)
-        return Command(direction, now, tuple(order.reached.tolist()), left, right, off)
+        return Command(direction, now, tuple(delayed.reached.tolist()), left, right, off)
 
     def _transmit(self, now: int) -> Command:
         """Send wheel speeds computed from the newest frame that the host has."""
@@ -303,17 +305,17 @@ class SimPlant:
         sent, made = drive.host.speeds(now, seen)
         due = self._due_ns(seen, now)
         u = drive.host.direction
-        order = Order(due, u, self._heard(), seen.poses.heading, made, u is None)
-        reached = tuple(self._dispatch(order).reached.tolist())
+        delayed = DelayedCommand(due, u, self._heard(), seen.poses.heading, made, u is None)
+        reached = tuple(self._dispatch(delayed).reached.tolist())
         return Command(u, now, reached, sent[0], sent[1], u is None)
 
-    def _dispatch(self, order: Order) -> Order:
-        """Put an order on its way, and return what becomes of it."""
+    def _dispatch(self, command: DelayedCommand) -> DelayedCommand:
+        """Put a command on its way, and return what becomes of it."""
         for disturbance in self._disturbances:
-            order = disturbance.sent(order)
-        earliest = self._orders[-1].due_ns if self._orders else self._time
-        self._orders.append(replace(order, due_ns=max(order.due_ns, earliest)))
-        return order
+            command = disturbance.sent(command)
+        earliest = self._due[-1].due_ns if self._due else self._time
+        self._due.append(replace(command, due_ns=max(command.due_ns, earliest)))
+        return command
 
     def _advance(self, until: int) -> None:
         """Move the robots on, block by block; nothing changes what is held inside a block."""
@@ -321,18 +323,16 @@ class SimPlant:
             frame = self._camera.next_ns
             end = min(until, frame) if self._by_frame else until
             end = min(end, self._drive.repeats_ns)
-            order = (
-                self._orders.popleft() if self._orders and self._orders[0].due_ns <= end else None
-            )
-            reached = order.due_ns if order else end
+            due = self._due.popleft() if self._due and self._due[0].due_ns <= end else None
+            reached = due.due_ns if due else end
             disturbed = self._by_frame and reached == frame
-            repeats = order is None and reached == self._drive.repeats_ns
-            self._glide(reached, order is not None or disturbed or repeats)
+            repeats = due is None and reached == self._drive.repeats_ns
+            self._glide(reached, due is not None or disturbed or repeats)
             self._camera.receive(reached)
             if disturbed:
                 self._disturb()
-            if order:
-                self._drive.take(order)
+            if due:
+                self._drive.take(due)
             elif repeats:
                 self._news.append(self._transmit(reached))
             elif reached == until:

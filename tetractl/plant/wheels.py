@@ -10,7 +10,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.disturbance import Order
+from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.plant.wheel_host import WheelDriveSection, WheelHost
 
 REST = 1e-10
@@ -90,10 +90,10 @@ class WheelDrive:
         self.poses = Poses(x[-1], y[-1], heading[-1])
         return x, y, heading
 
-    def take(self, order: Order) -> None:
-        """Let the wheels of the robots that received an order follow it."""
-        assert order.wheels is not None, "every order holds wheel speeds"
-        self._targets = np.where(order.reached, order.wheels, self._targets)
+    def take(self, command: DelayedCommand) -> None:
+        """Let the wheels of the robots that received a command follow it."""
+        assert command.wheels is not None, "every command holds wheel speeds"
+        self._targets = np.where(command.reached, command.wheels, self._targets)
 
     def _follow(self, t: Floats) -> Floats:
         """Return the wheels' ways (M, 2, N) after times t (M, 1, 1); they are at the last then."""

@@ -58,8 +58,8 @@ def test_parameters_are_those_the_robots_move_by():
 
 def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
     class OneLosesAll(Disturbance):
-        def sent(self, order):
-            return replace(order, reached=order.reached & [False, True])
+        def sent(self, command):
+            return replace(command, reached=command.reached & [False, True])
 
     simulated = plant(OneLosesAll())
     sent, _ = driven(simulated)
@@ -69,9 +69,9 @@ def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
     class FirstIsLate(Disturbance):
         late = 3 * PERIOD
 
-        def sent(self, order):
+        def sent(self, command):
             late, self.late = self.late, 0
-            return replace(order, due_ns=order.due_ns + late)
+            return replace(command, due_ns=command.due_ns + late)
 
     simulated = plant(FirstIsLate())
     driven(simulated)
@@ -80,8 +80,8 @@ def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
 
 def test_a_stop_waits_for_a_late_command_and_settle_for_the_stop():
     class Late(Disturbance):
-        def sent(self, order):
-            return replace(order, due_ns=order.due_ns + SECOND)
+        def sent(self, command):
+            return replace(command, due_ns=command.due_ns + SECOND)
 
     simulated = plant(Late())
     simulated.open()

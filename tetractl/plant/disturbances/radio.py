@@ -9,7 +9,7 @@ from pydantic import Field
 from tetractl.core.clock import SECOND
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection, Order
+from tetractl.experiment.disturbance import DelayedCommand, Disturbance, DisturbanceSection
 
 
 class RadioSection(DisturbanceSection):
@@ -34,9 +34,9 @@ class Radio(Disturbance):
     def __init__(self, section: RadioSection, rng: np.random.Generator) -> None:
         self._section, self._rng = section, rng
 
-    def sent(self, order: Order) -> Order:
+    def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return the transmission as it is received."""
         section, rng = self._section, self._rng
         delay_ns = round((section.delay + section.jitter * rng.random()) * SECOND)
-        heard = rng.random(order.reached.size) >= section.loss
-        return replace(order, due_ns=order.due_ns + delay_ns, reached=order.reached & heard)
+        heard = rng.random(command.reached.size) >= section.loss
+        return replace(command, due_ns=command.due_ns + delay_ns, reached=command.reached & heard)

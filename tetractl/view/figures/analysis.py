@@ -69,7 +69,7 @@ def _map(axes: Axes, found: Analysis) -> None:
     gaps, errors = zip(*found.by_gap, strict=True)
     axes.plot(100 * np.array(gaps), errors, color=style.INK, marker="o", ms=3)
     axes.plot([100 * found.gap], [found.steering.error], "D", color=style.ALARM, ms=5, ls="none",
-              label="the spec's robots")  # fmt: skip
+              label="robots in the spec")  # fmt: skip
     _error_axis(axes, found, [*errors, found.steering.error])
     axes.set_xlabel("smallest relative difference of a [%]")
     axes.legend()

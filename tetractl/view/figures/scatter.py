@@ -65,9 +65,9 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
         for column in range(columns):  # the lowest panel of each
             axes = panels[(len(colors) - 1 - column) // columns, column]
             axes.tick_params(labelbottom=True)
-            axes.set_xlabel(f"x less the target's [{unit}]")
+            axes.set_xlabel(f"x error [{unit}]")
         for axes in panels[:, 0]:
-            axes.set_ylabel(f"y less the target's [{unit}]")
+            axes.set_ylabel(f"y error [{unit}]")
         figure.legend(handles=_key(len(counted), bool((~whole).any())), loc="outside lower center",
                       ncols=5)  # fmt: skip
     return figure

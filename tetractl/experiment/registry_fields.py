@@ -12,11 +12,11 @@ STRICT = {"strict": True}
 """Validation context under which sections refuse values of another type, as specs are read."""
 
 
-class Choice:
+class KindSection:
     """Annotation of a field: its mapping is validated by the class that its `type` names.
 
-    `Annotated[Base, Choice(REGISTRY)]` accepts an instance of Base, or a mapping whose `type` is a
-    name in the registry; `default` is the type of a mapping without one. Each class of the
+    `Annotated[Base, KindSection(REGISTRY)]` accepts an instance of Base, or a mapping whose `type`
+    is a name in the registry; `default` is the type of a mapping without one. Each class of the
     registry is a `Model` with its own name as the `Literal` of its `type`; those not derived from
     Base cannot be chosen here. A class is imported when it is first chosen; PluginError where
     another package offers one that cannot be used.
@@ -74,7 +74,7 @@ class Choice:
         return section
 
 
-class OneOf:
+class KindName:
     """Annotation of a text field: one of the names in a registry. Nothing is imported for it."""
 
     def __init__(self, registry: Registry) -> None:

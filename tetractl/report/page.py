@@ -14,6 +14,7 @@ from tetractl.core.table.data import plain
 from tetractl.core.table.numbers import lengths
 from tetractl.core.table.show import html
 from tetractl.core.table.table import Table
+from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report import figures
@@ -74,6 +75,7 @@ def report(
 
 def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
     """Describe each folder and the single logs; return them and what could not be read."""
+    paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]
     single = [str(path) for path in paths if not path.is_dir()]
     listed = [*(sources(single) if single else []), *(sources(folders) if folders else [])]
@@ -81,7 +83,8 @@ def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
     unread = [f"{log.path}: {log.problem}" for _, batch in batches for log in batch.lost]
     if not any(batch.trials for _, batch in batches):
         raise LogError(f"none of the logs can be read: {', '.join(unread[:1])}")
-    return [describe(batch, name) for name, batch in batches], unread
+    known = [(name, batch) for name, batch in batches if batch.trials or batch.attempts]
+    return [describe(batch, name) for name, batch in known], unread
 
 
 def _page(title: str, body: str, scripts: str) -> str:

@@ -15,7 +15,7 @@ from tetractl.emulate.optitrack.streaming import Streaming
 from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
-from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, Version
+from tetractl.lab.cameras.optitrack.messages import BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
 
@@ -37,8 +37,8 @@ class OptitrackSettings(Model):
     """How the cameras differ from what the spec says."""
 
     version: VersionText = "4.1"
-    """The camera server's protocol version, 2.5 or later. Above 4.3 frames are laid out as in 4.3,
-    and descriptions of rigid bodies are longer."""
+    """The camera server's protocol version, 2.5 or later; frames of 2.5 are laid out as in 2.6.
+    Above 4.3 they are laid out as in 4.3, and descriptions of rigid bodies are longer."""
     keeps_version: bool = False
     """Whether it streams in its own version to clients that ask for another."""
     frames_from: Ipv4 | None = None
@@ -177,6 +177,6 @@ def _streaming(
 def _version(text: str) -> Version:
     major, minor = text.split(".")
     version = Version(int(major), int(minor))
-    if version < OLDEST:
-        raise SpecError(f"cannot emulate NatNet {version}", hint=f"take {OLDEST} or a later one")
+    if version < (2, 5):
+        raise SpecError(f"cannot emulate NatNet {version}", hint="take 2.5 or a later one")
     return version

@@ -159,14 +159,11 @@ class Planning:
     def __init__(self, controller) -> None:
         self.controller, self.ns = controller, []
 
-    def plan(self, observation):
+    def plan(self, observation, last_command=None, earlier=()):
         before = time.perf_counter_ns()
-        decision = self.controller.plan(observation)
+        decision = self.controller.plan(observation, last_command, earlier)
         self.ns.append(time.perf_counter_ns() - before)
         return decision
-
-    def sent(self, command):
-        self.controller.sent(command)
 
 
 def real_time(spec: LoadedSpec, observers: Sequence[Observer]) -> tuple[np.ndarray, int]:

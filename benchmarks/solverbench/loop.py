@@ -76,14 +76,16 @@ class _Timed:
     controller: Controller
     times: list[float]
 
-    def plan(self, observation: Observation) -> Plan | Outcome | End:
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
         begin = time.thread_time()
-        decision = self.controller.plan(observation)
+        decision = self.controller.plan(observation, last_command, earlier)
         self.times.append(time.thread_time() - begin)
         return decision
-
-    def sent(self, command: Command) -> None:
-        self.controller.sent(command)
 
 
 def run(experiment: Experiment, trials: int, build: Build = build_controller) -> Batch:

@@ -2,10 +2,7 @@
 
 import random
 import struct
-import tempfile
 from collections.abc import Callable, Sequence
-from functools import cache
-from pathlib import Path
 
 from support.paths import ROOT
 
@@ -18,16 +15,13 @@ from tetractl.lab.cameras.optitrack.messages import (
     EchoResponse,
     ModelDef,
     NatNetFrame,
-    Request,
     Response,
     RigidBody,
     ServerInfo,
     Ticks,
     Version,
 )
-from tetractl.lab.cameras.optitrack.stream import UP_AXIS
 from tetractl.lab.cameras.optitrack.wire import pack
-from tetractl.lab.recorder import WireRecorder
 
 VERSIONS = [Version(*v) for v in [(2, 5), (2, 6), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]
 MS = 1_000_000  # ns
@@ -91,18 +85,6 @@ def serial_bytes() -> list[bytes]:
 
 def logs() -> list[bytes]:
     return [path.read_bytes() for path in sorted((ROOT / "tests" / "golden").glob("*.mcap"))]
-
-
-@cache
-def wires() -> list[bytes]:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "good.wire")
-        with WireRecorder(path) as recorder:
-            recorder.sent("natnet", 5, pack(Request(UP_AXIS)))
-            for i, data in enumerate(datagrams()[-3:]):
-                recorder.received("natnet", 10 * i, data[1:])
-            recorder.sent("radio", 30, serial_bytes()[0])
-        return [path.read_bytes()]
 
 
 def files(pattern: str) -> Callable[[], list[bytes]]:

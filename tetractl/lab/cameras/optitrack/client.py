@@ -16,7 +16,6 @@ from functools import partial
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.messages import (
     NEWEST,
@@ -62,13 +61,12 @@ class NatNetClient:
         robots: Sequence[Tracked],
         metres: float,
         clock: Clock,
-        tap: Tap = NO_TAP,
         wake: Callable[[], None] = lambda: None,
     ) -> None:
         self.section = section
         self.error: OSError | None = None
         self.senders = Senders(section.server, section.command_port)
-        self._clock, self._tap, self._wake = clock, tap, wake
+        self._clock, self._wake = clock, wake
         self._unicast = section.transport == "unicast"
         self._pinned = _version(section.version) if section.version and self._unicast else None
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
@@ -184,7 +182,6 @@ class NatNetClient:
             if not self.senders.admit(datagram, host, port):
                 continue
             now = self._clock.now()
-            self._tap.received("natnet", now, datagram)
             message = self.stream.feed(datagram, now)
             if isinstance(message, NatNetFrame):
                 self.senders.pin(port)
@@ -257,8 +254,6 @@ class NatNetClient:
             self._sockets[0].sendto(data, (self.section.server, self.section.command_port))
         except OSError as error:
             self.error = error
-            return
-        self._tap.sent("natnet", self._clock.now(), data)
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         return wait_for(self._clock, done, timeout_s)

@@ -86,7 +86,7 @@ def test_bad_usage_is_one_line_with_a_hint(folder, command, message, hint):
 
 def test_a_pattern_of_the_shell_may_catch_the_tables_of_a_study(folder, tmp_path):
     """`report` takes what `stats` takes; a log that cannot be read is named with its cause."""
-    inside = sorted((f"out/{path.name}" for path in (folder / "out").iterdir()), reverse=True)
+    inside = sorted(f"out/{path.name}" for path in (folder / "out").iterdir())
     assert "out/trials.csv" in inside
     one, other = (tetractl(folder, "stats", *paths) for paths in (["out"], inside))
     assert one == other

@@ -97,7 +97,7 @@ def test_a_pattern_of_the_shell_may_catch_the_tables_of_a_study(folder, tmp_path
     assert done.stderr == "error: none of the logs can be read: noise.mcap: not an MCAP file\n"
     done = tetractl(folder, "report", *inside, "noise.mcap", "-o", page)
     assert (done.returncode, done.stderr) == (1, "warning: noise.mcap: not an MCAP file\n")
-    assert "<td>dead_time=0.1</td>" in page.read_text()
+    assert "dead_time=0.1" in page.read_text()
 
 
 def test_plotted_statistics_are_no_reason_for_a_warning(folder, tmp_path):

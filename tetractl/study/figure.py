@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
+from tetractl.core.text import unit_of
 from tetractl.study.arm import as_yaml, shown
 from tetractl.study.load import LoadedStudy
 from tetractl.study.store import Store
@@ -67,7 +68,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
             )
             _draw(axes, x, found, "-o" if joined else "o", name, look)
         axes.set_xlabel(field)
-        axes.set_ylabel(f"total error [{style.unit_of(loaded.unit)}]")
+        axes.set_ylabel(f"total error [{unit_of(loaded.unit)}]")
         axes.set_ylim(bottom=0)
         axes.grid(axis="y", color=style.FAINT, linewidth=0.6)
         axes.set_axisbelow(True)

@@ -22,17 +22,17 @@ from solverbench.problems import OURS, PAPER
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
-from tetractl.control.algorithm_2 import Mpc
 from tetractl.control.build import build_controller
 from tetractl.control.lengths import Searcher, choose, least_length
+from tetractl.control.mpc import Mpc
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo
-from tetractl.core.operators import Operators
-from tetractl.core.plan import Limits
-from tetractl.core.poses import Poses
+from tetractl.core.plan import End, Limits, Outcome, Plan
+from tetractl.core.poses import Observation, Poses
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Plant
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
@@ -94,9 +94,16 @@ ACCEPT: list[Row] = [
 class Knowing(Mpc):
     """The controller that is told which of its commands arrived."""
 
-    def sent(self, command: Command) -> None:
-        super().sent(command)
-        self.knowledge.predictor.recent[-1].arrived = np.array(command.delivered)
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        if last_command is not None and last_command.direction is not None:
+            self.knowledge.sent(last_command.sent_ns, last_command.direction)
+            self.knowledge.predictor.recent[-1].arrived = np.array(last_command.delivered)
+        return super().plan(observation, None, earlier)
 
 
 def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
@@ -120,7 +127,7 @@ def run(spec: Experiment, trials: int, build: Build = as_specified) -> list[Resu
     for trial in range(trials):
         key, seed = trial_seeds(spec.trials.seed, trial)
         clock, nowhere = VirtualClock(), PlantInfo("", True, 0.0, {})
-        plant = spec.plant.build(spec.setup, clock, seed, Operators())
+        plant = spec.plant.build(spec.setup, clock, seed, LabSupervision())
         results.append(
             Trial(
                 start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),

@@ -47,8 +47,8 @@ from tetractl.control.build import build_controller, warm_up  # noqa: E402
 from tetractl.core.clock import MonotonicClock  # noqa: E402
 from tetractl.core.commands import PlantInfo  # noqa: E402
 from tetractl.core.errors import LogError  # noqa: E402
-from tetractl.core.operators import Operators  # noqa: E402
 from tetractl.core.protocols import Observer  # noqa: E402
+from tetractl.core.supervision import LabSupervision  # noqa: E402
 from tetractl.core.trial import EPOCH_NS  # noqa: E402
 from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec, start_of  # noqa: E402
 from tetractl.log.format.channels import CHANNELS, FRAMES, HOST, STEP  # noqa: E402
@@ -159,14 +159,11 @@ class Planning:
     def __init__(self, controller) -> None:
         self.controller, self.ns = controller, []
 
-    def plan(self, observation):
+    def plan(self, observation, last_command=None, earlier=()):
         before = time.perf_counter_ns()
-        decision = self.controller.plan(observation)
+        decision = self.controller.plan(observation, last_command, earlier)
         self.ns.append(time.perf_counter_ns() - before)
         return decision
-
-    def sent(self, command):
-        self.controller.sent(command)
 
 
 def real_time(spec: LoadedSpec, observers: Sequence[Observer]) -> tuple[np.ndarray, int]:
@@ -174,7 +171,7 @@ def real_time(spec: LoadedSpec, observers: Sequence[Observer]) -> tuple[np.ndarr
     key, seed = trial_seeds(1, 0)
     clock, planning = Busy(), Planning(build_controller(spec.experiment, key))
     start = start_of(spec, 0, PlantInfo("", True, 0, {}), EPOCH_NS)
-    plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, Operators())
+    plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, LabSupervision())
     stand = spec.experiment.controller.first_plan
     result = Trial(start, plant, planning, stand, clock, observers, Interrupt()).run()
     busy = np.array(clock.busy_ns[1 : result.steps]) - np.array(planning.ns[1 : result.steps])

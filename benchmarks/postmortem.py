@@ -28,7 +28,7 @@ import numpy as np
 
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
-from tetractl.core.operators import Operators
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import Result
 from tetractl.experiment.controller import Square
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
@@ -135,7 +135,7 @@ def run(spec: LoadedSpec, world: Floats, trial: int) -> Result:
     square = Square(type="square", side=1.0) if v["square"] > 0.5 else None
     return Trial(
         start=start_of(spec, trial, PlantInfo("", True, 0.0, {}), 0),
-        plant=simulated.build(experiment.setup, clock, seed, Operators()),
+        plant=simulated.build(experiment.setup, clock, seed, LabSupervision()),
         controller=build_controller(experiment, key),
         first_plan=square or experiment.controller.first_plan,
         clock=clock,

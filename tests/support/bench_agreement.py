@@ -18,7 +18,7 @@ from support.virtual_lab import Busy, VirtualLab, virtual_lab
 
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
-from tetractl.core.operators import Operators
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import Result
 from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
@@ -112,7 +112,7 @@ def bench_trial(spec: LoadedSpec, trial: int) -> Path:
     experiment = spec.experiment
     clock = experiment.plant.clock()
     key, seed = trial_seeds(experiment.trials.seed, trial)
-    plant = experiment.plant.build(experiment.setup, clock, seed, Operators())
+    plant = experiment.plant.build(experiment.setup, clock, seed, LabSupervision())
     return _run(spec, trial, plant, build_controller(experiment, key), clock, True)
 
 

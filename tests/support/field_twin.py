@@ -44,7 +44,7 @@ class Twin:
 
     def judge(self, frame, now_ms):
         try:
-            if cobs.unseal(frame)[0] != 0x53:
+            if cobs.checked_payload(frame)[0] != 0x53:
                 return DriverEvent.FOREIGN
             command = decode_command(frame)
         except WireError:

@@ -180,12 +180,18 @@ class Optimizer(Protocol):
 class Controller(Protocol):
     """Chooses the common direction at each control step; one object lasts one trial."""
 
-    def plan(self, observation: Observation) -> Plan | Outcome | End:
-        """Decide the next `direction` of a plan, or that the trial is over."""
-        ...
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        """Decide the next `direction` of a plan, or that the trial is over.
 
-    def sent(self, command: Command) -> None:
-        """Take note of the command by which the plan's direction was sent, and when."""
+        `observation` is the newest camera frame, `earlier` are those exposed since the observation
+        of the control step before, oldest first. `last_command` is what that step's direction was
+        sent by, None at the first step.
+        """
         ...
 
 

@@ -1,12 +1,17 @@
-import subprocess
-import sys
+from pathlib import Path
 
 import pytest
 from support.paths import ROOT
+from support.work import bounded
 
 from tetractl.core.errors import Exit, SpecError
-from tetractl.experiment.load import load_spec, parse_spec, resolved_yaml, spec_hash
+from tetractl.core.trial import OWN_FILES
+from tetractl.experiment.consistency import contradictions
+from tetractl.experiment.experiment import Arena, Robot
+from tetractl.experiment.load import attach, load_spec, parse_spec, resolved_yaml, spec_hash
 from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.log.format import channels
+from tetractl.model.shapes.circle import Circle
 
 EXPERIMENTS = ROOT / "experiments"
 GOOD = """\
@@ -85,8 +90,8 @@ def changed(old, new):
         (
             "name: good",
             "name: a/b",
-            "s.yaml:1:7: name: a/b: must be letters, digits, dots, underscores and hyphens, "
-            "starting with a letter or digit",
+            "s.yaml:1:7: name: a/b: must be letters without accents (a to z, A to Z), digits, "
+            "dots, underscores and hyphens, starting with a letter or digit",
         ),
         (
             "controller:\n",
@@ -317,7 +322,9 @@ def test_a_loaded_spec_keeps_the_text_as_written(tmp_path):
 
 @pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_shipped_experiments_load_and_round_trip(path):
-    experiment = load_spec(path).experiment
+    spec = load_spec(path)
+    experiment = spec.experiment
+    assert spec.notices == ()
     assert parse_spec(resolved_yaml(experiment), "resolved").experiment == experiment
     assert path.read_text().startswith("# yaml-language-server: $schema=experiment.schema.json\n")
     assert experiment.name == path.stem.replace("_", "-")
@@ -369,17 +376,34 @@ def test_the_hash_follows_the_experiment_and_not_its_text():
         assert spec_hash(parse_spec(GOOD, "s.yaml", [setting]).experiment) != base
 
 
-def test_loading_a_spec_loads_no_compiler_and_no_plotting():
-    path = EXPERIMENTS / "three_m3pi.yaml"
-    code = (
-        "import sys; from pathlib import Path; from tetractl.experiment.load import load_spec; "
-        f"load_spec(Path({str(path)!r})); "
-        "print({'numba', 'scipy', 'matplotlib'} & sys.modules.keys())"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert result.stdout == "set()\n"
+def test_files_are_attached_by_names_that_a_log_has_not_already():
+    one = attach((), Path("a/robots.yaml"), "one")
+    assert dict(attach(one, Path("b/cameras.yaml"), "two")) == {
+        "robots.yaml": "one",
+        "cameras.yaml": "two",
+    }
+    assert {
+        channels.SPEC,
+        channels.RESOLVED_SPEC,
+        channels.ENVIRONMENT,
+        channels.LAYOUT,
+    } == OWN_FILES
+    for name in ("robots.yaml", *OWN_FILES):
+        with pytest.raises(SpecError, match=f"b/{name}: the log of a trial holds another {name}"):
+            attach(one, Path("b") / name, "two")
 
 
-def test_an_invalid_spec_is_a_spec_error():
-    with pytest.raises(SpecError):
-        parse_spec("name: x", "s.yaml")
+def test_many_robots_and_obstacles_are_compared_without_a_loop_over_the_pairs():
+    arena = Arena(left=0, bottom=0, width=1e4, height=1e4)
+    robots = {
+        i: Robot(name=f"r{i}", start=(10 * i, 10), target=(10 * i, 9000), a=2, speed=1)
+        for i in range(300)
+    }
+    obstacles = {
+        j: Circle(type="circle", center=(10 * j, 9000 if j % 100 == 7 else 5000), radius=4)
+        for j in range(300)
+    }
+    with bounded(100_000 + 10 * 300 * 300):
+        found = list(contradictions(arena, robots, obstacles))
+    assert [loc for loc, _ in found] == [("robots", i, "target") for i in (7, 107, 207)]
+    assert "inside obstacles.107, a circle" in found[1][1]

@@ -324,9 +324,9 @@ def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():
     made.happenings.actions["log.samples", 1] = told.set
     plan = made.controller.plan
 
-    def slow(observation):
+    def slow(*seen):
         assert told.wait(60), "nothing was told before the plan was there"
-        return plan(observation)
+        return plan(*seen)
 
     made.controller.plan = slow
     assert made.run().outcome is Outcome.SEQUENCE_COMPLETED

@@ -11,10 +11,10 @@ from typing import Self
 import cv2
 
 from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Poses
 from tetractl.emulate.apriltag.renderer import Renderer
-from tetractl.lab.announcement import EMULATED
 
 BOUNDARY = "emulated-by-tetractl"
 QUEUED = 32  # pictures of a client that reads slowly; more are dropped
@@ -127,7 +127,7 @@ class EmulatedNetworkCamera:
         self._clients.add(mine)
         try:
             answer.send_response(200)
-            answer.send_header("Server", f"camera ({EMULATED})")
+            answer.send_header("Server", f"camera ({EMULATED_NAME})")
             answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
             if self._drips:
                 answer.flush_headers()

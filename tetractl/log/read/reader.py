@@ -130,6 +130,7 @@ def read_result(path: Path) -> ResultSummary:
         recovered=recovered,
         digest=digest,
         warnings=contents.warnings,
+        processor=provenance.processor(contents.host),
     )
 
 

@@ -14,8 +14,8 @@ from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding
 
-from tetractl import __version__
 from tetractl.core.errors import LogError
+from tetractl.core.version import __version__
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import add_checksum

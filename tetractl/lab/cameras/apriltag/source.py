@@ -17,8 +17,8 @@ import numpy as np
 from PIL.JpegImagePlugin import JpegImageFile
 
 from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import AbortError
-from tetractl.lab.announcement import is_emulated
 from tetractl.lab.cameras.apriltag.detect import Grey
 from tetractl.lab.cameras.apriltag.multipart import Multipart
 from tetractl.lab.cameras.apriltag.section import (
@@ -245,7 +245,7 @@ class MjpegFeed:
                 f"{source.url} is no MJPEG stream: it answers {self._answer.status}, {kind}",
                 "a stream is multipart/x-mixed-replace with a boundary",
             )
-        self.emulated = is_emulated(self._answer.getheader("Server", ""))
+        self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
         self._socket.settimeout(None)  # from here on, who reads is interrupted by closing
         self._parts = Multipart(boundary)
         self._waiting: list[bytes] = []

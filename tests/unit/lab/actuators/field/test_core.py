@@ -33,8 +33,8 @@ commands = st.builds(FieldCommand, near | u8, st.integers(0, 7).map(FieldFlag), 
 replies = st.builds(FieldReply, u8, st.integers(0, 31).map(DriverStatus), *([st.just(0)] * 10))
 foreign = (
     replies.map(encode_reply)
-    | st.binary(min_size=1, max_size=78).map(cobs.seal)
-    | st.tuples(u8, u8).map(lambda pair: cobs.seal(bytes([0x53, *pair, 1, 2, 3, 4])))
+    | st.binary(min_size=1, max_size=78).map(cobs.frame_with_crc)
+    | st.tuples(u8, u8).map(lambda pair: cobs.frame_with_crc(bytes([0x53, *pair, 1, 2, 3, 4])))
 )
 
 

@@ -149,7 +149,7 @@ def test_bad_commands_are_not_encoded(command):
 )
 def test_bad_commands_with_a_good_crc_are_refused(payload):
     with pytest.raises(WireError):
-        decode_command(cobs.seal(payload)[:-1])
+        decode_command(cobs.frame_with_crc(payload)[:-1])
 
 
 def test_replies_that_are_none():
@@ -159,7 +159,7 @@ def test_replies_that_are_none():
     with pytest.raises(WireError):
         decode_reply(encode_command(BroadcastCommand(1, Flag.POLL))[:-1])
     with pytest.raises(WireError):
-        cobs.seal(bytes(cobs.FRAME_MAX))
+        cobs.frame_with_crc(bytes(cobs.FRAME_MAX))
 
 
 @given(st.lists(replies, max_size=6), st.lists(st.integers(0, 100), max_size=10), st.binary())

@@ -25,7 +25,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_reply,
 )
 from tetractl.lab.actuators.m3pi.core import Core, Event
-from tetractl.lab.cobs import decode, encode, seal
+from tetractl.lab.cobs import decode, encode, frame_with_crc
 from tetractl.lab.errors import WireError
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
@@ -97,7 +97,7 @@ def damaged(rng):
             frame[rng.randrange(len(frame) + 1) :] = rng.randbytes(rng.randint(1, 90))
         case 3:
             body = bytes([rng.choice([0x51, 0x51, 0x52]), 0, rng.randrange(16), rng.randrange(4)])
-            frame = bytearray(seal(body + rng.randbytes(rng.randrange(8)))[:-1])
+            frame = bytearray(frame_with_crc(body + rng.randbytes(rng.randrange(8)))[:-1])
         case 4:
             frame = bytearray(encode(rng.randbytes(rng.randrange(300)))[:-1])
     return bytes(frame.replace(b"\0", b"\x01"))

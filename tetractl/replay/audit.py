@@ -101,7 +101,9 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
         if i is not None:
             yield from _at(k, first_difference(at, log.sample(i).observation, name="observation"))
         elif rows and min(rows) < at.frame and not log.damage:
-            yield Difference(k, "observation.frame", f"frame {at.frame} is not among the camera frames")
+            yield Difference(
+                k, "observation.frame", f"frame {at.frame} is not among the camera frames"
+            )
         found = first_difference(step.plan.direction, command.direction, name="command.direction")
         yield from _at(k, found)
         same_time = sent.get(command.sent_ns, ())

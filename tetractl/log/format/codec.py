@@ -36,8 +36,11 @@ class Frames:
         seen = [sample.observation for sample in samples]
         times = [(one.frame, one.sampled_ns, one.received_ns) for one in seen]
         truth = [sample.truth for sample in samples if sample.truth is not None]
+        numbers, sampled_ns, received_ns = np.array(times, dtype=np.int64).reshape(-1, 3).T
         return cls(
-            *np.array(times, dtype=np.int64).reshape(-1, 3).T,
+            numbers,
+            sampled_ns,
+            received_ns,
             _columns([one.poses for one in seen], robots),
             np.array([one.valid for one in seen], dtype=np.bool_).reshape(-1, robots),
             _columns(truth, robots) if len(truth) == len(seen) else None,
@@ -110,7 +113,9 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
         np.array(part, dtype=np.float64).T.reshape(-1, robots, 3) for part in (measured, true)
     )
     return Frames(
-        *(np.array(one, dtype=np.int64) for one in (m.frame, m.sampled_ns, m.received_ns)),
+        np.array(m.frame, dtype=np.int64),
+        np.array(m.sampled_ns, dtype=np.int64),
+        np.array(m.received_ns, dtype=np.int64),
         poses,
         np.array(m.valid, dtype=np.bool_).reshape(count, robots),
         truth if len(truth) == count else None,

@@ -161,9 +161,9 @@ class Scene:
 
         The next message replaces it.
         """
-        xy = path[..., :2].swapaxes(0, 1)
-        known = np.isfinite(xy).all(axis=2)
-        points = self._points.fill((xy * self._metres).reshape(-1, 2).T).reshape(known.shape)
+        x, y = path[..., 0].T * self._metres, path[..., 1].T * self._metres
+        known = np.isfinite(x + y)
+        points = self._points.fill((x.ravel(), y.ravel())).reshape(x.shape)
         at = _field(SceneEntity.TIMESTAMP_FIELD_NUMBER, stamp(unix_ns).SerializeToString())
         parts = []
         for i, (entity, line) in enumerate(self._plans):

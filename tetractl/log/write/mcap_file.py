@@ -54,7 +54,9 @@ class McapFile:
         self._file, self._crc, self._at = file, 0, 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._index: list[ChunkIndex | AttachmentIndex | MetadataIndex] = []
+        self._chunks: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = defaultdict(int)  # messages by channel
         self._start_chunk()
         self._write(MAGIC)
@@ -90,14 +92,14 @@ class McapFile:
     def metadata(self, name: str, items: dict[str, str]) -> None:
         """Add a metadata record."""
         data = _record(Metadata(name, items))
-        self._index.append(MetadataIndex(self._at, len(data), name))
+        self._metadata.append(MetadataIndex(self._at, len(data), name))
         self._write(data)
 
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
         """Add an attachment."""
         record = _record(Attachment(0, unix_ns, name, media_type, data))
         index = AttachmentIndex(self._at, len(record), unix_ns, 0, len(data), name, media_type)
-        self._index.append(index)
+        self._attachments.append(index)
         self._write(record)
 
     def flush(self) -> None:
@@ -119,7 +121,7 @@ class McapFile:
             head = _INDEX.pack(Opcode.MESSAGE_INDEX, length + 6, channel, length)
             self._write(head + b"".join(entries))
             self._counts[channel] += len(entries)
-        self._index.append(
+        self._chunks.append(
             ChunkIndex(
                 chunk_length=len(record),
                 chunk_start_offset=begin,
@@ -138,10 +140,7 @@ class McapFile:
         """End the chunk and write the index of the file."""
         self.flush()
         self._write(_record(DataEnd(self._crc)))
-        chunks, attachments, metadata = (
-            [one for one in self._index if isinstance(one, kind)]
-            for kind in (ChunkIndex, AttachmentIndex, MetadataIndex)
-        )
+        chunks, attachments, metadata = self._chunks, self._attachments, self._metadata
         statistics = Statistics(
             attachment_count=len(attachments),
             channel_count=len(self._channels),

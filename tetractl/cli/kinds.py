@@ -43,7 +43,7 @@ def kinds(
 def _list(as_json: bool) -> int:
     from tetractl.core.registry import PluginError
     from tetractl.core.table.data import json_text
-    from tetractl.emulate.kinds import ACTUATORS, CAMERAS
+    from tetractl.emulate.sides import ACTUATORS, CAMERAS
     from tetractl.experiment.kinds import SEAMS
     from tetractl.results.kinds import STATISTICS
     from tetractl.study.kinds import SWEEPS

@@ -99,7 +99,7 @@ def calibrate_robots(
     offsets, wheels, lines = [], [], []
     for name in names:
         report(f"{name}: measuring")
-        bench = _Bench(section, lab, setup.only(name), limit, emergency)
+        bench = _Bench(section, lab, setup.only([setup.names.index(name)]), limit, emergency)
         try:
             bench.open()
             for question in bench.actuator.check().questions:

@@ -21,9 +21,9 @@ from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab import LabSection, Measured
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
-from tetractl.lab.actuators.m3pi.broadcast import Counts
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.rig import Rig
+from tetractl.model.wheels import Counts
 
 FIRST, STEP = 6, 4  # counts of the ramp
 BURST_S = 0.4

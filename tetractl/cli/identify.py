@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.caution import Yes, need_consent
-from tetractl.cli.options import Sets
+from tetractl.cli.options import Sets, Yes, require_confirmation
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit, TetractlError, UsageError
 
@@ -129,7 +128,7 @@ def _design(
     as_json: bool,
 ) -> int:
     """Propose a motion; with a plant, drive it and identify the robots from its log."""
-    from tetractl.cli.spec import load
+    from tetractl.cli.options import load
     from tetractl.experiment.plants import on_plant
     from tetractl.replay.identification.design import propose
     from tetractl.replay.redrive import sequence_spec
@@ -140,7 +139,7 @@ def _design(
     if plant is not None:
         loaded = on_plant(loaded, plant.value)
         if not loaded.experiment.plant.simulated:
-            need_consent(yes)
+            require_confirmation(yes)
     design = propose(loaded.experiment, seconds, loaded.experiment.trials.seed)
     motion = sequence_spec(loaded, design.directions, 0.0)
     if plant is None:
@@ -148,7 +147,7 @@ def _design(
         if out is not None:
             _write(out, motion.text)
         return Exit.DONE
-    from tetractl.cli.drive import drive
+    from tetractl.cli.trials import drive
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import track_of

@@ -41,7 +41,7 @@ def tetractl(folder, *words):
 
 @pytest.mark.slow
 def test_a_design_is_driven_and_its_commands_are_driven_again(tmp_path, settings):
-    design = ("identify", "--design", str(SPEC), "--seconds", "4", "--plant", "lab", "--yes")
+    design = ("design", str(SPEC), "--seconds", "4", "--plant", "lab", "--yes")
     found = json.loads(tetractl(tmp_path, *design, "--logs", "design", "--json", *flags(settings)))
     assert found["origin"] == "emulated lab"
     log = read_trial(next((tmp_path / "design").glob("*.mcap")))

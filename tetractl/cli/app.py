@@ -11,6 +11,7 @@ from typer.exceptions import TyperException
 
 from tetractl.cli import (
     analyze,
+    design,
     export,
     identify,
     info,
@@ -26,6 +27,7 @@ from tetractl.cli import (
     rerun,
     run,
     schema,
+    serve,
     stats,
     study,
     validate,
@@ -76,12 +78,14 @@ app.command("plot")(plot.plot)
 app.command("report")(report.report)
 app.command("export")(export.export)
 app.command("open")(open_log.open_logs)
+app.command("serve")(serve.serve)
 app.command("verify")(verify.verify)
 app.command("what-if")(what_if.what_if)
 app.command("redrive")(redrive.redrive)
 app.command("stats")(stats.stats)
 app.command("analyze")(analyze.analyze)
 app.command("study")(study.study)
+app.command("design")(design.design)
 app.command("identify")(identify.identify)
 app.add_typer(lab.app, name="lab")
 

@@ -193,7 +193,8 @@ class Frames:
             self._trails += axes.plot([], [], color=color, lw=1.3, zorder=4)
             wedge = Polygon(np.zeros((4, 2)), facecolor=color, edgecolor="white", linewidth=0.6)
             wedge.set_zorder(6)
-            self._robots.append(axes.add_patch(wedge))
+            axes.add_patch(wedge)
+            self._robots.append(wedge)
         return [*self._plans, *self._trails, *self._robots]
 
     def _course(

@@ -28,8 +28,7 @@ from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import framing
 from tetractl.lab.cameras.optitrack.messages import Bare, Connect, EchoRequest, MessageKind, Request
-from tetractl.lab.cameras.optitrack.placement import Placement
-from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.errors import WireError

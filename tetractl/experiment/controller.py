@@ -93,7 +93,7 @@ class ControllerSection(Model):
     """A controller and its parameters, with what the rest of the system needs of each."""
 
     type: Any  # each section's own name, as a Literal
-    period: Positive = 0.2
+    period: float = Field(default=0.2, ge=1e-3, allow_inf_nan=False)
     """Control period T [s] (the paper's experiment: 5 Hz)."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """From measurement to actuation, as the controller believes it [s]: it plans from where the

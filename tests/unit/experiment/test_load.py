@@ -90,8 +90,8 @@ def changed(old, new):
         (
             "name: good",
             "name: a/b",
-            "s.yaml:1:7: name: a/b: must be letters, digits, dots, underscores and hyphens, "
-            "starting with a letter or digit",
+            "s.yaml:1:7: name: a/b: must be letters without accents (a to z, A to Z), digits, "
+            "dots, underscores and hyphens, starting with a letter or digit",
         ),
         (
             "controller:\n",

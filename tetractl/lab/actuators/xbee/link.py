@@ -27,7 +27,6 @@ from tetractl.lab.actuators.xbee.section import XbeeSection
 from tetractl.lab.serial_port import SerialPort
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
-NO_ACK = 0x01  # transmit option: do not wait for the receiver's acknowledgement
 KEPT = 1024
 HINT = "the robots stop by their watchdog; plug it in, start again"
 

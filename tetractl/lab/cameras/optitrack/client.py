@@ -19,7 +19,7 @@ from tetractl.core.poses import CameraFrame
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.messages import (
     NEWEST,
-    TELLS_TRACKING,
+    OLDEST,
     Bare,
     Connect,
     EchoRequest,
@@ -30,8 +30,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     ServerInfo,
     Version,
 )
-from tetractl.lab.cameras.optitrack.placement import Placement
-from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream, Tracked
@@ -106,7 +105,7 @@ class NatNetClient:
         stream = self.stream
         if not self._wait(lambda: stream.info is not None, timeout_s):
             raise diagnosis.no_server(self.section, self.senders, timeout_s)
-        if stream.version is not None and stream.version < TELLS_TRACKING:
+        if stream.version is not None and stream.version < OLDEST:
             raise diagnosis.no_tracking_flag(stream.version)
         if not self._wait(lambda: self.newest is not None, timeout_s):
             raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)

@@ -16,8 +16,7 @@ pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compil
 
 
 def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_path):
-    with running(tmp_path, FIELD_SPEC) as (lab, experiment):
-        clock = experiment.lab.clock()
+    with running(tmp_path, FIELD_SPEC) as (lab, experiment, clock):
         plant = experiment.lab.build(
             experiment.setup, clock, np.random.SeedSequence(1), LabSupervision()
         )

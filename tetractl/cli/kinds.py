@@ -20,7 +20,7 @@ def kinds(
     Example: tetractl kinds
     """
     from tetractl.core.registry import PluginError
-    from tetractl.emulate.kinds import ACTUATORS, CAMERAS
+    from tetractl.emulate.sides import ACTUATORS, CAMERAS
     from tetractl.experiment.kinds import SEAMS
     from tetractl.results.kinds import STATISTICS
     from tetractl.study.kinds import SWEEPS

@@ -17,9 +17,9 @@ from support.field_bench import LIMITS, Bench, Wire, section
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
-from tetractl.lab import firmware
+from tetractl.emulate import firmware
+from tetractl.emulate.firmware import DriverLimits
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.core import DriverLimits
 from tetractl.lab.actuators.field.protocol import FieldFlag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")

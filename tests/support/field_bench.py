@@ -6,9 +6,9 @@ from support.virtual_wires import LabClock, MemoryPort, MemorySerial
 
 from tetractl.core.clock import SECOND
 from tetractl.emulate.field import CurrentDriver
+from tetractl.emulate.firmware import DriverLimits
 from tetractl.emulate.loop import Timeline
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.core import DriverLimits
 from tetractl.lab.actuators.field.protocol import FieldCommand, encode_command
 from tetractl.lab.actuators.field.section import FieldSection
 

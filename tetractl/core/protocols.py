@@ -79,6 +79,7 @@ class Device(Protocol):
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
+        /,
     ) -> None: ...
 
     def check(self) -> Health:

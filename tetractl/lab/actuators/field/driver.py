@@ -31,7 +31,6 @@ class Driver:
     """
 
     def __init__(self, port: str, baud: int, clock: Clock) -> None:
-        self.sent = self.replies = 0
         self.newest: FieldReply | None = None
         self._clock = clock
         self._port = SerialPort(port, baud, "the current driver", clock, self._hear, HINT)
@@ -65,7 +64,6 @@ class Driver:
             self._sequence = (self._sequence + 1) % 256
             command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)
             sent_ns = self._port.write(encode_command(command))
-            self.sent += 1
             if self._unanswered == 0:
                 self._unanswered_ns = sent_ns
             self._unanswered += 1
@@ -101,5 +99,4 @@ class Driver:
             for frame in self._splitter.feed(data):
                 with suppress(WireError):  # a damaged reply is one that did not come
                     self.newest = decode_reply(frame)
-                    self.replies += 1
                     self._unanswered = 0

@@ -1,7 +1,6 @@
 """OptiTrack cameras as a `Camera`: a NatNet connection, and what is checked before a run."""
 
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 from tetractl.core.clock import Clock
@@ -43,12 +42,7 @@ class OptitrackCamera:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.client.close()
 
     @property

@@ -1,10 +1,7 @@
 """The field's actuator: what it commands, and its life before an emulated driver."""
 
 import math
-import os
-import pty
 import random
-import tty
 from contextlib import suppress
 from types import SimpleNamespace
 
@@ -17,9 +14,9 @@ from support.field_bench import LIMITS, Bench, Wire, section
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
-from tetractl.lab import firmware
+from tetractl.emulate import firmware
+from tetractl.emulate.firmware import DriverLimits
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.core import DriverLimits
 from tetractl.lab.actuators.field.protocol import FieldFlag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
@@ -300,21 +297,6 @@ def test_an_unplugged_driver_raises_and_says_so():
                 send()
         (problem,) = actuator.check().problems
         assert "is gone" in problem
-
-
-def test_a_stuck_port_raises_and_never_hangs():
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    try:
-        actuator = FieldActuator(section(port=os.ttyname(slave)), SETUP, MonotonicClock())
-        with actuator:
-            with pytest.raises(AbortError, match="is stuck"):
-                for _ in range(10_000):
-                    actuator.stop()
-            assert "is stuck" in actuator.failure
-    finally:
-        os.close(master)
-        os.close(slave)
 
 
 def test_there_must_be_a_port(tmp_path):

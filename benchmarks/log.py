@@ -51,8 +51,8 @@ from tetractl.core.protocols import Observer  # noqa: E402
 from tetractl.core.supervision import LabSupervision  # noqa: E402
 from tetractl.core.trial import EPOCH_NS  # noqa: E402
 from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec, start_of  # noqa: E402
-from tetractl.log.format.channels import CHANNELS, HOST, MOCAP, STEP  # noqa: E402
-from tetractl.log.format.tetractl_pb2 import MocapSample  # noqa: E402
+from tetractl.log.format.channels import CHANNELS, FRAMES, HOST, STEP  # noqa: E402
+from tetractl.log.format.tetractl_pb2 import CameraFrames  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.salvage import scan  # noqa: E402
 from tetractl.log.write import sink  # noqa: E402
@@ -459,13 +459,11 @@ def long(folder: Path, scale: float) -> None:
 
 def missing_frames(path: Path) -> int:
     """Count the frames missing in a log, by the official reader, chunk by chunk."""
-    found = -1
-    last = 0
+    numbers: set[int] = set()
     with path.open("rb") as file:
-        for _, _, message in make_reader(file).iter_messages(topics=[MOCAP]):
-            found += 1
-            last = max(last, MocapSample.FromString(message.data).frame)
-    return last - found
+        for _, _, message in make_reader(file).iter_messages(topics=[FRAMES]):
+            numbers.update(CameraFrames.FromString(message.data).frame)
+    return max(numbers) + 1 - len(numbers)
 
 
 PARTS = {

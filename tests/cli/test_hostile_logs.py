@@ -18,8 +18,8 @@ from support.mutate import rewrite
 from support.paths import ROOT
 from support.random_trials import trial, write
 
-from tetractl.log.format.channels import HOST, LOG, MOCAP, RESOLVED_SPEC, RESULT, RUN, STEP, Entry
-from tetractl.log.format.tetractl_pb2 import ControllerStep, MocapSample, Search
+from tetractl.log.format.channels import FRAMES, HOST, LOG, RESOLVED_SPEC, RESULT, RUN, STEP, Entry
+from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep, Search
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
@@ -104,9 +104,9 @@ def with_spec(contents: RawLog, path: Path, change: Callable[[str], str]) -> Pat
 
 
 def far_pose(contents: RawLog, path: Path) -> Path:
-    entry = [entry for entry in contents.entries if entry.topic == MOCAP][7]
-    frame = MocapSample.FromString(entry.data)
-    frame.x[0] = 1e8
+    entry = next(entry for entry in contents.entries if entry.topic == FRAMES)
+    frame = CameraFrames.FromString(entry.data)
+    frame.x[7] = 1e8
     return rewrite(contents, path, {entry: entry._replace(data=frame.SerializeToString())})
 
 

@@ -16,7 +16,7 @@ from support.running import QUICK
 from support.terminal import Terminal
 from support.viewer import PATIENCE_S, Viewer, deaf
 
-from tetractl.log.format.channels import CHANNELS, MOCAP, SCENE, SCENE_PLAN, TRANSFORMS
+from tetractl.log.format.channels import CHANNELS, FRAMES, SCENE, SCENE_PLAN, TRANSFORMS
 from tetractl.log.read.salvage import scan
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
@@ -91,9 +91,9 @@ def test_a_viewer_plays_pauses_seeks_and_sets_the_rate(log):
         viewer.control(True, 64.0, request="play")
         assert viewer.state(request="play").status == "playing"
         assert viewer.state(status="ended").time_ns == last_ns
-        due = [one for one in logged if one.topic == MOCAP and one.log_ns > first_ns]
+        due = [one for one in logged if one.topic == FRAMES and one.log_ns > first_ns]
         viewer.seen(lambda got: got[2] == due[-1].data)
-        sent = {got[2] for got in viewer.all if got[0] == MOCAP}
+        sent = {got[2] for got in viewer.all if got[0] == FRAMES}
         assert {entry.data for entry in due} <= sent
 
         viewer.all.clear()

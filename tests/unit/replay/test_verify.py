@@ -22,21 +22,22 @@ from tetractl.core.plan import Outcome
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log import provenance
+from tetractl.log.format import codec
 from tetractl.log.format.channels import (
     CHANNELS,
     ESTIMATE,
+    FRAMES,
     HOST,
     LOG,
-    MOCAP,
     RESOLVED_SPEC,
     RESULT,
     RUN,
     STEP,
     TIMING,
-    TRUTH,
     Entry,
 )
 from tetractl.log.format.metadata import add_checksum
+from tetractl.log.format.tetractl_pb2 import CameraFrames
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
@@ -334,18 +335,16 @@ def test_an_outcome_is_not_changed_with_all_that_says_it(
     assert "the controller says 'steps max'" in found.problems[0].message
 
 
-@pytest.mark.parametrize("topic", [MOCAP, TRUTH])
+@pytest.mark.parametrize(("column", "name"), [("x", "mocap"), ("true_x", "truth")])
 def test_a_frame_between_decisions_is_not_changed(
-    tmp_path: Path, contents: RawLog, topic: str
+    tmp_path: Path, contents: RawLog, column: str, name: str
 ) -> None:
     decided = {step.observation.frame for step in read_trial(contents.path).steps}
-    frames = [(i, e) for i, e in enumerate(contents.entries) if e.topic == topic]
-    index = next(
-        i for i, e in frames if CHANNELS[topic].FromString(e.data).frame not in decided | {0}
-    )
-    found = verify(with_entry(contents, tmp_path / "changed.mcap", index, ("x", 0)))
-    assert found.problems[0].field.startswith(f"{topic.strip('/')}.")
-    assert found.problems[0].field.endswith(".0.x")
+    index, entry = next((i, e) for i, e in enumerate(contents.entries) if e.topic == FRAMES)
+    numbers = CameraFrames.FromString(entry.data).frame
+    row = next(row for row, number in enumerate(numbers) if number not in decided | {0})
+    found = verify(with_entry(contents, tmp_path / "changed.mcap", index, (column, 2 * row)))
+    assert found.problems[0].field == f"{name}.{numbers[row]}.0.x"
 
 
 def test_the_times_of_solving_are_bound_too(tmp_path: Path, contents: RawLog) -> None:
@@ -445,10 +444,12 @@ def test_a_trial_number_that_cannot_be_is_told(tmp_path: Path, contents: RawLog)
 
 @pytest.mark.parametrize("which", [0, 7, -1])
 def test_missing_frames_are_noticed(tmp_path: Path, contents: RawLog, which: int) -> None:
-    frame = [e for e in contents.entries if e.topic == MOCAP][which]
-    left = [record for record in contents.records if record is not frame]
-    thinned = RawLog(contents.path, records=left, channels=contents.channels)
-    found = verify(rewrite(thinned, tmp_path / "changed.mcap", {}))
+    entry = next(e for e in contents.entries if e.topic == FRAMES)
+    frames = codec.decode_frames(CameraFrames.FromString(entry.data), 2)
+    kept = np.delete(np.arange(len(frames.numbers)), which)
+    data = codec.encode_frames(frames.part(kept)).SerializeToString()
+    changed = rewrite(contents, tmp_path / "c.mcap", {entry: entry._replace(data=data)})
+    found = verify(changed)
     assert found.problems[0].field.split(".")[0] in ("frames", "count"), found.problems
 
 

@@ -12,12 +12,12 @@ from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
 from tetractl.core.errors import UsageError
-from tetractl.log.format.channels import CHANNELS, LOG, MOCAP, SCENE, TRANSFORMS, Entry
+from tetractl.log.format.channels import CHANNELS, FRAMES, LOG, SCENE, TRANSFORMS, Entry
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.messages import Messages
 from tetractl.replay.player import Playback
-from tetractl.serve.live import BACKLOG, Viewers
 from tetractl.serve.protocol import Request, State
+from tetractl.serve.live import BACKLOG, Viewers
 from tetractl.serve.server import LoopbackServer
 
 START_NS = 1_600_000_000_000_000_000
@@ -34,7 +34,7 @@ def server():
 
 
 def frame(number, size=2000):
-    return Entry(MOCAP, START_NS + number, START_NS, b"%8d" % number + bytes(size))
+    return Entry(FRAMES, START_NS + number, START_NS, b"%8d" % number + bytes(size))
 
 
 def test_topics_and_schemas_are_those_of_a_log(server, tmp_path):
@@ -56,7 +56,8 @@ def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
     trial = made.trial(1, steps=2)
     messages = Messages(trial.start)
     server.live.jump(trial.start.start_unix_ns, messages.start())
-    server.live.publish(messages.samples(trial.samples))
+    for sample in trial.samples:
+        server.live.publish(messages.samples([sample]))
     with Viewer(server.live_url) as viewer:
         viewer.subscribe(SCENE, TRANSFORMS)
         _, scene = viewer.message(SCENE)
@@ -72,26 +73,26 @@ def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
 def test_lines_of_text_are_not_sent_twice(server):
     server.live.publish([Entry(LOG, START_NS, START_NS, b""), frame(1)])
     with Viewer(server.live_url) as viewer:
-        viewer.subscribe(LOG, MOCAP)
-        viewer.until(lambda got: got[0] == MOCAP)
+        viewer.subscribe(LOG, FRAMES)
+        viewer.until(lambda got: got[0] == FRAMES)
         assert LOG not in [got[0] for got in viewer.all]
 
 
 def test_the_time_never_runs_back_but_by_a_jump(server):
     with Viewer(server.live_url) as viewer:
         server.live.publish([frame(1)])
-        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
         viewer.all.clear()
         server.live.publish([frame(3), frame(2), frame(4)])
         server.live.jump(START_NS, [frame(0)])  # not to 1, whose time may have been still to come
-        for last in ("time", MOCAP):  # they wait in two queues
+        for last in ("time", FRAMES):  # they wait in two queues
             viewer.seen(lambda got, last=last: got[:2] == (last, START_NS))
         sent = {
             kind: [got[1] - START_NS for got in viewer.all if got[0] == kind]
-            for kind in ("time", MOCAP)
+            for kind in ("time", FRAMES)
         }
         assert sent["time"][-3:] == [3, 4, 0]
-        assert sent[MOCAP] == [3, 2, 4, 0]
+        assert sent[FRAMES] == [3, 2, 4, 0]
 
 
 def test_it_is_watched_while_somebody_reads(server):
@@ -99,7 +100,7 @@ def test_it_is_watched_while_somebody_reads(server):
     with Viewer(server.live_url) as viewer:
         assert not server.live.watched
         server.live.publish([frame(1)])
-        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
         assert server.live.watched
 
 
@@ -108,12 +109,12 @@ def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
     with deaf(server.live_url, len(CHANNELS)) as stuck:
         with Viewer(server.live_url) as viewer:
             server.live.publish([frame(0)])
-            viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+            viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
             viewer.all.clear()
             for first in range(0, 3 * BACKLOG, 512):  # far more than its queue and sockets hold
                 server.live.publish([frame(first + i, 8000) for i in range(512)])
-                viewer.until(lambda got, last=first + 511: got[:2] == (MOCAP, START_NS + last))
-            got = [one[1] - START_NS for one in viewer.all if one[0] == MOCAP]
+                viewer.until(lambda got, last=first + 511: got[:2] == (FRAMES, START_NS + last))
+            got = [one[1] - START_NS for one in viewer.all if one[0] == FRAMES]
             assert got == list(range(3 * BACKLOG))
         server.close()
         assert stuck.recv(1)
@@ -223,7 +224,7 @@ def test_what_a_client_says_wrong_ends_its_connection_and_no_other(said, capfd):
             viewer.socket.send(said)
             viewer.until(lambda got: False)
         server.live.publish([frame(1)])
-        other.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+        other.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
     assert capfd.readouterr().err == ""
 
 
@@ -231,22 +232,22 @@ def test_what_was_published_last_is_sent_before_the_end():
     server = live()
     with Viewer(server.live_url) as viewer:
         server.live.publish([frame(0)])
-        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
         server.live.publish([frame(number) for number in range(1, 500)])
         server.close()
-        viewer.until(lambda got: got[:2] == (MOCAP, START_NS + 499))
+        viewer.until(lambda got: got[:2] == (FRAMES, START_NS + 499))
 
 
 def test_no_more_is_sent_of_what_a_viewer_gave_up(server):
     with Viewer(server.live_url) as viewer:
         server.live.publish([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
-        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
-        ended = [100 + viewer.channels[MOCAP]["id"]]
+        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
+        ended = [100 + viewer.channels[FRAMES]["id"]]
         viewer.socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": ended}))
         viewer.subscribe(TRANSFORMS).until(lambda got: got[0] == TRANSFORMS)
         server.live.publish([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
         viewer.until(lambda got: got[:2] == (TRANSFORMS, START_NS + 3))
-        assert [got[1] - START_NS for got in viewer.all if got[0] == MOCAP] == [1]
+        assert [got[1] - START_NS for got in viewer.all if got[0] == FRAMES] == [1]
 
 
 def test_a_port_in_use_is_a_mistake_of_the_user(server):

@@ -21,7 +21,7 @@ from tetractl.results.describe import describe
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(trial(steps=16), tmp_path_factory.mktemp("log") / "trial.mcap")
+    return write(trial(steps=34), tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
 def damaged(folder: Path, data: bytes, name: str = "trial.mcap") -> Path:
@@ -116,7 +116,7 @@ def test_nothing_is_overwritten(log: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["trial-000.mcap", "trial-000.mcap.part"])
 @pytest.mark.parametrize("simulated", [True, False])
 def test_a_recovered_trial_counts_once(tmp_path: Path, name: str, simulated: bool) -> None:
-    whole = write(trial(steps=16, simulated=simulated), tmp_path / "whole")
+    whole = write(trial(steps=34, simulated=simulated), tmp_path / "whole")
     damaged(tmp_path, whole.read_bytes()[: whole.stat().st_size // 2], name)
     whole.unlink()
     done = recover(tmp_path / name)

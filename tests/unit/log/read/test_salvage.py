@@ -27,7 +27,7 @@ from tetractl.log.read.trial_log import TrialLog
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small log of a few chunks."""
-    return write(trial(steps=16), tmp_path_factory.mktemp("log") / "trial.mcap")
+    return write(trial(steps=34), tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
 @pytest.fixture(scope="module")
@@ -291,9 +291,9 @@ def _with_run(path: Path, facts: dict[str, str]) -> Path:
 
 
 def test_a_log_of_a_newer_format_is_refused(tmp_path: Path, log: Path) -> None:
-    facts = {**(scan(log).metadata["tetractl.run"]), "format_version": "2"}
+    facts = {**(scan(log).metadata["tetractl.run"]), "format_version": "3"}
     del facts[CHECKSUM]
-    with pytest.raises(LogError, match="of log format 2; this tetractl reads up to 1") as caught:
+    with pytest.raises(LogError, match="of log format 3; this tetractl reads up to 2") as caught:
         read_trial(_with_run(tmp_path / "new.mcap", facts))
     assert caught.value.hint == "update tetractl"
 

@@ -54,8 +54,8 @@ def test_a_writer_that_never_started_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_second_of_trial_time_is_all_a_crash_can_cost(tmp_path: Path) -> None:
-    made = trial(steps=22)
+def test_two_seconds_of_trial_time_are_all_a_crash_can_cost(tmp_path: Path) -> None:
+    made = trial(steps=32)
     writer = LogWriter(tmp_path / "trial.mcap")
     writer.on_start(made.start)
     for samples, step in made.rounds:
@@ -64,7 +64,7 @@ def test_a_second_of_trial_time_is_all_a_crash_can_cost(tmp_path: Path) -> None:
         writer.drain()
         found = read_trial(tmp_path / "trial.mcap.part")  # as if killed here
         seen_ns = int(found.received_ns[-1]) if len(found.received_ns) else 0
-        assert samples[-1].observation.received_ns - seen_ns <= 1_200_000_000
+        assert samples[-1].observation.received_ns - seen_ns <= 2_200_000_000
     writer.close()
 
 

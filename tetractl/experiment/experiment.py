@@ -145,6 +145,9 @@ class Experiment(Model):
     take the places of the spec's own."""
     trials: Trials = Trials()
     """How often the experiment is repeated."""
+    error_bound: Positive | None = None
+    """Total error [length unit] above which a trial counts as far off: the tables show the share of
+    such trials; by default those above 10 medians of their batch."""
     reference: Reference | None = None
     """A published result to compare with."""
     scale: Scale | None = None

@@ -78,6 +78,7 @@ def contrast_items(found: Contrast) -> dict[str, Any]:
             ("n", group.counted),
             ("mean", group.total.mean),
             ("std", group.total.std),
+            ("tail", group.total.tail.as_dict()),
         )
     }
     return {
@@ -90,9 +91,10 @@ def contrast_items(found: Contrast) -> dict[str, Any]:
         "unpaired_reason": found.why_unpaired or None,
         **_difference(found.difference),
         "both": found.both.as_dict(),
-        "test": found.test,
-        "test_p": found.p_value,
-        "test_p_holm": found.p_holm,
+        "p_holm": found.p_holm,
+        "rank_p": found.rank_p,
+        "rank_p_holm": found.rank_p_holm,
+        "tests": found.tests,
         "standardised": _effect(found.standardised),
         "cliffs_delta": _effect(found.delta),
         "deviation_ratio": _effect(found.deviations)

@@ -34,6 +34,7 @@ WITHOUT_JSON = [  # they write files, play, or give what has no form but its own
         ("redrive",),
         ("export",),
         ("open",),
+        ("serve",),
         ("report",),
     ),
     *(("study",), ("lab", "stop"), ("lab", "calibrate")),

@@ -12,7 +12,7 @@ from tetractl.core.cache import FOLDER, cache_folder, claim, exposed
 
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each test finds its folder anew, and the variable as it was afterwards."""
+    """Each test finds an empty folder, and the variable as it was afterwards."""
     monkeypatch.setenv(FOLDER, "")
     cache_folder.cache_clear()
     cache.say_once.cache_clear()
@@ -50,7 +50,7 @@ def test_a_folder_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, ca
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
 def test_a_folder_of_another_user_is_not_used(tmp_path):
-    """Regression: the temporary folder's `tetractl-UID` was used whoever had made it."""
+    """Regression: the temporary folder's `tetractl-UID` was used, whatever user had made it."""
     folder = tmp_path / "tetractl"
     folder.mkdir(mode=0o700)
     os.chown(folder, 12345, 12345)

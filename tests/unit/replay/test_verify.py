@@ -335,7 +335,7 @@ def test_a_log_without_an_end_is_no_failed_decision(tmp_path: Path, log: Path) -
 def test_a_wall_that_a_logged_path_crosses_was_entered(
     tmp_path: Path, simulated: bool, noticed: bool
 ) -> None:
-    """Only the lab judges the logged frames; a simulation's truth may go round a corner."""
+    """Only the lab evaluates the logged frames; a simulation's truth may go round a corner."""
     made = random_trials.trial(simulated=simulated)
     clear = replace(made.result.verdict, entered=(False,) * 3, clearance=(0.0,) * 3)
     log = read_trial(random_trials.write(made, tmp_path / "trial.mcap"))

@@ -23,7 +23,7 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.write.recorder import Recorder
 
 HOST = {"solve_ns", "deadline_missed", "deadline_misses", "packages"}
-SETUP = {"setup", "start_unix_ns"}  # told by the text of the spec and by its hash
+SETUP = {"setup", "start_unix_ns"}  # given by the text of the spec and by its hash
 TOLD = {"not_at_rest", "field_off"}  # by the result's reason, and by a command without direction
 OTHERS = {Outcome.SEQUENCE_COMPLETED: Outcome.ARRIVED}
 

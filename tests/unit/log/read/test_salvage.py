@@ -1,4 +1,4 @@
-"""However a file is damaged, what is read is what was written, and the damage is told."""
+"""However a file is damaged, what is read is what was written, and the damage is reported."""
 
 import random
 from dataclasses import replace

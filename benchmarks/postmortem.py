@@ -12,8 +12,8 @@ number alone, so that a run can be resumed.
 The report fits two polynomials of the second degree in the causes, orthogonal under the ranges, to
 the error and to its squared residual: the mean and the variance of the error in a realisation. From
 their coefficients follow Sobol's and Shapley's shares of each cause in the variance of the mean,
-with intervals by bootstrap; and the posterior of the causes given the published mean and deviation of 20
-trials, by rejection (approximate Bayesian computation) on newly drawn realisations.
+with intervals by bootstrap; and the posterior of the causes given the published mean and deviation
+of 20 trials, by rejection (approximate Bayesian computation) on newly drawn realisations.
 """
 
 import argparse

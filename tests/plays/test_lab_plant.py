@@ -11,7 +11,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
-from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import Origin
 from tetractl.plant.lab import LabPlant
 
 DIRECTIONS = (0.5, -0.4, 0.6)

@@ -75,10 +75,12 @@ def test_a_unicast_that_nobody_acknowledged_is_counted():
     def lose(frame):
         return [TransmitStatus(frame.frame_id, 1), Receive16(1, 0, 0, b"x")]
 
-    link = Module(respond=lose).opened()
+    radio = Module(respond=lose)
+    link = radio.opened()
     link.send(b"data", address=7)
     link.wait(10)
     assert link.undelivered == 1
+    assert radio.sent[0].frame_id, "it asks for a status"
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from tetractl.core.poses import Poses
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.kinds import FIGURES, draw
-from tetractl.view.figures.labels import apart
+from tetractl.view.figures.labels import separated
 from tetractl.view.figures.trajectory import trajectory_figure
 
 SEVERAL = ("trajectory", "errors", "arms", "ecdf", "scatter")  # kinds that show several trials
@@ -333,7 +333,7 @@ def test_an_aborted_trial_says_so(log, kind):
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=20), st.floats(0.001, 0.05))
 def test_labels_stay_apart_in_order_and_inside(heights, gap):
     wanted = np.sort(np.array(heights))
-    placed = apart(wanted, gap)
+    placed = separated(wanted, gap)
     assert (np.diff(placed) >= gap - 1e-9).all()
     assert placed.min() >= 0
     assert placed.max() <= 1 + 1e-9

@@ -14,6 +14,7 @@ from typer.exceptions import TyperException
 from tetractl import __version__
 from tetractl.cli import (
     analyze,
+    design,
     export,
     identify,
     info,
@@ -29,6 +30,7 @@ from tetractl.cli import (
     rerun,
     run,
     schema,
+    serve,
     stats,
     study,
     validate,
@@ -115,12 +117,14 @@ COMMANDS = {
     "report": report.report,
     "export": export.export,
     "open": open_log.open_logs,
+    "serve": serve.serve,
     "verify": verify.verify,
     "what-if": what_if.what_if,
     "redrive": redrive.redrive,
     "stats": stats.stats,
     "analyze": analyze.analyze,
     "study": study.study,
+    "design": design.design,
     "identify": identify.identify,
 }
 for name, function in COMMANDS.items():

@@ -9,7 +9,7 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.batch import Batch
 
-_BOOKKEEPING = {"trials", "description"}  # fields that do not change a trial
+_BOOKKEEPING = {"trials", "description", "error_bound"}  # fields that do not change a trial
 
 
 def experiment_of(batch: Batch) -> Experiment:
@@ -60,7 +60,8 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
 def differences(one: Experiment, two: Experiment) -> list[str]:
     """Return `path: value != value` for each field in which two experiments differ.
 
-    The description and the trials' count and seed are left out: they do not change a trial.
+    What does not change a trial is left out: the description, the trials' count and seed, and the
+    bound of the tables.
     """
     return list(
         _differences(

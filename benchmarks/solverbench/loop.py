@@ -76,14 +76,16 @@ class _Timed:
     controller: Controller
     times: list[float]
 
-    def plan(self, observation: Observation) -> Plan | Outcome | End:
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
         begin = time.thread_time()
-        decision = self.controller.plan(observation)
+        decision = self.controller.plan(observation, last_command, earlier)
         self.times.append(time.thread_time() - begin)
         return decision
-
-    def sent(self, command: Command) -> None:
-        self.controller.sent(command)
 
 
 def run(experiment: Experiment, trials: int, build: Build = build_controller) -> Batch:
@@ -131,7 +133,7 @@ def closed(settings: Settings) -> Report:
     report = Report("(c) Closed loop and control step")
     ours = experiment(OURS)
     contestants: list[tuple[str, Experiment, Build]] = [
-        ("paper, to the letter", experiment(PAPER), build_controller),
+        ("paper, as published", experiment(PAPER), build_controller),
         ("**ours**", ours, build_controller),
     ]
     if available(shooting.PACKAGE):
@@ -236,7 +238,7 @@ def disturbed(settings: Settings) -> Report:
     no_learning = "controller.estimate=false"
     rows = []
     for name, spec in (
-        ("paper, to the letter", [PAPER]),
+        ("paper, as published", [PAPER]),
         ("the same, dead time compensated", [PAPER, COMPENSATED]),
         ("ours, neither compensated nor estimated", [OURS, no_learning]),
         ("ours, estimated only", [OURS]),

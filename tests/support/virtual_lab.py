@@ -16,7 +16,7 @@ from support.virtual_wires import STEP_NS, LabClock, Network, VirtualLoop, virtu
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Health
-from tetractl.core.plan import Outcome, Plan
+from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import CameraFrame, Observation, Pose
 from tetractl.core.protocols import Controller
 from tetractl.core.supervision import LabSupervision
@@ -111,16 +111,18 @@ class Busy:
         self._controller, self._clock, self._rng = controller, clock, rng
         self._least, self._spread, self._planned = least, spread, False
 
-    def plan(self, observation: Observation) -> Plan | Outcome:
-        decided = self._controller.plan(observation)
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        decided = self._controller.plan(observation, last_command, earlier)
         if self._planned:  # the first plan is computed while the robots stand
             seconds = self._least + self._spread * self._rng.random()
             self._clock.sleep_until(self._clock.now() + round(seconds * SECOND))
         self._planned = True
         return decided
-
-    def sent(self, command: Command) -> None:
-        self._controller.sent(command)
 
 
 @dataclass

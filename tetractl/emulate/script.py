@@ -12,9 +12,8 @@ from tetractl.core.errors import SpecError
 from tetractl.emulate.faults import MARK, Fault
 from tetractl.emulate.sides import ACTUATORS, CAMERAS
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
-from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import words
-from tetractl.experiment.yaml.frozen import frozen
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 
 

@@ -8,6 +8,7 @@ On the machine and versions that wrote the log they must come out with the same 
 """
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tetractl.core.clock import SECOND, Clock
@@ -131,7 +132,12 @@ class _LoggedPlans:
         self._steps, self._ending, self._k = log.steps, ending, 0
         self._outcome = log.result.outcome if log.result else Outcome.ABORTED
 
-    def plan(self, observation: Observation) -> Plan | Outcome | End:
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
         """Return the next logged plan; AbortError where the observation is not the logged one."""
         if self._k == len(self._steps):
             return End(self._outcome, max(0, self._ending.delay_ns))
@@ -141,9 +147,6 @@ class _LoggedPlans:
             text = f"step {step.k} has frame {step.observation.frame}, not {observation.frame}"
             raise AbortError(text)
         return step.plan
-
-    def sent(self, command: Command) -> None:
-        """Take note of a command: nothing depends on it."""
 
 
 class _Recorder(Recorder):

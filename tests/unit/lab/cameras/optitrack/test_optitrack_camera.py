@@ -73,7 +73,7 @@ def stray(number, x=0.1, version=V41):
 
 
 def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
-    """Regression: any process on the server's address was believed, and could walk a robot off."""
+    """Regression: any process on the server's address was trusted, and could walk a robot off."""
     with motive(tmp_path) as (_, camera, clock), camera:
         stranger = stranger_of()
         assert clock.wait(lambda: camera.newest.poses[0] is not None)

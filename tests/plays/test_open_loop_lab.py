@@ -17,7 +17,7 @@ def test_a_design_is_driven_and_its_commands_are_driven_again(tmp_path):
         return done.stdout
 
     with virtual_lab(tmp_path, sets=("lab.limits.placing=30",), replace_after=0.2) as lab:
-        design = ("identify", "--design", SPEC, "--seconds", "4", "--plant", "lab", "--yes")
+        design = ("design", SPEC, "--seconds", "4", "--plant", "lab", "--yes")
         said = call(*design, "--logs", "design", "--json", *flags(lab.settings))
         found = json.loads(said)
         assert found["origin"] == "emulated lab"

@@ -67,7 +67,8 @@ def emulated(folder, *sets, script=NOTHING, tell=None, spec=SPEC, make_loop=Loop
     loaded = parse_spec(spec, "emulated.yaml", sets)
     lab = lab_of(loaded.experiment, loaded.name)
     if isinstance(script, str):
-        script = parse_script("about: a test\n" + script, "script.yaml")
+        types = lab.camera.type, lab.actuator.type
+        script = parse_script("about: a test\n" + script, "script.yaml", *types)
     chosen = replace(
         Options(command_port=0, data_port=0, link=Path(folder) / "radio"),
         record=Path(folder) / "record.jsonl",

@@ -14,6 +14,7 @@ from typer.exceptions import TyperException
 from tetractl import __version__
 from tetractl.cli import (
     analyze,
+    design,
     export,
     identify,
     info,
@@ -29,10 +30,12 @@ from tetractl.cli import (
     rerun,
     run,
     schema,
+    serve,
     stats,
     study,
     validate,
     verify,
+    warm,
     what_if,
 )
 from tetractl.core.errors import Exit, TetractlError
@@ -94,7 +97,8 @@ def _root(
 ) -> None:
     """Steer several robots at once with one control signal.
 
-    Run an experiment from a YAML spec, show its trials, and compute their statistics.
+    Run an experiment from a YAML spec, show its trials, and compute their statistics. The files
+    that examples name are written by `tetractl init --example NAME`.
     """
 
 
@@ -103,6 +107,7 @@ COMMANDS = {
     "run": run.run,
     "rerun": rerun.rerun,
     "validate": validate.validate,
+    "warm": warm.warm,
     "schema": schema.schema,
     "kinds": kinds.kinds,
     "info": info.info,
@@ -112,12 +117,14 @@ COMMANDS = {
     "report": report.report,
     "export": export.export,
     "open": open_log.open_logs,
+    "serve": serve.serve,
     "verify": verify.verify,
     "what-if": what_if.what_if,
     "redrive": redrive.redrive,
     "stats": stats.stats,
     "analyze": analyze.analyze,
     "study": study.study,
+    "design": design.design,
     "identify": identify.identify,
 }
 for name, function in COMMANDS.items():

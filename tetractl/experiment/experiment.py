@@ -145,8 +145,8 @@ class Experiment(Model):
     lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
-    """File beside the spec, of `tetractl identify`: its a and speed of each robot and its dead time
-    take the places of the spec's own."""
+    """File of `tetractl identify`, relative to the spec: its a and speed of each robot and its dead
+    time take the places of the spec's own."""
     trials: Trials = Trials()
     """How often the experiment is repeated."""
     error_bound: Positive | None = None

@@ -93,7 +93,7 @@ def headline(drawing: Figure, text: str, alarm: str = "") -> None:
 def _lower_legends(drawing: Figure, share: float) -> float:
     """Lower the legends above the axes below the top `share` of a figure; return their height [in].
 
-    The layout leaves space for a legend beside a headline, not below it.
+    The layout leaves space for a legend next to a headline, not below it.
     """
     drawing.draw_without_rendering()
     above_in = 0.0

@@ -1,10 +1,7 @@
 """The field's actuator: what it commands, and its life before an emulated driver."""
 
 import math
-import os
-import pty
 import random
-import tty
 from contextlib import suppress
 from types import SimpleNamespace
 
@@ -300,21 +297,6 @@ def test_an_unplugged_driver_raises_and_says_so():
                 send()
         (problem,) = actuator.check().problems
         assert "is gone" in problem
-
-
-def test_a_stuck_port_raises_and_never_hangs():
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    try:
-        actuator = FieldActuator(section(port=os.ttyname(slave)), SETUP, MonotonicClock())
-        with actuator:
-            with pytest.raises(AbortError, match="is stuck"):
-                for _ in range(10_000):
-                    actuator.stop()
-            assert "is stuck" in actuator.failure
-    finally:
-        os.close(master)
-        os.close(slave)
 
 
 def test_there_must_be_a_port(tmp_path):

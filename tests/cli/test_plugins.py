@@ -26,7 +26,6 @@ CAMERA = """
 import threading
 from tetractl import load_spec
 from tetractl.core.clock import VirtualClock
-from tetractl.core.wire_tap import NO_TAP
 
 reached, finished = threading.Event(), threading.Event()
 
@@ -41,7 +40,7 @@ setting = "lab.camera={type: csv-camera, file: poses.csv, rate: 50}"
 experiment = load_spec("three.yaml", setting).experiment
 woken = []
 camera = experiment.lab.camera.build(
-    experiment.setup, ClockUpTo150Ms(), NO_TAP, lambda: woken.append(camera.newest)
+    experiment.setup, ClockUpTo150Ms(), lambda: woken.append(camera.newest)
 )
 with camera:
     reached.wait()

@@ -17,7 +17,6 @@ from support.labs import STEP_NS, FakeActuator, FakeCamera, SteppedClock, World
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP
 from tetractl.experiment.load import parse_spec
 
 PATIENCE_S = 10
@@ -124,7 +123,7 @@ def optitrack(folder: Path) -> Iterator[CameraRig]:
         changed.set()
 
     with running(folder) as (lab, experiment):
-        camera = experiment.lab.camera.build(experiment.setup, clock, NO_TAP, wake)
+        camera = experiment.lab.camera.build(experiment.setup, clock, wake)
 
         def hide(name: str) -> None:
             lab.camera.tracked_body(name).tracked = False
@@ -142,7 +141,7 @@ def optitrack(folder: Path) -> Iterator[CameraRig]:
 def _actuator(folder: Path, spec: str) -> Iterator[ActuatorRig]:
     clock = MonotonicClock()
     with running(folder, spec) as (lab, experiment):
-        actuator = experiment.lab.actuator.build(experiment.setup, clock, NO_TAP)
+        actuator = experiment.lab.actuator.build(experiment.setup, clock)
 
         def moves() -> list[bool]:
             return [not body.standing for body in lab.actuator.bodies]
@@ -167,7 +166,7 @@ def apriltag(folder: Path) -> Iterator[CameraRig]:
     with running(folder, APRILTAG_SPEC) as (lab, experiment):
         source = experiment.lab.camera.source.model_copy(update={"url": lab.camera.camera.url})
         section = experiment.lab.camera.model_copy(update={"source": source, "connect": 10.0})
-        camera = section.build(experiment.setup, clock, NO_TAP, wake)
+        camera = section.build(experiment.setup, clock, wake)
 
         def hide(name: str) -> None:
             lab.camera.renderer.hidden.add(lab.camera.tag(name))

@@ -4,20 +4,18 @@ import struct
 
 import pytest
 
+from tetractl.emulate.optitrack.server_wire import Channels, Clutter, pack_full_frame, pack_modeldef
 from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
-    Channels,
-    Clutter,
     MessageKind,
     ModelDef,
     NatNetFrame,
     RigidBody,
     Version,
 )
-from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
-from tetractl.lab.cameras.optitrack.wire import datagram, pack_full_frame
+from tetractl.lab.cameras.optitrack.wire import datagram
 
-NUMBERS = "2.5 2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
+NUMBERS = "2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
 VERSIONS = [Version(*map(int, number.split("."))) for number in NUMBERS.split(" ")]
 every_version = pytest.mark.parametrize("version", VERSIONS, ids=str)
 
@@ -25,7 +23,7 @@ every_version = pytest.mark.parametrize("version", VERSIONS, ids=str)
 def full_frame(version):
     """Return a frame with something of every kind."""
     at = (0.5, 0.25, -1.0)
-    body = RigidBody(7, at, (0.0, 0.0, 0.6, 0.8), 0.001, True)
+    body = RigidBody(7, at, (0.0, 0.0, 0.6, 0.8), True)
     clutter = Clutter(
         marker_sets=(("green", (at, at)), ("all", (at,) * 5)),
         other_markers=(at,),
@@ -54,5 +52,5 @@ def full_modeldef(version, awkward=True):
         others.append((4, struct.pack("<i", 2) + text + text + struct.pack("<iii", 0, 0, 1) + text))
     if version >= (4, 1) and awkward:
         others.append((6, b"an asset that is stepped over"))
-    model = ModelDef((BodyName("green", 1), BodyName("blü", 2, 1)))
+    model = ModelDef((BodyName("green", 1), BodyName("blü", 2)))
     return model, datagram(MessageKind.MODELDEF, pack_modeldef(model, version, others, markers=3))

@@ -13,7 +13,6 @@ from typing import ClassVar
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
-from tetractl.core.wire_tap import NO_TAP
 from tetractl.emulate.loop import Loop
 from tetractl.lab.cameras.optitrack.client import NatNetClient
 from tetractl.lab.serial_port import PortHeldError
@@ -198,11 +197,11 @@ class MemoryPort:
 class MemorySerial:
     """Our end of the port: what `SerialPort` promises, without a thread."""
 
-    def __init__(self, name, baud, device, clock, heard, hint, tap=NO_TAP, wire="serial"):
+    def __init__(self, name, baud, device, clock, heard, hint):
         self.failure = None
         self.bits_a_second = baud
         self._name, self._device, self._hint = name, device, hint
-        self._clock, self._heard, self._tap, self._wire = clock, heard, tap, wire
+        self._clock, self._heard = clock, heard
         self._port = None
 
     def open(self, alone=True):
@@ -220,9 +219,7 @@ class MemorySerial:
             self._port.take(data)
         except TimeoutError:
             raise self._fail(f"takes no more bytes: {self._device} is stuck") from None
-        now = self._clock.now()
-        self._tap.sent(self._wire, now, data)
-        return now
+        return self._clock.now()
 
     def set_baud(self, baud):
         self.bits_a_second = baud
@@ -233,9 +230,7 @@ class MemorySerial:
         self._port = None
 
     def came(self, data):
-        now = self._clock.now()
-        self._tap.received(self._wire, now, data)
-        self._heard(data, now)
+        self._heard(data, self._clock.now())
 
     def gone(self):
         self._fail("is gone: Input/output error")

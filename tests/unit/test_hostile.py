@@ -69,7 +69,7 @@ def test_good_conversations_come_through():
         for seed in datagrams():
             targets.natnet(seed)
     whole = [stream for stream in fed if stream.newest and stream.newest.poses[0]]
-    assert len(whole) == len(targets.VERSIONS) - 1  # 2.5 does not say whether a body is tracked
+    assert len(whole) == len(targets.VERSIONS)
     assert sum(stream.sync is not None and stream.sync.synced for stream in fed) == 4
     assert all(stream.camera_rate_hz == 120 for stream in whole)
 

@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 from typer.exceptions import TyperException
 
-from tetractl import __version__
 from tetractl.cli import (
     analyze,
     export,
@@ -35,6 +34,7 @@ from tetractl.cli import (
 )
 from tetractl.core.errors import Exit, TetractlError
 from tetractl.core.text import printable
+from tetractl.core.version import __version__
 
 app = typer.Typer(
     name="tetractl",

@@ -14,7 +14,6 @@ from tetractl.cli.trials import (
     Out,
     PlantChoice,
     Quiet,
-    RecordWire,
     Unattended,
     run_command,
 )
@@ -48,7 +47,6 @@ def run(
     quiet: Quiet = False,
     serve: Serve = False,
     port: Port = None,
-    record_wire: RecordWire = None,
     json: Json = False,
 ) -> int:
     """Run the trials of an experiment, log each to DIR/trial-000.mcap ..., print the statistics.
@@ -84,7 +82,6 @@ def run(
         dry_run=dry_run,
         quiet=quiet,
         yes=yes,
-        record_wire=record_wire,
         port=wanted_port(serve, port),
         json=json,
         unattended=unattended,

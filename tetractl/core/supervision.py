@@ -1,11 +1,9 @@
-"""What people and files have to do with a run in the lab."""
+"""What people have to do with a run in the lab."""
 
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
-
-from tetractl.core.wire_tap import NO_TAP, Tap
 
 
 class PlacementPrompt(Protocol):
@@ -26,7 +24,7 @@ class PlacementPrompt(Protocol):
 
 @dataclass(slots=True)
 class LabSupervision:
-    """The people at a run in the lab, and the recording of its wires.
+    """The people at a run in the lab.
 
     `emergency` set is the emergency stop. `prompt` None: nobody is asked, and robots that are
     not on their starts within the spec's `placing` time end the run. `cancelled` returns whether a
@@ -35,5 +33,4 @@ class LabSupervision:
 
     emergency: threading.Event = field(default_factory=threading.Event)
     prompt: PlacementPrompt | None = None
-    tap: Tap = NO_TAP
     cancelled: Callable[[], bool] = lambda: False

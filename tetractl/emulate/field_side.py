@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
 from tetractl.emulate.cells import Cell, Dish
-from tetractl.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
+from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, fault, settings, switching
 from tetractl.emulate.field import CurrentDriver
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.port import PseudoPort
@@ -28,49 +29,28 @@ class FieldSettings(Model):
     """The driver's supply voltage [mV]."""
 
 
-class DriverOff(Fault):
-    """The current driver is switched off."""
-
-    fault: Literal["off"]
-
-    def begin(self, device: "EmulatedField") -> Undo:
-        """Switch it off."""
-        device.driver.switch(False)
-        return lambda: device.driver.switch(True)
+def _driver_of(device: Any, fault: Any) -> CurrentDriver:
+    return device.driver
 
 
-class LowSupply(Fault):
-    """The driver's supply has this voltage."""
-
-    fault: Literal["low_supply"]
-    millivolts: int = Field(ge=0, le=60_000)
-    """Its voltage."""
-
-    def begin(self, device: "EmulatedField") -> Undo:
-        """Set the voltage."""
-        return setting(device.driver, supply_mv=self.millivolts)
-
-
-class Hot(Fault):
-    """The coils have this temperature."""
-
-    fault: Literal["hot"]
-    celsius: float = Field(ge=0, le=200)
-    """Their temperature."""
-
-    def begin(self, device: "EmulatedField") -> Undo:
-        """Set the temperature."""
-        return setting(device.driver, temperature_dc=round(10 * self.celsius))
-
-
-class Mute(Fault):
-    """The driver hears but does not reply."""
-
-    fault: Literal["mute"]
-
-    def begin(self, device: "EmulatedField") -> Undo:
-        """Silence the driver."""
-        return setting(device.driver, mute=True)
+FAULTS = (
+    UNPLUG,
+    STUCK_PORT,
+    fault("off", "The driver is switched off.", switching(lambda d, f: d.driver.switch, False)),
+    fault(
+        "low_supply",
+        "The driver's supply has this voltage.",
+        settings(_driver_of, supply_mv=attrgetter("millivolts")),
+        millivolts=Annotated[int, Field(ge=0, le=60_000)],
+    ),
+    fault(
+        "hot",
+        "The coils have this temperature.",
+        settings(_driver_of, temperature_dc=lambda f: round(10 * f.celsius)),
+        celsius=Annotated[float, Field(ge=0, le=200)],
+    ),
+    fault("mute", "The driver hears but does not reply.", settings(_driver_of, mute=True)),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +94,7 @@ class EmulatedField:
     """A current driver on a pseudo-terminal, and the cells between its coils."""
 
     Settings: ClassVar[type[Model]] = FieldSettings
-    faults: ClassVar[Sequence[type[Fault]]] = (Unplug, StuckPort, DriverOff, LowSupply, Hot, Mute)
+    faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
     def __init__(self, stage: Stage, settings: FieldSettings) -> None:
         section = stage.lab.actuator
@@ -173,6 +153,13 @@ class EmulatedField:
         assert self._loop is not None, "open() gives the loop"
         self.port.plug()
         self._loop.watch(self.port.fd, self.driver.readable)
+
+    def plugged(self, on: bool) -> None:
+        """Plug the driver in, or pull it out."""
+        if on:
+            self.plug()
+        else:
+            self.unplug()
 
     def unplug(self) -> None:
         """Pull the driver out; idempotent."""

@@ -9,7 +9,7 @@ from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import SpecError
-from tetractl.emulate.faults import Fault, Mark
+from tetractl.emulate.faults import MARK, Fault
 from tetractl.emulate.kinds import ACTUATORS, CAMERAS
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
@@ -138,7 +138,7 @@ class Sides:
     @property
     def faults(self) -> dict[str, type[Fault]]:
         """Every fault that the lab can have, by name."""
-        kinds = (*self.camera.faults, *self.actuator.faults, Mark)
+        kinds = (*self.camera.faults, *self.actuator.faults, MARK)
         return {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in kinds}
 
 

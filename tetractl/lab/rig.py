@@ -8,7 +8,6 @@ from typing import Self
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.experiment.lab import LabLimits, LabSection
 from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop
@@ -92,12 +91,11 @@ def build_rig(
     setup: Setup,
     clock: Clock,
     emergency: threading.Event | None = None,
-    tap: Tap = NO_TAP,
 ) -> Rig:
     """Return the rig of a spec; nothing is opened yet."""
     wake = threading.Event()
-    camera = lab.camera.build(setup, clock, tap, wake.set)
-    actuator = lab.actuator.build(setup, clock, tap)
+    camera = lab.camera.build(setup, clock, wake.set)
+    actuator = lab.actuator.build(setup, clock)
     return Rig(camera, actuator, lab.limits, setup, clock, emergency, wake)
 
 

@@ -9,13 +9,14 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
 
-from tetractl import __version__
 from tetractl.core.cache import compiler_settings
 from tetractl.core.cache import digest as cache_name
+from tetractl.core.text import printable
+from tetractl.core.version import __version__
 
 PACKAGES = (
     "numpy",
@@ -66,6 +67,23 @@ def host() -> dict[str, str]:
         "numpy_dispatch": _numpy_dispatch(),
         "cpus": str(os.cpu_count() or 0),
     }
+
+
+def processor(host: Mapping[str, str]) -> str:
+    """Return the type of a host's processor, as `znver3-1a2b3c`; "" where its record lacks it.
+
+    That is LLVM's name for it, and six digits that name the instruction sets in use: code compiled
+    for two types may differ in the last bits of its results.
+    """
+    if not (name := host.get("cpu_target")):
+        return ""
+    sets = f"{host.get('cpu_features')} {host.get('numpy_dispatch')}"
+    return f"{printable(name, 40)}-{_short_digest(sets)}"
+
+
+@lru_cache(maxsize=64)
+def _short_digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:6]
 
 
 @cache

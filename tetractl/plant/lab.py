@@ -37,7 +37,7 @@ class LabPlantSection(LabSection):
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> "LabPlant":
         """Return the plant of one trial; nothing is opened yet."""
-        rig = build_rig(self, setup, clock, supervision.emergency, supervision.tap)
+        rig = build_rig(self, setup, clock, supervision.emergency)
         return LabPlant(rig, supervision)
 
 

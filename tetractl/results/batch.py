@@ -190,6 +190,5 @@ def _add_unlogged(
                     trials.remove(log)
                     damaged.append(Damaged(log.path, f"its end is lost, and read from {row.path}"))
         if lost:
-            problem = f"{lost} trials have neither a log nor a result in their row"
-            again = "the study's --rerun-outdated runs them again"
-            damaged.append(Damaged(str(file), f"{problem}; {again}"))
+            problem = f"{lost} trials have neither a log nor a row that can be read"
+            damaged.append(Damaged(str(file), f"{problem}; the study runs them again"))

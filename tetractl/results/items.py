@@ -158,6 +158,7 @@ def _trial(trial: ResultSummary) -> dict[str, Any]:
         "outcome": result.outcome.value,
         "reason": result.reason,
         "warnings": trial.warnings,
+        "processor": trial.processor,
         **{key: item for one in statistics() for key, item in one.of_trial(trial).items()},
         "counted": counts(trial),
     }

@@ -1,7 +1,9 @@
 """Lays groups and their contrasts out as tables for readers."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from tetractl.core.table.numbers import NONE, digits, fixed, lengths, p_value
 from tetractl.core.table.table import Column, Table
@@ -91,7 +93,22 @@ def _errors(groups: Sequence[Group]) -> Table:
             row = Distribution(known.n, known.mean, known.std, nan, nan, nan, ends)
             named.append(("published", row))
     scale = min((group.total.mean for group in groups if group.counted), default=math.nan)
-    return error_table(title, [*named, *each], first.unit, scale, finest(first.experiment))
+    errors = error_table(title, [*named, *each], first.unit, scale, finest(first.experiment))
+    simulated = (trial for group in groups for trial in group.batch.trials if trial.simulated)
+    return replace(errors, note=processors_note(trial.processor for trial in simulated))
+
+
+def processors_note(types: Iterable[str]) -> str:
+    """Return a note on simulated trials of several types of processor, "" for those of one.
+
+    The same trial may differ in its last bits between two of them.
+    """
+    found = Counter(filter(None, types))
+    if len(found) < 2:
+        return ""
+    listed = ", ".join(f"{name} ({count})" for name, count in found.most_common(4))
+    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    return f"trials of {len(found)} types of processor, which may differ slightly: {listed}{more}"
 
 
 def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:

@@ -17,7 +17,7 @@ from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.kinds import packages
 from tetractl.experiment.load import LoadedSpec, start_of
-from tetractl.log.provenance import trial_code
+from tetractl.log.provenance import host, processor, trial_code
 from tetractl.log.write.recorder import Recorder
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
@@ -54,8 +54,8 @@ class Task:
 class Finished:
     """A trial that was run to an outcome, in `wall_s` on the clock and `cpu_s` of the processor.
 
-    `digest` and `warnings`, the number of warnings and errors among its messages, are those of a
-    task with `digest`.
+    A task with `digest` has the `digest`, the number of `warnings` and errors among the trial's
+    messages, and the type of the `processor` that ran it.
     """
 
     result: Result
@@ -64,6 +64,7 @@ class Finished:
     cpu_s: float
     digest: str = ""
     warnings: int = 0
+    processor: str = ""
 
 
 class OtherCodeError(UsageError):
@@ -116,7 +117,8 @@ def run_task(
         return Finished(result, task.log, wall_s, cpu_s)
     if log and log.failure:  # the digest would be that of another outcome
         raise log.failure
-    return Finished(result, task.log, wall_s, cpu_s, digest.trial_digest, digest.warnings)
+    type_ = processor(host())
+    return Finished(result, task.log, wall_s, cpu_s, digest.trial_digest, digest.warnings, type_)
 
 
 @lru_cache(maxsize=64)

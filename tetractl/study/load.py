@@ -18,8 +18,7 @@ from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem
 from tetractl.experiment.yaml.schema import schema_of
 from tetractl.run.limits import check
 from tetractl.run.task import code_of
-from tetractl.study.arm import Arm, arm_name
-from tetractl.study.cells import as_yaml
+from tetractl.study.arm import Arm, arm_name, as_yaml
 from tetractl.study.study import Study
 from tetractl.study.sweep import Setting
 

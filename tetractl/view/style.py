@@ -59,11 +59,6 @@ _METADATA: dict[str, dict[str, Any]] = {
 }
 
 
-def unit_of(unit: str) -> str:
-    """Return the length unit as papers write it."""
-    return unit.replace("um", "µm")
-
-
 @contextmanager
 def styled() -> Iterator[None]:
     """Apply this style to what is drawn inside the block, and restore matplotlib's settings."""

@@ -113,7 +113,12 @@ def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
     ]
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """Return a sorting key that puts trial-2 before trial-10."""
-    pieces = re.split(r"(\d+)", str(path))
-    return [(int(piece), 1, "") if piece.isdecimal() else (0, 0, piece) for piece in pieces]
+def _natural(path: Path) -> list[list[tuple[int, int, str]]]:
+    """Return a sorting key that puts trial-2 before trial-10, and x=0/t before x=0.1/t."""
+    return [
+        [
+            (int(piece), 1, "") if piece.isdecimal() else (0, 0, piece)
+            for piece in re.split(r"(\d+)", part)
+        ]
+        for part in path.parts
+    ]

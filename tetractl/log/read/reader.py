@@ -118,6 +118,7 @@ def read_result(path: Path) -> ResultSummary:
         recovered=recovered,
         digest=digest,
         warnings=contents.warnings,
+        processor=provenance.processor(contents.host),
     )
 
 

@@ -108,6 +108,7 @@ class ResultSummary:
     recovered: bool
     digest: str | None  # content digest that the log states
     warnings: int = 0  # and errors, among the messages for people
+    processor: str = ""  # its type, as `provenance.processor` names it; "" where not stated
 
     @property
     def simulated(self) -> bool:

@@ -16,8 +16,8 @@ from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
-from tetractl import __version__
 from tetractl.core.errors import LogError
+from tetractl.core.version import __version__
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import add_checksum

@@ -9,6 +9,7 @@ from matplotlib.patches import Patch
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import LogError
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.axes import by_folder
@@ -26,7 +27,7 @@ def arms_figure(logs: Sequence[TrialLog]) -> Figure:
     for log in logs:
         if not len(log.mocap_ns):
             raise LogError(f"{log.path}: holds no camera frames to plot")
-    unit = style.unit_of(logs[0].start.setup.unit)
+    unit = unit_of(logs[0].start.setup.unit)
     every = [log for found in batches.values() for log in found]
     end_s = max(1e-9, *(float(log.mocap_ns[-1] - log.began_ns) / SECOND for log in every))
     time_s = np.linspace(0, end_s, POINTS)

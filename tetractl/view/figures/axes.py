@@ -4,7 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogFormatterMathtext,
+    LogLocator,
+    MaxNLocator,
+    NullFormatter,
+)
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
@@ -122,9 +128,9 @@ def span(values: Floats) -> tuple[float, float]:
 
 
 def plain_log(axes: Axes) -> None:
-    """Write 100 rather than 10^2, and mark 1, 2 and 5 of each decade where there are few.
+    """Mark 1, 2 and 5 of each decade where there are few, less than half a decade evenly.
 
-    Less than half a decade gets evenly spaced marks.
+    All marks of an axis are written alike: as 100 from 0.01 to 10,000, else as powers of ten.
     """
     low, high = axes.get_ylim()
     if high / low < 5:
@@ -132,5 +138,8 @@ def plain_log(axes: Axes) -> None:
     else:
         marks = (1.0, 2.0, 5.0) if high / low < 1000 else (1.0,)
         axes.yaxis.set_major_locator(LogLocator(subs=marks))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    if (low >= 1e-3 and high <= 1e5) or high / low < 5:
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    else:
+        axes.yaxis.set_major_formatter(LogFormatterMathtext(labelOnlyBase=False))
     axes.yaxis.set_minor_formatter(NullFormatter())

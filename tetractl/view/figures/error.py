@@ -10,6 +10,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
 from tetractl.view import style
@@ -25,7 +26,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
     if not len(log.mocap_ns):
         raise LogError(f"{log.path}: holds no camera frames to plot")
     setup = log.start.setup
-    unit = style.unit_of(setup.unit)
+    unit = unit_of(setup.unit)
     time_s = (log.mocap_ns - log.began_ns) / SECOND
     gaps = setup.distances(tracked(log.mocap, log.valid))
     with style.styled():
@@ -70,7 +71,7 @@ def _ends(total: Axes, each: Axes, log: TrialLog, gaps: Floats, colors: list[str
     """Write the errors at the end beside the curves: the result's, else the last ones measured."""
     setup = log.start.setup
     errors = _last(gaps) if log.result is None else np.array(log.result.robot_errors)
-    unit = style.unit_of(setup.unit)
+    unit = unit_of(setup.unit)
     end_labels(total, [errors.sum()], [f"{errors.sum():.1f} {unit}"], [style.INK])
     names = robot_labels(setup.names)
     texts = [f"{name} {error:.1f}" for name, error in zip(names, errors, strict=True)]

@@ -12,6 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import BLUE, RED, robot_colors
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Bools, Floats
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
 from tetractl.view import style
@@ -39,7 +40,7 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
         if not len(log.mocap_ns):
             raise LogError(f"{log.path}: holds no camera frames to plot")
     setup = logs[0].start.setup
-    unit = style.unit_of(setup.unit)
+    unit = unit_of(setup.unit)
     end_s = max(1e-9, *(float(log.mocap_ns[-1] - log.began_ns) / SECOND for log in logs))
     time_s = np.linspace(0, end_s, POINTS)
     errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, POINTS, N)

@@ -14,6 +14,7 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.axes import (
@@ -61,7 +62,7 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
             _dead_time(panels[2 + biased], time_s, known)
         for spare in panels[2 + biased + delayed :]:
             spare.set_axis_off()
-        unit = style.unit_of(setup.unit)
+        unit = unit_of(setup.unit)
         titles = ["turning rate a, at the end in rad/s", f"speed, at the end in {unit}/s"]
         titles += ["heading bias"] * biased + ["dead time"] * delayed
         for axes, letter, title in zip(panels, "abcd", titles, strict=False):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import Moment, Recording
 from tetractl.view import style
@@ -88,7 +89,7 @@ class Frames:
         axes.plot(time_s, self._totals, color=style.FAINT, lw=1.2)
         axes.set_xlim(0, max(recording.elapsed_s(recording.end_ns), 1e-9))
         axes.set_ylim(0, 1.05 * float(np.nanmax(self._totals, initial=1e-9)))
-        axes.set_ylabel(f"total error [{style.unit_of(setup.unit)}]")
+        axes.set_ylabel(f"total error [{unit_of(setup.unit)}]")
         axes.set_xlabel("time [s]")
         (self._curve,) = axes.plot([], [], color=style.INK, lw=1.5)
         figure = axes.get_figure(root=True)
@@ -125,7 +126,7 @@ class Frames:
         times = np.append(self._times[:done], moment.time_s)
         total = float(np.nansum(moment.distances))
         self._curve.set_data(times, np.append(self._totals[:done], total))
-        unit = style.unit_of(self._setup.unit)
+        unit = unit_of(self._setup.unit)
         step = moment.step
         told = [
             f"{moment.time_s:5.1f} s" + (f"   step {step.k}" if step else ""),

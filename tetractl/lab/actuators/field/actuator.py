@@ -16,7 +16,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
-from tetractl.core.wire_tap import NO_TAP, Tap
+from tetractl.core.setup import Setup
 from tetractl.lab.actuators.field.check import inspect
 from tetractl.lab.actuators.field.coils import Pair, approach
 from tetractl.lab.actuators.field.driver import HINT, Driver
@@ -38,12 +38,10 @@ class FieldActuator:
     individual = False
     halts = False
 
-    def __init__(
-        self, section: FieldSection, a: Floats, speed: Floats, clock: Clock, tap: Tap = NO_TAP
-    ) -> None:
+    def __init__(self, section: FieldSection, setup: Setup, clock: Clock) -> None:
         self.section, self.coils = section, section.calibrated_coils()
-        self.driver = Driver(section.port, section.baud, clock, tap)
-        self._a, self._speed, self._clock = np.array(a, float), np.array(speed, float), clock
+        self.driver = Driver(section.port, section.baud, clock)
+        self._a, self._speed, self._clock = setup.a, setup.speed, clock
         self._lock = threading.Lock()
         self._currents = OFF  # asked of the driver [A], held from `_sent_ns` ...
         self._sent_ns = clock.now() - self.period_ns

@@ -4,7 +4,6 @@ import threading
 from contextlib import suppress
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.field.protocol import (
     DriverStatus,
     FieldCommand,
@@ -31,13 +30,11 @@ class Driver:
     `failure` then says so.
     """
 
-    def __init__(self, port: str, baud: int, clock: Clock, tap: Tap = NO_TAP) -> None:
+    def __init__(self, port: str, baud: int, clock: Clock) -> None:
         self.sent = self.replies = 0
         self.newest: FieldReply | None = None
         self._clock = clock
-        self._port = SerialPort(
-            port, baud, "the current driver", clock, self._hear, HINT, tap, "field"
-        )
+        self._port = SerialPort(port, baud, "the current driver", clock, self._hear, HINT)
         self._splitter = Splitter()
         self._changed = threading.Condition()
         self._sequence = 0

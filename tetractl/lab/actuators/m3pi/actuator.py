@@ -11,7 +11,6 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.m3pi.broadcast import Counts
 from tetractl.lab.actuators.m3pi.command import (
     STOP,
@@ -38,10 +37,10 @@ class M3piActuator:
     individual = True
     halts = True
 
-    def __init__(self, section: M3piSection, setup: Setup, clock: Clock, tap: Tap = NO_TAP) -> None:
+    def __init__(self, section: M3piSection, setup: Setup, clock: Clock) -> None:
         self.section, self.names = section, setup.names
         self.robots = [section.robot(name) for name in setup.names]
-        self.link = Link(section, clock, tap)
+        self.link = Link(section, clock)
         self.drivetrains = [drivetrain(section, robot) for robot in self.robots]
         self._clock = clock
         self._protocol = build_protocol(section, setup.names, self.link, clock)

@@ -19,7 +19,6 @@ from tetractl.core.clock import SECOND, MonotonicClock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP
 from tetractl.experiment.lab import LabSection, Measured
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.actuators.m3pi.broadcast import Counts
@@ -140,7 +139,7 @@ class _Bench:
         self._home: Pose | None = None
         self._offset = lab.camera.heading_offset(self.name)
         wake = threading.Event()
-        camera = lab.camera.build(setup, self.clock, NO_TAP, wake.set)
+        camera = lab.camera.build(setup, self.clock, wake.set)
         self.actuator = ManualActuator(section, setup, self.clock)
         self.rig = Rig(camera, self.actuator, lab.limits, setup, self.clock, emergency, wake)
         self.limit = min(limit, self.actuator.drivetrains[0].limit)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tetractl.core.clock import Clock, wait_for
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.xbee import check
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
@@ -28,7 +27,6 @@ from tetractl.lab.actuators.xbee.section import XbeeSection
 from tetractl.lab.serial_port import SerialPort
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
-NO_ACK = 0x01  # transmit option: do not wait for the receiver's acknowledgement
 KEPT = 1024
 HINT = "the robots stop by their watchdog; plug it in, start again"
 
@@ -58,7 +56,7 @@ class Link:
     `questions` are what only a person knows of the module on it.
     """
 
-    def __init__(self, radio: XbeeSection, clock: Clock, tap: Tap = NO_TAP) -> None:
+    def __init__(self, radio: XbeeSection, clock: Clock) -> None:
         self.radio = radio
         self.counts = LinkCounts()
         self.questions: tuple[str, ...] = ()
@@ -68,9 +66,7 @@ class Link:
         self._answers: deque[AtResponse] = deque(maxlen=KEPT)
         self._frame_id = 0
         self._clock = clock
-        self._port = SerialPort(
-            radio.port, radio.baud, "the radio", clock, self._take, HINT, tap, "radio"
-        )
+        self._port = SerialPort(radio.port, radio.baud, "the radio", clock, self._take, HINT)
 
     @property
     def failure(self) -> str | None:

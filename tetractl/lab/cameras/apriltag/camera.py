@@ -3,7 +3,7 @@
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from types import TracebackType
@@ -15,6 +15,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
+from tetractl.core.setup import Setup
 from tetractl.lab.cameras.apriltag.health import LOOKS, Look, State, judged
 from tetractl.lab.cameras.apriltag.section import AprilTagSection
 from tetractl.lab.cameras.apriltag.source import (
@@ -34,24 +35,22 @@ CLOSE_S = 2.0
 class AprilTagCamera:
     """Tracks N robots by their tags; a `Camera`.
 
-    The robots are in the order of `names`, `metres` is the length of the spec's unit. `wake` is
-    called, in the finding thread, after every new frame. A frame is numbered by its picture: where
-    a live source outruns the finding, numbers are missing. A robot is not tracked (None) while its
-    tag is not seen, seen twice, or not of its size, and none is while the floor is not known.
-    Frames never carry a `fault`.
+    `wake` is called, in the finding thread, after every new frame. A frame is numbered by its
+    picture: where a live source outruns the finding, numbers are missing. A robot is not tracked
+    (None) while its tag is not seen, seen twice, or not of its size, and none is while the floor is
+    not known. Frames never carry a `fault`.
     """
 
     def __init__(
         self,
         section: AprilTagSection,
-        names: Sequence[str],
-        metres: float,
+        setup: Setup,
         clock: Clock,
-        wake: Callable[[], None],
+        wake: Callable[[], None] = lambda: None,
     ) -> None:
         self.section = section
         self._clock, self._wake = clock, wake
-        self._tracker = Tracker(section, names, metres)
+        self._tracker = Tracker(section, setup.names, setup.metres)
         self._newest: CameraFrame | None = None
         self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
         self._looks: deque[Look] = deque(maxlen=LOOKS)

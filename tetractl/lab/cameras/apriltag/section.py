@@ -5,20 +5,17 @@ seconds. OpenCV is imported only where the camera is built.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError, SpecError
+from tetractl.core.protocols import Camera
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import Tap
 from tetractl.experiment.base import Finite, Model, NonNegative, Point, Positive, inconsistent
 from tetractl.experiment.lab import CameraSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
-
-if TYPE_CHECKING:
-    from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 
 TAGS = 587  # of the family 36h11, numbered from 0
 
@@ -108,6 +105,7 @@ class FloorTag(Model):
 class AprilTagSection(CameraSection):
     """A camera that looks down on robots with AprilTags."""
 
+    device: ClassVar[str] = "tetractl.lab.cameras.apriltag.camera:AprilTagCamera"
     type: Literal["apriltag"]
     source: Source
     """Where pictures come from."""
@@ -164,15 +162,10 @@ class AprilTagSection(CameraSection):
         """Return what is added to the heading of a robot's tag [rad]."""
         return self.ordered([name])[0].heading_offset
 
-    def build(
-        self, setup: Setup, clock: Clock, tap: Tap, wake: Callable[[], None]
-    ) -> "AprilTagCamera":
-        """Return the camera of the setup's robots; AbortError without OpenCV.
-
-        Pictures are not recorded by `tap`: their source keeps none of their bytes.
-        """
+    def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
+        """Return the camera of the setup's robots; AbortError without OpenCV."""
         try:
-            from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
+            return super().build(setup, clock, wake)
         except ModuleNotFoundError as error:
             if error.name != "cv2":
                 raise
@@ -180,7 +173,6 @@ class AprilTagSection(CameraSection):
                 "the apriltag camera needs OpenCV, which is not installed",
                 "pip install 'tetractl[vision]'",
             ) from error
-        return AprilTagCamera(self, setup.names, setup.metres, clock, wake)
 
 
 def _twice(values: Sequence[str]) -> list[str]:

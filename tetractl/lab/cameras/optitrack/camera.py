@@ -8,7 +8,6 @@ from tetractl.core.clock import Clock
 from tetractl.core.commands import EMULATED_NAME, Health
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.client import NatNetClient
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
@@ -23,14 +22,13 @@ class OptitrackCamera:
         section: OptitrackSection,
         setup: Setup,
         clock: Clock,
-        tap: Tap = NO_TAP,
         wake: Callable[[], None] = lambda: None,
     ) -> None:
         robots = [section.robot(name) for name in setup.names]
         self.names = setup.names
         tracked = [Tracked(robot.body, robot.heading_offset) for robot in robots]
         self.section = section
-        self.client = NatNetClient(section, tracked, setup.metres, clock, tap, wake)
+        self.client = NatNetClient(section, tracked, setup.metres, clock, wake)
 
     def __enter__(self) -> Self:
         """Connect: return once frames stream and the clocks, axes and names are known.

@@ -16,11 +16,10 @@ from functools import partial
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.messages import (
     NEWEST,
-    TELLS_TRACKING,
+    OLDEST,
     Bare,
     Connect,
     EchoRequest,
@@ -31,8 +30,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     ServerInfo,
     Version,
 )
-from tetractl.lab.cameras.optitrack.placement import Placement
-from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream, Tracked
@@ -62,13 +60,12 @@ class NatNetClient:
         robots: Sequence[Tracked],
         metres: float,
         clock: Clock,
-        tap: Tap = NO_TAP,
         wake: Callable[[], None] = lambda: None,
     ) -> None:
         self.section = section
         self.error: OSError | None = None
         self.senders = Senders(section.server, section.command_port)
-        self._clock, self._tap, self._wake = clock, tap, wake
+        self._clock, self._wake = clock, wake
         self._unicast = section.transport == "unicast"
         self._pinned = _version(section.version) if section.version and self._unicast else None
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
@@ -108,7 +105,7 @@ class NatNetClient:
         stream = self.stream
         if not self._wait(lambda: stream.info is not None, timeout_s):
             raise diagnosis.no_server(self.section, self.senders, timeout_s)
-        if stream.version is not None and stream.version < TELLS_TRACKING:
+        if stream.version is not None and stream.version < OLDEST:
             raise diagnosis.no_tracking_flag(stream.version)
         if not self._wait(lambda: self.newest is not None, timeout_s):
             raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
@@ -184,7 +181,6 @@ class NatNetClient:
             if not self.senders.admit(datagram, host, port):
                 continue
             now = self._clock.now()
-            self._tap.received("natnet", now, datagram)
             message = self.stream.feed(datagram, now)
             if isinstance(message, NatNetFrame):
                 self.senders.pin(port)
@@ -257,8 +253,6 @@ class NatNetClient:
             self._sockets[0].sendto(data, (self.section.server, self.section.command_port))
         except OSError as error:
             self.error = error
-            return
-        self._tap.sent("natnet", self._clock.now(), data)
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         return wait_for(self._clock, done, timeout_s)

@@ -3,14 +3,14 @@
 from tetractl.core.errors import AbortError
 from tetractl.core.text import printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
-from tetractl.lab.cameras.optitrack.messages import NEWEST, TELLS_TRACKING, ModelDef, Version
+from tetractl.lab.cameras.optitrack.messages import NEWEST, OLDEST, ModelDef, Version
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.errors import WireError
 
-LAYOUTS = tuple(Version(*v) for v in ((2, 5), (2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
+LAYOUTS = tuple(Version(*v) for v in ((2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
 """The first version of each layout that frames have."""
 SHOWN = 12  # bodies
 
@@ -94,7 +94,7 @@ def no_tracking_flag(version: Version) -> AbortError:
     return AbortError(
         f"the camera server speaks protocol {version}, whose frames do not tell which bodies are "
         "tracked: a lost robot would look like one that stands",
-        f"update Motive to one that speaks NatNet {TELLS_TRACKING} or later (Motive 1.7)",
+        f"update Motive to one that speaks NatNet {OLDEST} or later (Motive 1.7)",
     )
 
 

@@ -44,11 +44,6 @@ class ClockSync:
         return bool(self._echoes)
 
     @property
-    def offset_ns(self) -> int:
-        """Server minus host at the reference echo [ns]."""
-        return self._at.server_ns - self._at.host_ns
-
-    @property
     def round_trip_ns(self) -> int:
         """Round trip of the reference echo [ns]; half of it bounds the error."""
         return self._at.round_trip_ns

@@ -6,6 +6,7 @@ import pty
 import random
 import tty
 from contextlib import suppress
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,13 +24,14 @@ from tetractl.lab.actuators.field.protocol import FieldFlag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A, SPEED = np.array([5.0, 3.5]), np.array([300.0, 330.0])
+SETUP = SimpleNamespace(a=A, speed=SPEED)
 POSES = (Pose(0, 0, 0.2), Pose(1, 1, -2.0))
 BOTH = (True, True)
 
 
 def virtual(**changes):
     clock = VirtualClock()
-    actuator = FieldActuator(section(**changes), A, SPEED, clock)
+    actuator = FieldActuator(section(**changes), SETUP, clock)
     actuator.driver = Wire(clock)
     return actuator, clock
 
@@ -161,7 +163,7 @@ def bench(tmp_path):
 
 
 def opened(bench, **changes):
-    return FieldActuator(section(port=str(bench.port.link), **changes), A, SPEED, MonotonicClock())
+    return FieldActuator(section(port=str(bench.port.link), **changes), SETUP, MonotonicClock())
 
 
 def fails(actuator):
@@ -320,7 +322,7 @@ def test_a_stuck_port_raises_and_never_hangs():
     master, slave = pty.openpty()
     tty.setraw(slave)
     try:
-        actuator = FieldActuator(section(port=os.ttyname(slave)), A, SPEED, MonotonicClock())
+        actuator = FieldActuator(section(port=os.ttyname(slave)), SETUP, MonotonicClock())
         with actuator:
             with pytest.raises(AbortError, match="is stuck"):
                 for _ in range(10_000):
@@ -343,7 +345,7 @@ def test_a_second_program_cannot_open_the_port(bench):
 
 
 def test_there_must_be_a_port(tmp_path):
-    actuator = FieldActuator(section(port=str(tmp_path / "none")), A, SPEED, MonotonicClock())
+    actuator = FieldActuator(section(port=str(tmp_path / "none")), SETUP, MonotonicClock())
     with pytest.raises(AbortError, match="there is no such port"), actuator:
         pass
     with pytest.raises(AbortError, match="is not open"):

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,9 @@ from tetractl.lab.guard import Guard
 from tetractl.lab.rig import guard_rules
 
 PATIENCE_S = 20.0  # how long a test waits for what should come at once
+
+
+SETUP = SimpleNamespace(names=NAMES, metres=MM)
 
 
 class Woken:
@@ -46,7 +50,7 @@ def standing(t_ns):
 def built(source, clock=None, **changes):
     woken = Woken()
     made = section(source, **{"connect": PATIENCE_S, **changes})
-    return AprilTagCamera(made, NAMES, MM, clock or VirtualClock(), woken), woken
+    return AprilTagCamera(made, SETUP, clock or VirtualClock(), woken), woken
 
 
 def pictures(renderer, count, poses_at=standing):

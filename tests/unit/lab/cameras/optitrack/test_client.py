@@ -10,6 +10,7 @@ from support.terminal import PATIENCE_S
 
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.errors import AbortError
+from tetractl.emulate.optitrack.server_wire import pack_answer
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import lab_of
 from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
@@ -23,7 +24,6 @@ from tetractl.lab.cameras.optitrack.messages import (
     Ticks,
     Version,
 )
-from tetractl.lab.cameras.optitrack.wire import pack
 
 V41 = Version(4, 1)
 SHORT = 0.3  # s: what never comes is waited for in full
@@ -91,8 +91,8 @@ def own_address(camera):
 
 def stray(number, x=0.1, version=V41):
     """A forged frame that shows green and blue elsewhere."""
-    bodies = tuple(RigidBody(i, (x, 0.06, -x), (0, 0, 0, 1), 0.0, True) for i in (1, 7))
-    return pack(NatNetFrame(number, bodies, ticks=Ticks(0, 0, 0)), version)
+    bodies = tuple(RigidBody(i, (x, 0.06, -x), (0, 0, 0, 1), True) for i in (1, 7))
+    return pack_answer(NatNetFrame(number, bodies, ticks=Ticks(0, 0, 0)), version)
 
 
 def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
@@ -127,7 +127,7 @@ def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
 def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(tmp_path, which):
     with motive(tmp_path) as (lab, camera, changed), camera:
         model, info = camera.stream.model, camera.stream.info
-        offset = camera.stream.sync.offset_ns
+        offset = camera.stream.sync.to_host(0)
         sender = getattr(lab.camera.motive, which)
         forged = (
             ServerInfo("else", (1, 0, 0, 0), (3, 0, 0, 0), 10**7, 1511, False, (0, 0, 0, 0)),
@@ -137,7 +137,7 @@ def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(
 
         def send():
             for message in forged:
-                sender.sendto(pack(message, V41), own_address(camera))
+                sender.sendto(pack_answer(message, V41), own_address(camera))
 
         lab.timeline.at(0, send)
         counted = (
@@ -147,7 +147,7 @@ def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(
         )
         changed.until(lambda: counted() == 3)
         assert (camera.stream.model, camera.stream.info) == (model, info)
-        assert camera.stream.sync.offset_ns == pytest.approx(offset, abs=5_000_000)
+        assert camera.stream.sync.to_host(0) == pytest.approx(offset, abs=5_000_000)
         assert camera.damaged == 0
         assert len(camera.check().warnings) == 1
 
@@ -217,7 +217,7 @@ def test_a_server_that_answers_from_another_address_is_named(tmp_path):
         lab.camera.motive.trouble.silent = True
         info = ServerInfo("Motive", (3, 0, 0, 0), (4, 1, 0, 0), 10**7, 1511, False, (0, 0, 0, 0))
         camera.client.open()
-        second.sendto(pack(info), ("127.0.0.1", own_address(camera)[1]))
+        second.sendto(pack_answer(info), ("127.0.0.1", own_address(camera)[1]))
         with pytest.raises(AbortError, match=r"but one does from 127\.0\.0\.3:") as caught:
             camera.client.wait_connected(SHORT)
     assert caught.value.hint.startswith("set lab.camera.server to 127.0.0.3")

@@ -1,16 +1,15 @@
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.studies import FAILING, STUDY, run
 
 from tetractl.results.estimate import distributions
-from tetractl.study.arm import arm_name
-from tetractl.study.cells import as_cell, as_yaml, shown
-from tetractl.study.effect import error_of, field_values
+from tetractl.study.arm import arm_name, as_cell, as_yaml, shown
 from tetractl.study.figure import error_figure, write_figures
 from tetractl.study.options import Logs, Shard
-from tetractl.study.table import arms_table, write_tables
+from tetractl.study.table import arms_table, error_of, field_values, write_tables
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +18,7 @@ def ran(tmp_path_factory):
 
 
 def errors(ran, arm):
-    return [ran.rows[arm.name, trial].columns["total_error_mm"] for trial in range(5)]
+    return [ran.rows[arm.name, trial].result.total_error for trial in range(5)]
 
 
 def test_the_error_of_one_arm_is_that_of_its_trials(ran):
@@ -27,7 +26,7 @@ def test_the_error_of_one_arm_is_that_of_its_trials(ran):
     assert error_of(ran.loaded, ran.store, [arm]) == distributions(np.array([errors(ran, arm)]))[0]
 
 
-def test_over_several_arms_a_world_counts_once(ran):
+def test_over_several_arms_trials_of_one_seed_count_once(ran):
     few = [arm for arm in ran.loaded.arms if arm.controller == "few"]
     found = field_values(ran.loaded, ran.store, "plant.dead_time", few)
     assert [(group.value, group.arms, group.error.n) for group in found] == [(0, 2, 5), (0.1, 2, 5)]
@@ -71,6 +70,19 @@ def test_the_errors_of_arms_are_a_table(ran):
     assert found.note == "disturbances are assumed in the spec, not measured"
 
 
+def test_rows_of_several_types_of_processor_are_marked(ran):
+    arm = ran.loaded.arms[0].name
+    own = ran.store.rows[arm][0]
+    ran.store.rows[arm][0] = replace(own, processor="other-123456")
+    try:
+        assert arms_table(ran.loaded, ran.store).note.startswith(
+            f"trials of 2 types of processor, which may differ slightly: {own.processor} (39),"
+            " other-123456 (1); "
+        )
+    finally:
+        ran.store.rows[arm][0] = own
+
+
 def test_there_is_a_figure_for_each_field_with_a_line_for_each_controller(ran):
     paths = write_figures(ran.loaded, ran.store)
     assert [path.name for path in paths] == ["error-plant.dead_time.png", "error-robots.r.a.png"]
@@ -83,7 +95,7 @@ def test_there_is_a_figure_for_each_field_with_a_line_for_each_controller(ran):
     (headline,) = (text.get_text() for text in figure.texts)
     assert headline == (
         "quick, disturbed simulation: mean over the other fields and its 95 % interval,"
-        " n = 5 worlds"
+        " n = 5 trials"
     )
 
 
@@ -119,15 +131,12 @@ def test_arms_have_names_that_fit_a_file_system(controller, values, name):
 
 
 def test_values_as_text_and_as_cells():
-    assert [shown(v) for v in (0.1 + 0.2, 3, "x", True, (1, 2))] == [
-        "0.3",
-        "3",
-        "x",
-        "true",
-        "[1, 2]",
-    ]
+    robots = ({"name": "green", "a": 6}, {"name": "red", "a": 3})
+    values = (0.1 + 0.2, 0.1234567, 3, "x", True, (1, 2), [], robots)
+    assert " ".join(map(shown, values)) == "0.3 0.123457 3 x true [1, 2] [] 2"
     assert [as_cell(v) for v in (0.5, "x", None, (1, 2))] == [0.5, "x", None, "[1, 2]"]
     assert as_yaml({"a": (1, "ä")}) == '{"a": [1, "ä"]}'
+    assert '"green"' in as_cell(robots)
 
 
 def test_options_are_parsed():

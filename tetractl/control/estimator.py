@@ -57,7 +57,7 @@ class StateEstimator:
         """Add how the direction before was sent, and the frames since; return the problem of the
         robots where the next direction will act."""
         if last_command is not None:
-            self._sent(last_command)
+            self.sent(last_command)
         self._newest_ns = observation.sampled_ns
         if self.filter is not None:
             return self._identified(observation, earlier)
@@ -67,7 +67,8 @@ class StateEstimator:
             poses = advance(self.problem, poses, self.held(acts))
         return replace(self.problem, poses=poses)
 
-    def _sent(self, command: Command) -> None:
+    def sent(self, command: Command) -> None:
+        """Add how a direction was sent."""
         if command.direction is not None:
             self._last_sent = command.sent_ns
             self.predictor.sent(self._newest_ns, command.direction)

@@ -99,9 +99,6 @@ class MpcFields(ControllerSection):
     they drive, starting from the spec's values."""
     prior: PriorSection = PriorSection()
     """How far those may be off."""
-    losses: bool = False
-    """Whether the prediction takes into account which of the last two commands arrived at each
-    robot, by how it turned since."""
     accept: NonNegative = 0.0
     """Total error to accept [length unit]. Where no length H - 1, H, H + 1 ends within it, longer
     sequences are searched, and the trial ends where stopping is within it and as good as any plan:

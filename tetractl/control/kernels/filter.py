@@ -28,10 +28,10 @@ STUCK_EVERY_S, STUCK_FOR_S = 30.0, 0.5  # how often a robot gets stuck, and for 
 GATE = 30.0  # squared deviations from which on a measurement is an outlier
 LEAST_WEIGHT = -25.0  # ln of the weight that a hypothesis keeps at least
 LOST_TRACK_S = 0.3  # for which no hypothesis fits, until the pose is taken from the camera
-SCALE_WEIGHT, SCALE_MEMORY = 20.0, 400.0  # frames that the noise before anything is seen counts for
+SCALE_MEMORY = 400.0  # frames over which the noise is averaged
 FORGET_S = 10.0  # time constant with which the scores of dead times are forgotten
 SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # of the variances, to those expected
-_MEAN_CAPPED = 0.8  # of the square of a normal number, capped at 4
+MEAN_CAPPED = 0.8  # of the square of a normal number, capped at 4
 _wrap = inlined(wrap)
 
 
@@ -285,7 +285,7 @@ def _weigh(bank, b, i, model, pose, seconds):
     if 2 * best_squares[0] + best_squares[1] <= GATE:
         bank.unfit[b, i] = 0.0
         for k in range(2):
-            change = min(best_squares[k], 4.0) / _MEAN_CAPPED - 1
+            change = min(best_squares[k], 4.0) / MEAN_CAPPED - 1
             scale[k] = min(max(scale[k] * (1 + change / SCALE_MEMORY), SCALE_LEAST), SCALE_MOST)
     else:
         bank.unfit[b, i] += seconds

@@ -203,7 +203,7 @@ def test_a_log_that_cannot_be_read_is_named_and_the_rest_shown(folder: Path, tmp
     ("args", "code", "message"),
     [
         (["missing"], 2, "missing: no such file or folder"),
-        (["logs", "-o", "no/where.html"], 1, "no/where.html: cannot write the page"),
+        (["logs", "-o", "no/where.html"], 2, "no/where.html: there is no folder no"),
     ],
 )
 def test_what_goes_wrong_is_one_clear_line(folder: Path, args: list[str], code: int, message: str):

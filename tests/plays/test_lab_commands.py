@@ -58,6 +58,26 @@ def test_check_says_ready_and_moves_nothing(lab, tmp_path):
     assert emulated.events("run") == []
 
 
+@pytest.mark.parametrize(
+    ("actuator", "says"),
+    [
+        ("hardware: 0x7F44", "the module (HV 7F44, VR 10EC) is not known here: does it run 802"),
+        ("explicit: true", "frames of type 0x91, which are not read: set AO in it to 0 or 2"),
+    ],
+)
+def test_check_says_what_is_odd_of_the_radio(lab, tmp_path, actuator, says):
+    emulated = lab(f"about: an odd radio\nemulation: {{actuator: {{{actuator}}}}}")
+    command = ("lab", "check", str(SPEC), *flags(emulated.settings))
+    done = tetractl(tmp_path, *command)
+    assert done.returncode == 1
+    assert says in done.stdout
+    if "hardware" in actuator:
+        assert "not answered: add --yes where nobody can be asked" in done.stderr
+        done = tetractl(tmp_path, *command, "--yes")
+        assert done.returncode == 0, done.stdout
+        assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
+
+
 def test_check_says_who_is_off_and_how_far(lab, tmp_path):
     settings = lab().settings
     moved = ("robots.0.start=[1000, 800]", "robots.2.heading=1")

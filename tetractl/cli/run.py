@@ -23,10 +23,12 @@ from tetractl.core.errors import UsageError
 def run(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
     trials: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of trials.  \\[spec: trials.count]")
+        int | None,
+        typer.Option(min=1, metavar="N", help="Number of trials.  \\[spec: trials.count]"),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="S", help="Root seed.  \\[spec: trials.seed]")
+        int | None,
+        typer.Option(min=0, metavar="S", help="Root seed.  \\[spec: trials.seed]"),
     ] = None,
     sets: Sets = None,
     plant: Annotated[

@@ -27,7 +27,7 @@ around the likely ones the grid becomes finer.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -88,6 +88,13 @@ class Prior(NamedTuple):
         )
 
 
+def _kernel() -> Any:
+    """Return the compiled filter: specs are checked without it."""
+    from tetractl.control.kernels import filter as kernel
+
+    return kernel
+
+
 class FilterBank:
     """What is known of N robots during one trial.
 
@@ -96,9 +103,8 @@ class FilterBank:
     """
 
     def __init__(self, prior: Prior, drive_first: bool = False) -> None:
-        from tetractl.control.kernels import filter as kernel
-
-        self.prior, self._kernel = prior, kernel
+        kernel = _kernel()
+        self.prior = prior
         self._drive_first = drive_first
         count = len(prior.a)
         noise = np.empty((3, count))
@@ -124,7 +130,7 @@ class FilterBank:
         self._bank = self._first_bank(tau)
 
     def _first_bank(self, tau: Floats):
-        kernel, prior, count = self._kernel, self.prior, len(self.prior.a)
+        kernel, prior, count = _kernel(), self.prior, len(self.prior.a)
         size, slots = kernel.SIZE, kernel.SLOTS
         state = np.zeros((len(tau), count, slots, size))
         deviations = np.zeros(size)
@@ -186,7 +192,7 @@ class FilterBank:
         for i in range(len(self.prior.a)):
             pose = frame.poses.array()[i]
             for b in range(len(bank.tau)):
-                self._kernel.place(bank, b, i, self._model, pose)
+                _kernel().place(bank, b, i, self._model, pose)
         for b, tau in enumerate(bank.tau):
             acting = np.flatnonzero(self._when + tau <= now)
             if len(acting):
@@ -201,7 +207,7 @@ class FilterBank:
             self._noisy = True
         seen = frame.valid & ~(same & self._noisy)  # a noisy camera never shows the same twice
         since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
-        self._kernel.follow(
+        _kernel().follow(
             self._bank, self._model, self._step, since, until, self._when, self._u, now, seen
         )
 
@@ -286,7 +292,7 @@ class FilterBank:
         """Return the directions that act from the last frame to a time [ns], oldest first."""
         assert self._last is not None
         best, _, _, u = self._likely()
-        stuck = np.argmax(self._bank.weight[best], axis=1) == self._kernel.STUCK
+        stuck = np.argmax(self._bank.weight[best], axis=1) == _kernel().STUCK
         tau, begin, found = self.dead_time()[0], self._last.sampled_ns, []
         for when, direction in zip(self._when, self._u, strict=True):
             acts = round((when + tau) * SECOND)

@@ -1,7 +1,6 @@
 """The emulated actuator of type `field`: its settings and faults, a current driver, and cells."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -11,11 +10,11 @@ from pydantic import Field
 from tetractl.emulate.cells import Cell, Dish
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, fault, settings, switching
 from tetractl.emulate.field import CurrentDriver
+from tetractl.emulate.firmware import DriverLimits
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.port import PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative
-from tetractl.lab.actuators.field.core import DriverLimits
 from tetractl.lab.actuators.field.protocol import DriverStatus
 from tetractl.lab.actuators.field.section import FieldSection
 
@@ -53,43 +52,6 @@ FAULTS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class CellBody:
-    """A cell as a `Body`; it counts as standing while no field steers it, for it never does."""
-
-    cell: Cell
-    side: "EmulatedField"
-
-    @property
-    def name(self) -> str:
-        """The cell's name in the spec."""
-        return self.cell.name
-
-    @property
-    def x(self) -> float:
-        """Its place along x [mm]."""
-        return self.cell.x
-
-    @property
-    def y(self) -> float:
-        """Its place along y [mm]."""
-        return self.cell.y
-
-    @property
-    def heading(self) -> float:
-        """Its heading [rad]."""
-        return self.cell.heading
-
-    @property
-    def standing(self) -> bool:
-        """Whether no field steers it."""
-        return not self.side.driven
-
-    def place(self, x: float, y: float, heading: float) -> None:
-        """Put it somewhere, to wait there for the field."""
-        self.cell.place(x, y, heading)
-
-
 class EmulatedField:
     """A current driver on a pseudo-terminal, and the cells between its coils."""
 
@@ -110,10 +72,14 @@ class EmulatedField:
             Cell(name, 0.0, 0.0, 0.0, a, speed * stage.mm, settings.heading_noise)
             for name, a, speed in numbers
         ]
-        self.bodies = [CellBody(cell, self) for cell in self.cells]
         coils, seed = section.calibrated_coils(), stage.options.seed
         self._dish = Dish(self.driver, coils, section.strength_mt, self.cells, start_ns, seed)
         self._loop: Loop | None = None
+
+    @property
+    def bodies(self) -> Sequence[Cell]:
+        """The cells, in the order of the setup."""
+        return self.cells
 
     @property
     def driven(self) -> bool:

@@ -1,14 +1,15 @@
 """The emulated lab put together: two sides, faults, a record, and a helping hand."""
 
+import json
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, TextIO
 
 from tetractl.core.clock import SECOND
-from tetractl.core.errors import SpecError
+from tetractl.core.errors import SpecError, TetractlError
 from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault, Injector
 from tetractl.emulate.loop import Loop, Timeline
-from tetractl.emulate.record import Record
 from tetractl.emulate.script import Script, Sides
 from tetractl.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
 from tetractl.experiment.lab import LabSection
@@ -18,6 +19,35 @@ FLUSH_NS = 200_000_000
 CARRY_NS = 500_000_000  # how long a robot is in the helper's hands
 
 Report = Callable[[str, Facts], None]
+
+
+class Record:
+    """Writes events to a file, or nowhere without a path. `t_ns` is `time.monotonic_ns`."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._file: TextIO | None = None
+        if path is not None:
+            try:
+                self._file = path.open("w", encoding="utf-8")
+            except OSError as error:
+                raise TetractlError(f"cannot write the record {path}: {error.strerror}") from None
+
+    def add(self, t_ns: int, event: str, **facts: Any) -> None:
+        """Append an event."""
+        if self._file is not None:
+            line = {"t_ns": t_ns, "event": event, **facts}
+            self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
+
+    def flush(self) -> None:
+        """Hand over to the system what was added."""
+        if self._file is not None:
+            self._file.flush()
+
+    def close(self) -> None:
+        """Close the file; idempotent."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
 
 
 class EmulatedLab:

@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import SpecError
 from tetractl.emulate.faults import MARK, Fault
-from tetractl.emulate.kinds import ACTUATORS, CAMERAS
+from tetractl.emulate.sides import ACTUATORS, CAMERAS
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import words

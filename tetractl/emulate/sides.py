@@ -1,6 +1,6 @@
 """What an emulated lab is made of: bodies that an actuator's side moves and a camera's side sees.
 
-A further camera or actuator is emulated by a class like these and a line in `kinds.py`.
+A further camera or actuator is emulated by a class like these and a line at the end.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
+from tetractl.core.registry import Registry
 from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault
 from tetractl.emulate.loop import Loop, Timeline
@@ -61,25 +62,10 @@ class Stage:
 class Body(Protocol):
     """A robot as it truly is: x, y [mm] and heading [rad] in the spec's axes."""
 
-    @property
-    def name(self) -> str:
-        """The robot's name in the spec."""
-        ...
-
-    @property
-    def x(self) -> float:
-        """Its place along x [mm]."""
-        ...
-
-    @property
-    def y(self) -> float:
-        """Its place along y [mm]."""
-        ...
-
-    @property
-    def heading(self) -> float:
-        """Its heading [rad]."""
-        ...
+    name: str
+    x: float
+    y: float
+    heading: float
 
     @property
     def standing(self) -> bool:
@@ -146,3 +132,21 @@ class EmulatedActuator(EmulatedSide, Protocol):
     def tick(self) -> None:
         """Do what is due every few milliseconds, such as sending answers."""
         ...
+
+
+CAMERAS = Registry(
+    "tetractl.emulated_cameras",
+    "emulated camera",
+    {
+        "optitrack": "tetractl.emulate.optitrack.side:EmulatedOptitrack",
+        "apriltag": "tetractl.emulate.apriltag.side:EmulatedAprilTag",
+    },
+)
+ACTUATORS = Registry(
+    "tetractl.emulated_actuators",
+    "emulated actuator",
+    {
+        "m3pi-xbee": "tetractl.emulate.m3pi.side:EmulatedM3pi",
+        "field": "tetractl.emulate.field_side:EmulatedField",
+    },
+)

@@ -94,7 +94,7 @@ class ActuatorSection(DeviceSection):
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot in reach, for good where the actuator can; needs nothing but its port.
 
-        Not `alone`, beside a run that has the port, where the actuator can. Returns what was done,
+        Not `alone`, while a run has the port too, where the actuator can. Returns what was done,
         in words for people; AbortError where nothing can be sent.
         """
         clock = MonotonicClock()
@@ -137,13 +137,13 @@ class LabLimits(Model):
     untracked_abort: Positive = 0.3
     """The run aborts when a robot was not tracked for this long [s]."""
     jump_mm: NonNegative = 30.0
-    """A pose is not believed that is further from any of the last second than twice the robot's
+    """A pose is rejected that is further from any of the last second than twice the robot's
     speed allows, plus this [mm]."""
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
-    """A body whose height above the floor is not between these two is not believed to be on its
-    robot [mm]; the camera system's own zero is the floor. Only where the camera tells heights."""
+    """A body whose height above the floor is not between these two is taken to be off its robot
+    [mm]; the camera system's own zero is the floor. Only where the camera reports heights."""
     tilt: Positive = 0.5
-    """Nor is a body whose upward axis is turned by more than this from the vertical [rad]."""
+    """So is a body whose upward axis is turned by more than this from the vertical [rad]."""
     damaged_frames: int = Field(default=20, ge=1, le=100_000)
     """The run aborts on more damaged camera frames than this within a second."""
     edge_mm: NonNegative = 0.0

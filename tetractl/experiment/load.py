@@ -23,7 +23,7 @@ from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.overrides import override
-from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 from tetractl.experiment.yaml.upgrade import upgrade
 
 Attached = tuple[tuple[str, str], ...]
@@ -149,6 +149,9 @@ def _experiment(
 ) -> tuple[Experiment, tuple[str, ...], Attached]:
     """Return the experiment, what names have changed, and the files in `folder` it draws on."""
     document = document_of(text, origin, sets)
+    if "base" in document.data and "robots" not in document.data:
+        hint = f"run it with: tetractl study {origin}"
+        raise InvalidSpecError([SpecProblem(origin, "is a study, not a spec")], hint)
     attached: Attached = ()
     named = document.data.get("identified")
     if isinstance(named, str) and folder is None:

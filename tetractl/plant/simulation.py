@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from tetractl.core.clock import SECOND, Clock, VirtualClock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Bools, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
@@ -164,6 +164,11 @@ class SimPlant:
     def poses(self) -> Poses:
         """The true poses now."""
         return self._drive.poses
+
+    @property
+    def rates(self) -> tuple[Floats, Floats]:
+        """The true a [rad/s] and speed [length unit/s] now, (N,) each."""
+        return self._motion.rates
 
     def open(self) -> PlantInfo:
         """Expose the first frame."""

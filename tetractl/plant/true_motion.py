@@ -44,6 +44,7 @@ class TrueMotion:
         self.drive, self.path_check = drive, PathCheck.of(setup)
         self._camera, self._disturbances, self._repeat = camera, disturbances, repeat
         self._a, self._speed = a, speed
+        self.rates = a, speed  # as they are now
         self._moving = overriding(disturbances, "moved")
         self._varying = overriding(disturbances, "varied")
         self._walk, self._walking = heading_walk / np.sqrt(camera.rate_hz), walking
@@ -119,6 +120,7 @@ class TrueMotion:
             a, speed = self._a, self._speed
             for disturbance in self._varying:
                 a, speed = disturbance.varied(a, speed, time_s)
+            self.rates = a, speed
             drive.vary(a, speed)
 
     def _move(self, end: int, event: bool, disturbed: bool) -> None:

@@ -15,6 +15,7 @@ from tetractl.core.table.numbers import NONE, lengths
 from tetractl.core.table.show import html
 from tetractl.core.table.table import Column, Table
 from tetractl.core.text import unit_of
+from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report import figures
@@ -79,6 +80,7 @@ def report(
 
 def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
     """Describe each folder and the single logs; return them and what could not be read."""
+    paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]
     single = [str(path) for path in paths if not path.is_dir()]
     listed = [*(sources(single) if single else []), *(sources(folders) if folders else [])]
@@ -86,7 +88,8 @@ def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
     unread = [f"{log.path}: {log.problem}" for _, batch in batches for log in batch.lost]
     if not any(batch.trials for _, batch in batches):
         raise LogError(f"none of the logs can be read: {', '.join(unread[:1])}")
-    return [describe(batch, name) for name, batch in batches], unread
+    known = [(name, batch) for name, batch in batches if batch.trials or batch.attempts]
+    return [describe(batch, name) for name, batch in known], unread
 
 
 def _title(paths: Sequence[Path], groups: Sequence[Group]) -> str:

@@ -78,12 +78,11 @@ def study_schema() -> dict[str, Any]:
 
 
 def _study(document: Document) -> Study:
-    try:
-        return validated(Study, document)
-    except InvalidSpecError as error:
-        spec = "robots" in document.data and "base" not in document.data
-        hint = "this is a spec: a study names it as its 'base:'" if spec else None
-        raise InvalidSpecError(error.problems, hint) from None
+    if "robots" in document.data and "base" not in document.data:
+        origin = document.origin
+        hint = f"run it with: tetractl run {origin}; a study names it as its 'base:'"
+        raise InvalidSpecError([SpecProblem(origin, "is a spec, not a study")], hint)
+    return validated(Study, document)
 
 
 _Placed = list[tuple[str, Loc]]  # settings, and where in the study each is written

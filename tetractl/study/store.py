@@ -6,13 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
+from tetractl.core.files import save_whole
 from tetractl.core.plan import Outcome
 from tetractl.core.text import printable
 from tetractl.experiment.load import resolved_yaml
 from tetractl.log.format.channels import TEXT
 from tetractl.log.read.find import ROWS
 from tetractl.log.read.rows import SPEC, Row, read_rows
-from tetractl.run.store import made_and_locked, make_folder, save_whole, set_aside
+from tetractl.run.store import made_and_locked, make_folder, set_aside
 from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.arm import Arm
 

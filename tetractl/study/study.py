@@ -16,8 +16,8 @@ class Study(Model):
     every such arm has the same seeds, so that its trials happen in the same worlds."""
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    """Name of the study, which its folder is called after: letters, digits, dots, underscores and
-    hyphens, starting with a letter or digit."""
+    """Name of the study, which its folder is called after: letters without accents
+    (a to z, A to Z), digits, dots, underscores and hyphens, starting with a letter or digit."""
     description: str = ""
     """One or two sentences for people."""
     base: str = Field(min_length=1, max_length=1000)

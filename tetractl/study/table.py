@@ -11,8 +11,8 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.table.files import TableFiles
 from tetractl.core.table.table import Column, Table
-from tetractl.log.read.origin import Origin
 from tetractl.log.read.rows import SIMULATED, Row
+from tetractl.log.read.trial_log import Origin
 from tetractl.results.batch import Batch, counts
 from tetractl.results.estimate import Distribution, distributions
 from tetractl.results.items import trials_table
@@ -108,7 +108,8 @@ def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribu
     ]
     trials = sorted(set.intersection(*(set(found) for found in errors)))
     means = [float(np.mean([found[trial] for found in errors])) for trial in trials]
-    return distributions(np.array([means], dtype=np.float64))[0]
+    bound = arms[0].spec.experiment.error_bound
+    return distributions(np.array([means], dtype=np.float64), bound)[0]
 
 
 def field_values(
@@ -146,12 +147,14 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
         more = len(loaded.arms) - MOST
         notes.append(f"and {more} arms more, which the table of trials has")
     first, n, mean, std, *_, interval = errors.columns
+    label = f"above {'error_bound' if named[0][1].tail.stated else '10 medians'}"
     columns = (
         replace(first, name="arm", unit=""),
         n,
         mean,
         interval,
         std,
+        Column(label, [error.tail.text() for _, error in named]),
         Column("aborted", [aborted[arm.name] for arm in arms]),
         Column("plant", [str(plant) for plant in plants], words=True),
     )

@@ -60,7 +60,7 @@ def hold(tmp_path, port):
 
 
 def stopping(port):
-    """Stop beside the holder; return what was said."""
+    """Stop next to the holder; return what was said."""
     said = []
     stop_beside(port, lambda: "sent stops", said.append)
     return "\n".join(said)

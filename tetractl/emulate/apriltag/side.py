@@ -153,7 +153,7 @@ class EmulatedAprilTag:
     def close(self) -> Facts:
         """End the stream."""
         if self._opened:
-            self.camera.__exit__(None, None, None)
+            self.camera.__exit__()
             self._opened = False
         return {"pictures": self._exposures}
 

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-from tetractl.lab.actuators.xbee.check import BAUDS
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
     EXPLICIT_RECEIVE,
@@ -21,6 +20,7 @@ from tetractl.lab.actuators.xbee.frames import (
     XbeeFrame,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
+from tetractl.lab.actuators.xbee.hardware import BAUDS
 
 RSSI = 40  # -dBm
 PAYLOAD = 100  # bytes of 802.15.4

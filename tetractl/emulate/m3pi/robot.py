@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.firmware import RobotCore
 from tetractl.lab.actuators.m3pi.broadcast import Counts
 from tetractl.lab.actuators.m3pi.command import Drivetrain, speeds_of_counts
-from tetractl.lab.actuators.m3pi.core import Core
 from tetractl.lab.actuators.m3pi.slave import Motor, MotorCount, Query, SlaveDecoder
 
 STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
@@ -40,7 +40,7 @@ class FirmwareProgram:
     """The mbed firmware's own core, compiled from `firmware/m3pi_core.c`."""
 
     def __init__(self, index: int) -> None:
-        self.core = Core(index)
+        self.core = RobotCore(index)
 
     def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
         """Pass the bytes to the core."""

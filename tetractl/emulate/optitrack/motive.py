@@ -10,7 +10,6 @@ from functools import partial
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.emulate.loop import Timeline
-from tetractl.emulate.optitrack.mangle import mangle
 from tetractl.emulate.optitrack.server import Address, MotiveServer
 from tetractl.emulate.optitrack.server_wire import pack_answer, pack_modeldef, parse_request
 from tetractl.emulate.optitrack.streaming import ServerCounts, Streaming, Trouble
@@ -183,6 +182,21 @@ class Motive:
         with suppress(OSError):  # a full buffer or a client that has gone loses a datagram
             sender.sendto(data, to)
             self.counts.datagrams += 1
+
+
+def mangle(datagram: bytes, chance: random.Random) -> bytes:
+    """Return a datagram cut short, grown, with another size in its header, or of noise."""
+    match chance.randrange(5):
+        case 0:
+            return datagram[: chance.randrange(len(datagram))]
+        case 1:
+            return datagram + bytes(chance.randrange(1, 20))
+        case 2:
+            return datagram[:2] + (len(datagram) + 7).to_bytes(2, "little") + datagram[4:]
+        case 3:  # a count of bodies that cannot be
+            return datagram[:8] + b"\xff\xff\xff\x7f" + datagram[12:]
+        case _:
+            return chance.randbytes(chance.randrange(1, 1400))
 
 
 def _packed(message: Message, version: Version) -> bytes:

@@ -1,4 +1,4 @@
-// The player: time, keys, buttons; it tells the scene, the charts and the table what to show.
+// The player: time, keys, buttons; it has the scene, the charts and the table show an instant.
 
 const byId = (id) => document.getElementById(id);
 

@@ -16,7 +16,7 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 
-NUMBERED = 8  # from so many robots on they are told apart by numbers: there are no more colours
+NUMBERED = 8  # from so many robots on numbers distinguish them: there are no more colours
 NAME_LENGTH = 16  # of a robot in a figure [characters]
 
 
@@ -119,7 +119,7 @@ def positive(values: Floats) -> Floats:
 
 
 def span(values: Floats) -> tuple[float, float]:
-    """Return the least and largest of positive values, at least 10 % apart."""
+    """Return the least and largest of positive values, the latter at least 10 % above."""
     seen = values[np.isfinite(values)]
     if not len(seen):
         return 0.1, 10.0

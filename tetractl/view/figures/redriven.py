@@ -1,4 +1,4 @@
-"""Paths of a recorded trial and of its commands driven again, and how far apart they go."""
+"""Paths of a recorded trial and of its commands driven again, and the distances between them."""
 
 import numpy as np
 from matplotlib.figure import Figure

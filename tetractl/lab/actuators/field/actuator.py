@@ -7,7 +7,6 @@ spec's a is the rate at `strength_mt`, so the turning rate is a (B / strength_mt
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -55,12 +54,7 @@ class FieldActuator:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(AbortError):
             self.stop()
         self.driver.close()

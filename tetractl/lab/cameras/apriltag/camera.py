@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from types import TracebackType
 from typing import Self
 
 import cv2
@@ -92,7 +91,7 @@ class AprilTagCamera:
         for thread in self._threads:
             thread.start()
         if not self._wait(lambda: self._newest is not None, patience):
-            self.__exit__(None, None, None)
+            self.__exit__()
             damaged = f"{self.damaged} pictures were damaged" if self.damaged else None
             raise AbortError(
                 f"no picture comes from {self.section.source_name} ({patience:g} s)",
@@ -100,12 +99,7 @@ class AprilTagCamera:
             )
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End both threads and close the source."""
         self._closing.set()
         if self._feed is not None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.report.server import FileServer, byte_range
+from tetractl.serve.server import LoopbackServer, byte_range
 
 DATA = bytes(range(256)) * 1000
 
@@ -15,8 +15,7 @@ def server(tmp_path):
     (tmp_path / "trial-000.mcap").write_bytes(DATA)
     (tmp_path / "secret.txt").write_text("secret")
     logs = {"trial-000.mcap": tmp_path / "trial-000.mcap"}
-    found = FileServer(b"<p>page", logs, layout=b'{"layout": "a"}')
-    with found.running():
+    with LoopbackServer(page=b"<p>page", layout=b'{"layout": "a"}', logs=logs) as found:
         yield found
 
 
@@ -91,8 +90,7 @@ def test_nothing_else_is_served(server):
 
 def test_only_this_machine_can_reach_it_and_each_server_has_its_own_token(server, tmp_path):
     assert server.page_url.startswith("http://127.0.0.1:")
-    other = FileServer(b"", {})
-    with other.running():
+    with LoopbackServer() as other:
         assert other.token != server.token
         assert len(other.token) >= 16
 

@@ -1,19 +1,16 @@
-"""The NatNet client against the emulated Motive, over real UDP on the loopback."""
+"""The NatNet client against the emulated Motive, datagram by datagram, in virtual time."""
 
-import socket
-import threading
 from contextlib import contextmanager
 
 import pytest
 from support.emulated_lab import SPEC, emulated
-from support.terminal import PATIENCE_S
+from support.virtual_wires import LabClock, Network, VirtualCamera, VirtualLoop, virtual_wires
 
-from tetractl.core.clock import SECOND, MonotonicClock
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.emulate.optitrack.server_wire import pack_answer
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import lab_of
-from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
 from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
     EchoResponse,
@@ -27,57 +24,32 @@ from tetractl.lab.cameras.optitrack.messages import (
 
 V41 = Version(4, 1)
 SHORT = 0.3  # s: what never comes is waited for in full
-
-
-class Changed:
-    """Woken by each camera frame; `until` waits for a condition that frames bring about."""
-
-    def __init__(self):
-        self.event = threading.Event()
-
-    def until(self, condition):
-        clock = MonotonicClock()
-        while not condition():
-            assert clock.now() < PATIENCE_S * SECOND, "it did not happen"
-            self.event.wait(0.005)
-            self.event.clear()
-
-
-@contextmanager
-def motive(folder, script="", *sets, clock=None, connect=5.0, robots=None):
-    """An emulated Motive that runs in a thread, and a camera for it that is not connected yet."""
-    spec = SPEC if robots is None else SPEC.replace(ROBOTS, robots)
-    emulation = f"emulation: {{camera: {{{script}}}}}" if script else "row: ''"
-    with emulated(folder, *sets, spec=spec, script=emulation) as lab:
-        settings = (*sets, f"lab.camera.command_port={lab.camera.motive.command_port}")
-        if "lab.camera.transport=multicast" in sets:
-            settings += (f"lab.camera.data_port={lab.camera.motive.data_port}",)
-        loaded = parse_spec(spec, "spec", (*settings, f"lab.camera.connect={connect}"))
-        section = lab_of(loaded.experiment, "spec").camera
-        changed = Changed()
-        camera = OptitrackCamera(
-            section,
-            loaded.experiment.setup,
-            clock or MonotonicClock(),
-            wake=changed.event.set,
-        )
-        thread = threading.Thread(target=lab.run)
-        thread.start()
-        try:
-            yield lab, camera, changed
-        finally:
-            camera.__exit__(None, None, None)
-            lab.loop.end()
-            thread.join()
-
-
 ROBOTS = "robots: [{name: green, body: Green}, {name: blue, body: 7}]"
 
 
-def refusal(folder, script="", *sets, connect=SHORT, **options):
+@contextmanager
+def motive(folder, script="", *sets, connect=5.0, robots=ROBOTS):
+    """An emulated Motive, a camera for it that is not connected yet, and the clock of both."""
+    spec, clock = SPEC.replace(ROBOTS, robots), LabClock()
+    emulation = f"emulation: {{camera: {{{script}}}}}" if script else "row: ''"
+    with virtual_wires(Network(), clock):
+        lab = emulated(folder, *sets, spec=spec, script=emulation, make_loop=VirtualLoop)
+        clock.timeline = lab.timeline
+        with lab:
+            clock.steps.append(lab.loop.poll)
+            settings = (*sets, f"lab.camera.command_port={lab.camera.motive.command_port}")
+            settings += (f"lab.camera.data_port={lab.camera.motive.data_port}",)
+            loaded = parse_spec(spec, "spec", (*settings, f"lab.camera.connect={connect}"))
+            section = lab_of(loaded.experiment, "spec").camera
+            camera = section.build(loaded.experiment.setup, clock, lambda: None)
+            yield lab, camera, clock
+            camera.__exit__()
+
+
+def refusal(folder, script="", *sets):
     """The error of a camera that cannot connect, and its hint."""
     with (
-        motive(folder, script, *sets, connect=connect, **options) as (_, camera, _),
+        motive(folder, script, *sets, connect=SHORT) as (_, camera, _),
         pytest.raises(AbortError) as caught,
         camera,
     ):
@@ -86,7 +58,12 @@ def refusal(folder, script="", *sets, connect=SHORT, **options):
 
 
 def own_address(camera):
-    return camera.client._sockets[0].getsockname()
+    return camera._sockets[0].getsockname()
+
+
+def stranger_of(address="127.0.0.1"):
+    """A socket that is not the server's."""
+    return VirtualCamera.network.bound(address, 0)
 
 
 def stray(number, x=0.1, version=V41):
@@ -96,22 +73,18 @@ def stray(number, x=0.1, version=V41):
 
 
 def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
-    """Regression: any process on the server's address was believed, and could walk a robot off."""
-    with (
-        motive(tmp_path) as (_, camera, changed),
-        camera,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
-    ):
-        stranger.bind(("127.0.0.1", 0))
-        changed.until(lambda: camera.newest.poses[0] is not None)
+    """Regression: any process on the server's address was trusted, and could walk a robot off."""
+    with motive(tmp_path) as (_, camera, clock), camera:
+        stranger = stranger_of()
+        assert clock.wait(lambda: camera.newest.poses[0] is not None)
         camera.frames()  # the first may have come before the names of the bodies
         for step in range(50):
             ahead = camera.newest.number + 1
             stranger.sendto(stray(ahead, 0.1 + 0.033 * step), own_address(camera))
-        refused = camera.client.senders.refused
-        changed.until(lambda: refused.total() == 50)
+        refused = camera.senders.refused
+        assert clock.wait(lambda: refused.total() == 50)
         came = camera.stream.counts.frames
-        changed.until(lambda: camera.stream.counts.frames > came + 5)
+        assert clock.wait(lambda: camera.stream.counts.frames > came + 5)
         for frame in camera.frames():
             assert frame.poses[0].x == pytest.approx(500, abs=1)
         assert camera.damaged == 0
@@ -125,7 +98,7 @@ def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
 
 @pytest.mark.parametrize("which", ["command", "data"])
 def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(tmp_path, which):
-    with motive(tmp_path) as (lab, camera, changed), camera:
+    with motive(tmp_path) as (lab, camera, clock), camera:
         model, info = camera.stream.model, camera.stream.info
         offset = camera.stream.sync.to_host(0)
         sender = getattr(lab.camera.motive, which)
@@ -135,17 +108,14 @@ def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(
             EchoResponse(12345, 1),
         )
 
-        def send():
-            for message in forged:
-                sender.sendto(pack_answer(message, V41), own_address(camera))
-
-        lab.timeline.at(0, send)
+        for message in forged:
+            sender.sendto(pack_answer(message, V41), own_address(camera))
         counted = (
             (lambda: camera.stream.counts.unasked)
             if which == "command"
-            else camera.client.senders.refused.total
+            else camera.senders.refused.total
         )
-        changed.until(lambda: counted() == 3)
+        assert clock.wait(lambda: counted() == 3)
         assert (camera.stream.model, camera.stream.info) == (model, info)
         assert camera.stream.sync.to_host(0) == pytest.approx(offset, abs=5_000_000)
         assert camera.damaged == 0
@@ -158,20 +128,13 @@ def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
         "lab.camera.group=239.255.42.97",
         "lab.camera.interface=127.0.0.1",
     )
-    with (
-        motive(tmp_path, "", *sets) as (lab, camera, changed),
-        camera,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
-    ):
-        assert camera.client.senders.frames_port == lab.camera.motive.data.getsockname()[1]
-        stranger.bind(("127.0.0.1", 0))
-        stranger.setsockopt(
-            socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1")
-        )
+    with motive(tmp_path, "", *sets) as (lab, camera, clock), camera:
+        stranger = stranger_of()
+        assert camera.senders.frames_port == lab.camera.motive.data.getsockname()[1]
         stranger.sendto(
             stray(camera.newest.number + 1), ("239.255.42.97", lab.camera.motive.data_port)
         )
-        changed.until(lambda: camera.client.senders.refused.total() == 1)
+        assert clock.wait(lambda: camera.senders.refused.total() == 1)
 
 
 def test_a_server_that_keeps_its_own_version_is_told_from_one_that_does_not_stream(tmp_path):
@@ -209,17 +172,14 @@ def test_no_frames_at_all_is_still_said(tmp_path):
 
 
 def test_a_server_that_answers_from_another_address_is_named(tmp_path):
-    with (
-        motive(tmp_path, connect=SHORT) as (lab, camera, _),
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second,
-    ):
-        second.bind(("127.0.0.3", 0))
+    with motive(tmp_path, connect=SHORT) as (lab, camera, _):
+        second = stranger_of("127.0.0.3")
         lab.camera.motive.trouble.silent = True
         info = ServerInfo("Motive", (3, 0, 0, 0), (4, 1, 0, 0), 10**7, 1511, False, (0, 0, 0, 0))
-        camera.client.open()
-        second.sendto(pack_answer(info), ("127.0.0.1", own_address(camera)[1]))
+        camera.open()
+        second.sendto(pack_answer(info), own_address(camera))
         with pytest.raises(AbortError, match=r"but one does from 127\.0\.0\.3:") as caught:
-            camera.client.wait_connected(SHORT)
+            camera.wait_connected(SHORT)
     assert caught.value.hint.startswith("set lab.camera.server to 127.0.0.3")
 
 
@@ -255,11 +215,11 @@ def test_a_name_that_is_not_known_comes_with_those_that_are(tmp_path):
 
 
 def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
-    with motive(tmp_path) as (lab, camera, changed), camera:
+    with motive(tmp_path) as (lab, camera, clock), camera:
         lab.camera.hidden.add(7)
         lab.camera.motive.server._names = (BodyName("Green", 1), BodyName("hand", 9))
-        changed.until(lambda: camera.stream.missing() == [7] and len(camera.stream.seen) == 1)
-        changed.until(lambda: "hand" in camera.stream.model.ids())
+        assert clock.wait(lambda: camera.stream.missing() == [7] and len(camera.stream.seen) == 1)
+        assert clock.wait(lambda: "hand" in camera.stream.model.ids())
         (problem,) = camera.check().problems
         assert "know no rigid body of id 7, wanted for blue; the nearest id is 1;" in problem
 
@@ -276,9 +236,9 @@ def test_a_body_that_is_known_but_not_streamed_is_told_as_that(tmp_path):
 @pytest.mark.parametrize("version", ["4.4", "4.5"])
 def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path, version):
     """Regression: a description that grew threw the whole list of names away."""
-    with motive(tmp_path, f"version: {version}") as (_, camera, changed), camera:
+    with motive(tmp_path, f"version: {version}") as (_, camera, clock), camera:
         assert camera.stream.model.ids() == {"Green": 1, "blue": 7}
-        changed.until(lambda: all(camera.newest.poses))
+        assert clock.wait(lambda: all(camera.newest.poses))
         found = camera.check()
         assert found.problems == ()
         assert f"protocol {version} is newer than those known here; it is read as 4.3" in (
@@ -287,41 +247,17 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
         assert camera.damaged == 0
 
 
-class SetClock:
-    """A clock that stands until it is set."""
-
-    def __init__(self):
-        self.time_ns = 10 * SECOND
-
-    def now(self):
-        return self.time_ns
-
-    def sleep_until(self, when):
-        self.time_ns = max(self.time_ns, when)
-
-
 def test_models_that_keep_changing_are_asked_for_ever_less_often(tmp_path):
     """Regression: four times a second, for as long as the bit lasted."""
-    clock = SetClock()
-    script = "models_changed: true, rate: 500"
-    with motive(tmp_path, script, clock=clock) as (lab, camera, changed):
-        camera.client.open()
-        counts = lab.camera.motive.counts
-        changed.until(lambda: camera.stream.model is not None and camera.stream.changing)
-        before = counts.models_asked
-        for _ in range(240):  # a minute
-            clock.time_ns += SECOND // 4
-            came = camera.stream.counts.frames
-            changed.until(lambda came=came: camera.stream.counts.frames >= came + 3)
-        assert 5 <= counts.models_asked - before <= 13
+    with motive(tmp_path, "models_changed: true, rate: 20") as (lab, camera, clock), camera:
+        before = lab.camera.motive.counts.models_asked
+        clock.sleep_until(clock.now() + 60 * SECOND)
+        assert 5 <= lab.camera.motive.counts.models_asked - before <= 13
 
 
 def test_a_body_that_gets_its_name_is_found(tmp_path):
-    with (
-        motive(tmp_path, "robots: [{name: green, body: Greeen}]") as (lab, camera, changed),
-        camera,
-    ):
+    with motive(tmp_path, "robots: [{name: green, body: Greeen}]") as (lab, camera, clock), camera:
         assert camera.newest.poses[0] is None
         lab.camera.motive.server._names = (BodyName("Green", 1), BodyName("blue", 7))
-        changed.until(lambda: camera.newest.poses[0] is not None)
+        assert clock.wait(lambda: camera.newest.poses[0] is not None)
         assert camera.check().problems == ()

@@ -8,16 +8,15 @@ from support.emulated_lab import FIELD_SPEC
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.supervision import LabSupervision
+from tetractl.emulate import firmware
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import on_plant
-from tetractl.lab import firmware
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 
 
 def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_path):
-    with running(tmp_path, FIELD_SPEC) as (lab, experiment):
-        clock = experiment.lab.clock()
+    with running(tmp_path, FIELD_SPEC) as (lab, experiment, clock):
         plant = experiment.lab.build(
             experiment.setup, clock, np.random.SeedSequence(1), LabSupervision()
         )

@@ -121,20 +121,21 @@ def test_nor_is_one_whose_wheels_are_swapped(turned, directions):
 def test_two_that_are_swapped_are_noticed_within_little_more_than_a_body_length(delay, directions):
     fault, driven = drive([1, 0, 2], delay, directions=directions)
     assert (
-        fault == "green and blue turn as one another is told: are their numbers or bodies swapped?"
+        fault
+        == "green and blue turn as one another is commanded: are their numbers or bodies swapped?"
     )
     assert driven < 1.2 * BODY
 
 
 def test_three_that_follow_one_another_are_noticed():
     fault, driven = drive([1, 2, 0], directions=WIDE)
-    assert "turn as one another is told" in fault
+    assert "turn as one another is commanded" in fault
     assert driven < 2 * BODY
 
 
 def test_one_with_the_number_of_another_is_noticed():
     fault, driven = drive([0, 1, 0], directions=WIDE)
-    assert fault == "red turns as green is told, not as red is: is its number wrong?"
+    assert fault == "red turns as green is commanded, not as red is: is its number wrong?"
     assert driven < 3 * BODY
 
 

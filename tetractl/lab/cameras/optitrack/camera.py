@@ -1,7 +1,7 @@
 """OptiTrack cameras as a `Camera`: a NatNet connection, and what is checked before a run.
 
 The thread outlives whatever the network sends: bad datagrams are counted, errors of the sockets
-are kept as `error`. It never waits for whoever reads its frames.
+are kept as `error`. It never waits for the reader of its frames.
 """
 
 import select
@@ -171,7 +171,7 @@ class OptitrackCamera:
         if sync is not None and sync.synced:
             round_trip = f"{sync.round_trip_ns / 1e6:.3f}"
         else:
-            warnings.append("the server does not tell its clock, so the frames' age is not known")
+            warnings.append("the server does not report its clock, so the frames' age is not known")
         if stream.unit_mm is None:
             warnings.append("the server does not report its unit of length: metres are assumed")
         version = stream.version
@@ -265,17 +265,17 @@ class OptitrackCamera:
     def _ask_models(self) -> None:
         """Ask for names that are not known, have changed, or are wanted and not streamed.
 
-        Once they were told, the time between questions doubles: a server may tell of a change in
+        Once they are known, the time between questions doubles: a server may report a change in
         every frame, for good.
         """
         stream, now = self.stream, self._clock.now()
-        told = stream.model is not None
-        if told and not (stream.models_changed or stream.changing or stream.missing()):
+        known = stream.model is not None
+        if known and not (stream.models_changed or stream.changing or stream.missing()):
             self._models_wait_ns = ASK_NS
             return
         if now - self._models_asked_ns >= self._models_wait_ns:
             self._models_asked_ns = now
-            self._models_wait_ns = min(2 * self._models_wait_ns, MODELS_MAX_NS) if told else ASK_NS
+            self._models_wait_ns = min(2 * self._models_wait_ns, MODELS_MAX_NS) if known else ASK_NS
             self._ask(Bare(MessageKind.REQUEST_MODELDEF))
 
     def _connect(self) -> Connect:

@@ -145,7 +145,7 @@ def test_a_module_that_is_not_known_is_asked_about_and_used(hardware, version):
     """Regression: it was refused."""
     radio = Module(SERIES_1 | {b"HV": hardware, b"VR": version})
     link = radio.opened()
-    told = version.hex() or "not told"
+    told = version.hex() or "not reported"
     assert link.questions == (
         f"{radio.name}: the module (HV {hardware.hex().upper()}, VR {told}) is not known here: "
         "does it run 802.15.4 firmware?",

@@ -158,7 +158,7 @@ def test_frames_of_the_servers_second_address_are_told_from_none(tmp_path):
 def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
         lab.camera.motive.trouble.version = Version(3, 0)
-        with pytest.raises(AbortError, match=r"tells protocol 4\.1, but is not underst") as e:
+        with pytest.raises(AbortError, match=r"reports protocol 4\.1, but is not underst") as e:
             camera.__enter__()
     assert str(e.value).endswith("which read as protocol 3.0")
     assert "set lab.camera.version" in e.value.hint
@@ -200,7 +200,7 @@ def test_bodies_given_by_their_ids_need_no_names(tmp_path):
 
 def test_a_protocol_without_tracking_flag_has_its_own_message(tmp_path):
     said, hint = refusal(tmp_path, "version: 2.5")
-    assert said.startswith("the camera server speaks protocol 2.5, whose frames do not tell which")
+    assert said.startswith("the camera server speaks protocol 2.5, whose frames do not say which")
     assert "NatNet 2.6 or later" in hint
 
 

@@ -203,7 +203,7 @@ def test_a_server_that_streams_in_another_unit_than_metres_is_a_fault(told, unit
 @pytest.mark.parametrize(
     ("answer", "says", "hint"),
     [
-        (None, "does not tell its up axis", "set lab.camera.up_axis to y or z"),
+        (None, "does not report its up axis", "set lab.camera.up_axis to y or z"),
         (0, "up axis is x; it must be y or z", "set Up Axis in Motive's streaming settings"),
         (7, "up axis is of number 7", "set Up Axis in Motive's streaming settings"),
     ],

@@ -301,7 +301,7 @@ def clocked(times: list[float], act: Callable[[], Any]) -> Any:
 
 
 def serve(size: tuple[int, int], rate_hz: float, pipe: Connection) -> None:
-    """The emulated camera's process: send the address, serve until told to end."""
+    """The emulated camera's process: send the address, serve until asked to end."""
     cv2.setNumThreads(1)
     where = scattered(np.random.default_rng(5))
     server = EmulatedNetworkCamera(renderer(size), lambda t: where, MonotonicClock(), rate_hz)

@@ -2,9 +2,9 @@
 
     python benchmarks/lab.py [--trials N] [--seconds S] [--skip-batch]
 
-Prints Markdown: NatNet parse cost beside PyPI's `natnet`, control-to-wheel latency (exposure of the
+Prints Markdown: NatNet parse cost and PyPI's `natnet`'s, control-to-wheel latency (exposure of the
 frame a command is based on to the command having left), frames dropped, deadline misses at 5, 20
-and 120 Hz control, and the errors of lab trials beside simulated ones with the same dead time.
+and 120 Hz control, and the errors of lab trials next to simulated ones with the same dead time.
 """
 
 import argparse
@@ -131,7 +131,7 @@ def misses(folder: Path, seconds: float) -> None:
     """Run one trial at each control rate and count late steps."""
     print("| control [Hz] | steps | late | solve p50 [ms] | p99 | max |\n|--:|--:|--:|--:|--:|--:|")
     for rate in (5, 20, 120):
-        sets = (  # one plan of directions held for 0.2 s, looked at more or less often
+        sets = (  # one plan of directions held for 0.2 s, re-planned more or less often
             f"controller.period={1 / rate!r}",
             f"controller.hold={round(rate / 5)}",
             f"controller.steps_max={round(seconds * rate)}",

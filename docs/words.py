@@ -20,7 +20,7 @@ WORDS = {
     r"told": "given, configured, reported, commanded",
     r"believ\w+|beliefs?": "accept, trust, assume, infer",
     r"judg\w+": "evaluate, check",
-    r"look(?:ed|s|ing)? at": "read, examine",
+    r"looked at": "read, examine",
     r"evidence": "data",
     r"anew": "again, regenerated",
     r"whoever|nobody": "the caller, no process, which robot",
@@ -29,8 +29,7 @@ WORDS = {
     r"weigh(?:ed|s)? up": "analyse",
     r"of old|of older code": "legacy, outdated",
     r"hurr(?:y|ied|ies)": "interrupt",
-    r"worlds?": "realisation, paired seeds",
-    r"errs": "has an error of",
+    r"worlds": "realisations, paired seeds",
 }
 _ODD = [
     (re.compile(rf"(?<![\w-])(?:{word})(?![\w-])", re.IGNORECASE), say)
@@ -46,7 +45,7 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
         for token in tokenize.generate_tokens(io.StringIO(source).readline):
             prose = token.type == tokenize.STRING and " " in token.string
             if prose or token.type in (tokenize.COMMENT, getattr(tokenize, "FSTRING_MIDDLE", -1)):
-                yield token.start[0], re.sub(r"`[^`\n]*`", "", token.string)
+                yield token.start[0], re.sub(r"`[^`\n]*`|\{[^{}\n]*\}", "", token.string)
     else:
         blank = _CODE.sub(lambda code: re.sub(r"[^\n]", " ", code[0]), source)
         yield from enumerate(blank.splitlines(), 1)

@@ -133,7 +133,7 @@ def closed(settings: Settings) -> Report:
     report = Report("(c) Closed loop and control step")
     ours = experiment(OURS)
     contestants: list[tuple[str, Experiment, Build]] = [
-        ("paper, to the letter", experiment(PAPER), build_controller),
+        ("paper, as published", experiment(PAPER), build_controller),
         ("**ours**", ours, build_controller),
     ]
     if available(shooting.PACKAGE):
@@ -238,7 +238,7 @@ def disturbed(settings: Settings) -> Report:
     no_learning = "controller.estimate=false"
     rows = []
     for name, spec in (
-        ("paper, to the letter", [PAPER]),
+        ("paper, as published", [PAPER]),
         ("the same, dead time compensated", [PAPER, COMPENSATED]),
         ("ours, neither compensated nor estimated", [OURS, no_learning]),
         ("ours, estimated only", [OURS]),

@@ -140,7 +140,7 @@ def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, protoco
     ids=["attended", "unattended"],
 )
 def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, closed, words, code):
-    """Regression: it drove on to its end, with nobody to see or stop it."""
+    """Regression: it drove on to its end, with no operator to stop it."""
     emulator, settings = lab()
     short = LONG if code else ()
     sets = flags((*settings, *short))

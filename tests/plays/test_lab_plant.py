@@ -11,7 +11,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
-from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import Origin
 from tetractl.plant.lab import LabPlant
 
 DIRECTIONS = (0.5, -0.4, 0.6)
@@ -74,7 +74,7 @@ def test_one_run_keeps_every_promise(make):
     assert [command.direction for command in commands] == list(DIRECTIONS)
     others = [item for item in news if isinstance(item, Command)]
     told = sorted((*commands, *others), key=lambda command: command.sent_ns)
-    assert len({command.sent_ns for command in told}) == len(told), "each is told once"
+    assert len({command.sent_ns for command in told}) == len(told), "each is sent once"
     assert len(others) > len(commands), "the inner loop sends between the control steps"
     for command in told:
         assert command.left.shape == command.right.shape == (count,)

@@ -1,6 +1,6 @@
 """The same trials on the simulated bench and in the emulated lab, to be compared.
 
-Both have one controller at 20 Hz that is told the dead time and neither identifies nor goes round,
+Both have one controller at 20 Hz that is given the dead time and neither identifies nor goes round,
 so that nothing hides what went wrong, and what the emulated lab has of the bench: its latencies,
 radio, packet loss, counts, lag, gains, radii, start errors and planning times, each trial's drawn
 from the same distributions. The emulated camera errs in nothing and loses nothing and the emulated

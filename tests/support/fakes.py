@@ -101,7 +101,7 @@ class FakeController:
 
 
 class FakeObserver:
-    """Keeps what it is told."""
+    """Keeps the commands it receives."""
 
     def __init__(self, happenings, name="log"):
         self.happenings, self.name = happenings, name

@@ -1,4 +1,4 @@
-"""A controller that is no MPC: every robot is told the bearing of the targets until it arrives.
+"""A controller that is no MPC: every robot receives the bearing of the targets until it arrives.
 
 It stands for what another package may bring: the contract suite runs against it, and so do the
 trial loop, the log and `verify`, none of which knows it.

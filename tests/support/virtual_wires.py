@@ -16,7 +16,8 @@ from unittest import mock
 from tetractl.core.clock import SECOND, VirtualClock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.emulate.loop import Loop
-from tetractl.lab.cameras.optitrack.client import NatNetClient
+from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.inner_loop import IDLE_S, InnerLoop
 from tetractl.lab.serial_port import PortHeldError
 
@@ -148,7 +149,7 @@ class MemorySocket:
         self._network.sockets.pop(self._name, None)
 
 
-class VirtualClient(NatNetClient):
+class VirtualCamera(OptitrackCamera):
     """Our NatNet client, turned by the clock in the place of its thread."""
 
     network: Network
@@ -158,10 +159,10 @@ class VirtualClient(NatNetClient):
         super()._open_sockets()
         self.base.steps.append(self._turn)
 
-    def close(self):
+    def __exit__(self, *_):
         if self._turn in self.base.steps:
             self.base.steps.remove(self._turn)
-        super().close()
+        super().__exit__()
 
     def _turn(self):
         self._chores()
@@ -262,7 +263,7 @@ class MemorySerial:
 @contextlib.contextmanager
 def virtual_wires(network, clock):
     """Let the lab's code in this process find these wires and this clock in place of the host's."""
-    VirtualClient.network, VirtualClient.base = network, clock
+    VirtualCamera.network, VirtualCamera.base = network, clock
     MemoryPort.ports.clear()
 
     turns = {}
@@ -287,8 +288,7 @@ def virtual_wires(network, clock):
     with contextlib.ExitStack() as stack:
         for name, value in (
             *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
-            ("tetractl.lab.cameras.optitrack.camera.NatNetClient", VirtualClient),
-            ("tetractl.lab.cameras.optitrack.client.socket", SocketModule(network)),
+            ("tetractl.lab.cameras.optitrack.camera.socket", SocketModule(network)),
             ("tetractl.emulate.optitrack.motive._bound", network.bound),
             ("tetractl.emulate.m3pi.side.PseudoPort", MemoryPort),
             ("tetractl.emulate.field_side.PseudoPort", MemoryPort),
@@ -296,6 +296,8 @@ def virtual_wires(network, clock):
             ("tetractl.lab.actuators.field.driver.SerialPort", MemorySerial),
         ):
             stack.enter_context(mock.patch(name, value))
+        device = f"{__name__}:VirtualCamera"
+        stack.enter_context(mock.patch.object(OptitrackSection, "device", device))
         stack.enter_context(mock.patch.object(InnerLoop, "start", start))
         stack.enter_context(mock.patch.object(InnerLoop, "close", close))
         yield

@@ -47,7 +47,7 @@ def test_anything_like_what_is_right(name, rng):
 @every_target
 @pytest.mark.parametrize("pattern", [b"{a: ", b"a: &a [*a]\n", b"a\n", b"~\0\5", b"\1", b"\xff"])
 def test_the_same_again_and_again_is_bounded_too(name, pattern):
-    """A count that is believed or a quadratic search would show."""
+    """A count that is trusted or a quadratic search would show."""
     with bounded(LINES, MEGABYTES):
         TARGETS[name].run((pattern * 4096)[:4096])
 

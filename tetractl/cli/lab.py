@@ -82,7 +82,7 @@ def stop(
 
     m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
     3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
-    --port. Needs no camera. A run that has the port is ended: stops are sent beside it, it is
+    --port. Needs no camera. A run that has the port is ended: stops are sent past it, it is
     asked twice to end, then killed. Exit code 1 where another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0

@@ -57,7 +57,7 @@ class Plant(Protocol):
         ...
 
     def settle(self) -> Verdict:
-        """After stop: wait until the robots stand still, and judge the path."""
+        """After stop: wait until the robots stand still, and evaluate the path."""
         ...
 
     def close(self) -> None:
@@ -66,7 +66,7 @@ class Plant(Protocol):
 
 
 class Device(Protocol):
-    """A device of the lab that is opened, looked at and closed; a context manager.
+    """A device of the lab that is opened, checked and closed; a context manager.
 
     Entering connects and raises AbortError where that cannot be; leaving releases everything, is
     idempotent and never raises.

@@ -26,7 +26,7 @@ class PlacementPrompt(Protocol):
 class LabSupervision:
     """The people at a run in the lab.
 
-    `emergency` set is the emergency stop. `prompt` None: nobody is asked, and robots that are
+    `emergency` set is the emergency stop. `prompt` None: no person is asked, and robots that are
     not on their starts within the spec's `placing` time end the run. `cancelled` returns whether a
     person wants to wait no longer.
     """

@@ -1,4 +1,4 @@
-"""Text that is safe to print, whoever wrote it."""
+"""Text made safe to print, wherever it is from."""
 
 
 def printable(text: str, length: int | None = None) -> str:

@@ -1,4 +1,4 @@
-"""Calls done in order by a background thread, so that a slow disk or screen delays nobody."""
+"""Calls done in order by a background thread: a slow disk or screen does not delay the caller."""
 
 import queue
 import threading

@@ -14,7 +14,7 @@ from tetractl.emulate.script import Script, Sides
 from tetractl.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
 from tetractl.experiment.lab import LabSection
 
-TICK_NS = 2_000_000  # how often robots are looked at
+TICK_NS = 2_000_000  # how often robots are checked
 FLUSH_NS = 200_000_000
 CARRY_NS = 500_000_000  # how long a robot is in the helper's hands
 
@@ -84,12 +84,12 @@ class EmulatedLab:
             self._client,
         )
         sides = Sides.of(lab.camera.type, lab.actuator.type)
-        told = script.emulation
+        emulated = script.emulation
         self.actuator: EmulatedActuator = sides.actuator(
-            stage, told.actuator or sides.actuator.Settings()
+            stage, emulated.actuator or sides.actuator.Settings()
         )
         self.camera: EmulatedCamera = sides.camera(
-            stage, told.camera or sides.camera.Settings(), self.actuator.bodies
+            stage, emulated.camera or sides.camera.Settings(), self.actuator.bodies
         )
         self._moving = [False] * len(setup.names)
         self._ran = False  # since the robots were last put on their starts
@@ -226,8 +226,8 @@ class EmulatedLab:
 
 def _check_names(script: Script, setup: Setup) -> None:
     """Raise SpecError where a script names a robot that the spec has not."""
-    told = script.emulation
-    lists = [told.robots, *(getattr(side, "robots", ()) for side in (told.camera, told.actuator))]
+    own = script.emulation
+    lists = [own.robots, *(getattr(side, "robots", ()) for side in (own.camera, own.actuator))]
     names = [robot.name for robots in lists for robot in robots]
     names += [name for fault in script.faults for name in fault.names()]
     for name in names:

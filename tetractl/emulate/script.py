@@ -1,5 +1,5 @@
 """A script for the emulated lab: how it differs from the spec, which faults happen when, and what
-is expected of whoever drives it."""
+is expected of the run that drives it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,7 +60,7 @@ class Emulation(Model):
 
 
 class Runner(Model):
-    """What a test does to whoever drives the lab."""
+    """What a test does to the run that drives the lab."""
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings that both sides get."""
@@ -111,7 +111,7 @@ class Script(Model):
     )
     """What goes wrong, and when."""
     runner: Runner = Runner()
-    """What a test does to whoever drives the lab."""
+    """What a test does to the run that drives the lab."""
     expect: Expect | None = None
     """What a test expects."""
 

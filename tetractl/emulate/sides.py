@@ -87,7 +87,7 @@ class EmulatedSide(Protocol):
     faults: ClassVar[Sequence[type[Fault]]]
 
     def open(self, loop: Loop) -> Facts:
-        """Take ports and names; return where the device is, for whoever connects to it."""
+        """Take ports and names; return where the device is, for its clients."""
         ...
 
     def close(self) -> Facts:
@@ -96,7 +96,7 @@ class EmulatedSide(Protocol):
 
 
 class EmulatedCamera(EmulatedSide, Protocol):
-    """Shows `bodies`, in their order, to whoever connects; made as (stage, settings, bodies)."""
+    """Shows `bodies`, in their order, to its clients; made as (stage, settings, bodies)."""
 
     def hide(self, hidden: bool) -> None:
         """Let no body be tracked, as while all are carried, or show them again."""
@@ -122,7 +122,7 @@ class EmulatedActuator(EmulatedSide, Protocol):
         ...
 
     def switch(self, on: bool) -> None:
-        """Switch off what is driven, as while robots are carried, or on, which starts it anew."""
+        """Switch off what is driven, as while robots are carried, or on, which restarts it."""
         ...
 
     def advance(self, until_ns: int) -> None:

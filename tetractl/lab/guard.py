@@ -74,7 +74,7 @@ class GuardRules:
 
 @dataclass(frozen=True, slots=True)
 class Ruling:
-    """The decision of a tick: which robots may move (N,), and the poses that are believed (N,).
+    """The decision of a tick: which robots may move (N,), and the accepted poses (N,).
 
     A pose is None where a robot is not tracked. `reason` says why a run was aborted.
     """
@@ -136,7 +136,7 @@ class Guard:
 
     @property
     def jumps(self) -> int:
-        """Poses that were not believed."""
+        """Poses that were refused."""
         return self._jumps
 
     @property
@@ -146,7 +146,7 @@ class Guard:
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Why the newest pose of each robot (N,) is not believed, "" where it is or none came."""
+        """Why the newest pose of each robot (N,) was refused, "" where it was not or none came."""
         return tuple(track.refused for track in self._filters)
 
     def ready(self) -> None:
@@ -245,7 +245,7 @@ class Guard:
             self.abort(failure)
         self._count_damaged(now_ns, damaged)
         tracked = self._tracked(now_ns)
-        believed = tuple(
+        accepted = tuple(
             track.pose if ok else None for track, ok in zip(self._filters, tracked, strict=True)
         )
         warnings: tuple[str, ...] = ()
@@ -262,16 +262,16 @@ class Guard:
             if mistaken := self._swaps.fault():
                 self.abort(mistaken)
             self._check_tracking(now_ns)
-            self._check_places(believed)
+            self._check_places(accepted)
             warnings, self._warnings = tuple(self._warnings), []
         still = (False,) * len(self._filters)
         if not self._active:
-            return Ruling(self.state, still, believed, self.reason, warnings)
+            return Ruling(self.state, still, accepted, self.reason, warnings)
         fresh = now_ns - (self._last_frame_ns or 0) <= self.rules.stale_ns
         let = tracked if self.rules.individual else (True,) * len(tracked)
         moving = let if fresh else still
         self.state = GuardState.RUN if all(moving) and all(tracked) else GuardState.HOLD
-        return Ruling(self.state, moving, believed, "", warnings)
+        return Ruling(self.state, moving, accepted, "", warnings)
 
     def _behind(self) -> str:
         return f"exposed {self._behind_ns / SECOND:.2f} s before the newest"
@@ -315,7 +315,7 @@ class Guard:
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
         limit = max(self.rules.untracked_stop_ns, 0)
         newest = self._last_frame_ns or 0
-        # a stream that stands still is judged as such, not as robots that are not tracked
+        # a stream that stands still is a fault of its own, not as robots that are not tracked
         return tuple(
             track.pose is not None and newest - track.seen_ns <= limit for track in self._filters
         )
@@ -357,7 +357,7 @@ class Guard:
                 gap = math.hypot(then.x - other_then.x, then.y - other_then.y)
                 before = math.hypot(now.x - other_now.x, now.y - other_now.y)
                 if min(gap, before) < rules.separation and gap <= before:
-                    self.abort(f"{other} and {name} are too close: {before:.0f} apart")
+                    self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
         """Whether a robot gets further out: one at the edge may move back in."""

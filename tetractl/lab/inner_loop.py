@@ -102,7 +102,7 @@ class InnerLoop:
                 self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)
 
     def step(self) -> None:
-        """Judge the frames that came, and send what is due now."""
+        """Check the frames that came, and send what is due now."""
         with self._lock:
             self._guarded_tick()
 

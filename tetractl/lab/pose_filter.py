@@ -1,4 +1,4 @@
-"""Which camera poses of a robot are believed: those of a body that stands upright on the floor,
+"""Which camera poses of a robot are accepted: those of a body that stands upright on the floor,
 where the robot can have driven since it was last seen.
 
 Lengths are in the spec's length unit, times ns on the run's clock.
@@ -12,7 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 
 FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
-WINDOW_NS = SECOND  # a pose is held against every believed pose that is not older
+WINDOW_NS = SECOND  # a pose is compared with every accepted pose that is not older
 SPACING_NS = SECOND // 10  # between the poses kept for that, besides the last
 
 
@@ -37,9 +37,9 @@ class MotionLimits:
 
 @dataclass(slots=True)
 class PoseFilter:
-    """The believed poses of one robot: the last, and some of the last second.
+    """The accepted poses of one robot: the last, and some of the last second.
 
-    `refused` says why the newest pose that came was not believed, "" where it was or none came.
+    `refused` says why the newest pose that came was refused, "" where it was not or none came.
     """
 
     limits: MotionLimits
@@ -66,7 +66,7 @@ class PoseFilter:
         return "its pose jumped" if not fault and driving and self._jumps(pose, at_ns) else fault
 
     def add(self, pose: Pose, at_ns: int, refused: str) -> bool:
-        """Note a pose exposed at `at_ns`; return whether it is believed."""
+        """Note a pose exposed at `at_ns`; return whether it is accepted."""
         self.refused = refused
         if self.refused:
             return False

@@ -46,8 +46,8 @@ class RobotFinding:
 class Preflight:
     """What a preflight found.
 
-    `latency_ms` (median, greatest) is the age of frames on arrival, None where the camera cannot
-    tell it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own,
+    `latency_ms` (median, greatest) is the age of frames on arrival, None where the camera does not
+    report it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own,
     `questions` what a person, where there is one, has to agree to.
     """
 
@@ -82,7 +82,7 @@ class Preflight:
 
 
 def inspect(rig: Rig) -> Preflight:
-    """Look at some camera frames, ask both devices and poll the robots; moves nothing."""
+    """Watch some camera frames, ask both devices and poll the robots; moves nothing."""
     statuses = rig.actuator.poll(POLL_S)
     outdated = rig.guard.outdated
     seen = _watch(rig)

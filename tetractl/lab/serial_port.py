@@ -59,7 +59,7 @@ class SerialPort:
         self._thread = threading.Thread(target=self._read, name=device, daemon=True)
 
     def open(self, alone: bool = True) -> None:
-        """Open the port and start to read, for this process `alone` or beside the one that has it.
+        """Open the port and start to read, for this process `alone` or besides the one that has it.
 
         AbortError where it cannot, PortHeldError where another has it.
         """

@@ -7,7 +7,7 @@ from tetractl.lab.preflight import Preflight, inspect, unplaced
 from tetractl.lab.rest_check import moving_robots
 from tetractl.lab.rig import Rig
 
-LOOK_NS = SECOND // 5  # how often placing is looked at
+LOOK_NS = SECOND // 5  # how often places are checked
 GRACE_S = 1.0  # waited at least, for frames that are missing now and then
 SILENCE_S = 0.5  # a camera silent for this long ends the wait, or longer if the spec bears it
 

@@ -125,7 +125,7 @@ def host_metadata(packages: Mapping[str, str]) -> dict[str, str]:
 
 
 def plugins(packages: Mapping[str, str]) -> dict[str, str]:
-    """Return the versions of packages beside tetractl, by the keys they have in a log."""
+    """Return the versions of packages besides tetractl, by the keys they have in a log."""
     return {PLUGIN + name: version for name, version in packages.items()}
 
 
@@ -200,8 +200,8 @@ def _cpu_features() -> str:
 
 
 def _numpy_dispatch() -> str:
-    """Return the instruction sets that numpy found and was not told to leave."""
-    from numpy._core._multiarray_umath import (  # the only place that tells
+    """Return the instruction sets that numpy found and uses."""
+    from numpy._core._multiarray_umath import (  # in no public place
         __cpu_features__ as features,
     )
 

@@ -209,7 +209,7 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return
-    halts = log.start.plant.facts.get(HALTS) == "yes"  # logs of old do not tell
+    halts = log.start.plant.facts.get(HALTS) == "yes"  # early logs do not say
     for i, name in enumerate(log.start.setup.names):
         seen = np.flatnonzero(log.valid[:, i])
         unseen_s = seconds(int(now[-1] - (now[seen[-1]] if len(seen) else 0)))

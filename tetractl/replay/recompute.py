@@ -47,8 +47,8 @@ class _TooLongError(Exception):
 class Rerun:
     """Does the logged searches of a trial again, in place of a controller's optimisers.
 
-    A search that the deadline cut short is run with the looks at the clock that spend the logged
-    evaluations: a deadline is only obeyed at a look, so their number is all there is to know. With
+    A search that the deadline cut short is run with as many readings of the clock as spend the
+    logged evaluations: only a reading can end a search, so their number says it all. With
     `search_again` False the logged searches are given back, and what differs in them is in `wrong`.
     From `start` on, `limit_s` may pass on the clock `wall` [s].
     """

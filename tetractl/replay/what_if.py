@@ -1,7 +1,7 @@
 """What another controller would have decided on the observations of a recorded trial.
 
-The other controller is given each recorded observation, and told of the directions that were sent,
-not of its own: so at every step it answers the situation that the robots were really in. That is a
+The other controller is given each recorded observation and the directions that were really sent,
+not its own: so at every step it answers the situation that the robots were really in. That is a
 prediction. It is no closed loop: had it decided, the robots would have been elsewhere at the next
 step.
 """

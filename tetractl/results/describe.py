@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment, Reference, Scale
-from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import Origin
 from tetractl.results.batch import Batch, counts
 from tetractl.results.difference import MeanDifference, welch
 from tetractl.results.estimate import Distribution, Interval, distributions

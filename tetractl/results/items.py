@@ -6,8 +6,7 @@ from typing import Any
 
 from tetractl.core.table.data import flat
 from tetractl.core.table.table import Table
-from tetractl.log.read.origin import Origin
-from tetractl.log.read.trial_log import ResultSummary
+from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.batch import Batch, counts
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group, Scaled

@@ -8,7 +8,7 @@ from dataclasses import replace
 from tetractl.core.table.numbers import NONE, digits, fixed, lengths, p_value
 from tetractl.core.table.table import Column, Table
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import Origin
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group
 from tetractl.results.estimate import FAR, Distribution, Interval, known_distribution

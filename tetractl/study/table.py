@@ -11,8 +11,8 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.table.files import TableFiles
 from tetractl.core.table.table import Column, Table
-from tetractl.log.read.origin import Origin
 from tetractl.log.read.rows import SIMULATED, Row
+from tetractl.log.read.trial_log import Origin
 from tetractl.results.batch import Batch, counts
 from tetractl.results.estimate import Distribution, distributions
 from tetractl.results.items import trials_table

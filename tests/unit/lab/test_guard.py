@@ -154,7 +154,7 @@ def test_a_heading_that_flips_is_a_jump():
 
 
 def walk(step_mm, course, frames=40):
-    """Green's pose walks on by `step_mm` a frame; return how far it was believed [mm]."""
+    """Green's pose walks on by `step_mm` a frame; return how far it was accepted [mm]."""
     x, believed = PLACES[0].x, 0.0
     for _ in range(frames):
         x += step_mm
@@ -455,7 +455,7 @@ def test_a_ghost_is_not_believed_after_the_abort_either():
     refused = guard.jumps
     drive.go(3.0, see)
     assert guard.jumps == refused + 375
-    drive.go(1.0)  # the robot itself: nobody knows
+    drive.go(1.0)  # the robot itself: no sensor knows
     assert guard.jumps == refused + 500
 
 

@@ -1,4 +1,4 @@
-"""Who answers whose commands: N robots told to turn by a common direction, seen at 120 Hz."""
+"""Who answers whose commands: N robots commanded to turn by a common direction, seen at 120 Hz."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def drive(
     blind=(9.0, 9.0),
     silent=9.0,
 ):
-    """Robot i does what robot answers[i] is told, later by `delay`; None stands still, as do the
+    """Robot i does what robot answers[i] should, later by `delay`; None stands still, as do the
     `lost` after 0.2 s. No frame comes between the two times `blind` [s]; 0.1 s into it all robots
     are stopped. From `silent` on [s] no robot hears anything: each does what it heard last for
     0.25 s, and then stands.
@@ -91,7 +91,7 @@ def test_nor_are_robots_that_stop_halfway(lost, directions):
 @pytest.mark.parametrize("delay", [0.02, 0.08, 0.2])
 @pytest.mark.parametrize("pause", [0.05, 0.15, 0.25, 0.45, 0.9])
 def test_nor_are_robots_that_are_not_seen_for_a_while(pause, delay, directions):
-    """Regression: a pause of the stream was counted with the turning told in its middle."""
+    """Regression: a pause of the stream was counted with the turning commanded in its middle."""
     for begin in (0.1, 0.22, 0.34, 0.4, 0.57):
         blind = begin, begin + pause
         assert drive([0, 1, 2], delay, 2.0, directions, blind=blind)[0] == ""
@@ -100,7 +100,7 @@ def test_nor_are_robots_that_are_not_seen_for_a_while(pause, delay, directions):
 @pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE, (1.7, 2.9, 2.5, -1.0)])
 @pytest.mark.parametrize("delay", [0.02, 0.08])
 def test_nor_are_robots_that_hear_nothing_any_more(delay, directions):
-    """Regression: what a robot heard last looked like what another was told."""
+    """Regression: what a robot heard last looked like what was commanded to another."""
     for silent in np.arange(0.1, 1.6, 0.1):
         assert drive([0, 1, 2], delay, 3.0, directions, silent=silent)[0] == ""
 
@@ -121,20 +121,21 @@ def test_nor_is_one_whose_wheels_are_swapped(turned, directions):
 def test_two_that_are_swapped_are_noticed_within_little_more_than_a_body_length(delay, directions):
     fault, driven = drive([1, 0, 2], delay, directions=directions)
     assert (
-        fault == "green and blue turn as one another is told: are their numbers or bodies swapped?"
+        fault
+        == "green and blue turn as one another is commanded: are their numbers or bodies swapped?"
     )
     assert driven < 1.2 * BODY
 
 
 def test_three_that_follow_one_another_are_noticed():
     fault, driven = drive([1, 2, 0], directions=WIDE)
-    assert "turn as one another is told" in fault
+    assert "turn as one another is commanded" in fault
     assert driven < 2 * BODY
 
 
 def test_one_with_the_number_of_another_is_noticed():
     fault, driven = drive([0, 1, 0], directions=WIDE)
-    assert fault == "red turns as green is told, not as red is: is its number wrong?"
+    assert fault == "red turns as green is commanded, not as red is: is its number wrong?"
     assert driven < 3 * BODY
 
 

@@ -14,7 +14,7 @@ STATED_ONCE = {
     (channels.ENVIRONMENT, "text"),
     (channels.TIMING, "ended"),
 }
-"""What nothing else in a log repeats, beside the record of the host."""
+"""What nothing else in a log repeats, apart from the record of the host."""
 
 ONLY_THE_LAB_KNOWS = {
     (channels.RUN, None),  # the facts of its devices

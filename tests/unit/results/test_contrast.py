@@ -7,7 +7,7 @@ from scipy import optimize, stats
 from support.batches import DISTURBED, batch, experiment, group
 
 from tetractl.core.errors import UsageError
-from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import Origin
 from tetractl.results.contrast import contrast
 from tetractl.results.effects import (
     detectable,

@@ -18,7 +18,7 @@ MS = 1_000_000
 
 
 class Server:
-    """Keeps what is sent since the last jump, in which time, and the states told."""
+    """Keeps what is sent since the last jump, in which time, and the states reported."""
 
     def __init__(self, name, span_ns, asked):
         self.span_ns, self.asked = span_ns, asked

@@ -100,7 +100,7 @@ FAULTS = (
 
 
 class EmulatedAprilTag:
-    """A network camera that looks at robots with tags."""
+    """A network camera above robots with tags."""
 
     Settings: ClassVar[type[Model]] = AprilTagSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS

@@ -28,7 +28,7 @@ class Program(Protocol):
         ...
 
     def counts(self, now_ms: int) -> Counts:
-        """Return what the motors are told now, in the order of the motors M1, M2."""
+        """Return what the motors are commanded now, in the order of the motors M1, M2."""
         ...
 
     def answer(self, now_ms: int) -> bytes:
@@ -48,7 +48,7 @@ class FirmwareProgram:
         self.core.push(data, now_ms & 0xFFFFFFFF)
 
     def counts(self, now_ms: int) -> Counts:
-        """Return the core's wheels; its watchdog is judged here."""
+        """Return the core's wheels; its watchdog acts here."""
         return self.core.wheels(now_ms & 0xFFFFFFFF)
 
     def answer(self, now_ms: int) -> bytes:
@@ -139,7 +139,7 @@ class EmulatedRobot:
 
     @property
     def standing(self) -> bool:
-        """Whether both wheels are at rest, as near as one could tell."""
+        """Whether both wheels are at rest, as near as can be seen."""
         return max(abs(self.left), abs(self.right)) < STANDING_MM_S
 
     @property
@@ -171,7 +171,7 @@ class EmulatedRobot:
             self.now_ns += step_ns
 
     def switch(self, on: bool) -> None:
-        """Switch the robot on, which starts its program anew, or off."""
+        """Switch the robot on, which restarts its program, or off."""
         self.powered = on
         if on:
             self.program = self.boot()

@@ -91,7 +91,9 @@ class Motive:
             interface = socket.inet_aton(s.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
         if not (multicast and s.data_port):
-            self.server.data_port = _port(self.data)  # in multicast too: nobody else has that one
+            self.server.data_port = _port(
+                self.data
+            )  # in multicast too: no other server has that one
         self._start_ns = self._timeline.now_ns
         self._plan()
         return self.command.fileno()
@@ -114,7 +116,7 @@ class Motive:
                 continue
             if self.trouble.silent:
                 continue
-            catch_up()  # else an echo could tell a time before it was asked for
+            catch_up()  # else an echo could report a time before it was asked for
             try:
                 message = parse_request(asked)
             except WireError:

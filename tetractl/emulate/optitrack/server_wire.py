@@ -1,13 +1,10 @@
 """NatNet as a server has it: a client's messages are read, its answers and frames packed."""
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from collections.abc import Sequence
 
 from tetractl.lab.cameras.optitrack.cursor import packed, packed_name
 from tetractl.lab.cameras.optitrack.frame import SIZED
 from tetractl.lab.cameras.optitrack.messages import (
-    OLDEST,
     Bare,
     BodyName,
     Connect,
@@ -40,29 +37,6 @@ from tetractl.lab.errors import WireError
 
 CONNECT_4 = SENDER + 5  # from 4.x clients: u8 subscribed only, bitstream version[4]
 MEAN_ERROR_M = 0.0002  # of the markers of a tracked body
-T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class Channels:
-    """A force plate or another device: some samples of each channel."""
-
-    id: int
-    samples: tuple[tuple[float, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Clutter:
-    """The rest of a frame, which our client skips."""
-
-    marker_sets: tuple[tuple[str, tuple[Vec3, ...]], ...] = ()
-    other_markers: tuple[Vec3, ...] = ()
-    body_markers: tuple[Vec3, ...] = ()  # of every rigid body, before 3.0
-    skeletons: tuple[tuple[int, tuple[RigidBody, ...]], ...] = ()
-    assets: tuple[tuple[int, tuple[RigidBody, ...], tuple[Vec3, ...]], ...] = ()
-    labelled_markers: tuple[tuple[int, Vec3], ...] = ()
-    force_plates: tuple[Channels, ...] = ()
-    devices: tuple[Channels, ...] = ()
 
 
 def parse_request(received: bytes) -> Message:
@@ -91,7 +65,7 @@ def pack_answer(message: Message, version: Version | None = None) -> bytes:
             raise WireError("frames and models need a protocol version")
         case NatNetFrame():
             assert version is not None
-            return pack_full_frame(message, version)
+            return datagram(MessageKind.FRAME, pack_frame(message, version))
         case ModelDef():
             assert version is not None
             return datagram(MessageKind.MODELDEF, pack_modeldef(message, version))
@@ -107,11 +81,6 @@ def pack_answer(message: Message, version: Version | None = None) -> bytes:
             raise WireError(f"no server sends this: {type(message).__name__}")
 
 
-def pack_full_frame(frame: NatNetFrame, version: Version, clutter: Clutter | None = None) -> bytes:
-    """Pack a frame with all that our client skips; what the version does not have is left out."""
-    return datagram(MessageKind.FRAME, pack_frame(frame, version, clutter))
-
-
 def _server_info(info: ServerInfo) -> bytes:
     payload = sender(info.name, info.app_version, info.natnet_version)
     if info.version < (3, 0):
@@ -122,88 +91,43 @@ def _server_info(info: ServerInfo) -> bytes:
     )
 
 
-def pack_frame(frame: NatNetFrame, version: Version, clutter: Clutter | None = None) -> bytes:
-    """Pack a frame's payload; what the version does not have is left out."""
+def pack_frame(frame: NatNetFrame, version: Version) -> bytes:
+    """Pack a frame's payload: rigid bodies, and sections of nothing else."""
     if not version.known:
         raise WireError(f"protocol {version} cannot be packed")
-    rest = clutter or Clutter()
-
-    def body(body: RigidBody) -> bytes:
-        return _body(body, version, rest.body_markers)
-
-    def section(items: Iterable[T], pack: Callable[[T], bytes], since: Version = OLDEST) -> bytes:
-        return _section(items, pack, version) if version >= since else b""
-
+    bodies = [packed_body(body, version) for body in frame.bodies]
+    after = 2 + (version >= SIZED) + (version >= (2, 9)) + (version >= (2, 11))
+    empty = section([], version)
     return b"".join(
         (
             packed("i", frame.number),
-            section(rest.marker_sets, _marker_set),
-            section(rest.other_markers, _vector),
-            section(frame.bodies, body),
-            section(rest.skeletons, lambda item: packed("i", item[0]) + _counted(item[1], body)),
-            section(rest.assets, _asset, SIZED),
-            section(rest.labelled_markers, lambda item: _labelled(item, version)),
-            section(rest.force_plates, _channels, Version(2, 9)),
-            section(rest.devices, _channels, Version(2, 11)),
-            _suffix(frame, version),
+            empty * 2,  # marker sets and other markers
+            section(bodies, version),
+            empty * after,  # skeletons, assets, labelled markers, force plates, devices
+            suffix(frame, version),
         )
     )
 
 
-def _section(items: Iterable[T], pack: Callable[[T], bytes], version: Version) -> bytes:
-    parts = [pack(item) for item in items]
-    body = b"".join(parts)
-    head = packed("ii", len(parts), len(body)) if version >= SIZED else packed("i", len(parts))
-    return head + body
+def section(parts: Sequence[bytes], version: Version) -> bytes:
+    """Pack a section of a frame from its packed elements."""
+    size = sum(map(len, parts))
+    head = packed("ii", len(parts), size) if version >= SIZED else packed("i", len(parts))
+    return head + b"".join(parts)
 
 
-def _counted(items: Iterable[T], pack: Callable[[T], bytes]) -> bytes:
-    parts = [pack(item) for item in items]
-    return packed("i", len(parts)) + b"".join(parts)
-
-
-def _vector(position: Vec3) -> bytes:
-    return packed("3f", *position)
-
-
-def _marker_set(item: tuple[str, tuple[Vec3, ...]]) -> bytes:
-    name, markers = item
-    return packed_name(name) + _counted(markers, _vector)
-
-
-def _body(body: RigidBody, version: Version, markers: tuple[Vec3, ...]) -> bytes:
+def packed_body(body: RigidBody, version: Version, markers: Sequence[Vec3] = ()) -> bytes:
+    """Pack a rigid body; before 3.0 with its markers."""
     parts = [packed("i7f", body.id, *body.position, *body.quaternion)]
     if version < (3, 0):
-        parts.append(_counted(markers, _vector))
+        parts.append(packed("i", len(markers)) + b"".join(packed("3f", *at) for at in markers))
         parts.append(packed(f"{len(markers)}i", *range(len(markers))))
         parts.append(packed(f"{len(markers)}f", *[0.01] * len(markers)))
     error = MEAN_ERROR_M if body.tracking_valid else 0.0
-    parts.append(packed("fH", error, body.tracking_valid))
-    return b"".join(parts)
+    return b"".join((*parts, packed("fH", error, body.tracking_valid)))
 
 
-def _asset(item: tuple[int, tuple[RigidBody, ...], tuple[Vec3, ...]]) -> bytes:
-    asset, bodies, markers = item
-    return (
-        packed("i", asset)
-        + _counted(bodies, lambda body: _body(body, SIZED, ()))
-        + _counted(markers, lambda at: packed("i3ffHf", 1, *at, 0.01, 0, 0.0))
-    )
-
-
-def _labelled(item: tuple[int, Vec3], version: Version) -> bytes:
-    marker, position = item
-    size = packed("i3ff", marker, *position, 0.01)
-    return size + packed("H", 0) + (packed("f", 0.0) if version >= (3, 0) else b"")
-
-
-def _channels(device: Channels) -> bytes:
-    return packed("i", device.id) + _counted(
-        device.samples, lambda samples: packed(f"i{len(samples)}f", len(samples), *samples)
-    )
-
-
-def _suffix(frame: NatNetFrame, version: Version) -> bytes:
+def suffix(frame: NatNetFrame, version: Version) -> bytes:
     """Pack timecode, latency and time stamp as zeros, ticks and params as they are."""
     if version < (3, 0):
         return packed("fIIfHi" if version < (2, 7) else "fIIdHi", 0.0, 0, 0, 0.0, frame.params, 0)

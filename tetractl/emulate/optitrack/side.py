@@ -46,9 +46,9 @@ class OptitrackSettings(Model):
     frames_from: Ipv4 | None = None
     """Address that frames come from, as of a second network card; the server's by default."""
     answers_models: bool = True
-    """Whether it tells the names of its rigid bodies."""
+    """Whether it reports the names of its rigid bodies."""
     models_changed: bool = False
-    """Whether every frame tells that the rigid bodies have changed."""
+    """Whether every frame says that the rigid bodies have changed."""
     rate: float = Field(default=120.0, ge=1, le=500)
     """Camera frames a second [Hz]."""
     latency: float = Field(default=0.0054, ge=0, le=1)

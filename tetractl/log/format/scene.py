@@ -32,7 +32,6 @@ from tetractl.core.commands import Note
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup, Shape
 from tetractl.log.format.codec import Frames
-from tetractl.log.format.prism import prism
 
 WORLD = "world"
 GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
@@ -144,7 +143,7 @@ class Scene:
         ]
 
     def transforms(self, frames: Frames, start_ns: int) -> bytes:
-        """Return world to each robot in camera frames of a trial that starts at a time [Unix ns].
+        """Return the poses in camera frames of a trial that starts at a time [Unix ns].
 
         Robot by robot; frames in which a robot is not tracked are left out.
         """
@@ -270,3 +269,51 @@ def _finite(rows: Floats) -> Floats:
 def _color(text: str) -> Color:
     r, g, b = (int(text[i : i + 2], 16) / 255 for i in (1, 3, 5))
     return Color(r=r, g=g, b=b, a=1.0)
+
+
+def prism(outline: Floats, height: float) -> tuple[Floats, NDArray[np.int64]]:
+    """Return corners (2 M, 3) and triangles (T, 3) of the walls and top over an outline (M, 2).
+
+    The outline is simple and anticlockwise; the triangles are anticlockwise seen from outside.
+    """
+    count = len(outline)
+    low, high = np.zeros((count, 1)), np.full((count, 1), height)
+    corners = np.vstack([np.hstack([outline, low]), np.hstack([outline, high])])
+    at, after = np.arange(count), np.roll(np.arange(count), -1)
+    walls = np.vstack(
+        [
+            np.column_stack([at, after, after + count]),
+            np.column_stack([at, after + count, at + count]),
+        ]
+    )
+    return corners, np.vstack([walls, triangulate(outline) + count])
+
+
+def triangulate(outline: Floats) -> NDArray[np.int64]:
+    """Return triangles (M - 2, 3) of a simple anticlockwise polygon (M, 2), by ear clipping.
+
+    An ear is a corner that turns left and whose triangle holds no other corner.
+    """
+    left = list(range(len(outline)))
+    triangles = []
+    while len(left) > 3:
+        ears = (i for i in range(len(left)) if _is_ear(outline, left, i))
+        i = next(ears, 0)  # none only where rounding blurs nearly collinear corners: any may go
+        triangles.append((left[i - 1], left[i], left[i + 1 - len(left)]))
+        del left[i]
+    return np.array([*triangles, left], dtype=np.int64)
+
+
+def _is_ear(outline: Floats, left: list[int], i: int) -> bool:
+    corner = [left[i - 1], left[i], left[i + 1 - len(left)]]
+    a, b, c = outline[corner]
+    if _turn(a, b, c) <= 0:
+        return False
+    others = outline[[k for k in left if k not in corner]]
+    inside = (_turn(a, b, others) >= 0) & (_turn(b, c, others) >= 0) & (_turn(c, a, others) >= 0)
+    return not inside.any()
+
+
+def _turn(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Return twice the signed area of triangles a, b, c (..., 2): positive if anticlockwise."""
+    return (b[0] - a[0]) * (c[..., 1] - a[1]) - (b[1] - a[1]) * (c[..., 0] - a[0])

@@ -37,7 +37,7 @@ def find_logs(
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
     in it and in its sub-folders, sorted by name with numbers in their order. A .part counts as a
-    log, since a trial that crashed is part of its batch, unless the finished log lies beside it. A
+    log, since a trial that crashed is part of its batch, unless the finished log is there too. A
     recovered log is left out where its source is among the paths. Logs that `--resume` set aside
     are found in folders and by patterns only where `attempts` are asked for. Raises UsageError for
     a path that does not exist, and for a folder or a pattern without logs that is not in `bare`.

@@ -25,10 +25,9 @@ from tetractl.log.format.codec import Frames
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import bounds
 from tetractl.log.read.bounds import TooMuchError
-from tetractl.log.read.origin import Origin
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import peek, scan
-from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
+from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
 from tetractl.log.read.validate import (
     check_command,
     check_frames,

@@ -16,8 +16,7 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import arm_hash, parse_spec
 from tetractl.experiment.yaml.document import read_text
 from tetractl.log.format.metadata import WARNINGS, result_metadata, timing_metadata
-from tetractl.log.read.origin import Origin
-from tetractl.log.read.trial_log import ResultSummary
+from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, stated_result
 
 SPEC = "spec.resolved.yaml"

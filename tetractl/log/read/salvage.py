@@ -36,8 +36,7 @@ from tetractl.log.format.channels import CHANNELS, CHANNELS_1, METADATA, RUN, TI
 from tetractl.log.format.metadata import FORMAT, checksum_ok
 from tetractl.log.read import bounds
 from tetractl.log.read.bounds import TooMuchError
-from tetractl.log.read.file import read_file
-from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.raw_log import RawLog, read_file
 
 MAGIC = b"\x89MCAP0\r\n"
 

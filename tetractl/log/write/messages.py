@@ -22,8 +22,8 @@ SHOWN_HZ = 30
 class Notes:
     """Makes the operator messages of one trial, in the order of its records.
 
-    `warnings` counts the warnings and errors; the end of the trial is told by its outcome, and does
-    not count.
+    `warnings` counts the warnings and errors; the end of the trial, which its
+    outcome states, does not count.
     """
 
     def __init__(self, start: Start) -> None:

@@ -105,34 +105,31 @@ class Sink:
     @_while_open
     def metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add a metadata record with its checksum, after all messages so far."""
-        self.flush()
-        self._digest.metadata(name, items)
-        self._host_digest.metadata(name, items)
-        self._mcap.metadata(name, add_checksum(items))
+        self._metadata(name, items, {})
 
     @_while_open
     def last_host_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add the host record that states the digest of all host records with this one."""
-        self.flush()
-        self._host_digest.metadata(name, items)
-        self._mcap.metadata(
-            name, add_checksum({**items, HOST_DIGEST: self._host_digest.hexdigest()})
-        )
+        self._metadata(name, items, {HOST_DIGEST: self._host_digest})
 
     @_while_open
     def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add the metadata record that states the content digest of the log with this record."""
-        self.flush()
-        self._digest.metadata(name, items)
-        self._host_digest.metadata(name, items)
-        self._mcap.metadata(name, add_checksum({**items, DIGEST: self._digest.hexdigest()}))
+        self._metadata(name, items, {DIGEST: self._digest})
 
     @_while_open
     def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add a metadata record of another log unchanged, with its checksum and digest."""
+        self._metadata(name, items, None)
+
+    def _metadata(
+        self, name: str, items: Mapping[str, str], stated: Mapping[str, ContentDigest] | None
+    ) -> None:
         self.flush()
         self._digest.metadata(name, items)
         self._host_digest.metadata(name, items)
+        if stated is not None:
+            items = add_checksum({**items, **{key: it.hexdigest() for key, it in stated.items()}})
         self._mcap.metadata(name, dict(items))
 
     @_while_open

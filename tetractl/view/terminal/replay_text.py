@@ -4,7 +4,7 @@ import math
 
 from tetractl.core.clock import Clock
 from tetractl.log.read.trial_log import Event
-from tetractl.replay.clock import PlayerClock
+from tetractl.replay.player import PlayerClock
 from tetractl.replay.recording import Recording
 
 

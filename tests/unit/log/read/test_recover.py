@@ -13,7 +13,7 @@ from tetractl.core.errors import LogError
 from tetractl.log.read.find import find_logs
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.recover import PART_SUFFIX, recover, recovered_path
-from tetractl.log.read.salvage import MAGIC, scan
+from tetractl.log.read.salvage import scan
 from tetractl.log.write.sink import Sink
 from tetractl.results.batch import open_batch
 from tetractl.results.describe import describe
@@ -87,22 +87,6 @@ def test_every_intact_record_comes_back(log: Path, tmp_path: Path) -> None:
         assert after.attachments == before.attachments
         left = [r for r in after.records if getattr(r, "name", "") != "tetractl.recovered"]
         assert left == before.records
-
-
-def test_recovering_twice_keeps_the_first_report(log: Path, tmp_path: Path) -> None:
-    torn = damaged(tmp_path, log.read_bytes()[: log.stat().st_size // 2])
-    first = recover(torn)
-    assert not first.whole
-    second = recover(Path(str(first.path)), tmp_path / "second.mcap")
-    assert not second.whole
-    assert set(first.damage.lost) <= set(second.damage.lost)
-
-
-@pytest.mark.parametrize("data", [b"", b"text", MAGIC, MAGIC + b"\0" * 500])
-def test_from_nothing_nothing_comes(tmp_path: Path, data: bytes) -> None:
-    with pytest.raises(LogError):
-        recover(damaged(tmp_path, data))
-    assert [path.name for path in tmp_path.iterdir()] == ["trial.mcap"]
 
 
 def test_nothing_is_overwritten(log: Path, tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ class M3piActuator:
         return self.link.failure
 
     def check(self) -> Health:
-        """Warn of robots without a watchdog; tell what is wrong and not known of the radio."""
+        """Warn of robots without a watchdog; return what is wrong or unknown about the radio."""
         warnings: tuple[str, ...] = ()
         if isinstance(self.section.protocol, SlaveSection):
             warnings = ("the robots have no watchdog: one that loses the radio drives on",)

@@ -198,7 +198,7 @@ class _Bench:
             raise AbortError(
                 f"{self.name}: its rigid body points {math.degrees(offset):.0f} degrees off its "
                 "front",
-                "give heading_offset roughly in the spec, or define the rigid body anew",
+                "give heading_offset roughly in the spec, or define the rigid body once more",
             )
         wheels = [
             WheelSection(gain_mm=round(2 * radius * c.k, 4), dead_zone=c.dead_zone, invert=sign < 0)

@@ -129,8 +129,8 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
             "use 57600 (BD=6) and set lab.actuator.baud to it",
         )
     if runs is None:
-        told = version.hex().upper() or "not told"
-        question = f"the module (HV {hardware.hex().upper()}, VR {told}) is not known here"
+        reported = version.hex().upper() or "not reported"
+        question = f"the module (HV {hardware.hex().upper()}, VR {reported}) is not known here"
         return (f"{radio.port}: {question}: does it run {RIGHT} firmware?",)
     return ()
 

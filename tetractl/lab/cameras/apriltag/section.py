@@ -114,11 +114,11 @@ class AprilTagSection(CameraSection):
     robots: tuple[RobotTag, ...] = Field(min_length=1, max_length=32)
     """Every robot of the spec, once."""
     floor: tuple[FloorTag, ...] = Field(min_length=4, max_length=16)
-    """Tags round the arena that tell where the floor is; all must be seen at once."""
+    """Tags round the arena that show where the floor is; all must be seen at once."""
     lens: Lens | None = None
     """The calibrated lens; by default focal length and distortion are found from the floor tags."""
     latency: NonNegative = 0.05
-    """From exposure to arrival of a picture [s]; no source tells it."""
+    """From exposure to arrival of a picture [s]; no source reports it."""
     connect: Positive = 5.0
     """How long the source may take to open, and then to deliver [s]."""
 

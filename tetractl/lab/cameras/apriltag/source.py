@@ -36,7 +36,7 @@ NO_CODE = b"\xff\x00" * 8  # 64 bits set: no Huffman code, and more than a decod
 
 
 class SourceEndedError(Exception):
-    """No picture will come any more; the message is a clause that tells why."""
+    """No picture will come any more; the message is a clause that says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +169,7 @@ class FileFeed:
     """A video file, each picture at its time; without one to spare on a virtual clock."""
 
     live = False
-    emulated = True  # nobody can steer what was filmed
+    emulated = True  # what was filmed cannot be steered
     damaged = 0
 
     def __init__(self, source: FileSource, clock: Clock) -> None:

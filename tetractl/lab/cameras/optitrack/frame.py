@@ -1,7 +1,7 @@
 """FRAMEOFDATA: read a frame's rigid bodies and its suffix, step over the rest.
 
 A frame is: its number, then sections of counted elements, then a suffix of fixed size. From 4.1
-every section also tells its size in bytes; before, elements are measured one by one. The suffix
+every section also states its size in bytes; before, elements are measured one by one. The suffix
 is read from the tail, and a frame whose sections do not end exactly where it begins is refused.
 """
 
@@ -13,7 +13,7 @@ from tetractl.lab.cameras.optitrack.cursor import Cursor
 from tetractl.lab.cameras.optitrack.messages import OLDEST, NatNetFrame, RigidBody, Ticks, Version
 from tetractl.lab.errors import WireError
 
-SIZED = Version(4, 1)  # from here on sections tell their size
+SIZED = Version(4, 1)  # from here on sections state their size
 POSE = Struct("<i7f")
 BODY = Struct("<i7ffH")  # a whole body from 3.0 on, 38 bytes
 ERROR_AND_PARAMS = Struct("<fH")

@@ -53,7 +53,7 @@ class RigidBody:
     """One rigid body of a frame.
 
     `position` in m and `quaternion` (qx, qy, qz, qw) in the server's axes. An untracked body stays
-    in the frame with its last pose: only `tracking_valid` tells.
+    in the frame with its last pose: only `tracking_valid` says so.
     """
 
     id: int
@@ -64,7 +64,7 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """Server clock ticks of a frame (3.0 on); `ServerInfo.clock_hz` tells their rate."""
+    """Server clock ticks of a frame (3.0 on); `ServerInfo.clock_hz` is their rate."""
 
     exposure: int  # middle of the exposure
     received: int  # the server had the camera data
@@ -153,7 +153,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The answer to a request: four bytes of number, or text; the request tells which."""
+    """The answer to a request: four bytes of number, or text; it depends on the request."""
 
     payload: bytes
 

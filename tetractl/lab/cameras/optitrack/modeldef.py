@@ -1,6 +1,6 @@
 """MODELDEF: which rigid body has which id; other data sets are stepped over.
 
-From 4.1 on a data set tells its size. Of a rigid body only name and id are read, and the rest is
+From 4.1 on a data set states its size. Of a rigid body only name and id are read, and the rest is
 skipped by that size: Motive 3.4 has descriptions longer than those of 4.3. Before 4.1 a data set
 has to be measured; one of a type whose layout is not known ends the reading, and
 `ModelDef.complete` says so.
@@ -43,7 +43,7 @@ def _named(cursor: Cursor) -> BodyName:
 
 
 def _body(cursor: Cursor, version: Version) -> BodyName:
-    """Read a body's whole description, of a version that does not tell its size."""
+    """Read a body's whole description, of a version that does not state its size."""
     body = _named(cursor)
     cursor.skip(12)
     if version >= (3, 0):

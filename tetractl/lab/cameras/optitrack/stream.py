@@ -63,11 +63,11 @@ class Stream:
     """What is known of a server and its newest frame.
 
     `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis where the spec
-    tells it. `feed` never raises on data. Times are ns on the host's clock.
+    gives it. `feed` never raises on data. Times are ns on the host's clock.
 
     `up_answer` is the server's answer to `UpAxis`, `unit_mm` its unit of length [mm].
-    `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame tells
-    of a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` the newest
+    `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame reports
+    a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` the newest
     frame that could not be read.
     """
 

@@ -75,10 +75,12 @@ def test_a_unicast_that_nobody_acknowledged_is_counted():
     def lose(frame):
         return [TransmitStatus(frame.frame_id, 1), Receive16(1, 0, 0, b"x")]
 
-    link = Module(respond=lose).opened()
+    radio = Module(respond=lose)
+    link = radio.opened()
     link.send(b"data", address=7)
     link.wait(10)
     assert link.undelivered == 1
+    assert radio.sent[0].frame_id, "it asks for a status"
 
 
 @pytest.mark.parametrize(
@@ -143,7 +145,7 @@ def test_a_module_that_is_not_known_is_asked_about_and_used(hardware, version):
     """Regression: it was refused."""
     radio = Module(SERIES_1 | {b"HV": hardware, b"VR": version})
     link = radio.opened()
-    told = version.hex() or "not told"
+    told = version.hex() or "not reported"
     assert link.questions == (
         f"{radio.name}: the module (HV {hardware.hex().upper()}, VR {told}) is not known here: "
         "does it run 802.15.4 firmware?",

@@ -138,7 +138,7 @@ def test_floor_tags_that_are_not_where_the_spec_says_are_told(tmp_path):
 
 def test_looking_straight_down_asks_for_the_lens(tmp_path):
     problems, _ = checked(tmp_path, rendered(facing={"tilt": 0.0}))
-    assert problems[0].startswith("the floor tags tell too little of the lens: robots may be ")
+    assert problems[0].startswith("the floor tags say too little about the lens: robots may be ")
     focal = rendered(facing={"tilt": 0.0}).optics.focal_px
     problems, warnings = checked(tmp_path, rendered(facing={"tilt": 0.0}), lens={"focal_px": focal})
     assert (problems, warnings) == ([], [])

@@ -158,7 +158,7 @@ def test_two_bodies_of_a_robots_name_are_a_fault_until_one_is_renamed():
     assert stream.newest.fault == "the cameras have 2 rigid bodies 'green', of ids 11 and 14"
     tell(stream, ModelDef((*MODEL.bodies, BodyName("hand", 14))))
     stream.feed(frame(2, body(11, 1.0, 1.0), body(12, 3.0, 1.0)), 0)
-    assert stream.newest.fault == ""  # nobody wants a hand
+    assert stream.newest.fault == ""  # no help is needed
 
 
 @pytest.mark.parametrize(("number", "said"), [(11, "11"), (12, "12")], ids=["by name", "by id"])
@@ -203,7 +203,7 @@ def test_a_server_that_streams_in_another_unit_than_metres_is_a_fault(told, unit
 @pytest.mark.parametrize(
     ("answer", "says", "hint"),
     [
-        (None, "does not tell its up axis", "set lab.camera.up_axis to y or z"),
+        (None, "does not report its up axis", "set lab.camera.up_axis to y or z"),
         (0, "up axis is x; it must be y or z", "set Up Axis in Motive's streaming settings"),
         (7, "up axis is of number 7", "set Up Axis in Motive's streaming settings"),
     ],
@@ -232,7 +232,7 @@ def test_models_that_change_are_asked_for_again():
     assert stream.models_changed
     tell(stream, MODEL)
     assert not stream.models_changed
-    assert stream.changing  # the newest frame is still the one that told of it
+    assert stream.changing  # the newest frame is still the one that reported it
     stream.feed(frame(2), 0)
     assert not (stream.models_changed or stream.changing)
 

@@ -6,13 +6,18 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.natnet_samples import VERSIONS, every_version, full_frame, full_modeldef
-
-from tetractl.emulate.optitrack.server_wire import (
+from support.natnet_samples import (
+    VERSIONS,
     Channels,
     Clutter,
-    pack_answer,
+    every_version,
+    full_frame,
+    full_modeldef,
     pack_full_frame,
+)
+
+from tetractl.emulate.optitrack.server_wire import (
+    pack_answer,
     pack_modeldef,
     parse_request,
 )

@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 from support.emulated_lab import SPEC, emulated
-from support.virtual_wires import LabClock, Network, VirtualClient, VirtualLoop, virtual_wires
+from support.virtual_wires import LabClock, Network, VirtualCamera, VirtualLoop, virtual_wires
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
@@ -58,12 +58,12 @@ def refusal(folder, script="", *sets):
 
 
 def own_address(camera):
-    return camera.client._sockets[0].getsockname()
+    return camera._sockets[0].getsockname()
 
 
 def stranger_of(address="127.0.0.1"):
     """A socket that is not the server's."""
-    return VirtualClient.network.bound(address, 0)
+    return VirtualCamera.network.bound(address, 0)
 
 
 def stray(number, x=0.1, version=V41):
@@ -73,7 +73,7 @@ def stray(number, x=0.1, version=V41):
 
 
 def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
-    """Regression: any process on the server's address was believed, and could walk a robot off."""
+    """Regression: any process on the server's address was trusted, and could walk a robot off."""
     with motive(tmp_path) as (_, camera, clock), camera:
         stranger = stranger_of()
         assert clock.wait(lambda: camera.newest.poses[0] is not None)
@@ -81,7 +81,7 @@ def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
         for step in range(50):
             ahead = camera.newest.number + 1
             stranger.sendto(stray(ahead, 0.1 + 0.033 * step), own_address(camera))
-        refused = camera.client.senders.refused
+        refused = camera.senders.refused
         assert clock.wait(lambda: refused.total() == 50)
         came = camera.stream.counts.frames
         assert clock.wait(lambda: camera.stream.counts.frames > came + 5)
@@ -113,7 +113,7 @@ def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(
         counted = (
             (lambda: camera.stream.counts.unasked)
             if which == "command"
-            else camera.client.senders.refused.total
+            else camera.senders.refused.total
         )
         assert clock.wait(lambda: counted() == 3)
         assert (camera.stream.model, camera.stream.info) == (model, info)
@@ -130,11 +130,11 @@ def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
     )
     with motive(tmp_path, "", *sets) as (lab, camera, clock), camera:
         stranger = stranger_of()
-        assert camera.client.senders.frames_port == lab.camera.motive.data.getsockname()[1]
+        assert camera.senders.frames_port == lab.camera.motive.data.getsockname()[1]
         stranger.sendto(
             stray(camera.newest.number + 1), ("239.255.42.97", lab.camera.motive.data_port)
         )
-        assert clock.wait(lambda: camera.client.senders.refused.total() == 1)
+        assert clock.wait(lambda: camera.senders.refused.total() == 1)
 
 
 def test_a_server_that_keeps_its_own_version_is_told_from_one_that_does_not_stream(tmp_path):
@@ -158,7 +158,7 @@ def test_frames_of_the_servers_second_address_are_told_from_none(tmp_path):
 def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
         lab.camera.motive.trouble.version = Version(3, 0)
-        with pytest.raises(AbortError, match=r"tells protocol 4\.1, but is not underst") as e:
+        with pytest.raises(AbortError, match=r"reports protocol 4\.1, but is not underst") as e:
             camera.__enter__()
     assert str(e.value).endswith("which read as protocol 3.0")
     assert "set lab.camera.version" in e.value.hint
@@ -176,10 +176,10 @@ def test_a_server_that_answers_from_another_address_is_named(tmp_path):
         second = stranger_of("127.0.0.3")
         lab.camera.motive.trouble.silent = True
         info = ServerInfo("Motive", (3, 0, 0, 0), (4, 1, 0, 0), 10**7, 1511, False, (0, 0, 0, 0))
-        camera.client.open()
+        camera.open()
         second.sendto(pack_answer(info), own_address(camera))
         with pytest.raises(AbortError, match=r"but one does from 127\.0\.0\.3:") as caught:
-            camera.client.wait_connected(SHORT)
+            camera.wait_connected(SHORT)
     assert caught.value.hint.startswith("set lab.camera.server to 127.0.0.3")
 
 
@@ -200,7 +200,7 @@ def test_bodies_given_by_their_ids_need_no_names(tmp_path):
 
 def test_a_protocol_without_tracking_flag_has_its_own_message(tmp_path):
     said, hint = refusal(tmp_path, "version: 2.5")
-    assert said.startswith("the camera server speaks protocol 2.5, whose frames do not tell which")
+    assert said.startswith("the camera server speaks protocol 2.5, whose frames do not say which")
     assert "NatNet 2.6 or later" in hint
 
 

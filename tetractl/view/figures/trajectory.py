@@ -15,6 +15,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
+from tetractl.core.table.numbers import lengths
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
@@ -207,8 +208,9 @@ def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key
     setup = logs[0].start.setup
     unit = unit_of(setup.unit)
     if len(logs) == 1:
-        words = [f"{error:.1f}" for error in errors[0]]
-        title = f"error at the end [{unit}], total {errors.sum():.1f}"
+        show = lengths(float(errors.sum()))
+        words = [show(error) for error in errors[0]]
+        title = f"error at the end [{unit}], total {show(errors.sum())}"
     else:
         whole = np.array([not unfinished(log) for log in logs])
         counted = errors[whole] if whole.any() else errors

@@ -28,7 +28,6 @@ def init(
     Example: tetractl init first
     """
     from tetractl.core.text import printable
-    from tetractl.experiment.templates import template
 
     if lab and cells:
         raise UsageError("--lab and --cells: the lab is one of robots", "give one of the two")
@@ -38,7 +37,7 @@ def init(
             f"'{printable(name, 80)}' is no name of an experiment",
             "use up to 64 of a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
-    text = template(path.stem, path.name, cells, lab)
+    text = template(path.stem, path.name, "cells" if cells else "lab" if lab else "robots")
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -49,3 +48,17 @@ def init(
     print(path)
     print(f"run it with: tetractl run {path}", file=sys.stderr)
     return Exit.DONE
+
+
+def template(name: str, file: str, kind: str) -> str:
+    """Return a commented spec of an experiment called `name`, to be kept in `file`.
+
+    `kind` is a file in experiment/templates: two robots, two cells, or robots with a lab.
+    """
+    from importlib.resources import files
+
+    from tetractl.experiment.yaml.core_yaml import dump
+
+    text = (files("tetractl.experiment") / "templates" / f"{kind}.yaml").read_text("utf-8")
+    named = dump({"name": name}).strip("{}\n")  # in quotes where the name reads as a number
+    return text.replace("@NAME@", named).replace("@FILE@", file)

@@ -1,6 +1,5 @@
 """The command line: one module for each command, which parses, calls and prints."""
 
-
 ADDRESSES_MIN = 1_000_000_000
 """Bytes of address space that the libraries need; with fewer, OpenBLAS asks for them for ever."""
 

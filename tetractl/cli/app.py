@@ -29,6 +29,7 @@ from tetractl.cli import (
     schema,
     stats,
     study,
+    track,
     validate,
     verify,
     what_if,
@@ -83,6 +84,7 @@ app.command("stats")(stats.stats)
 app.command("analyze")(analyze.analyze)
 app.command("study")(study.study)
 app.command("identify")(identify.identify)
+app.command("track")(track.track)
 app.add_typer(lab.app, name="lab")
 
 

@@ -22,6 +22,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -41,6 +42,7 @@ from tetractl.lab.cameras.apriltag.track import Tracker
 
 MM = 1e-3
 NAMES = ("green", "blue", "red")
+SETUP = SimpleNamespace(names=NAMES, metres=MM)
 ROBOTS = tuple(
     RobotTag(name=name, tag=tag, size_mm=80, height_mm=90) for tag, name in enumerate(NAMES)
 )
@@ -299,7 +301,7 @@ def clocked(times: list[float], act: Callable[[], Any]) -> Any:
 
 
 def serve(size: tuple[int, int], rate_hz: float, pipe: Connection) -> None:
-    """The emulated camera's process: send the address, serve until told to end."""
+    """The emulated camera's process: send the address, serve until asked to end."""
     cv2.setNumThreads(1)
     where = scattered(np.random.default_rng(5))
     server = EmulatedNetworkCamera(renderer(size), lambda t: where, MonotonicClock(), rate_hz)
@@ -336,7 +338,7 @@ def latency(scale: float) -> None:
             process.start()
             watch = Watch(round(rate_hz * 20 * scale))
             source = {"type": "mjpeg", "url": ours.recv()}
-            camera = AprilTagCamera(section(source), NAMES, MM, watch.clock, watch)
+            camera = AprilTagCamera(section(source), SETUP, watch.clock, watch)
             watch.camera = camera
             with camera:
                 watch.enough.wait(120)

@@ -1,4 +1,4 @@
-"""The simulated bench beside the emulated lab: the same trials, and whether they differ.
+"""The simulated bench and the emulated lab: the same trials, and whether they differ.
 
     python benchmarks/bench.py [--trials N]
 

@@ -4,11 +4,15 @@
     python benchmarks/disturbed.py --trials 100 --rate 20   more trials, control at 20 Hz
     python benchmarks/disturbed.py --part knowledge         what wrong beliefs cost
     python benchmarks/disturbed.py --part accept --figure accept.svg    time against error
+    python benchmarks/disturbed.py --part hurting --trials 100      realisations that hurt
     python benchmarks/disturbed.py --part crowd             many robots, undisturbed
     python benchmarks/disturbed.py --bench three_m3pi_bench.yaml    another world: its `plant`
 
-All rows have the same seeds. Everything is simulated. The world without --bench: dead time 0.14 s,
-a and speed each +-10 %, heading walk 0.05 rad/sqrt(s), 5 % of the commands lost.
+All rows have the same seeds. Everything is simulated. The plant without --bench: dead time 0.14 s,
+a and speed each +-10 %, heading walk 0.05 rad/sqrt(s), 5 % of the commands lost. That of `hurting`:
+dead time 0.11 s, a +-20 %, speed +-10 %, heading walk 0.03 rad/sqrt(s), 8 % lost, camera 0.3 mm and
+4 mrad at 120 Hz, with one more disturbance a row; below each its floor, the same controller with
+perfect knowledge of poses, a, speed, dead time and lost commands at each moment.
 """
 
 import argparse
@@ -22,22 +26,23 @@ from solverbench.problems import OURS, PAPER
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
-from tetractl.control.algorithm_2 import Mpc
 from tetractl.control.build import build_controller
 from tetractl.control.lengths import Searcher, choose, least_length
+from tetractl.control.mpc import Mpc
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo
-from tetractl.core.operators import Operators
-from tetractl.core.plan import Limits
-from tetractl.core.poses import Poses
+from tetractl.core.plan import End, Limits, Outcome, Plan
+from tetractl.core.poses import Observation, Poses
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Plant
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.model.obstacles import Obstacles
-from tetractl.results.estimate import distributions
+from tetractl.plant.simulation import SimPlant
+from tetractl.results.estimate import distributions, percent
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
@@ -49,6 +54,7 @@ WORLD = (
     "plant.heading_noise=0.05",
     "plant.lost_commands=0.05",
 )
+FAR_MM = 100.0
 NEAR_MM = 95.0  # between the centres of two m3pi that touch
 FAST = ("controller.period=0.05", "controller.hold=4", "controller.steps_max=1600")
 PLAIN = (
@@ -64,6 +70,11 @@ PLAIN = (
 TOLD = "controller.dead_time={}"
 NOT_KEPT = ("controller.collision.adaptive=false", "controller.collision.margin=20")
 Row = tuple[str, Sequence[str]]
+
+
+def _more(disturbance: str) -> str:
+    return f"plant.disturbances=[{disturbance}]"
+
 
 ABLATION: list[Row] = [
     ("whole", ()),
@@ -91,12 +102,52 @@ ACCEPT: list[Row] = [
 ]
 
 
-class Knowing(Mpc):
-    """The controller that is told which of its commands arrived."""
+HURT = (
+    "plant.dead_time=0.11",
+    "plant.a_error=0.2",
+    "plant.speed_error=0.1",
+    "plant.heading_noise=0.03",
+    "plant.lost_commands=0.08",
+    "plant.measurement_noise={position: 0.3, heading: 0.004}",
+)
+HURTING: list[Row] = [
+    ("none of these", ()),
+    (
+        "radio silent 1 s three times, 2 % lost",
+        ("plant.lost_commands=0.02", _more("{type: silent-radio, times: 3, duration: 1}")),
+    ),
+    ("each robot sticks 0.5 s every 5 s", (_more("{type: sticking, every: 5, duration: 0.5}"),)),
+    (
+        "old poses (0.2 s) shown as new, 0.4 s twice",
+        (_more("{type: stale-camera, times: 2, duration: 0.4, age: 0.2}"),),
+    ),
+    (
+        "last picture shown as new, 0.4 s twice",
+        (_more("{type: frozen-camera, times: 2, duration: 0.4}"),),
+    ),
+    (
+        "no frames, 0.4 s twice",
+        (_more("{type: frozen-camera, repeats: false, times: 2, duration: 0.4}"),),
+    ),
+    ("markers 0.1 rad off", (_more("{type: marker-off, heading: 0.1}"),)),
+    ("speed falls by 15 % in 20 s", (_more("{type: battery, speed: 0.15, over: 20}"),)),
+    ("a and speed wander by 10 %", (_more("{type: wander, a: 0.1, speed: 0.1, time: 5}"),)),
+]
 
-    def sent(self, command: Command) -> None:
-        super().sent(command)
-        self.knowledge.predictor.recent[-1].arrived = np.array(command.delivered)
+
+class Knowing(Mpc):
+    """The controller that knows which of its commands arrived."""
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        if last_command is not None and last_command.direction is not None:
+            self.knowledge.sent(last_command.sent_ns, last_command.direction)
+            self.knowledge.predictor.recent[-1].arrived = np.array(last_command.delivered)
+        return super().plan(observation, None, earlier)
 
 
 def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
@@ -105,6 +156,40 @@ def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
     section = spec.controller.model_copy(update=true)
     setup = replace(spec.setup, a=plant.a, speed=plant.speed)
     return Knowing(section, setup, key, section.optimizer)
+
+
+class Seeing(Knowing):
+    """A controller that knows the true poses, a and speed of a simulation at each control step."""
+
+    plant: SimPlant
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        a, speed = self.plant.rates
+        stands = speed == 0  # and will go on as before
+        rates = {
+            "a": np.where(stands, self.plant.a, a),
+            "speed": np.where(stands, self.plant.speed, speed),
+        }
+        self.knowledge.problem = replace(self.knowledge.problem, **rates)
+        now = self.plant.clock.now()
+        every = np.ones_like(observation.valid)
+        true = {"poses": self.plant.poses, "valid": every, "sampled_ns": now, "received_ns": now}
+        return super().plan(replace(observation, **true), last_command, earlier)
+
+
+def seeing(spec: Experiment, key: int, plant: Plant) -> Controller:
+    """The same controller, which knows the dead time and what `Seeing` does."""
+    assert isinstance(plant, SimPlant)
+    known = {"estimate": False, "losses": False, "dead_time": plant.spec.dead_time}
+    section = spec.controller.model_copy(update=known)
+    controller = Seeing(section, spec.setup, key, section.optimizer)
+    controller.plant = plant
+    return controller
 
 
 def as_specified(spec: Experiment, key: int, plant: Plant) -> Controller:
@@ -120,7 +205,7 @@ def run(spec: Experiment, trials: int, build: Build = as_specified) -> list[Resu
     for trial in range(trials):
         key, seed = trial_seeds(spec.trials.seed, trial)
         clock, nowhere = VirtualClock(), PlantInfo("", True, 0.0, {})
-        plant = spec.plant.build(spec.setup, clock, seed, Operators())
+        plant = spec.plant.build(spec.setup, clock, seed, LabSupervision())
         results.append(
             Trial(
                 start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
@@ -141,6 +226,7 @@ HEAD = (
     "median",
     "p95",
     "worst",
+    "above 100 mm",
     "entered / left the arena / within 95 mm",
     "trial [s]",
     "step p50 / p99 / max [ms]",
@@ -150,7 +236,7 @@ HEAD = (
 def row(name: str, results: list[Result]) -> str:
     """One line of a table in Markdown."""
     errors = np.array([result.total_error for result in results])
-    (described,) = distributions(errors[None])
+    (described,) = distributions(errors[None], FAR_MM)
     steps = np.concatenate([result.solve_ns[1:] for result in results]) / 1e6
     verdicts = [result.verdict for result in results]
     unsafe = (
@@ -164,6 +250,7 @@ def row(name: str, results: list[Result]) -> str:
         f"{np.median(errors):.1f}",
         f"{np.quantile(errors, 0.95):.1f}",
         f"{errors.max():.1f}",
+        f"{described.tail.above}{percent(described.tail.ci95)}",
         f"{' / '.join(map(str, unsafe))} of {len(errors)}",
         f"{np.mean([result.duration_s for result in results]):.1f}",
         " / ".join(f"{x:.1f}" for x in (*np.quantile(steps, [0.5, 0.99]), steps.max())),
@@ -188,6 +275,16 @@ def table(rows: list[Row], world: "World", trials: int, published: bool) -> dict
     return found
 
 
+def hurting(world: "World", trials: int) -> None:
+    """Run every row of HURTING, each with its floor, and print the table."""
+    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
+    for name, settings in HURTING:
+        for what, build in ((name, as_specified), ("its floor", seeing)):
+            progress(f"{name}: {what}")
+            spec = world.spec(OURS, settings)
+            print(row(what, run(spec, trials, build)), flush=True)
+
+
 def draw(found: dict[str, list[Result]], title: str, path: Path) -> None:
     """Draw the mean total error of each row over its mean time, with 95 % intervals."""
     from matplotlib.figure import Figure
@@ -210,14 +307,17 @@ def draw(found: dict[str, list[Result]], title: str, path: Path) -> None:
 class World:
     """Where the trials take place: the disturbances above, or the plant of another spec."""
 
-    def __init__(self, bench: str | None, rate_hz: int, dead_time_s: float) -> None:
+    def __init__(
+        self, bench: str | None, rate_hz: int, dead_time_s: float, plain: Sequence[str] = WORLD
+    ) -> None:
+        self.plain = plain
         self.bench, self.fast = bench, FAST if rate_hz == 20 else ()
         self.dead_time_s = dead_time_s
 
     def spec(self, file: str, settings: Sequence[str], slow: bool = False) -> Experiment:
         fast, settings = () if slow else self.fast, [self._filled(one) for one in settings]
         if self.bench is None:
-            return load_experiment(file, *WORLD, *fast, *settings)
+            return load_experiment(file, *self.plain, *fast, *settings)
         own = [setting for setting in settings if not setting.startswith("plant.")]
         theirs = [setting for setting in settings if setting.startswith("plant.")]
         plant = load_experiment(self.bench, *theirs).plant
@@ -273,10 +373,11 @@ def crowds(trials: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = ("ablation", "knowledge", "accept", "crowd")
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parts = ("ablation", "knowledge", "accept", "hurting", "crowd")
     parser.add_argument("--part", choices=parts, default="ablation")
     parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--seed", type=int, help="root seed, in place of that of the spec")
     parser.add_argument("--rate", type=int, choices=(5, 20), default=5, help="of the control [Hz]")
     parser.add_argument("--bench", help="the spec in experiments/ whose plant is the world")
     parser.add_argument("--dead-time", type=float, default=0.14, help="of the world [s]")
@@ -285,9 +386,15 @@ def main() -> None:
     if chosen.part == "crowd":
         crowds(chosen.trials)
         return
-    world = World(chosen.bench, chosen.rate, chosen.dead_time)
-    where = chosen.bench or ", ".join(f"`{setting}`" for setting in WORLD)
+    plain = HURT if chosen.part == "hurting" else WORLD
+    if chosen.seed is not None:
+        plain = (*plain, f"trials.seed={chosen.seed}")
+    world = World(chosen.bench, chosen.rate, chosen.dead_time, plain)
+    where = chosen.bench or ", ".join(f"`{setting}`" for setting in plain)
     print(f"Simulated, {chosen.trials} trials a row, {chosen.rate} Hz, {where}. {load()}.\n")
+    if chosen.part == "hurting":
+        hurting(world, chosen.trials)
+        return
     rows = {"ablation": ABLATION, "knowledge": KNOWLEDGE, "accept": ACCEPT}[chosen.part]
     found = table(rows, world, chosen.trials, published=chosen.part == "ablation")
     if chosen.figure:

@@ -21,7 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from support import virtual_lab  # noqa: E402
+from support import virtual_wires  # noqa: E402
 from support.bench_agreement import VirtualLab  # noqa: E402
 from support.ghosts import KINDS, Ghost, trial_of  # noqa: E402
 from support.labs import CAMERA_HZ  # noqa: E402
@@ -85,7 +85,7 @@ if __name__ == "__main__":
     options = parser.parse_args()
     PLAYS, RATE_HZ = options.plays, options.rate
     if options.alarms:
-        virtual_lab.STEP_NS *= 2
+        virtual_wires.STEP_NS *= 2
         alarms(options.first, options.first + options.alarms)
     else:
         print("| pose shown | | noticed | off [mm] | stop [s] | rest [s] | driven [mm] | later |")

@@ -2,7 +2,7 @@
 
     nice python benchmarks/identify_coverage.py --logs 500 --jobs 2
 
-Each log is of three robots that drive ten seconds in random directions. In the first world they
+Each log is of three robots that drive ten seconds in random directions. In the first scenario they
 turn to the direction by themselves, with a, speeds and a dead time drawn for each log, camera
 noise, a random walk of the headings, and 5 % of the commands lost: it has all quantities but the
 track radius. In the second they have wheels with a radius drawn for each robot and log.

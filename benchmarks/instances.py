@@ -1,4 +1,4 @@
-"""Run every controller on every instance of experiments/benchmark, in the same worlds.
+"""Run every controller on every instance of experiments/benchmark, with the same seeds.
 
     python benchmarks/instances.py                      100 trials each, into logs/benchmark
     python benchmarks/instances.py --trials 20 --only paper,cells

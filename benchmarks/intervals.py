@@ -4,7 +4,7 @@
     python benchmarks/intervals.py --sets 500
 
 Draws many sets of n errors from distributions whose mean is known, and prints as Markdown, in
-percent, how many intervals hold it: for one mean, beside Student's t and the BCa bootstrap; for the
+percent, how many intervals hold it: for one mean, by Student's t and the BCa bootstrap; for the
 difference of two means; and for what several arms are compared by, with the share of tests that
 find a difference where there is none. The seed is fixed.
 """

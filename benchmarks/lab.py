@@ -2,9 +2,9 @@
 
     python benchmarks/lab.py [--trials N] [--seconds S] [--skip-batch]
 
-Prints Markdown: NatNet parse cost beside PyPI's `natnet`, control-to-wheel latency (exposure of the
+Prints Markdown: NatNet parse cost and PyPI's `natnet`'s, control-to-wheel latency (exposure of the
 frame a command is based on to the command having left), frames dropped, deadline misses at 5, 20
-and 120 Hz control, and the errors of lab trials beside simulated ones with the same dead time.
+and 120 Hz control, and the errors of lab trials next to simulated ones with the same dead time.
 """
 
 import argparse
@@ -23,8 +23,9 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from support.lab_processes import SPEC, TETRACTL, Emulator, flags  # noqa: E402
 
+from tetractl.emulate.optitrack.server_wire import pack_answer  # noqa: E402
 from tetractl.lab.cameras.optitrack.messages import NatNetFrame, RigidBody, Ticks, Version  # noqa: E402
-from tetractl.lab.cameras.optitrack.wire import HEADER, pack, parse  # noqa: E402
+from tetractl.lab.cameras.optitrack.wire import HEADER, parse  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 
@@ -49,9 +50,9 @@ def parse_cost() -> None:
     version = Version(3, 0)
     for count in (3, 20):
         bodies = tuple(
-            RigidBody(i, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0), 0.0, True) for i in range(count)
+            RigidBody(i, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0), True) for i in range(count)
         )
-        data = pack(NatNetFrame(1, bodies, timestamp_s=1.0, ticks=Ticks(1, 2, 3)), version)
+        data = pack_answer(NatNetFrame(1, bodies, ticks=Ticks(1, 2, 3)), version)
         ours = best_of(lambda data=data: parse(data, version))
         theirs = best_of(
             lambda data=data: DataFrame.read_from_buffer(
@@ -130,7 +131,7 @@ def misses(folder: Path, seconds: float) -> None:
     """Run one trial at each control rate and count late steps."""
     print("| control [Hz] | steps | late | solve p50 [ms] | p99 | max |\n|--:|--:|--:|--:|--:|--:|")
     for rate in (5, 20, 120):
-        sets = (  # one plan of directions held for 0.2 s, looked at more or less often
+        sets = (  # one plan of directions held for 0.2 s, re-planned more or less often
             f"controller.period={1 / rate!r}",
             f"controller.hold={round(rate / 5)}",
             f"controller.steps_max={round(seconds * rate)}",

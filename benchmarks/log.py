@@ -2,7 +2,6 @@
 
     kills       seconds lost over 100 kills -9 at random times of a trial in real time
     torn        10,000 truncations and 10,000 changed bytes: chunks recovered of those complete
-    mutations   every number of every decision changed once: how many `verify` notices
     tampering   each field of each channel, record and attachment changed: how many it notices
     cost        what logging costs a message, and the loop's p99 with and without it
     verify      time a trial
@@ -37,27 +36,23 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import numpy as np  # noqa: E402
 from mcap.reader import make_reader  # noqa: E402
-from support import mutate  # noqa: E402
 from support.durable import ENDLESS, RealTime, random_kill, small_disk  # noqa: E402
 from support.fuzz import Original, fuzz  # noqa: E402
-from support.mutate import places, rewrite, with_entry  # noqa: E402
 from support.tampering import print_table  # noqa: E402
 
 from tetractl.control.build import build_controller, warm_up  # noqa: E402
 from tetractl.core.clock import MonotonicClock  # noqa: E402
 from tetractl.core.commands import PlantInfo  # noqa: E402
-from tetractl.core.errors import LogError  # noqa: E402
-from tetractl.core.operators import Operators  # noqa: E402
 from tetractl.core.protocols import Observer  # noqa: E402
+from tetractl.core.supervision import LabSupervision  # noqa: E402
 from tetractl.core.trial import EPOCH_NS  # noqa: E402
 from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec, start_of  # noqa: E402
-from tetractl.log.format.channels import CHANNELS, HOST, MOCAP, STEP  # noqa: E402
-from tetractl.log.format.tetractl_pb2 import MocapSample  # noqa: E402
+from tetractl.log.format.channels import FRAMES  # noqa: E402
+from tetractl.log.format.tetractl_pb2 import CameraFrames  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
-from tetractl.log.read.salvage import scan  # noqa: E402
 from tetractl.log.write import sink  # noqa: E402
 from tetractl.log.write.writer import LogWriter  # noqa: E402
-from tetractl.replay.verify import Method, verify  # noqa: E402
+from tetractl.replay.verify import verify  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.seeds import trial_seeds  # noqa: E402
 from tetractl.run.task import log_path, run_trial  # noqa: E402
@@ -103,43 +98,6 @@ def torn(folder: Path, scale: float) -> None:
             print(f"- {wrong}")
 
 
-def mutations(folder: Path, scale: float) -> None:
-    run_trial(parse_spec(SMALL, "small.yaml"), folder, 0, (), Interrupt())
-    contents = scan(log_path(folder, 0))
-    everything = [
-        (i, place)
-        for i, entry in enumerate(contents.entries)
-        if entry.topic == STEP
-        for place in places(CHANNELS[STEP].FromString(entry.data))
-    ]
-    chosen = random.Random(1).sample(everything, round(len(everything) * scale))
-    elsewhere = lambda name, facts: facts | ({"cpu": "?"} if name == HOST else {})  # noqa: E731
-    for here in (True, False):
-        least = "by one last bit" if here else "by a millionth"
-        mutate.CHANGE = 0.0 if here else 1e-6
-        seen, missed = 0, {}
-        for number, (index, place) in enumerate(chosen):
-            path = with_entry(contents, folder / f"{here}-{number}.mcap", index, place)
-            if not here:
-                there = rewrite(scan(path), path.with_suffix(".there.mcap"), {}, elsewhere)
-                path.unlink()
-                path = there
-            try:
-                found = verify(path).ok
-            except LogError:
-                found = False
-            seen += not found
-            if found:
-                kind = ".".join(part for part in place if isinstance(part, str))
-                missed[kind] = missed.get(kind, 0) + 1
-            path.unlink()
-        where = "on the machine that wrote it" if here else f"elsewhere ({Method.REEVALUATED})"
-        share = f"{seen} of {len(chosen)} changes {least} noticed ({seen / len(chosen):.2%})"
-        print(f"{where}: {share}")
-        if missed:
-            print("not noticed:", ", ".join(f"{kind} {n}" for kind, n in sorted(missed.items())))
-
-
 class Busy(MonotonicClock):
     """Notes how long the loop works between two sleeps, planning included."""
 
@@ -159,14 +117,11 @@ class Planning:
     def __init__(self, controller) -> None:
         self.controller, self.ns = controller, []
 
-    def plan(self, observation):
+    def plan(self, observation, last_command=None, earlier=()):
         before = time.perf_counter_ns()
-        decision = self.controller.plan(observation)
+        decision = self.controller.plan(observation, last_command, earlier)
         self.ns.append(time.perf_counter_ns() - before)
         return decision
-
-    def sent(self, command):
-        self.controller.sent(command)
 
 
 def real_time(spec: LoadedSpec, observers: Sequence[Observer]) -> tuple[np.ndarray, int]:
@@ -174,7 +129,7 @@ def real_time(spec: LoadedSpec, observers: Sequence[Observer]) -> tuple[np.ndarr
     key, seed = trial_seeds(1, 0)
     clock, planning = Busy(), Planning(build_controller(spec.experiment, key))
     start = start_of(spec, 0, PlantInfo("", True, 0, {}), EPOCH_NS)
-    plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, Operators())
+    plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, LabSupervision())
     stand = spec.experiment.controller.first_plan
     result = Trial(start, plant, planning, stand, clock, observers, Interrupt()).run()
     busy = np.array(clock.busy_ns[1 : result.steps]) - np.array(planning.ns[1 : result.steps])
@@ -462,19 +417,16 @@ def long(folder: Path, scale: float) -> None:
 
 def missing_frames(path: Path) -> int:
     """Count the frames missing in a log, by the official reader, chunk by chunk."""
-    found = -1
-    last = 0
+    numbers: set[int] = set()
     with path.open("rb") as file:
-        for _, _, message in make_reader(file).iter_messages(topics=[MOCAP]):
-            found += 1
-            last = max(last, MocapSample.FromString(message.data).frame)
-    return last - found
+        for _, _, message in make_reader(file).iter_messages(topics=[FRAMES]):
+            numbers.update(CameraFrames.FromString(message.data).frame)
+    return max(numbers) + 1 - len(numbers)
 
 
 PARTS = {
     "kills": kills,
     "torn": torn,
-    "mutations": mutations,
     "tampering": tampering,
     "cost": cost,
     "verify": verify_time,

@@ -1,18 +1,19 @@
-"""Which worlds give the published controller the published figure? A study on the bench.
+"""Which realisations give the published controller the published figure? A study on the bench.
 
     python benchmarks/postmortem.py --trials 10000 --out postmortem.csv   run, or go on
     python benchmarks/postmortem.py --out postmortem.csv --report         print the tables
-    python benchmarks/postmortem.py --out postmortem.csv --check 5        try accepted worlds
+    python benchmarks/postmortem.py --out postmortem.csv --check 5        try accepted realisations
 
-Every trial is one of `experiments/three_m3pi_paper.yaml` in a world of its own, drawn uniformly
-from the ranges of `CAUSES` (docs/explanation/bench.md defends them). A row of the CSV is a world
-and the trial's total error. Rows depend on their number alone, so that a run can be resumed.
+Every trial is one of `experiments/three_m3pi_paper.yaml` in a realisation of its own, drawn
+uniformly from the ranges of `CAUSES` (docs/explanation/bench.md defends them). A row of the CSV is
+a realisation and the trial's total error. Rows depend on their
+number alone, so that a run can be resumed.
 
 The report fits two polynomials of the second degree in the causes, orthogonal under the ranges, to
-the error and to its squared residual: the mean and the variance of the error in a world. From their
-coefficients follow Sobol's and Shapley's shares of each cause in the variance of the mean, with
-intervals by bootstrap; and the posterior of the causes given the published mean and deviation of 20
-trials, by rejection (approximate Bayesian computation) on worlds drawn anew.
+the error and to its squared residual: the mean and the variance of the error in a realisation. From
+their coefficients follow Sobol's and Shapley's shares of each cause in the variance of the mean,
+with intervals by bootstrap; and the posterior of the causes given the published mean and deviation
+of 20 trials, by rejection (approximate Bayesian computation) on newly drawn realisations.
 """
 
 import argparse
@@ -28,7 +29,7 @@ import numpy as np
 
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
-from tetractl.core.operators import Operators
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import Result
 from tetractl.experiment.controller import Square
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
@@ -81,7 +82,7 @@ CAUSES = (
 
 
 def draw(rng: np.random.Generator, count: int) -> Floats:
-    """Return worlds (count, causes), each cause scaled to [-1, 1]."""
+    """Return realisations (count, causes), each cause scaled to [-1, 1]."""
     worlds = rng.uniform(-1, 1, (count, len(CAUSES)))
     for i, cause in enumerate(CAUSES):
         if cause.choice:
@@ -90,13 +91,13 @@ def draw(rng: np.random.Generator, count: int) -> Floats:
 
 
 def values(world: Floats) -> dict[str, float]:
-    """Return the causes of a world by name, in their units."""
+    """Return the causes of a realisation by name, in their units."""
     scaled = zip(CAUSES, world, strict=True)
     return {c.name: float(c.low + (c.high - c.low) * (w + 1) / 2) for c, w in scaled}
 
 
 def plant(v: dict[str, float]) -> SimSection:
-    """Return the bench of a world."""
+    """Return the bench of a realisation."""
     once = v["once"] > 0.5
     drive: dict[str, Any] = {
         "rate": None if once else 10 ** v["rate"],
@@ -127,7 +128,7 @@ def plant(v: dict[str, float]) -> SimSection:
 
 
 def run(spec: LoadedSpec, world: Floats, trial: int) -> Result:
-    """Run one trial in a world."""
+    """Run one trial in a realisation."""
     v = values(world)
     experiment = spec.experiment
     clock, simulated = experiment.plant.clock(), plant(v)
@@ -135,7 +136,7 @@ def run(spec: LoadedSpec, world: Floats, trial: int) -> Result:
     square = Square(type="square", side=1.0) if v["square"] > 0.5 else None
     return Trial(
         start=start_of(spec, trial, PlantInfo("", True, 0.0, {}), 0),
-        plant=simulated.build(experiment.setup, clock, seed, Operators()),
+        plant=simulated.build(experiment.setup, clock, seed, LabSupervision()),
         controller=build_controller(experiment, key),
         first_plan=square or experiment.controller.first_plan,
         clock=clock,
@@ -178,7 +179,7 @@ class Basis:
         return cls(((), *singles, *squares, *itertools.combinations(every, 2)))
 
     def of(self, worlds: Floats) -> Floats:
-        """Return the terms (worlds, terms)."""
+        """Return the terms (realisations, terms)."""
         first = np.array([1.0 if c.choice else np.sqrt(3) for c in CAUSES]) * worlds
         second = np.sqrt(5) * (3 * worlds**2 - 1) / 2
         columns = []
@@ -229,28 +230,28 @@ def shares(coefs: Floats, noise: Floats) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """The mean and the deviation of the error in a world, as polynomials."""
+    """The mean and the deviation of the error in a realisation, as polynomials."""
 
     mean: Floats
     variance: Floats
 
     @classmethod
     def of(cls, worlds: Floats, errors: Floats) -> "Fit":
-        """Fit both to one trial a world."""
+        """Fit both to one trial per realisation."""
         terms = BASIS.of(worlds)
         mean = coefficients(terms, errors)
         return cls(mean, coefficients(terms, (errors - terms @ mean) ** 2))
 
     def predict(self, worlds: Floats) -> tuple[Floats, Floats]:
-        """Return mean and deviation in worlds, the deviation at least 20 mm."""
+        """Return mean and deviation in realisations, the deviation at least 20 mm."""
         terms = BASIS.of(worlds)
         return terms @ self.mean, np.sqrt(np.maximum(terms @ self.variance, 400.0))
 
 
 def posterior(fit: Fit, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return accepted worlds and the predicted (mean, deviation) of each.
+    """Return accepted realisations and the predicted (mean, deviation) of each.
 
-    A world is accepted where 20 trials drawn from it come out within one standard error of the
+    A realisation is accepted if 20 trials drawn from it come out within one standard error of the
     published mean and of the published deviation.
     """
     worlds = draw(rng, WORLDS)
@@ -264,7 +265,7 @@ def posterior(fit: Fit, rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 
 def read(path: Path) -> tuple[Floats, Floats, Floats]:
-    """Return worlds, errors and whether an obstacle was entered."""
+    """Return realisations, errors and whether an obstacle was entered."""
     rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
     count = len(CAUSES)
     return rows[:, :count], rows[:, count], rows[:, count + 1]
@@ -281,8 +282,11 @@ def report(path: Path) -> None:
     worlds, errors, entered = read(path)
     rng = np.random.default_rng(SEED)
     n, fit = len(errors), Fit.of(worlds, errors)
-    print(f"{n} trials in {n} worlds: error {errors.mean():.1f} mm on the mean, deviation ", end="")
-    print(f"{errors.std(ddof=1):.1f}; 95 % of them {interval(errors, 0)} mm; ", end="")
+    print(
+        f"{n} trials in {n} realisations: error {errors.mean():.1f} mm on the mean, deviation ",
+        end="",
+    )
+    print(f"deviation {errors.std(ddof=1):.1f}; 95 % of them {interval(errors, 0)} mm; ", end="")
     print(f"{100 * entered.mean():.1f} % entered the obstacle.")
     held = rng.random(n) < 0.2
     outside = Fit.of(worlds[~held], errors[~held]).predict(worlds[held])[0]
@@ -290,7 +294,7 @@ def report(path: Path) -> None:
     print(
         f"\nThe polynomial of the mean explains {100 * explained:.0f} % of the variance of single "
     )
-    print("trials that it was not fitted to; the rest is chance within a world, and curvature.\n")
+    print("trials that it was not fitted to; the rest is chance, and curvature.\n")
     terms = BASIS.of(worlds)
     noise = chance(terms, errors, fit.mean)
     samples = []
@@ -307,7 +311,8 @@ def report(path: Path) -> None:
     accepted, predicted = posterior(fit, rng)
     share = 100 * len(accepted) / WORLDS
     print(
-        f"\nOf {WORLDS} worlds drawn from the ranges, {len(accepted)} ({share:.2f} %) agree with "
+        f"\nOf {WORLDS} realisations drawn from the ranges, "
+        f"{len(accepted)} ({share:.2f} %) agree with "
     )
     print(f"the published {PUBLISHED_MEAN} +- {PUBLISHED_STD} mm of {PUBLISHED_N} trials.\n")
     if len(accepted) < 50:
@@ -325,26 +330,27 @@ def report(path: Path) -> None:
         within = "-" if c.choice else interval(physical, 3)
         print(f"| {c.words} | {span} | {physical.mean():.3g} | {within} | {narrowed} |")
     delays = [i for i, cause in enumerate(CAUSES) if cause.name in DELAYS]
-    for name, some in (("ranges", draw(rng, 10_000)), ("accepted worlds", accepted)):
+    for name, some in (("ranges", draw(rng, 10_000)), ("accepted realisations", accepted)):
         spans = np.array([[CAUSES[i].low, CAUSES[i].high - CAUSES[i].low] for i in delays])
         total = (spans[:, 0] + spans[:, 1] * (some[:, delays] + 1) / 2).sum(axis=1)
         print(f"\nSum of all delays in the {name}: {total.mean():.3f} s, {interval(total, 3)}.")
     pairs = np.corrcoef(accepted.T) - np.eye(len(CAUSES))
     order = np.argsort(-np.abs(np.triu(pairs)), axis=None)[:5]
     print(
-        "\nWhat cannot be told apart (strongest correlations among the accepted worlds): ", end=""
+        "\nWhat cannot be distinguished (strongest correlations among the accepted realisations): ",
+        end="",
     )
     told = [(divmod(int(k), len(CAUSES)), pairs.flat[k]) for k in order]
     print("; ".join(f"{CAUSES[i].name} and {CAUSES[j].name} {r:.2f}" for (i, j), r in told) + ".")
 
 
 def check(path: Path, count: int) -> None:
-    """Run 20 trials in each of some accepted worlds, and print what comes out as Markdown."""
+    """Run 20 trials in each of some accepted realisations, and print what comes out as Markdown."""
     worlds, errors, _ = read(path)
     accepted, predicted = posterior(Fit.of(worlds, errors), np.random.default_rng(SEED))
     chosen = np.random.default_rng(SEED).choice(len(accepted), count, replace=False)
     spec = load_spec(SPEC)
-    print("| world | predicted mean, deviation | 20 trials |\n|--:|--:|--:|")
+    print("| realisation | predicted mean, deviation | 20 trials |\n|--:|--:|--:|")
     for number, i in enumerate(chosen):
         trials = range((number + 1) * 10**6, (number + 1) * 10**6 + PUBLISHED_N)
         found = np.array([run(spec, accepted[i], trial).total_error for trial in trials])

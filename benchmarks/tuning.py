@@ -1,9 +1,9 @@
 """Tune the controllers that a paper or its references only describe: a grid over two parameters.
 
-    python benchmarks/tuning.py ensemble          nine settings, 20 worlds each
-    python benchmarks/tuning.py rrt --worlds 50   more worlds
+    python benchmarks/tuning.py ensemble          nine settings, 20 seeds each
+    python benchmarks/tuning.py rrt --worlds 50   more seeds
 
-Every setting drives in the same worlds (starts and targets drawn at random, the disturbances'
+Every setting drives with the same seeds (starts and targets drawn at random, the disturbances'
 seeds), and every controller gets as many settings: equal budgets. Everything is simulated, with
 heading walk 0.05 rad/sqrt(s), a and speed +-5 %, 1 mm and 0.01 rad of measurement noise.
 """
@@ -59,7 +59,7 @@ STUDIES = {
 
 
 def world(base: dict[str, Any], study: Study, controller: dict[str, Any], i: int) -> Experiment:
-    """Return world i with a controller."""
+    """Return realisation i with a controller."""
     rng = np.random.default_rng([SEED, i])
     arena, robots = base["arena"], []
     obstacles = base["obstacles"] if study.obstacles else []
@@ -122,7 +122,7 @@ def main() -> None:
             f"{errors.ci95.low:.0f} to {errors.ci95.high:.0f}",
         ]
         print(f"| {' | '.join(cells)} | {seconds:.0f} | {left} | {entered} |")
-    print(f"\n{asked.worlds} worlds each, simulation with assumed disturbances.")
+    print(f"\n{asked.worlds} seeds each, simulation with assumed disturbances.")
 
 
 if __name__ == "__main__":

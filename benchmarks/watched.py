@@ -2,7 +2,7 @@
 
     python benchmarks/watched.py [--trials N]
 
-Runs trials in real time, in turn alone, with the live view on a terminal, served with nobody
+Runs trials in real time, in turn alone, with the live view on a terminal, served with no viewer
 looking, served to a viewer that reads every topic, and served to one that reads nothing. Prints
 Markdown: late control steps, the age of the newest frame when a command leaves, and the CPU time of
 the run's process a second of driving.
@@ -143,7 +143,7 @@ def main() -> None:
     ways = [
         Way("alone", ["--quiet"]),
         Way("live view", [], screen=True),
-        Way("served, nobody looks", SERVE),
+        Way("served, no viewer", SERVE),
         Way("served, one reads all", SERVE, connect=read_all),
         Way("served, one reads nothing", SERVE, connect=read_nothing),
     ]

@@ -12,7 +12,7 @@ there. Everything else is compared to the last digit.
 But another processor, or another version of a library, rounds differently, and a trial then goes
 another way: a search follows another particle. So the last line of a page whose numbers come from
 trials says what they were printed on. Anywhere else only nine in ten of the words, in their order,
-must come; `--write` there puts in every output anew, so that all numbers of a page come from one
+must come; `--write` there replaces every output, so that all numbers of a page come from one
 place.
 """
 

@@ -44,7 +44,7 @@ def help_text(words: tuple[str, ...]) -> str:
 
 
 def page(current: str) -> str:
-    """Return the page with the part below the marker made anew."""
+    """Return the page with the part below the marker generated again."""
     parts = [f"### {' '.join(words)}\n\n```text\n{help_text(words)}\n```\n" for words in commands()]
     return f"{current.partition(MARKER)[0]}{MARKER}\n\n" + "\n".join(parts)
 

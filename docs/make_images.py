@@ -16,7 +16,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from support.chromium import chromium  # noqa: E402
 
 from tetractl.log.read.reader import read_trial  # noqa: E402
-from tetractl.view.video.files import write_video  # noqa: E402
+from tetractl.view.film import write_video  # noqa: E402
 
 FILM_WIDTH = 640
 SCREENS = ((1280, 800), (390, 844))

@@ -4,6 +4,7 @@ Run `python docs/make_layouts.py` after a change of an experiment or of the layo
 while they differ. Each log holds the layout of its own experiment.
 """
 
+import json
 from pathlib import Path
 
 from tetractl.experiment.load import load_spec
@@ -16,10 +17,11 @@ NAMES = ("three_m3pi", "five_robots", "tetrahymena")
 
 def layouts() -> dict[Path, str]:
     """Return the text of each file."""
-    return {
-        FOLDER / f"{name}.json": layout(load_spec(EXPERIMENTS / f"{name}.yaml").experiment.setup)
-        for name in NAMES
-    }
+    made = {}
+    for name in NAMES:
+        found = json.loads(layout(load_spec(EXPERIMENTS / f"{name}.yaml").experiment.setup))
+        made[FOLDER / f"{name}.json"] = json.dumps(found, indent=2, ensure_ascii=False) + "\n"
+    return made
 
 
 if __name__ == "__main__":

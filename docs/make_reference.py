@@ -28,7 +28,7 @@ def fields_markdown() -> str:
 
 
 def page(current: str) -> str:
-    """Return the page with the part below the marker made anew."""
+    """Return the page with the part below the marker generated again."""
     return f"{current.partition(MARKER)[0]}{MARKER}\n\n{fields_markdown()}"
 
 

@@ -1,5 +1,7 @@
 """tetractl: steer several robots at once with one control signal."""
 
+from tetractl.core.version import __version__
+
 TYPE_CHECKING = False  # type checkers read it as true; importing `typing` takes half the time
 if TYPE_CHECKING:
     from tetractl.api import (
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
     from tetractl.core.protocols import Actuator, Camera, Controller, Observer, Optimizer
     from tetractl.experiment.experiment import Experiment
     from tetractl.log.read.trial_log import TrialLog
-
-__version__ = "0.1.0"
 
 __all__ = [
     "Actuator",

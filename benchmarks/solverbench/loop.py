@@ -10,11 +10,11 @@ import numpy as np
 from tetractl.control.build import build_controller
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo
-from tetractl.core.operators import Operators
 from tetractl.core.plan import End, Limits, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
@@ -76,14 +76,16 @@ class _Timed:
     controller: Controller
     times: list[float]
 
-    def plan(self, observation: Observation) -> Plan | Outcome | End:
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
         begin = time.thread_time()
-        decision = self.controller.plan(observation)
+        decision = self.controller.plan(observation, last_command, earlier)
         self.times.append(time.thread_time() - begin)
         return decision
-
-    def sent(self, command: Command) -> None:
-        self.controller.sent(command)
 
 
 def run(experiment: Experiment, trials: int, build: Build = build_controller) -> Batch:
@@ -98,7 +100,7 @@ def run(experiment: Experiment, trials: int, build: Build = build_controller) ->
         batch.results.append(
             Trial(
                 start=start_of(LoadedSpec(experiment, "", ""), trial, nowhere, EPOCH_NS),
-                plant=experiment.plant.build(experiment.setup, clock, seed, Operators()),
+                plant=experiment.plant.build(experiment.setup, clock, seed, LabSupervision()),
                 controller=_Timed(build(experiment, key), times),
                 first_plan=experiment.controller.first_plan,
                 clock=clock,
@@ -131,7 +133,7 @@ def closed(settings: Settings) -> Report:
     report = Report("(c) Closed loop and control step")
     ours = experiment(OURS)
     contestants: list[tuple[str, Experiment, Build]] = [
-        ("paper, to the letter", experiment(PAPER), build_controller),
+        ("paper, as published", experiment(PAPER), build_controller),
         ("**ours**", ours, build_controller),
     ]
     if available(shooting.PACKAGE):
@@ -236,7 +238,7 @@ def disturbed(settings: Settings) -> Report:
     no_learning = "controller.estimate=false"
     rows = []
     for name, spec in (
-        ("paper, to the letter", [PAPER]),
+        ("paper, as published", [PAPER]),
         ("the same, dead time compensated", [PAPER, COMPENSATED]),
         ("ours, neither compensated nor estimated", [OURS, no_learning]),
         ("ours, estimated only", [OURS]),

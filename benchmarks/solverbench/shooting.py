@@ -5,9 +5,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from tetractl.control.algorithm_2 import Mpc
 from tetractl.control.cost import evaluate
 from tetractl.control.lengths import Candidate
+from tetractl.control.mpc import Mpc
 from tetractl.core.problem import Problem
 
 from .peers import Meter

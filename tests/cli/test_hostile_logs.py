@@ -18,8 +18,8 @@ from support.mutate import rewrite
 from support.paths import ROOT
 from support.random_trials import trial, write
 
-from tetractl.log.format.channels import HOST, LOG, MOCAP, RESOLVED_SPEC, RESULT, RUN, STEP, Entry
-from tetractl.log.format.tetractl_pb2 import ControllerStep, MocapSample, Search
+from tetractl.log.format.channels import FRAMES, HOST, LOG, RESOLVED_SPEC, RESULT, RUN, STEP, Entry
+from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
@@ -47,12 +47,6 @@ def before_the_end(contents: RawLog, path: Path, chunks: list[bytes]) -> Path:
     return path
 
 
-def empty_searches(contents: RawLog, path: Path) -> Path:
-    """Each Search is two bytes that become a kilobyte; all zeros for the compressor."""
-    step = ControllerStep(searches=[Search()] * 2_000_000).SerializeToString()
-    return before_the_end(contents, path, [chunk(message(4, step))] * 20)
-
-
 def steps_of_searches(contents: RawLog, path: Path) -> Path:
     """Steps that fit the run, each with very many small searches."""
     entry = next(entry for entry in contents.entries if entry.topic == STEP)
@@ -66,15 +60,6 @@ def steps_of_searches(contents: RawLog, path: Path) -> Path:
     return before_the_end(contents, path, [chunk(several)] * 30)
 
 
-def empty_messages(contents: RawLog, path: Path) -> Path:
-    return before_the_end(contents, path, [chunk(message(1, b"") * 500_000)] * 20)
-
-
-def zeros(contents: RawLog, path: Path) -> Path:
-    padding = bytes([0x80]) + struct.pack("<Q", 16_000_000) + bytes(16_000_000)
-    return before_the_end(contents, path, [chunk(padding)] * 200)
-
-
 def huge_spec(contents: RawLog, path: Path) -> Path:
     def asks(text: str) -> str:
         text = text.replace("particles: 100", "particles: 1000000")
@@ -83,14 +68,6 @@ def huge_spec(contents: RawLog, path: Path) -> Path:
         return text
 
     return with_spec(contents, path, asks)
-
-
-def large_spec(contents: RawLog, path: Path) -> Path:
-    return with_spec(contents, path, lambda text: text + "# " + "x" * 200_000_000)
-
-
-def nested_spec(contents: RawLog, path: Path) -> Path:
-    return with_spec(contents, path, lambda text: text + "more: " + "[" * 100_000)
 
 
 def with_spec(contents: RawLog, path: Path, change: Callable[[str], str]) -> Path:
@@ -104,29 +81,10 @@ def with_spec(contents: RawLog, path: Path, change: Callable[[str], str]) -> Pat
 
 
 def far_pose(contents: RawLog, path: Path) -> Path:
-    entry = [entry for entry in contents.entries if entry.topic == MOCAP][7]
-    frame = MocapSample.FromString(entry.data)
-    frame.x[0] = 1e8
+    entry = next(entry for entry in contents.entries if entry.topic == FRAMES)
+    frame = CameraFrames.FromString(entry.data)
+    frame.x[7] = 1e8
     return rewrite(contents, path, {entry: entry._replace(data=frame.SerializeToString())})
-
-
-def long_key(contents: RawLog, path: Path) -> Path:
-    def add(name: str, facts: dict[str, str]) -> dict[str, str]:
-        return facts | ({"k" * 1_000_000: "v"} if name == RUN else {})
-
-    return rewrite(contents, path, {}, add)
-
-
-def long_value(contents: RawLog, path: Path) -> Path:
-    def add(name: str, facts: dict[str, str]) -> dict[str, str]:
-        return facts | ({"note": "v" * 3_000_000} if name == RUN else {})
-
-    return rewrite(contents, path, {}, add)
-
-
-def many_records(contents: RawLog, path: Path) -> Path:
-    empty = bytes([Opcode.METADATA]) + struct.pack("<QII", 8, 0, 0)
-    return before_the_end(contents, path, [empty * 5_000_000])
 
 
 EVIL = "\x1b]0;owned\x07\x9b2J\u202e=cmd\r\n"
@@ -205,18 +163,10 @@ def write_with(contents: RawLog, path: Path) -> None:
 
 
 BUILDERS = [
-    empty_searches,
     steps_of_searches,
-    empty_messages,
-    zeros,
     huge_spec,
-    large_spec,
-    nested_spec,
     far_pose,
     escapes,
-    long_key,
-    long_value,
-    many_records,
     zeros_behind,
     endless,
     only_in_the_summary,

@@ -66,7 +66,7 @@ def test_exported_tables_say_the_same(folder):
 
 
 def test_a_design_is_proposed_as_a_spec_and_driven(folder):
-    words = ("identify", "--design", "quick.yaml", "--seconds", "6")
+    words = ("design", "quick.yaml", "--seconds", "6")
     done = tetractl(folder, *words, "-o", "motion.yaml")
     assert done.returncode == 0, done.stderr
     assert "predicted standard deviations" in done.stdout
@@ -80,7 +80,7 @@ def test_a_design_is_proposed_as_a_spec_and_driven(folder):
 
 def test_robots_of_a_lab_are_not_driven_without_consent(folder):
     lab = ROOT / "experiments" / "three_m3pi_lab.yaml"
-    done = tetractl(folder, "identify", "--design", lab, "--plant", "lab")
+    done = tetractl(folder, "design", lab, "--plant", "lab")
     assert done.returncode == 2
     assert "add --yes" in done.stderr
 
@@ -88,10 +88,9 @@ def test_robots_of_a_lab_are_not_driven_without_consent(folder):
 def test_options_that_do_not_belong_together_are_refused(folder):
     for words in (
         ("identify",),
-        ("identify", "logs", "--design", "quick.yaml"),
         ("identify", "logs", "--yes"),
         ("identify", "logs", "tables/poses.csv"),
-        ("identify", "--design", "quick.yaml", "--yes"),
+        ("design", "quick.yaml", "--yes"),
         ("replay", "logs/trial-000.mcap", "--yes"),
         ("redrive", "logs/trial-000.mcap", "--plant", "lab", "--yes"),
         ("what-if", "logs"),

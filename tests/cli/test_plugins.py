@@ -1,4 +1,4 @@
-"""Kinds of other packages: the example package, installed beside tetractl, and a broken one."""
+"""Kinds of other packages: the example package, installed next to tetractl, and a broken one."""
 
 import json
 import os
@@ -26,7 +26,6 @@ CAMERA = """
 import threading
 from tetractl import load_spec
 from tetractl.core.clock import VirtualClock
-from tetractl.core.wire_tap import NO_TAP
 
 reached, finished = threading.Event(), threading.Event()
 
@@ -41,7 +40,7 @@ setting = "lab.camera={type: csv-camera, file: poses.csv, rate: 50}"
 experiment = load_spec("three.yaml", setting).experiment
 woken = []
 camera = experiment.lab.camera.build(
-    experiment.setup, ClockUpTo150Ms(), NO_TAP, lambda: woken.append(camera.newest)
+    experiment.setup, ClockUpTo150Ms(), lambda: woken.append(camera.newest)
 )
 with camera:
     reached.wait()
@@ -68,7 +67,7 @@ POSES = """time_s,robot,x,y,heading
 def site(tmp_path_factory):
     """A folder into which pip has installed the example package."""
     folder = tmp_path_factory.mktemp("site")
-    source = folder / "source"  # building leaves files beside the source
+    source = folder / "source"  # building leaves files next to the source
     for path in (p for p in EXAMPLE.rglob("*") if p.is_file() and p.suffix in (".py", ".toml")):
         target = source / path.relative_to(EXAMPLE)
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -143,9 +143,47 @@ def test_what_is_drawn_moves_with_the_time(page: Page):
 
 @needs_chromium
 @pytest.mark.parametrize("width", [390, 1280])
-def test_nothing_is_wider_than_the_screen(folder: Path, page: Page, width: int):
+def test_nothing_is_wider_than_the_screen_and_no_name_covers_an_obstacle(
+    folder: Path, page: Page, width: int
+):
     page.open(folder / "report.html", width, 844)
     assert page.run("document.documentElement.scrollWidth") <= width
+    covered = """(() => {
+      const scene = player.scene, found = [], { obstacles, robots } = player.trial;
+      const around = (points, margin) => box(points.map((point) => scene.place(...point)), margin);
+      for (let t = 0; t < player.trial.end; t += 0.1) {
+        player.pauseAt(t);
+        const solid = obstacles.map((outline) => around(outline, 0));
+        const ends = robots.map((robot) => around([robot.target], 5));
+        for (const label of scene.labels)
+          if ([...solid, ...ends].some((one) => meet(label, one))) found.push(t);
+      }
+      return found;
+    })()"""
+    assert page.run(covered) == []
+
+
+def test_the_folder_of_a_study_is_a_page_of_its_arms_called_after_it(tmp_path: Path):
+    (tmp_path / "quick.yaml").write_text(SPEC)
+    (tmp_path / "study.yaml").write_text(
+        "name: delays\nbase: quick.yaml\ntrials: {count: 2}\n"
+        "sweep: {type: grid, fields: {plant.dead_time: [0, 0.1]}}\n"
+    )
+    done = tetractl(tmp_path, "study", "study.yaml", "-o", "delays", "--logs", "all", "--quiet")
+    assert done.returncode == 0, done.stderr
+    done = tetractl(tmp_path, "report", "delays")
+    assert done.returncode == 0, done.stderr
+    html = (tmp_path / "report.html").read_text()
+    assert "<h1>delays</h1>" in html
+    assert re.findall(r"<option value=\"\d\">(\d: [^<]*)", html) == [
+        f"{2 * arm + trial + 1}: dead_time={value}, trial-00{trial}.mcap"
+        for arm, value in enumerate(("0", "0.1"))
+        for trial in range(2)
+    ]
+    head = html[html.index("<header>") : html.index('<section id="player"')]
+    assert re.findall(r'<th scope="row">([^<]*)', head) == ["dead_time=0", "dead_time=0.1"]
+    assert "sum over the robots" in head
+    assert "<b>" not in head  # no cards
 
 
 def test_a_log_that_cannot_be_read_is_named_and_the_rest_shown(folder: Path, tmp_path: Path):
@@ -165,7 +203,7 @@ def test_a_log_that_cannot_be_read_is_named_and_the_rest_shown(folder: Path, tmp
     ("args", "code", "message"),
     [
         (["missing"], 2, "missing: no such file or folder"),
-        (["logs", "-o", "no/where.html"], 1, "no/where.html: cannot write the page"),
+        (["logs", "-o", "no/where.html"], 2, "no/where.html: there is no folder no"),
     ],
 )
 def test_what_goes_wrong_is_one_clear_line(folder: Path, args: list[str], code: int, message: str):

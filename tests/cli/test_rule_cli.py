@@ -34,6 +34,7 @@ WITHOUT_JSON = [  # they write files, play, or give what has no form but its own
         ("redrive",),
         ("export",),
         ("open",),
+        ("serve",),
         ("report",),
     ),
     *(("study",), ("lab", "stop"), ("lab", "calibrate")),
@@ -68,7 +69,7 @@ SPEC_COMMANDS = ["validate", "run", "lab check", "lab stop", "lab calibrate", "l
 @pytest.mark.parametrize("command", LOG_COMMANDS + SPEC_COMMANDS)
 @pytest.mark.parametrize("made", ["missing", "fifo"])
 def test_a_file_that_is_missing_or_no_regular_one_is_bad_usage(tmp_path, command, made):
-    """Regression: a FIFO hung whoever opened it, and `replay missing.mcap` ended with 1."""
+    """Regression: a FIFO hung its reader, and `replay missing.mcap` ended with 1."""
     if made == "fifo":
         os.mkfifo(tmp_path / "x")
     done = tetractl(*command.split(), "x", cwd=tmp_path)

@@ -15,11 +15,11 @@ ROWS = {
         "our NumPy reference",
         "scipy differential evolution",
     ],
-    "c": ["paper, to the letter", "**ours**", "Euler", "exact", "exact, swept, walls"],
+    "c": ["paper, as published", "**ours**", "Euler", "exact", "exact, swept, walls"],
     "d": ["particles", "signals", "robots"],
     "e": ["Euler rollout and obstacle, our kernel", "exact rollout and obstacle, our kernel"],
     "f": [
-        "paper, to the letter",
+        "paper, as published",
         "the same, dead time compensated",
         "ours, neither compensated nor estimated",
         "ours, estimated only",

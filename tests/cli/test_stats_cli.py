@@ -195,7 +195,7 @@ def test_several_folders_are_groups_compared_two_by_two(work):
     assert (first["difference"], first["verdict"]) == (0.0, None)
     assert first["detects_sd"] == pytest.approx(1.0, abs=0.005)
     assert not second["comparable"] and not third["comparable"]
-    assert (second["test_p"], second["verdict"]) == (None, None)
+    assert (second["rank_p"], second["verdict"]) == (None, None)
     rows = list(csv.DictReader(io.StringIO(stats("ten", "exact", "--format=csv", cwd=work).stdout)))
     assert (rows[0]["one_n"], rows[0]["other_mean"]) == ("10", "355.0")
     latex = stats("ten", "exact", "--format", "latex", cwd=work).stdout

@@ -1,10 +1,12 @@
 """`tetractl study` from the outside: however it is run, the same table."""
 
 import csv
+import json
+import shutil
 import signal
 
 import pytest
-from support.studies import FAILING, LONGER, Running, results, rows, tetractl, write
+from support.studies import FAILING, LONGER, SMALL, Running, results, rows, tetractl, write
 
 from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
@@ -133,6 +135,44 @@ def test_bad_usage_is_told_in_a_line(args, says, tmp_path):
     done = study("study.yaml", *args, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert says in done.stderr
+
+
+HOSTILE = [
+    "[" * 100_000,
+    '{"trial": ' * 50_000,
+    *({"trial": value} for value in ([0], 0.5, "0", 10**30)),
+    *({"trial_digest": value} for value in (5, [], "x" * 64)),
+    *({"result": value} for value in ([], "x", {"outcome": []}, {"outcome": "aborted"})),
+    {"columns": {}, "times": None, "arm_hash": 7},
+    {"count": -1, "logged": "yes", "code": ["x"], "processor": {}},
+    {"wall_s": 1e400, "cpu_s": "soon"},
+]
+
+
+def test_hostile_rows_never_end_in_a_traceback(tmp_path):
+    """Eleven kinds did, in `study` and `--merge`: each value was used as it came."""
+    write(tmp_path, SMALL)
+    run = ("study", "study.yaml", "--out", "out", "--logs", "none", "-q", "--jobs", 1)
+    assert tetractl(*run, cwd=tmp_path).returncode == 0
+    file = tmp_path / "out" / "dead_time=0.1" / "trials.jsonl"
+    rows = file.read_text().splitlines()
+    spoiled = [
+        one if isinstance(one, str) else json.dumps(json.loads(rows[1]) | one) for one in HOSTILE
+    ]
+    file.write_text("\n".join([*rows, *spoiled, ""]))
+    shutil.copytree(tmp_path / "out", tmp_path / "share")
+    codes = [
+        tetractl(*words, cwd=tmp_path).returncode
+        for words in (
+            ("study", "study.yaml", "--out", "merged", "--merge", "share"),
+            ("study", "study.yaml", "--out", "out", "--trial", "dead_time=0.1/1"),
+            ("stats", "out"),
+            ("report", "out"),
+        )
+    ]
+    assert codes == [1, 2, 1, 1]  # one of six trials is lacking, and has no row
+    assert tetractl(*run, cwd=tmp_path).returncode == 0  # it is run again
+    assert [int(row["trial"]) for row in table(tmp_path / "out")] == [0, 1, 2] * 2
 
 
 def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):

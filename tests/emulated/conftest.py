@@ -1,17 +1,14 @@
-"""What every play of an emulated lab needs: compiled code, and a host that keeps its time."""
-
-from pathlib import Path
+"""What every play on real wires needs: compiled code, and a host that keeps its time."""
 
 import pytest
-from _pytest.runner import runtestprotocol
 from support.lab_processes import SMALL, SPEC
 from support.lateness import lateness
 
 from tetractl.control.build import warm_up
 from tetractl.experiment.load import load_spec
 
-PLAYS = 3
 LATE_S = 0.05  # half of the shortest tolerance: a host as late as that spoils a play
+HOST = pytest.StashKey()
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -20,25 +17,20 @@ def compiled_controller():
     warm_up(load_spec(SPEC, SMALL).experiment, print)
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item, nextitem):
-    """Play again what failed while the host was late; on a host in time the first failure counts.
-
-    Plays are in real time, and a host that stands still stops the robots, as it should.
-    """
-    if Path(__file__).parent not in item.path.parents:
-        return None
-    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for report in _played(item, nextitem, PLAYS):
-        item.ihook.pytest_runtest_logreport(report=report)
-    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
-    return True
+@pytest.fixture(autouse=True)
+def watched_host(request):
+    """Watch how late this host wakes a thread, from here to the end of the play."""
+    with lateness() as request.node.stash[HOST]:
+        yield
 
 
-def _played(item, nextitem, plays):
-    """Return the reports of the last of at most so many plays."""
-    with lateness() as host:
-        reports = runtestprotocol(item, nextitem=nextitem, log=False)
-    if plays > 1 and host.most_s >= LATE_S and any(report.failed for report in reports):
-        return _played(item, nextitem, plays - 1)
-    return reports
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Skip what failed while the host was late: it stops the robots then, as it should."""
+    report = yield
+    host = item.stash.get(HOST, None)
+    if report.failed and host is not None and host.most_s >= LATE_S:
+        report.outcome = "skipped"
+        why = f"Skipped: this host was {host.most_s:.2f} s late"
+        report.longrepr = (str(item.path), item.location[1] or 0, why)
+    return report

@@ -65,29 +65,13 @@ def test_check_says_ready_and_moves_nothing(lab, tmp_path):
     assert not [event for event in record if event["event"] == "run"]
 
 
-@pytest.mark.parametrize(
-    ("actuator", "says"),
-    [
-        ("hardware: 0x7F44", "the module (HV 7F44, VR 10EC) is not known here: does it run 802"),
-        ("explicit: true", "frames of type 0x91, which are not read: set AO in it to 0 or 2"),
-    ],
-)
-def test_check_says_what_is_odd_of_the_radio(lab, tmp_path, actuator, says):
-    script = f"about: an odd radio\nemulation: {{actuator: {{{actuator}}}}}"
-    _, settings = lab(script)
-    command = ("lab", "check", str(SPEC), *flags(settings))
-    done = tetractl(tmp_path, *command)
-    assert done.returncode == 1
-    assert says in done.stdout
-    if "hardware" in actuator:
-        assert "not answered: add --yes where nobody can be asked" in done.stderr
-        done = tetractl(tmp_path, *command, "--yes")
-        assert done.returncode == 0, done.stdout
-        assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
-        with Terminal([TETRACTL, *command], tmp_path, columns=200) as terminal:
-            terminal.expect(r"802\.15\.4 firmware\? \[y/N\]")
-            terminal.press("n\n")
-            assert terminal.finish() == 1
+def test_a_person_is_asked_what_only_a_person_knows_of_the_radio(lab, tmp_path):
+    _, settings = lab("about: an odd radio\nemulation: {actuator: {hardware: 0x7F44}}")
+    command = [TETRACTL, "lab", "check", str(SPEC), *flags(settings)]
+    with Terminal(command, tmp_path, columns=200) as terminal:
+        terminal.expect(r"802\.15\.4 firmware\? \[y/N\]")
+        terminal.press("n\n")
+        assert terminal.finish() == 1
 
 
 def test_space_is_the_operators_emergency_stop(lab, tmp_path):
@@ -117,8 +101,11 @@ SLAVES = (
 )
 
 
-@pytest.mark.parametrize("protocol", [(), SLAVES], ids=["watchdog", "no watchdog"])
-@pytest.mark.parametrize("hangs", [False, True], ids=["closed", "hangs"])
+@pytest.mark.parametrize(
+    ("protocol", "hangs"),
+    [(SLAVES, False), ((), True)],
+    ids=["closed, no watchdog", "hangs, watchdog"],
+)
 def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, protocol, hangs):
     """Regression: a closed terminal left robots without a watchdog driving, and the log torn."""
     emulator, settings = lab("", *flags(protocol))
@@ -148,14 +135,12 @@ def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, protoco
     ("closed", "words", "code"),
     [
         (("stdout", "stderr"), (), 130),
-        (("stdout",), (), 0),
-        (("stderr",), (), 0),
         (("stdout", "stderr"), ("--unattended",), 0),
     ],
-    ids=["both", "stdout", "stderr", "unattended"],
+    ids=["attended", "unattended"],
 )
 def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, closed, words, code):
-    """Regression: it drove on to its end, with nobody to see or stop it."""
+    """Regression: it drove on to its end, with no operator to stop it."""
     emulator, settings = lab()
     short = LONG if code else ()
     sets = flags((*settings, *short))
@@ -185,7 +170,7 @@ def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, closed, word
     assert not any(e["moving"] for e in [e for e in record if e["event"] == "robot"][-3:])
 
 
-@pytest.mark.parametrize("number", [None, signal.SIGSTOP, signal.SIGKILL])
+@pytest.mark.parametrize("number", [None, signal.SIGSTOP])
 def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
     """Regression: it stopped nothing while a run, good or suspended, had the port."""
     emulator, settings = lab()
@@ -199,16 +184,14 @@ def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
         emulator.wait_for("moving")
         if number:
             run.send_signal(number)
-        if number is signal.SIGKILL:
-            run.wait(PATIENCE_S)
         done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio"))
         code = run.wait(PATIENCE_S)
     finally:
         run.kill()
         run.wait()
     assert done.returncode == 0, done.stderr
-    assert code in ((-9,) if number is signal.SIGKILL else (1, 130))
-    assert (f"process {run.pid} (" in done.stdout) == (number is not signal.SIGKILL)
+    assert code in (1, 130)
+    assert f"process {run.pid} (" in done.stdout
     _, record = emulator.end()
     last = [e for e in record if e["event"] == "robot"][-3:]
     assert len(last) == 3

@@ -4,22 +4,14 @@ time over the lab's whole wires."""
 import contextlib
 import json
 
-import numpy as np
 import pytest
 from support.cli import tetractl
 from support.lab_processes import SPEC, flags
 from support.virtual_play import virtual_lab
 
-from tetractl.core.clock import VirtualClock
 from tetractl.emulate.script import parse_script
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import calibrated, on_plant
-from tetractl.lab.actuators.m3pi.broadcast import Flag, decode_command
-from tetractl.lab.actuators.xbee.framing import Decoder
-from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
-from tetractl.lab.cameras.optitrack.replay import replay_cameras
-from tetractl.lab.cobs import Splitter
-from tetractl.log.format.wire import read_wire
 from tetractl.log.read.reader import read_trial
 
 UNEVEN = """
@@ -64,6 +56,26 @@ def test_check_says_ready_and_moves_nothing(lab, tmp_path):
     assert 100 < found["camera_rate_hz"] < 140
     assert 0 < found["latency_ms"]["p50"] <= found["latency_ms"]["max"]
     assert emulated.events("run") == []
+
+
+@pytest.mark.parametrize(
+    ("actuator", "says"),
+    [
+        ("hardware: 0x7F44", "the module (HV 7F44, VR 10EC) is not known here: does it run 802"),
+        ("explicit: true", "frames of type 0x91, which are not read: set AO in it to 0 or 2"),
+    ],
+)
+def test_check_says_what_is_odd_of_the_radio(lab, tmp_path, actuator, says):
+    emulated = lab(f"about: an odd radio\nemulation: {{actuator: {{{actuator}}}}}")
+    command = ("lab", "check", str(SPEC), *flags(emulated.settings))
+    done = tetractl(tmp_path, *command)
+    assert done.returncode == 1
+    assert says in done.stdout
+    if "hardware" in actuator:
+        assert "not answered: add --yes where nobody can be asked" in done.stderr
+        done = tetractl(tmp_path, *command, "--yes")
+        assert done.returncode == 0, done.stdout
+        assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
 
 
 def test_check_says_who_is_off_and_how_far(lab, tmp_path):
@@ -128,9 +140,6 @@ def test_bad_usage_is_one_clear_line(tmp_path, words, code, says):
 
 
 def test_lab_options_of_run_are_checked(tmp_path):
-    done = tetractl(tmp_path, "run", str(SPEC), "--record-wire", "wire")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "a simulation has no wire" in done.stderr
     done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--jobs", "2")
     assert done.returncode == 2
     assert "one trial at a time" in done.stderr
@@ -205,41 +214,3 @@ def attachment(path, name):
     with path.open("rb") as file:
         (found,) = [a for a in make_reader(file).iter_attachments() if a.name == name]
         return found.data.decode()
-
-
-def test_a_recorded_wire_gives_the_same_poses_and_commands_again(lab, tmp_path):
-    settings = lab().settings
-    words = ("--plant", "lab", "--yes", "--out", "logs", "--record-wire", "wire", *flags(settings))
-    done = tetractl(tmp_path, "run", str(SPEC), *words)
-    assert done.returncode == 0, done.stderr
-    trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
-    passages = list(read_wire(tmp_path / "wire" / "trial-000.wire"))
-
-    loaded = on_plant(load_spec(SPEC, settings), "lab").experiment
-    seen = {}
-    camera = OptitrackCamera(loaded.plant.camera, loaded.setup, VirtualClock())
-    stream = camera.stream
-    stream._on_frame = lambda frame: seen.setdefault(frame.number, frame)
-    replay_cameras(passages, stream)
-    assert stream.counts.bad == 0
-    for number, sampled_ns, poses in zip(trial.frames, trial.mocap_ns, trial.mocap, strict=True):
-        again = seen[number]
-        assert again.sampled_ns == sampled_ns
-        np.testing.assert_array_equal([(p.x, p.y) for p in again.poses], poses[:, :2])
-
-    decoder, splitter = Decoder(), Splitter()
-    frames = [
-        decode_command(cut)
-        for passage in passages
-        if passage.wire == "radio" and not passage.received
-        for frame in decoder.feed(passage.data)
-        if hasattr(frame, "destination")
-        for cut in splitter.feed(frame.data)
-    ]
-    driven = [frame for frame in frames if frame.flags & Flag.RUN]
-    moves = [command for command in trial.commands if command.direction is not None]
-    assert len(driven) == len(moves)
-    plant = on_plant(load_spec(SPEC, settings), "lab").experiment.plant
-    for frame, command in zip(driven, moves, strict=True):
-        left = [pair[0] * plant.actuator.robots[0].left.gain_mm for pair in frame.wheels]
-        np.testing.assert_allclose(command.left, left, rtol=1e-9)

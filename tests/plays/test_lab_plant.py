@@ -8,10 +8,10 @@ from support.virtual_play import virtual_lab
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.errors import AbortError
-from tetractl.core.operators import Operators
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
-from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import Origin
 from tetractl.plant.lab import LabPlant
 
 DIRECTIONS = (0.5, -0.4, 0.6)
@@ -23,12 +23,12 @@ def make(tmp_path):
     made = []
     with virtual_lab(tmp_path) as lab:
 
-        def plant(*sets, operators=None):
+        def plant(*sets, supervision=None):
             experiment = on_plant(load_spec(SPEC, (*lab.settings, *sets)), "lab").experiment
             clock = experiment.plant.clock()
             seed = np.random.SeedSequence(1)
-            operators = operators or Operators()
-            made.append(experiment.plant.build(experiment.setup, clock, seed, operators))
+            supervision = supervision or LabSupervision()
+            made.append(experiment.plant.build(experiment.setup, clock, seed, supervision))
             return made[-1], clock, experiment
 
         yield plant
@@ -74,7 +74,7 @@ def test_one_run_keeps_every_promise(make):
     assert [command.direction for command in commands] == list(DIRECTIONS)
     others = [item for item in news if isinstance(item, Command)]
     told = sorted((*commands, *others), key=lambda command: command.sent_ns)
-    assert len({command.sent_ns for command in told}) == len(told), "each is told once"
+    assert len({command.sent_ns for command in told}) == len(told), "each is sent once"
     assert len(others) > len(commands), "the inner loop sends between the control steps"
     for command in told:
         assert command.left.shape == command.right.shape == (count,)
@@ -83,7 +83,7 @@ def test_one_run_keeps_every_promise(make):
     assert not stop.left.any()
     stops = [command for command in others if command.direction is None]
     assert len(stops) >= 10
-    assert verdict.unrest == ""
+    assert verdict.not_at_rest == ""
     last = samples[-1].observation.poses
     assert np.abs(last.array() - verdict.final.array()).max() < 0.5
     assert np.hypot(*(verdict.final.xy - starts).T).max() > 30
@@ -102,11 +102,11 @@ def test_stop_and_close_need_no_open(make):
 
 
 def test_the_operators_stop_ends_every_call(make):
-    operators = Operators()
-    plant, clock, _ = make(operators=operators)
+    supervision = LabSupervision()
+    plant, clock, _ = make(supervision=supervision)
     plant.open()
     plant.steer(0.5)
-    operators.emergency.set()
+    supervision.emergency.set()
     with pytest.raises(AbortError, match="emergency stop by the operator"):
         for _ in range(3):
             clock.sleep_until(clock.now() + PERIOD)
@@ -114,7 +114,7 @@ def test_the_operators_stop_ends_every_call(make):
     with pytest.raises(AbortError, match="emergency stop by the operator"):
         plant.steer(0.0)
     assert plant.stop().direction is None
-    assert plant.settle().unrest == "emergency stop by the operator"
+    assert plant.settle().not_at_rest == "emergency stop by the operator"
 
 
 def test_a_port_that_is_not_there_refuses(make, tmp_path):

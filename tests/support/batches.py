@@ -10,8 +10,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.read.origin import Origin
-from tetractl.log.read.trial_log import ResultSummary
+from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.batch import Batch, Damaged
 from tetractl.results.describe import Group, describe
 

@@ -1,6 +1,6 @@
 """The same trials on the simulated bench and in the emulated lab, to be compared.
 
-Both have one controller at 20 Hz that is told the dead time and neither identifies nor goes round,
+Both have one controller at 20 Hz that is given the dead time and neither identifies nor goes round,
 so that nothing hides what went wrong, and what the emulated lab has of the bench: its latencies,
 radio, packet loss, counts, lag, gains, radii, start errors and planning times, each trial's drawn
 from the same distributions. The emulated camera errs in nothing and loses nothing and the emulated
@@ -18,7 +18,7 @@ from support.virtual_lab import Busy, VirtualLab, virtual_lab
 
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
-from tetractl.core.operators import Operators
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import Result
 from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
@@ -112,7 +112,7 @@ def bench_trial(spec: LoadedSpec, trial: int) -> Path:
     experiment = spec.experiment
     clock = experiment.plant.clock()
     key, seed = trial_seeds(experiment.trials.seed, trial)
-    plant = experiment.plant.build(experiment.setup, clock, seed, Operators())
+    plant = experiment.plant.build(experiment.setup, clock, seed, LabSupervision())
     return _run(spec, trial, plant, build_controller(experiment, key), clock, True)
 
 

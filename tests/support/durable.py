@@ -32,7 +32,7 @@ from tetractl.core.clock import MonotonicClock
 from tetractl.control.build import build_controller, warm_up
 from tetractl.core.trial import EPOCH_NS, Start
 from tetractl.log.write.writer import LogWriter
-from tetractl.core.operators import Operators
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.commands import PlantInfo
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
@@ -48,7 +48,7 @@ with interrupt.watch(), writer:
     clock = MonotonicClock()
     print(time.monotonic_ns(), flush=True)
     start = start_of(spec, 0, PlantInfo("", True, 0.0, {}), EPOCH_NS)
-    plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, Operators())
+    plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, LabSupervision())
     controller = build_controller(spec.experiment, key)
     stand = spec.experiment.controller.first_plan
     result = Trial(start, plant, controller, stand, clock, [writer], interrupt).run()

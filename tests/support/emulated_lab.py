@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tetractl.emulate.lab import EmulatedLab
+from tetractl.emulate.loop import Loop
 from tetractl.emulate.script import NOTHING, parse_script
 from tetractl.emulate.sides import Options
 from tetractl.experiment.load import parse_spec
@@ -61,19 +62,20 @@ APRILTAG = """lab:
 APRILTAG_SPEC = SPEC[: SPEC.index("lab:")] + APRILTAG + SPEC[SPEC.index("  actuator:") :]
 
 
-def emulated(folder, *sets, script=NOTHING, tell=None, spec=SPEC, **options):
+def emulated(folder, *sets, script=NOTHING, tell=None, spec=SPEC, make_loop=Loop, **options):
     """Return an EmulatedLab, not yet entered; `script` may be YAML."""
     loaded = parse_spec(spec, "emulated.yaml", sets)
     lab = lab_of(loaded.experiment, loaded.name)
     if isinstance(script, str):
-        script = parse_script("about: a test\n" + script, "script.yaml")
+        types = lab.camera.type, lab.actuator.type
+        script = parse_script("about: a test\n" + script, "script.yaml", *types)
     chosen = replace(
         Options(command_port=0, data_port=0, link=Path(folder) / "radio"),
         record=Path(folder) / "record.jsonl",
         **options,
     )
     extra = {} if tell is None else {"report": tell}
-    return EmulatedLab(lab, loaded.experiment.setup, script, chosen, **extra)
+    return EmulatedLab(lab, loaded.experiment.setup, script, chosen, make_loop=make_loop, **extra)
 
 
 def turn_until(lab, condition, turns=20_000):

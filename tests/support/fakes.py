@@ -89,7 +89,7 @@ class FakeController:
         self.happenings, self.left, self.outcome = happenings, steps, outcome
         self.seen: list[Observation] = []
 
-    def plan(self, observation):
+    def plan(self, observation, last_command=None, earlier=()):
         self.happenings.note("plan")
         self.seen.append(observation)
         if self.left == 0:
@@ -99,12 +99,9 @@ class FakeController:
         search = Search(2, signals, 1.0, np.array([1.0]), 5, "iterations")
         return Plan(signals, np.zeros((3, 3, 3)), 1.0, 1.0, 0.0, (search,), 0, 7)
 
-    def sent(self, command):
-        pass
-
 
 class FakeObserver:
-    """Keeps what it is told."""
+    """Keeps the commands it receives."""
 
     def __init__(self, happenings, name="log"):
         self.happenings, self.name = happenings, name

@@ -5,8 +5,10 @@ import re
 from pathlib import Path
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from support.lab_processes import camera_of
 from support.paths import ROOT
 
+from tetractl.emulate.script import load_script
 from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial
@@ -14,6 +16,17 @@ from tetractl.log.read.salvage import scan
 from tetractl.replay.audit import audit
 
 SCRIPTS = sorted((ROOT / "experiments" / "faults").rglob("*.yaml"))
+
+
+def _in_process(path):
+    if camera_of(path) != "optitrack":
+        return False
+    runner = load_script(path).runner
+    return not (runner.on_mark or runner.second or runner.file_limit)
+
+
+IN_PROCESS = [path for path in SCRIPTS if _in_process(path)]
+"""The scripts that need no process of their own, and no pictures."""
 REACTION_S = 0.1  # on top of a fault's own tolerance, until the stop frame is on the wire
 ROLLING_S = 0.3  # from the stop frame on the wire until the wheels are at rest
 

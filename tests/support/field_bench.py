@@ -1,18 +1,18 @@
-"""A current driver, a section of the spec for it, and time to run it in: real or virtual."""
+"""A current driver, a section of the spec for it, in virtual time."""
 
-import threading
-import time
-from collections import deque
+from unittest import mock
 
+from support.virtual_wires import LabClock, MemoryPort, MemorySerial
+
+from tetractl.core.clock import SECOND
 from tetractl.emulate.field import CurrentDriver
-from tetractl.emulate.loop import Loop, Timeline
-from tetractl.emulate.port import PseudoPort
-from tetractl.lab.actuators.field.core import DriverLimits
+from tetractl.emulate.firmware import DriverLimits
+from tetractl.emulate.loop import Timeline
+from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.actuators.field.protocol import FieldCommand, encode_command
 from tetractl.lab.actuators.field.section import FieldSection
 
 LIMITS = DriverLimits(current_max_ma=2000, slew_ma_s=100_000)
-PATIENCE_S = 10.0
 
 
 def section(**changes):
@@ -29,61 +29,28 @@ def section(**changes):
     return FieldSection.model_validate(basis | changes)
 
 
-def eventually(condition):
-    """Wait until a condition holds, for a bounded time; return whether it does."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.001)
-    return True
-
-
 class Bench:
-    """An emulated driver on a real pseudo-terminal, running in real time in a thread."""
+    """An emulated driver on a port in memory, in virtual time; `told` is what it heard."""
 
-    def __init__(self, folder, limits=LIMITS, baud=115_200):
-        timeline = Timeline(lambda until: self.driver.advance(until), time.monotonic_ns())
-        self.port = PseudoPort(folder / "coils")
-        self.told = []
+    def __init__(self, limits=LIMITS, baud=115_200):
+        self.clock, self.told = LabClock(), []
+        self.clock.timeline = Timeline(lambda until: self.driver.advance(until))
+        self.port = MemoryPort("coils")
         self.driver = CurrentDriver(
-            timeline,
+            self.clock.timeline,
             self.port,
             limits,
             baud,
             tell=lambda event, **facts: self.told.append((event, facts)),
         )
-        self._loop = Loop(timeline, lambda lag: None)
-        self._acts = deque()
-        self._ended = threading.Event()
         self.port.plug()
-        self._loop.watch(self.port.fd, self.driver.readable)
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
+        self.port.written = self.driver.readable
+        self.clock.sleep_until(SECOND // 100)  # it has measured
 
-    def do(self, act):
-        """Call `act` in the emulation's thread and wait for it."""
-        done = threading.Event()
-        self._acts.append(lambda: (act(), done.set()))
-        assert done.wait(PATIENCE_S)
-
-    def unplug(self):
-        def pull():
-            self._loop.forget(self.port.fd)
-            self.port.unplug()
-
-        self.do(pull)
-
-    def close(self):
-        self._ended.set()
-        self._thread.join(PATIENCE_S)
-        self.port.unplug()
-
-    def _run(self):
-        while not self._ended.is_set():
-            while self._acts:
-                self._acts.popleft()()
-            self._loop.turn()
+    def opened(self, setup, **changes):
+        """Return an actuator that leads to the driver."""
+        with mock.patch("tetractl.lab.actuators.field.driver.SerialPort", MemorySerial):
+            return FieldActuator(section(port="coils", **changes), setup, self.clock)
 
 
 class Wire:

@@ -1,7 +1,7 @@
 """The current driver's firmware core once more, in Python, from docs/reference/wires.md."""
 
+from tetractl.emulate.firmware import Event
 from tetractl.lab import cobs
-from tetractl.lab.actuators.field.core import DriverEvent
 from tetractl.lab.actuators.field.protocol import (
     VERSION,
     DriverStatus,
@@ -44,12 +44,12 @@ class Twin:
 
     def judge(self, frame, now_ms):
         try:
-            if cobs.unseal(frame)[0] != 0x53:
-                return DriverEvent.FOREIGN
+            if cobs.checked_payload(frame)[0] != 0x53:
+                return Event.FOREIGN
             command = decode_command(frame)
         except WireError:
             self.rejected = (self.rejected + 1) % 65_536
-            return DriverEvent.REJECTED
+            return Event.REJECTED
         self.received = (self.received + 1) % 65_536
         is_new = self.silent or 1 <= (command.sequence - self.sequence) % 256 <= 127
         runs = FieldFlag.RUN in command.flags
@@ -69,7 +69,7 @@ class Twin:
             self.sequence, self.heard, self.silent = command.sequence, now_ms, False
         if FieldFlag.POLL in command.flags and (is_new or not runs):
             self.reply = command.sequence
-        return DriverEvent.ACCEPTED if is_new else DriverEvent.STALE
+        return Event.ACCEPTED if is_new else Event.STALE
 
     def stop(self):
         self.wished = (0, 0)

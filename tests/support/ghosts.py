@@ -102,8 +102,8 @@ class Ghost:
             stopped = guard.state is GuardState.ABORT
             if stopped and all(robot.standing for robot in self.lab.robots):
                 self.rest_s = self._since_s
-        elif frame := self.lab.eye.newest:
-            self.late += [guard.believed(frame)[i][1] for i in self.who]
+        elif frame := self.lab.plant.rig.frames.newest:
+            self.late += [frame.fresh[i] for i in self.who]
 
     def _off(self, i: int) -> float:
         robot, shown = self.lab.robots[i], self._shown[i]

@@ -111,7 +111,7 @@ class Emulator:
 
 
 class Runner:
-    """`tetractl run --plant lab` in a process, told only addresses and a port's name."""
+    """`tetractl run --plant lab` in a process, given only addresses and a port's name."""
 
     def __init__(self, folder, name, settings):
         self.folder = folder / name

@@ -1,16 +1,17 @@
 """A lab in virtual time: a fake camera and a fake actuator around robots that move by the model."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from support.virtual_wires import LabClock
 
-from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.errors import AbortError
-from tetractl.core.operators import Operators
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab import LabLimits
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact
@@ -22,26 +23,12 @@ CAMERA_HZ = 120.0
 LATENCY_NS = 5_000_000
 
 
-class SteppedClock(VirtualClock):
-    """Virtual time that goes on in small steps and calls `steps` after each."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.steps: list[Callable[[], None]] = []
-
-    def sleep_until(self, when: int) -> None:
-        while self._now < when:
-            self._now = min(when, self._now + STEP_NS)
-            for step in self.steps:
-                step()
-
-
 @dataclass
 class World:
     """N robots under one held direction; those that are not `moving` stand, `deaf` ones go on."""
 
     setup: Setup
-    clock: SteppedClock
+    clock: LabClock
     direction: float = 0.0
     moving: tuple[bool, ...] = ()
     deaf: set[int] = field(default_factory=set)
@@ -190,22 +177,26 @@ class FakeLab:
     camera: FakeCamera
     actuator: FakeActuator
     world: World
-    clock: SteppedClock
-    operators: Operators
+    clock: LabClock
+    supervision: LabSupervision
 
 
 def fake_lab(setup: Setup, limits: LabLimits | None = None, **actuator: object) -> FakeLab:
-    clock = SteppedClock()
+    clock = LabClock(STEP_NS)
     world = World(setup, clock)
-    camera, moved, operators = FakeCamera(world), FakeActuator(world, **actuator), Operators()
+    camera, moved, supervision = (
+        FakeCamera(world),
+        FakeActuator(world, **actuator),
+        LabSupervision(),
+    )
     rig = Rig(
         camera,
         moved,
         limits or LabLimits(),
         setup,
         clock,
-        operators.emergency,
+        supervision.emergency,
         threaded=False,
     )
     clock.steps.append(rig.loop.step)
-    return FakeLab(LabPlant(rig, operators), camera, moved, world, clock, operators)
+    return FakeLab(LabPlant(rig, supervision), camera, moved, world, clock, supervision)

@@ -1,31 +1,99 @@
 """Datagrams with something of everything, for every protocol version."""
 
 import struct
+from dataclasses import dataclass
 
 import pytest
 
+from tetractl.emulate.optitrack.server_wire import pack_modeldef, packed_body, section, suffix
+from tetractl.lab.cameras.optitrack.cursor import packed, packed_name
+from tetractl.lab.cameras.optitrack.frame import SIZED
 from tetractl.lab.cameras.optitrack.messages import (
     BodyName,
-    Channels,
-    Clutter,
     MessageKind,
     ModelDef,
     NatNetFrame,
     RigidBody,
     Version,
 )
-from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
-from tetractl.lab.cameras.optitrack.wire import datagram, pack_full_frame
+from tetractl.lab.cameras.optitrack.wire import datagram
 
-NUMBERS = "2.5 2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
+NUMBERS = "2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
 VERSIONS = [Version(*map(int, number.split("."))) for number in NUMBERS.split(" ")]
 every_version = pytest.mark.parametrize("version", VERSIONS, ids=str)
+
+
+@dataclass(frozen=True, slots=True)
+class Channels:
+    """A force plate or another device: some samples of each channel."""
+
+    id: int
+    samples: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Clutter:
+    """The rest of a frame, which our client skips."""
+
+    marker_sets: tuple[tuple[str, tuple[tuple[float, float, float], ...]], ...] = ()
+    other_markers: tuple[tuple[float, float, float], ...] = ()
+    body_markers: tuple[tuple[float, float, float], ...] = ()  # of every rigid body, before 3.0
+    skeletons: tuple[tuple[int, tuple[RigidBody, ...]], ...] = ()
+    assets: tuple[
+        tuple[int, tuple[RigidBody, ...], tuple[tuple[float, float, float], ...]], ...
+    ] = ()
+    labelled_markers: tuple[tuple[int, tuple[float, float, float]], ...] = ()
+    force_plates: tuple[Channels, ...] = ()
+    devices: tuple[Channels, ...] = ()
+
+
+def pack_full_frame(frame, version, rest):
+    """Pack a frame with all that a client skips; what the version does not have is left out."""
+
+    def listed(parts):
+        return packed("i", len(parts)) + b"".join(parts)
+
+    def vectors(found):
+        return [packed("3f", *at) for at in found]
+
+    def bodies(found, markers=()):
+        return [packed_body(body, version, markers) for body in found]
+
+    def channels(device):
+        rows = [packed(f"i{len(row)}f", len(row), *row) for row in device.samples]
+        return packed("i", device.id) + listed(rows)
+
+    def labelled(marker, at):
+        error = packed("f", 0.0) if version >= (3, 0) else b""
+        return packed("i3ffH", marker, *at, 0.01, 0) + error
+
+    def asset(number, found, markers):
+        spots = [packed("i3ffHf", 1, *at, 0.01, 0, 0.0) for at in markers]
+        return packed("i", number) + listed(bodies(found)) + listed(spots)
+
+    always = Version(2, 6)
+    sections = (
+        (always, [packed_name(name) + listed(vectors(at)) for name, at in rest.marker_sets]),
+        (always, vectors(rest.other_markers)),
+        (always, bodies(frame.bodies, rest.body_markers)),
+        (
+            always,
+            [packed("i", n) + listed(bodies(b, rest.body_markers)) for n, b in rest.skeletons],
+        ),
+        (SIZED, [asset(*each) for each in rest.assets]),
+        (always, [labelled(*each) for each in rest.labelled_markers]),
+        (Version(2, 9), [channels(plate) for plate in rest.force_plates]),
+        (Version(2, 11), [channels(device) for device in rest.devices]),
+    )
+    parts = [section(found, version) for since, found in sections if version >= since]
+    payload = packed("i", frame.number) + b"".join(parts) + suffix(frame, version)
+    return datagram(MessageKind.FRAME, payload)
 
 
 def full_frame(version):
     """Return a frame with something of every kind."""
     at = (0.5, 0.25, -1.0)
-    body = RigidBody(7, at, (0.0, 0.0, 0.6, 0.8), 0.001, True)
+    body = RigidBody(7, at, (0.0, 0.0, 0.6, 0.8), True)
     clutter = Clutter(
         marker_sets=(("green", (at, at)), ("all", (at,) * 5)),
         other_markers=(at,),
@@ -54,5 +122,5 @@ def full_modeldef(version, awkward=True):
         others.append((4, struct.pack("<i", 2) + text + text + struct.pack("<iii", 0, 0, 1) + text))
     if version >= (4, 1) and awkward:
         others.append((6, b"an asset that is stepped over"))
-    model = ModelDef((BodyName("green", 1), BodyName("blü", 2, 1)))
+    model = ModelDef((BodyName("green", 1), BodyName("blü", 2)))
     return model, datagram(MessageKind.MODELDEF, pack_modeldef(model, version, others, markers=3))

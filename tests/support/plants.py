@@ -103,7 +103,21 @@ DISHES: dict[str, Any] = {
         {"type": "heading-drift", "rate": 0.1},
     ],
 }
-DISTURBANCES |= {"wheels": WHEELS, "wheels, radio and camera": WIRES, "dish": DISHES}
+HURTING: dict[str, Any] = {
+    "disturbances": [
+        {"type": "wander", "a": 0.1, "speed": 0.05},
+        {"type": "battery", "speed": 0.1, "over": 2},
+        {"type": "sticking", "every": 0.3, "duration": 0.1},
+        {"type": "silent-radio", "duration": 0.1, "between": [0, 1]},
+        {"type": "radio", "spread": 0.05},
+    ],
+}
+DISTURBANCES |= {
+    "hurting": HURTING,
+    "wheels": WHEELS,
+    "wheels, radio and camera": WIRES,
+    "dish": DISHES,
+}
 
 RIGS: dict[str, Callable[[int], Rig]] = {
     f"sim, {name}": lambda seed, plant=plant: sim_rig(seed, **plant)

@@ -2,13 +2,11 @@
 
 import random
 import struct
-import tempfile
 from collections.abc import Callable, Sequence
-from functools import cache
-from pathlib import Path
 
 from support.paths import ROOT
 
+from tetractl.emulate.optitrack.server_wire import pack_answer
 from tetractl.experiment.plants import Calibration, calibration_yaml
 from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import frames as xbee
@@ -18,18 +16,14 @@ from tetractl.lab.cameras.optitrack.messages import (
     EchoResponse,
     ModelDef,
     NatNetFrame,
-    Request,
     Response,
     RigidBody,
     ServerInfo,
     Ticks,
     Version,
 )
-from tetractl.lab.cameras.optitrack.stream import UP_AXIS
-from tetractl.lab.cameras.optitrack.wire import pack
-from tetractl.lab.recorder import WireRecorder
 
-VERSIONS = [Version(*v) for v in [(2, 5), (2, 6), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]
+VERSIONS = [Version(*v) for v in [(2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]
 MS = 1_000_000  # ns
 ECHOED_NS = 1990 * MS  # when the ECHO that is answered was sent
 HZ = 10_000_000  # of the server's clock
@@ -51,22 +45,20 @@ def datagrams() -> list[bytes]:
     found = []
     for i, version in enumerate(VERSIONS):
         group = (239, 255, 42, 99)
-        valid = True if version >= (2, 6) else None
-        body = RigidBody(7, (0.5, 0.25, -1.0), (0.0, 0.0, 0.6, 0.8), 0.001, valid)
-        since = {"latency": 0.01} if version < (3, 0) else {}
-        since |= {"timestamp_s": 1.0} if version >= (2, 6) else {}
-        since |= {"precision": (1, 2)} if version >= (4, 1) else {}
+        body = RigidBody(7, (0.5, 0.25, -1.0), (0.0, 0.0, 0.6, 0.8), True)
         parts = [
-            pack(ServerInfo("Motive", (3, 1, 0, 0), (*version, 0, 0), HZ, 1511, True, group)),
-            pack(Response(struct.pack("<f", 120.0))),  # to the odd question
-            pack(Response(struct.pack("<i", 2))),  # to the even one
-            pack(ModelDef((BodyName("green", 7), BodyName("hand", 12))), version),
-            pack(EchoResponse(ECHOED_NS, HZ * 1995 // 1000)),
+            pack_answer(
+                ServerInfo("Motive", (3, 1, 0, 0), (*version, 0, 0), HZ, 1511, True, group)
+            ),
+            pack_answer(Response(struct.pack("<f", 120.0))),  # to the odd question
+            pack_answer(Response(struct.pack("<i", 2))),  # to the even one
+            pack_answer(ModelDef((BodyName("green", 7), BodyName("hand", 12))), version),
+            pack_answer(EchoResponse(ECHOED_NS, HZ * 1995 // 1000)),
         ]
         for k, number in enumerate((1, 2, 4)):
             exposed = HZ * (2490 + 500 * k) // 1000
             ticks = Ticks(exposed, exposed + 1, exposed + 2) if version >= (3, 0) else None
-            parts.append(pack(NatNetFrame(number, (body,), ticks=ticks, **since), version))
+            parts.append(pack_answer(NatNetFrame(number, (body,), ticks=ticks), version))
         found.append(bytes([i]) + b"".join(parts))
         found += [bytes([i]) + part for part in parts[-2:]]
     return found
@@ -91,18 +83,6 @@ def serial_bytes() -> list[bytes]:
 
 def logs() -> list[bytes]:
     return [path.read_bytes() for path in sorted((ROOT / "tests" / "golden").glob("*.mcap"))]
-
-
-@cache
-def wires() -> list[bytes]:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "good.wire")
-        with WireRecorder(path) as recorder:
-            recorder.sent("natnet", 5, pack(Request(UP_AXIS)))
-            for i, data in enumerate(datagrams()[-3:]):
-                recorder.received("natnet", 10 * i, data[1:])
-            recorder.sent("radio", 30, serial_bytes()[0])
-        return [path.read_bytes()]
 
 
 def files(pattern: str) -> Callable[[], list[bytes]]:

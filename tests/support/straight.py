@@ -1,4 +1,4 @@
-"""A controller that is no MPC: every robot is told the bearing of the targets until it arrives.
+"""A controller that is no MPC: every robot receives the bearing of the targets until it arrives.
 
 It stands for what another package may bring: the contract suite runs against it, and so do the
 trial loop, the log and `verify`, none of which knows it.
@@ -34,7 +34,7 @@ class _Straight:
     def __init__(self, section, setup, key):
         self.section, self.setup, self.key, self.k = section, setup, key, 0
 
-    def plan(self, observation):
+    def plan(self, observation, last_command=None, earlier=()):
         setup, period = self.setup, self.section.period
         gaps = observation.poses.distances(setup.targets)
         if (gaps <= self.section.arrival_tolerance).all():
@@ -51,9 +51,6 @@ class _Straight:
         found = Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.ITERATIONS)
         self.k += 1
         return Plan(signals, path, cost, cost, hits, (found,), 0, mix(self.key, self.k - 1))
-
-    def sent(self, command):
-        pass
 
 
 def install(monkeypatch):

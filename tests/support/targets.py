@@ -28,13 +28,10 @@ from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import framing
 from tetractl.lab.cameras.optitrack.messages import Bare, Connect, EchoRequest, MessageKind, Request
-from tetractl.lab.cameras.optitrack.placement import Placement
-from tetractl.lab.cameras.optitrack.pose import UpAxis
-from tetractl.lab.cameras.optitrack.replay import replay_cameras
+from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.errors import WireError
-from tetractl.log.format.wire import read_wire
 from tetractl.log.read.overview import overview
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, read_trial
@@ -250,13 +247,6 @@ def insides() -> list[bytes]:
     return found
 
 
-def wire(data: bytes) -> None:
-    """A file, and what its passages do to a stream."""
-    path = written(data, "any.wire")
-    with only(LogError):
-        replay_cameras(read_wire(path), stream(UpAxis.Z))
-
-
 TARGETS = {
     "spec": Target(spec, seeds.files("*.yaml")),
     "script": Target(script, seeds.files("faults/*.yaml")),
@@ -265,7 +255,6 @@ TARGETS = {
     "inside": Target(inside, insides),
     "natnet": Target(natnet, seeds.datagrams),
     "serial": Target(serial, seeds.serial_bytes),
-    "wire": Target(wire, seeds.wires),
 }
 
 COMMANDS = {

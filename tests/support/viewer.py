@@ -83,7 +83,7 @@ class Viewer:
         return log_ns, self.decode(topic, data)
 
     def state(self, **facts):
-        """Return the first state of the playback that is told so, of those in `all` too."""
+        """Return the first state of the playback that is reported, of those in `all` too."""
         return self.seen(
             lambda got: (
                 isinstance(got, Played)

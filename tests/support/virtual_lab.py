@@ -12,112 +12,24 @@ from dataclasses import dataclass
 
 import numpy as np
 from support.labs import CAMERA_HZ
+from support.virtual_wires import STEP_NS, LabClock, Network, VirtualLoop, virtual_wires
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Health
-from tetractl.core.operators import Operators
-from tetractl.core.plan import Outcome, Plan
+from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import CameraFrame, Observation, Pose
 from tetractl.core.protocols import Controller
+from tetractl.core.supervision import LabSupervision
 from tetractl.emulate.loop import Timeline
-from tetractl.emulate.m3pi.module import ModuleSettings
-from tetractl.emulate.m3pi.radio import EmulatedRadio
 from tetractl.emulate.m3pi.robot import EmulatedRobot
 from tetractl.emulate.m3pi.side import EmulatedM3pi, M3piSettings
 from tetractl.emulate.optitrack.streaming import Streaming
 from tetractl.emulate.sides import Options, Stage
 from tetractl.experiment.experiment import Experiment
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
-from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.inner_loop import IDLE_S
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab import LabPlant
-
-STEP_NS = SECOND // 1000
-
-
-class LabClock(VirtualClock):
-    """Virtual time in steps of a millisecond: the timeline first, then `steps`."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.timeline: Timeline
-        self.steps: list[Callable[[], None]] = []
-
-    def sleep_until(self, when: int) -> None:
-        while self._now < when:
-            self._now = min(when, self._now + STEP_NS)
-            self.timeline.run_to(self._now)
-            for step in self.steps:
-                step()
-
-
-class MemoryPort:
-    """The serial port between our link and the emulated module: bytes in memory."""
-
-    failure: str | None = None
-
-    def __init__(self, clock: LabClock, baud: int) -> None:
-        self._clock, self._baud = clock, baud
-        self._written = b""
-        self.readable: Callable[[], None] = lambda: None
-        self.take: Callable[[bytes, int], None] = lambda data, now: None
-
-    def open(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-    def set_baud(self, baud: int) -> None:
-        self._baud = baud
-
-    def baud(self) -> int:
-        return self._baud
-
-    def read(self) -> bytes:
-        data, self._written = self._written, b""
-        return data
-
-    def write(self, data: bytes) -> int:
-        """From our side."""
-        self._written += data
-        self.readable()
-        return self._clock.now()
-
-
-class ModuleEnd:
-    """The emulated module's end of the port."""
-
-    def __init__(self, port: MemoryPort, clock: LabClock) -> None:
-        self._port, self._clock = port, clock
-
-    def read(self) -> bytes:
-        return self._port.read()
-
-    def baud(self) -> int:
-        return self._port.baud()
-
-    def write(self, data: bytes) -> None:
-        self._port.take(data, self._clock.now())
-
-
-class MemoryLink(Link):
-    """Our link on a port in memory; waiting for an answer lets virtual time go on."""
-
-    def __init__(self, section, clock: LabClock, port: MemoryPort) -> None:
-        super().__init__(section, clock)
-        self._port = port
-        self._clock = clock
-        port.take = self._take
-
-    def open(self, checked: bool = True) -> None:
-        pass
-
-    def wait(self, timeout_s: float) -> None:
-        end = self._clock.now() + round(timeout_s * SECOND)
-        while not self._fresh and self._clock.now() < end:
-            self._clock.sleep_until(self._clock.now() + STEP_NS)
 
 
 class EmulatedEye:
@@ -199,16 +111,18 @@ class Busy:
         self._controller, self._clock, self._rng = controller, clock, rng
         self._least, self._spread, self._planned = least, spread, False
 
-    def plan(self, observation: Observation) -> Plan | Outcome:
-        decided = self._controller.plan(observation)
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        decided = self._controller.plan(observation, last_command, earlier)
         if self._planned:  # the first plan is computed while the robots stand
             seconds = self._least + self._spread * self._rng.random()
             self._clock.sleep_until(self._clock.now() + round(seconds * SECOND))
         self._planned = True
         return decided
-
-    def sent(self, command: Command) -> None:
-        self._controller.sent(command)
 
 
 @dataclass
@@ -239,30 +153,19 @@ def virtual_lab(
     def ignore(*_: object, **__: object) -> None:
         pass
 
-    stage = Stage(lab, setup, clock.timeline, Options(), ignore, ignore, ignore, ignore)
-    robots += EmulatedM3pi(stage, settings).robots
+    stage = Stage(lab, setup, clock.timeline, Options(seed=seed), ignore, ignore, ignore, ignore)
+    with virtual_wires(Network(), clock):
+        side = EmulatedM3pi(stage, settings)
+        actuator = M3piActuator(lab.actuator, setup, clock)
+    side.open(VirtualLoop(clock.timeline, ignore))
+    actuator.link._port.open()
+    actuator.link.open = ignore  # the module on it is not checked
+    side.port.written = side.radio.readable
+    robots += side.robots
     for robot, (x, y, heading) in zip(robots, np.asarray(starts), strict=True):
         robot.place(float(x), float(y), float(heading))
-    section = lab.actuator
-    port = MemoryPort(clock, section.baud)
-    addresses = [section.index(name) + 1 for name in setup.names]
-    radio = EmulatedRadio(
-        clock.timeline,
-        ModuleEnd(port, clock),
-        ModuleSettings(section.baud),
-        robots,
-        addresses,
-        settings.loss,
-        seed,
-        ignore,
-        ignore,
-    )
-    port.readable = radio.readable
-    actuator = M3piActuator(section, setup, clock)
-    actuator.link = MemoryLink(section, clock, port)
-    actuator._protocol._link = actuator.link
-    eye, operators = EmulatedEye(clock, robots, seed, noise), Operators()
-    rig = Rig(eye, actuator, lab.limits, setup, clock, operators.emergency, threaded=False)
+    eye, supervision = EmulatedEye(clock, robots, seed, noise), LabSupervision()
+    rig = Rig(eye, actuator, lab.limits, setup, clock, supervision.emergency, threaded=False)
     due = 0
 
     def turn() -> None:
@@ -272,5 +175,5 @@ def virtual_lab(
             due = clock.now() + round(IDLE_S * SECOND)
             rig.loop.step()
 
-    clock.steps += [radio.poll_answers, turn]
-    return VirtualLab(LabPlant(rig, operators), clock, robots, eye)
+    clock.steps += [side.tick, turn]
+    return VirtualLab(LabPlant(rig, supervision), clock, robots, eye)

@@ -13,16 +13,7 @@ import numpy as np
 from support.cli import tetractl
 from support.lab_processes import SMALL, SPEC, Played, flags
 from support.virtual_lab import Busy
-from support.virtual_wires import (
-    LabClock,
-    MemoryPort,
-    MemorySerial,
-    Network,
-    SocketModule,
-    TrialClock,
-    VirtualClient,
-    VirtualLoop,
-)
+from support.virtual_wires import LabClock, Network, VirtualLoop, virtual_wires
 
 from tetractl.control.build import build_controller
 from tetractl.core.clock import SECOND
@@ -31,17 +22,9 @@ from tetractl.emulate.script import NOTHING
 from tetractl.emulate.sides import Options
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import lab_of
-from tetractl.lab.inner_loop import IDLE_S, InnerLoop
 
 BEFORE_NS = SECOND // 2  # the lab is up that long before anything connects
 AFTER_NS = SECOND  # and is watched for that long after a play
-HOST_CLOCKS = (
-    "tetractl.core.clock",
-    "tetractl.experiment.lab",
-    "tetractl.lab.actuators.m3pi.calibrate",
-    "tetractl.lab.actuators.m3pi.stop",
-    "tetractl.plant.lab",
-)
 
 
 class Lab:
@@ -88,7 +71,15 @@ def virtual_lab(folder, script=NOTHING, sets=(), replace_after=None, plan_s=0.0)
         replace_after=replace_after,
     )
     network, clock = Network(), LabClock()
-    with virtual_wires(network, clock, plan_s):
+
+    def controller(experiment, key):
+        rng = np.random.default_rng(1)
+        return Busy(build_controller(experiment, key), clock, rng, plan_s, 0.0)
+
+    with (
+        virtual_wires(network, clock),
+        mock.patch("tetractl.run.task.build_controller", controller),
+    ):
         setup = loaded.experiment.setup
         emulation = EmulatedLab(lab, setup, script, options, make_loop=VirtualLoop)
         clock.timeline = emulation.timeline
@@ -103,48 +94,3 @@ def virtual_lab(folder, script=NOTHING, sets=(), replace_after=None, plan_s=0.0)
             )
             clock.sleep_until(BEFORE_NS)
             yield found
-
-
-@contextlib.contextmanager
-def virtual_wires(network, clock, plan_s=0.0):
-    """Let the lab's code in this process find these wires and this clock in place of the host's."""
-    VirtualClient.network, VirtualClient.base = network, clock
-    MemoryPort.ports.clear()
-
-    def controller(experiment, key):
-        rng = np.random.default_rng(1)
-        return Busy(build_controller(experiment, key), clock, rng, plan_s, 0.0)
-
-    turns = {}
-
-    def start(loop):
-        due = 0
-
-        def turn():  # as its thread does: at each frame, else every IDLE_S
-            nonlocal due
-            if loop._wake.is_set() or clock.now() >= due:
-                loop._wake.clear()
-                due = clock.now() + round(IDLE_S * SECOND)
-                loop.step()
-
-        turns[id(loop)] = turn
-        clock.steps.append(turn)
-
-    def close(loop):
-        if id(loop) in turns:
-            clock.steps.remove(turns.pop(id(loop)))
-
-    with contextlib.ExitStack() as stack:
-        for name, value in (
-            *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
-            ("tetractl.run.task.build_controller", controller),
-            ("tetractl.lab.cameras.optitrack.camera.NatNetClient", VirtualClient),
-            ("tetractl.lab.cameras.optitrack.client.socket", SocketModule(network)),
-            ("tetractl.emulate.optitrack.motive._bound", network.bound),
-            ("tetractl.emulate.m3pi.side.PseudoPort", MemoryPort),
-            ("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial),
-        ):
-            stack.enter_context(mock.patch(name, value))
-        stack.enter_context(mock.patch.object(InnerLoop, "start", start))
-        stack.enter_context(mock.patch.object(InnerLoop, "close", close))
-        yield

@@ -5,38 +5,54 @@ the emulated module's end of a serial port and a `MemorySerial` ours. What trave
 on real wires, byte for byte.
 """
 
+import contextlib
 import itertools
 import socket
 from collections import deque
 from pathlib import Path
 from typing import ClassVar
+from unittest import mock
 
-from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.clock import SECOND, VirtualClock, wait_for
 from tetractl.core.errors import AbortError
-from tetractl.core.wire_tap import NO_TAP
 from tetractl.emulate.loop import Loop
-from tetractl.lab.cameras.optitrack.client import NatNetClient
+from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.lab.inner_loop import IDLE_S, InnerLoop
 from tetractl.lab.serial_port import PortHeldError
 
 STEP_NS = SECOND // 1000
+PATIENCE_S = 10.0
+HOST_CLOCKS = (
+    "tetractl.core.clock",
+    "tetractl.experiment.lab",
+    "tetractl.lab.actuators.m3pi.calibrate",
+    "tetractl.lab.actuators.m3pi.stop",
+    "tetractl.plant.lab",
+)
 Address = tuple[str, int]
 
 
 class LabClock(VirtualClock):
-    """Virtual time in steps of a millisecond: the timeline first, then each of `steps`."""
+    """Virtual time in steps of a millisecond or else: the timeline first, then each of `steps`."""
 
-    def __init__(self) -> None:
+    def __init__(self, step_ns=None):
         super().__init__()
+        self._step_ns = step_ns
         self.timeline = None
         self.steps = []
 
     def sleep_until(self, when):
         while self._now < when:
-            self._now = min(when, self._now + STEP_NS)
+            self._now = min(when, self._now + (self._step_ns or STEP_NS))
             if self.timeline is not None:
                 self.timeline.run_to(self._now)
             for step in list(self.steps):
                 step()
+
+    def wait(self, condition, patience_s=PATIENCE_S):
+        """Let time pass until a condition holds; return whether it does."""
+        return wait_for(self, condition, patience_s)
 
 
 class TrialClock:
@@ -133,7 +149,7 @@ class MemorySocket:
         self._network.sockets.pop(self._name, None)
 
 
-class VirtualClient(NatNetClient):
+class VirtualCamera(OptitrackCamera):
     """Our NatNet client, turned by the clock in the place of its thread."""
 
     network: Network
@@ -143,10 +159,10 @@ class VirtualClient(NatNetClient):
         super()._open_sockets()
         self.base.steps.append(self._turn)
 
-    def close(self):
+    def __exit__(self, *_):
         if self._turn in self.base.steps:
             self.base.steps.remove(self._turn)
-        super().close()
+        super().__exit__()
 
     def _turn(self):
         self._chores()
@@ -162,6 +178,7 @@ class MemoryPort:
     def __init__(self, link: Path) -> None:
         self.link, self.fd = link, -1
         self.near = None
+        self.written = lambda: None  # is called after every write from the other side
         self._stalled = False
         self._written = b""
 
@@ -193,16 +210,17 @@ class MemoryPort:
         if self._stalled:
             raise TimeoutError
         self._written += data
+        self.written()
 
 
 class MemorySerial:
     """Our end of the port: what `SerialPort` promises, without a thread."""
 
-    def __init__(self, name, baud, device, clock, heard, hint, tap=NO_TAP, wire="serial"):
+    def __init__(self, name, baud, device, clock, heard, hint):
         self.failure = None
         self.bits_a_second = baud
         self._name, self._device, self._hint = name, device, hint
-        self._clock, self._heard, self._tap, self._wire = clock, heard, tap, wire
+        self._clock, self._heard = clock, heard
         self._port = None
 
     def open(self, alone=True):
@@ -220,9 +238,7 @@ class MemorySerial:
             self._port.take(data)
         except TimeoutError:
             raise self._fail(f"takes no more bytes: {self._device} is stuck") from None
-        now = self._clock.now()
-        self._tap.sent(self._wire, now, data)
-        return now
+        return self._clock.now()
 
     def set_baud(self, baud):
         self.bits_a_second = baud
@@ -233,9 +249,7 @@ class MemorySerial:
         self._port = None
 
     def came(self, data):
-        now = self._clock.now()
-        self._tap.received(self._wire, now, data)
-        self._heard(data, now)
+        self._heard(data, self._clock.now())
 
     def gone(self):
         self._fail("is gone: Input/output error")
@@ -244,3 +258,46 @@ class MemorySerial:
     def _fail(self, what):
         self.failure = self.failure or f"the port {self._name} of {self._device} {what}"
         return AbortError(self.failure, self._hint)
+
+
+@contextlib.contextmanager
+def virtual_wires(network, clock):
+    """Let the lab's code in this process find these wires and this clock in place of the host's."""
+    VirtualCamera.network, VirtualCamera.base = network, clock
+    MemoryPort.ports.clear()
+
+    turns = {}
+
+    def start(loop):
+        due = 0
+
+        def turn():  # as its thread does: at each frame, else every IDLE_S
+            nonlocal due
+            if loop._wake.is_set() or clock.now() >= due:
+                loop._wake.clear()
+                due = clock.now() + round(IDLE_S * SECOND)
+                loop.step()
+
+        turns[id(loop)] = turn
+        clock.steps.append(turn)
+
+    def close(loop):
+        if id(loop) in turns:
+            clock.steps.remove(turns.pop(id(loop)))
+
+    with contextlib.ExitStack() as stack:
+        for name, value in (
+            *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
+            ("tetractl.lab.cameras.optitrack.camera.socket", SocketModule(network)),
+            ("tetractl.emulate.optitrack.motive._bound", network.bound),
+            ("tetractl.emulate.m3pi.side.PseudoPort", MemoryPort),
+            ("tetractl.emulate.field_side.PseudoPort", MemoryPort),
+            ("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial),
+            ("tetractl.lab.actuators.field.driver.SerialPort", MemorySerial),
+        ):
+            stack.enter_context(mock.patch(name, value))
+        device = f"{__name__}:VirtualCamera"
+        stack.enter_context(mock.patch.object(OptitrackSection, "device", device))
+        stack.enter_context(mock.patch.object(InnerLoop, "start", start))
+        stack.enter_context(mock.patch.object(InnerLoop, "close", close))
+        yield

@@ -47,7 +47,7 @@ def test_anything_like_what_is_right(name, rng):
 @every_target
 @pytest.mark.parametrize("pattern", [b"{a: ", b"a: &a [*a]\n", b"a\n", b"~\0\5", b"\1", b"\xff"])
 def test_the_same_again_and_again_is_bounded_too(name, pattern):
-    """A count that is believed or a quadratic search would show."""
+    """A count that is trusted or a quadratic search would show."""
     with bounded(LINES, MEGABYTES):
         TARGETS[name].run((pattern * 4096)[:4096])
 
@@ -69,7 +69,7 @@ def test_good_conversations_come_through():
         for seed in datagrams():
             targets.natnet(seed)
     whole = [stream for stream in fed if stream.newest and stream.newest.poses[0]]
-    assert len(whole) == len(targets.VERSIONS) - 1  # 2.5 does not say whether a body is tracked
+    assert len(whole) == len(targets.VERSIONS)
     assert sum(stream.sync is not None and stream.sync.synced for stream in fed) == 4
     assert all(stream.camera_rate_hz == 120 for stream in whole)
 

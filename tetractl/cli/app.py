@@ -3,15 +3,18 @@
 Heavy modules are imported inside the command that needs them, so that `--help` answers at once.
 """
 
+import re
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.cli import (
     analyze,
+    design,
     export,
     identify,
     info,
@@ -27,6 +30,7 @@ from tetractl.cli import (
     rerun,
     run,
     schema,
+    serve,
     stats,
     study,
     track,
@@ -37,8 +41,41 @@ from tetractl.cli import (
 from tetractl.core.errors import Exit, TetractlError
 from tetractl.core.text import printable
 
+PLAIN = (  # what the library says of a bad value, and how the errors of a spec say it
+    ("Input should be a valid integer, unable to parse string as an integer", "is no whole number"),
+    ("Input should be a valid number, unable to parse string as a number", "is no number"),
+    ("Input should be greater than or equal to", "must be at least"),
+    ("Input should be less than or equal to", "must be at most"),
+    ("Input should be", "must be"),
+    ("Value error, ", ""),
+    ("Invalid value for ", ""),
+)
+
+
+class _Plain:
+    """A command whose help shows what to type, and no types of Python's."""
+
+    def get_params(self, ctx: Any) -> Any:
+        found = super().get_params(ctx)  # type: ignore[misc]
+        for one in found:
+            choices = getattr(one.type_descriptor, "choices", None)
+            shown = one.metavar if one.param_type_name == "option" else ""
+            text = shown or ("|".join(map(str, choices)) if choices else "")
+            one.display_type_rich = lambda ctx, text=text: text
+        return found
+
+
+class _Command(_Plain, TyperCommand):
+    pass
+
+
+class _Group(_Plain, TyperGroup):
+    pass
+
+
 app = typer.Typer(
     name="tetractl",
+    cls=_Group,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -64,28 +101,37 @@ def _root(
     """
 
 
-app.command("init")(init.init)
-app.command("run")(run.run)
-app.command("rerun")(rerun.rerun)
-app.command("validate")(validate.validate)
-app.command("schema")(schema.schema)
-app.command("kinds")(kinds.kinds)
-app.command("info")(info.info)
-app.command("recover")(recover.recover)
-app.command("replay")(replay.replay)
-app.command("plot")(plot.plot)
-app.command("report")(report.report)
-app.command("export")(export.export)
-app.command("open")(open_log.open_logs)
-app.command("verify")(verify.verify)
-app.command("what-if")(what_if.what_if)
-app.command("redrive")(redrive.redrive)
-app.command("stats")(stats.stats)
-app.command("analyze")(analyze.analyze)
-app.command("study")(study.study)
-app.command("identify")(identify.identify)
-app.command("track")(track.track)
-app.add_typer(lab.app, name="lab")
+COMMANDS = {
+    "init": init.init,
+    "run": run.run,
+    "rerun": rerun.rerun,
+    "validate": validate.validate,
+    "schema": schema.schema,
+    "kinds": kinds.kinds,
+    "info": info.info,
+    "recover": recover.recover,
+    "replay": replay.replay,
+    "plot": plot.plot,
+    "report": report.report,
+    "export": export.export,
+    "open": open_log.open_logs,
+    "serve": serve.serve,
+    "verify": verify.verify,
+    "what-if": what_if.what_if,
+    "redrive": redrive.redrive,
+    "stats": stats.stats,
+    "analyze": analyze.analyze,
+    "study": study.study,
+    "design": design.design,
+    "identify": identify.identify,
+    "track": track.track,
+}
+for name, function in COMMANDS.items():
+    app.command(name, cls=_Command)(function)
+lab_app = typer.Typer(name="lab", no_args_is_help=True, help=lab.HELP, cls=_Group)
+for name, function in lab.COMMANDS.items():
+    lab_app.command(name, cls=_Command)(function)
+app.add_typer(lab_app)
 
 
 def run_app() -> int:
@@ -98,7 +144,7 @@ def run_app() -> int:
         return error.exit
     except TyperException as error:
         if error.format_message():  # else help was printed, for want of a command
-            complain(error.format_message(), _usage_hint(error))
+            complain(_plainly(error.format_message()), _usage_hint(error))
         return Exit.USAGE
     except (typer.Abort, KeyboardInterrupt):
         complain("interrupted")
@@ -117,6 +163,13 @@ def run_app() -> int:
         complain(f"{where}{error.strerror or error}")
         return Exit.FAILED
     return code if isinstance(code, int) else Exit.DONE
+
+
+def _plainly(message: str) -> str:
+    """Return the library's message on a bad option in the words of a spec's errors."""
+    for theirs, ours in PLAIN:
+        message = message.replace(theirs, ours)
+    return re.sub(r"^'(--?[\w-]+)':", r"\1:", message)
 
 
 def _usage_hint(error: TyperException) -> str | None:

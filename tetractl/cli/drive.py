@@ -31,7 +31,7 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
         need_consent(yes)
     console, store = Console(stderr=True, quiet=not in_lab), LogStore(folder, loaded.experiment)
     with store.opened(False), stoppable(loaded.experiment, console) as interrupt:
-        report = run_trials(loaded, store, [trial], 1, console, interrupt, None, yes)
+        report = run_trials(loaded, store, [trial], 1, console, interrupt, yes)
     for error in report.errors.values():
         raise error
     result = next(iter(report.results.values()), None)

@@ -36,7 +36,7 @@ def init(
     if not NAME.fullmatch(path.stem):
         raise UsageError(
             f"'{printable(name, 80)}' is no name of an experiment",
-            "use up to 64 letters, digits, dots, underscores and hyphens",
+            "use up to 64 of a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
     text = template(path.stem, path.name, cells, lab)
     try:

@@ -1,15 +1,27 @@
 """`tetractl kinds`: what can be named in a spec, a study, a table, a figure or an emulated lab."""
 
-import json
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from tetractl.core.errors import Exit
+from tetractl.core.errors import Exit, UsageError
 
 
 def kinds(
+    check: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODULE:NAME",
+            help="Check a motion, or the section of a shape, optimiser, camera or actuator.",
+        ),
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="FIELD=VALUE", help="With --check: a field of it; may be repeated."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """List every kind there is: optimisers, shapes, cameras, sweeps, statistics, figures and so on.
@@ -17,10 +29,21 @@ def kinds(
     Each line holds the seam, the `type`, the package that provides it, and its code.
     Exits with 2 where an installed package is broken.
 
-    Example: tetractl kinds
+    With --check it tries one that you write: its NumPy functions against its compiled ones and
+    their derivatives, its bounds, and that it repeats. Exits with 1 where something is wrong. A
+    camera is opened if it can be; an actuator is not, and nothing moves.
+
+    Example: tetractl kinds --check pivot:PIVOT
     """
+    if check is None and sets:
+        raise UsageError("--set belongs to --check")
+    return _list(as_json) if check is None else _check(check, sets or [], as_json)
+
+
+def _list(as_json: bool) -> int:
     from tetractl.core.registry import PluginError
-    from tetractl.emulate.kinds import ACTUATORS, CAMERAS
+    from tetractl.core.table.data import json_text
+    from tetractl.emulate.sides import ACTUATORS, CAMERAS
     from tetractl.experiment.kinds import SEAMS
     from tetractl.results.kinds import STATISTICS
     from tetractl.study.kinds import SWEEPS
@@ -46,7 +69,7 @@ def kinds(
             }
             for seam, kind in rows
         ]
-        print(json.dumps({"kinds": listed}, indent=2))
+        print(json_text({"kinds": listed}))
     else:
         for seam, kind in rows:
             package = f"{kind.package} {kind.version}" if kind.package else "built in"
@@ -54,3 +77,31 @@ def kinds(
         for problem in problems.values():
             print(f"error: {problem}", file=sys.stderr)
     return Exit.USAGE if problems else Exit.DONE
+
+
+def _check(code: str, sets: list[str], as_json: bool) -> int:
+    from tetractl.core.table.data import json_text
+    from tetractl.core.text import printable
+    from tetractl.experiment.load import parse_spec
+    from tetractl.experiment.templates import template
+    from tetractl.experiment.yaml.document import frozen, parse_value
+    from tetractl.kind_checks import check_kind
+
+    sys.path.insert(0, "")  # modules here, as `python -m` finds them
+    fields: dict[str, Any] = {}
+    for setting in sets:
+        name, equals, text = setting.partition("=")
+        if not equals:
+            raise UsageError(f"--set {setting}: must be FIELD=VALUE")
+        fields[name] = frozen(parse_value(text, f"--set {setting}", (name,)))
+    setup = parse_spec(template("check", "check", False, False), "check").experiment.setup
+    found = list(check_kind(code, fields, setup))
+    wrong = [finding for finding in found if finding.problem]
+    if as_json:
+        print(json_text({"code": code, "ok": not wrong, "findings": found}))
+    else:
+        for one in found:
+            line = f"WRONG  {one.what}: {one.problem}" if one.problem else f"ok     {one.what}"
+            print(printable(line))
+        print(f"{code}: {len(wrong)} of {len(found)} checks failed")
+    return Exit.FAILED if wrong else Exit.DONE

@@ -18,17 +18,11 @@ if TYPE_CHECKING:
     from tetractl.experiment.lab import LabSection
     from tetractl.lab.actuators.xbee.section import XbeeSection
 
-app = typer.Typer(
-    name="lab",
-    no_args_is_help=True,
-    help="Check, calibrate, stop or emulate the lab of a spec.",
-)
-app.command("emulate")(lab_emulate.emulate)
+HELP = "Check, calibrate, stop or emulate the lab of a spec."
 
 Spec = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")]
 
 
-@app.command()
 def check(
     spec: Spec,
     sets: Sets = None,
@@ -71,7 +65,6 @@ def _agreed(questions: "Sequence[str]") -> bool:
     return all(typer.confirm(question, err=True) for question in questions)
 
 
-@app.command()
 def stop(
     spec: Annotated[
         Path | None, typer.Argument(metavar="SPEC", help="The experiment, for its actuator.")
@@ -89,7 +82,7 @@ def stop(
 
     m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
     3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
-    --port. Needs no camera. A run that has the port is ended: stops are sent beside it, it is
+    --port. Needs no camera. A run that has the port is ended: stops are sent past it, it is
     asked twice to end, then killed. Exit code 1 where another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
@@ -114,7 +107,6 @@ def stop(
     return Exit.DONE
 
 
-@app.command()
 def calibrate(
     spec: Spec,
     sets: Sets = None,
@@ -205,3 +197,11 @@ def _xbee(port: str, baud: int, mode: str) -> "XbeeSection":
         details = error.errors()[0]
         message = words(details, details["input"])
         raise UsageError(f"--{details['loc'][0]}: {message}") from None
+
+
+COMMANDS = {
+    "emulate": lab_emulate.emulate,
+    "check": check,
+    "stop": stop,
+    "calibrate": calibrate,
+}

@@ -1,10 +1,9 @@
-"""What a run adds in the lab: the operator's stop, placing the robots, recording the wire."""
+"""What a run adds in the lab: the operator's stop, placing the robots."""
 
 import gc
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -12,9 +11,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from tetractl.core.operators import Operators
     from tetractl.core.protocols import Observer
-    from tetractl.core.wire_tap import Tap
+    from tetractl.core.supervision import LabSupervision
     from tetractl.run.batch import Report, TrialStore
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.task import Task
@@ -27,7 +25,6 @@ def run_in_lab(
     console: "Console",
     interrupt: "Interrupt",
     live: bool,
-    record: Path | None,
     yes: bool,
     served: "Sequence[Observer]" = (),
     unattended: bool = False,
@@ -39,11 +36,10 @@ def run_in_lab(
     """
     from rich.console import Console
 
-    from tetractl.core.operators import Operators
-    from tetractl.lab.recorder import WireRecorder
+    from tetractl.core.supervision import LabSupervision
     from tetractl.run.batch import run_batch
     from tetractl.run.executors import Here
-    from tetractl.view.terminal.lab_watch import LabWatch, TerminalAttendant
+    from tetractl.view.terminal.lab_watch import LabWatch, TerminalPrompt
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
     quiet, console = console, Console(stderr=True)  # what concerns safety is always said
@@ -52,27 +48,13 @@ def run_in_lab(
         says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
         console.print(says, style="bold", highlight=False)
         watch = LabWatch(console, quiet, unit, live and key.listening)
-        attendant = None if yes or not key.listening else TerminalAttendant(console, entered)
+        prompt = None if yes or not key.listening else TerminalPrompt(console, entered)
 
         @contextmanager
-        def operators(trial: int) -> "Iterator[Operators]":
-            with ExitStack() as stack:
-                tap = _recorder(stack, record, trial)
-                yield Operators(emergency, attendant, tap, lambda: interrupt.requested)
-                if isinstance(tap, WireRecorder) and tap.error:
-                    console.print(f"{tap.path}: recording ended: {tap.error}", highlight=False)
+        def supervision(trial: int) -> "Iterator[LabSupervision]":
+            yield LabSupervision(emergency, prompt, lambda: interrupt.requested)
 
         gc.collect()
         gc.freeze()  # so that collecting what was imported never delays the inner loop
-        executor = Here(interrupt, [watch, *served], operators)
+        executor = Here(interrupt, [watch, *served], supervision)
         return run_batch(tasks, store, executor, watch, fail_fast=True)
-
-
-def _recorder(stack: ExitStack, folder: Path | None, trial: int) -> "Tap":
-    from tetractl.core.wire_tap import NO_TAP
-    from tetractl.lab.recorder import WireRecorder
-
-    if folder is None:
-        return NO_TAP
-    folder.mkdir(parents=True, exist_ok=True)
-    return stack.enter_context(WireRecorder(folder / f"trial-{trial:03d}.wire"))

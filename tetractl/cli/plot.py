@@ -74,8 +74,8 @@ def _film(logs: list[Path], output: Path | None) -> int:
     from rich.progress import Progress
 
     from tetractl.log.read.reader import read_trial
+    from tetractl.view.film import check_file, write_video
     from tetractl.view.terminal.damage import warn_of_damage
-    from tetractl.view.video.files import check_file, write_video
 
     if len(logs) > 1:
         raise UsageError(f"a film shows one trial, not {len(logs)}", "give one log")

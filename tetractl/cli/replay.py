@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.serving import Port, Serve, play_served, served_replay, wanted_port
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -33,8 +32,6 @@ def replay(
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     paused: Annotated[bool, typer.Option("--paused", help="Wait for a key at first.")] = False,
-    serve: Serve = False,
-    port: Port = None,
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
@@ -46,8 +43,6 @@ def replay(
 
     Without a terminal it prints one line a control step and event.
 
-    With --serve a viewer plays, pauses, seeks and sets the rate as the keys do, until q or Ctrl-C.
-
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
     from tetractl.core.clock import MonotonicClock
@@ -55,27 +50,13 @@ def replay(
 
     if rate is not None and not 0 < rate < float("inf"):
         raise UsageError(f"--rate must be above 0, and is {rate:g}")
-    served_port = wanted_port(serve, port)
     paths, wall = find_logs(logs), MonotonicClock()
-    screen = _is_terminal()
-    if served_port is not None and len(paths) > 1:
-        raise UsageError("--serve takes one log")
-    if paused and not screen and served_port is None:
+    screen = is_terminal()
+    if paused and not screen:
         raise UsageError("--paused needs a terminal: there are no keys to go on with")
     if loop and not screen and len(paths) > 1:
         raise UsageError("--loop without a terminal needs one log: the others would never come")
     try:
-        if served_port is not None:
-            served = served_replay(
-                paths[0],
-                wall,
-                (start, until),
-                rate=rate or 1.0,
-                loop=loop,
-                paused=paused,
-                port=served_port,
-            )
-            return play_served(served, wall, screen)
         if screen:
             return _on_screen(paths, wall, (start, until), rate or 1.0, loop, paused)
         return _as_text(paths, wall, (start, until), rate, loop)
@@ -150,7 +131,8 @@ def _as_text(
     return Exit.FAILED if damaged else Exit.DONE
 
 
-def _is_terminal() -> bool:
+def is_terminal() -> bool:
+    """Whether a person at a terminal can press keys and see a screen."""
     import os
 
     dumb = os.environ.get("TERM", "dumb") in ("dumb", "unknown", "")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.core.errors import Exit, LogError
+from tetractl.core.errors import Exit
 
 
 def report(
@@ -32,6 +32,7 @@ def report(
     from rich.console import Console
     from rich.progress import Progress
 
+    from tetractl.core.files import save_whole
     from tetractl.report import page
 
     console = Console(stderr=True)
@@ -40,10 +41,7 @@ def report(
         html, unread = page.report(
             logs, title, lambda done, total: bar.update(task, completed=done, total=total)
         )
-    try:
-        output.write_text(html, encoding="utf-8")
-    except OSError as error:
-        raise LogError(f"{output}: cannot write the page: {error.strerror}") from error
+    save_whole(output, html.encode())
     for problem in unread:
         print(f"warning: {problem}", file=sys.stderr)
     print(output)

@@ -13,7 +13,6 @@ from tetractl.cli.trials import (
     Out,
     PlantChoice,
     Quiet,
-    RecordWire,
     Unattended,
     run_command,
 )
@@ -33,7 +32,6 @@ def rerun(
     quiet: Quiet = False,
     serve: Serve = False,
     port: Port = None,
-    record_wire: RecordWire = None,
     json: Json = False,
 ) -> int:
     """Run the trial of a log again, with the spec and seed in the log, and compare the two logs.
@@ -56,7 +54,6 @@ def rerun(
         dry_run=dry_run,
         quiet=quiet,
         yes=yes,
-        record_wire=record_wire,
         port=wanted_port(serve, port),
         json=json,
         unattended=unattended,

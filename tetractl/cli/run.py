@@ -14,7 +14,6 @@ from tetractl.cli.trials import (
     Out,
     PlantChoice,
     Quiet,
-    RecordWire,
     Unattended,
     run_command,
 )
@@ -24,10 +23,12 @@ from tetractl.core.errors import UsageError
 def run(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
     trials: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of trials.  \\[spec: trials.count]")
+        int | None,
+        typer.Option(min=1, metavar="N", help="Number of trials.  \\[spec: trials.count]"),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="S", help="Root seed.  \\[spec: trials.seed]")
+        int | None,
+        typer.Option(min=0, metavar="S", help="Root seed.  \\[spec: trials.seed]"),
     ] = None,
     sets: Sets = None,
     plant: Annotated[
@@ -48,7 +49,6 @@ def run(
     quiet: Quiet = False,
     serve: Serve = False,
     port: Port = None,
-    record_wire: RecordWire = None,
     json: Json = False,
 ) -> int:
     """Run the trials of an experiment, log each to DIR/trial-000.mcap ..., print the statistics.
@@ -84,7 +84,6 @@ def run(
         dry_run=dry_run,
         quiet=quiet,
         yes=yes,
-        record_wire=record_wire,
         port=wanted_port(serve, port),
         json=json,
         unattended=unattended,

@@ -1,22 +1,24 @@
-"""What `--serve` adds to a command: a live WebSocket for Foxglove and Lichtblick."""
+"""What commands that serve a trial share: a live WebSocket for Foxglove and Lichtblick."""
 
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
+from urllib.parse import urlencode
 
 import typer
 
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from tetractl.core.clock import Clock
     from tetractl.core.protocols import Observer
-    from tetractl.serve.recorded import ServedReplay
+    from tetractl.serve.server import LoopbackServer
 
 PORT = 8765
-"""Where Foxglove and Lichtblick look for a WebSocket unless told otherwise."""
+"""Where Foxglove and Lichtblick look for a WebSocket by default."""
+LICHTBLICK = "http://localhost:8080"
+"""Where Lichtblick answers when it is started on this machine as its manual says."""
 
 Serve = Annotated[
     bool,
@@ -33,6 +35,10 @@ Port = Annotated[
         help=f"With --serve: its TCP port; 0 is any that is free.  \\[{PORT}]",
     ),
 ]
+Browser = Annotated[bool, typer.Option(help="Open the browser; otherwise only print the address.")]
+Viewer = Annotated[
+    str, typer.Option("--lichtblick", metavar="URL", help="Where Lichtblick is started.")
+]
 
 
 def wanted_port(serve: bool, port: int | None) -> int | None:
@@ -48,66 +54,57 @@ def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
     if port is None:
         yield []
         return
-    with _extra():
-        from tetractl.serve.server import ViewerServer
+    with websockets_needed():
+        from tetractl.serve.live import Viewers
     from tetractl.core.clock import MonotonicClock
     from tetractl.serve.running import ServedRun
+    from tetractl.serve.server import LoopbackServer
 
-    with ViewerServer(name, port) as server:
-        print(f"served at {server.url}", file=sys.stderr)
-        yield [ServedRun(server, MonotonicClock())]
-
-
-def served_replay(
-    path: Path,
-    wall: "Clock",
-    seconds: tuple[float, float | None],
-    *,
-    rate: float = 1.0,
-    loop: bool = False,
-    paused: bool = False,
-    port: int,
-    viewer: str = "",
-) -> "ServedReplay":
-    """Return a log being served, with a player of the span `seconds` of its trial.
-
-    `viewer` is the address of a viewer whose page may read it, beside those always known.
-    """
-    with _extra():
-        from tetractl.serve.recorded import ServedReplay
-    from tetractl.log.read.reader import trial_of
-    from tetractl.log.read.salvage import scan
-    from tetractl.replay.player import Player, span
-    from tetractl.replay.recording import Recording
-    from tetractl.view.terminal.damage import warn_of_damage
-
-    contents = scan(path)
-    recording = Recording(trial_of(contents))
-    played = span(recording, *seconds)
-    warn_of_damage(recording.log)
-    player = Player(recording, wall, played, rate=rate, loop=loop, paused=paused)
-    return ServedReplay(contents, player, port, viewer)
+    viewers = Viewers(name)
+    with LoopbackServer(port, live=viewers) as server:
+        print(f"served at {server.live_url}", file=sys.stderr)
+        yield [ServedRun(viewers, MonotonicClock())]
 
 
-def play_served(served: "ServedReplay", wall: "Clock", screen: bool) -> int:
-    """Play until q or Ctrl-C is pressed, on the terminal too where there is a `screen`."""
-    with served.server:
-        print(f"served at {served.server.url}", flush=True)
-        if screen:
-            from rich.console import Console
+def print_forwarding(server: "LoopbackServer") -> None:
+    """Print how to end a server, and how to reach it from another machine."""
+    print("Ctrl-C ends it; over ssh, forward the port:", file=sys.stderr)
+    print(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST", file=sys.stderr)
 
-            from tetractl.view.terminal.replay_screen import play
 
-            note = f"served at {served.server.url}"
-            if play(Console(), served.player, follow=served.follow, note=note):
-                return Exit.INTERRUPTED
-        else:
-            served.play(wall)
-    return Exit.FAILED if served.player.recording.log.damage else Exit.DONE
+def link(viewer: str, kind: str, address: str) -> str:
+    """Return the address that opens a source of data, of a kind and at an address, in a viewer."""
+    return f"{viewer.rstrip('/')}/?{urlencode({'ds': kind, 'ds.url': address})}"
+
+
+def layout_of(logs: list[Path]) -> bytes:
+    """Return the viewer's layout for the first log that can be read."""
+    from contextlib import suppress
+
+    from tetractl.core.errors import LogError
+    from tetractl.log.format.layout import layout
+    from tetractl.log.read.reader import read_result
+
+    for log in logs:
+        with suppress(LogError):
+            return layout(read_result(log).experiment.setup).encode()
+    return b"{}"
+
+
+def answers(url: str) -> bool:
+    """Whether a web server answers at an address within a second."""
+    from http.client import HTTPException
+    from urllib.request import urlopen
+
+    try:
+        with urlopen(url, timeout=1):
+            return True
+    except (OSError, ValueError, HTTPException):
+        return False
 
 
 @contextmanager
-def _extra() -> Iterator[None]:
+def websockets_needed() -> Iterator[None]:
     """Turn the failed import of an extra that is not installed into a UsageError."""
     try:
         yield

@@ -46,12 +46,6 @@ DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Print the spec, its limits and what would be run.")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no progress.")]
-RecordWire = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR", help="Lab only: keep every datagram and serial byte of each trial here."
-    ),
-]
 Unattended = Annotated[
     bool,
     typer.Option(
@@ -75,7 +69,6 @@ def run_command(
     dry_run: bool,
     quiet: bool,
     yes: bool,
-    record_wire: Path | None,
     port: int | None,
     json: bool,
     unattended: bool,
@@ -93,8 +86,6 @@ def run_command(
     in_lab = not experiment.plant.simulated
     if in_lab and jobs > 1:
         raise UsageError("--jobs: the lab runs one trial at a time")
-    if record_wire is not None and not in_lab:
-        raise UsageError("--record-wire: a simulation has no wire", "add --plant lab")
     if unattended and not (in_lab and yes):
         raise UsageError("--unattended: only the lab has robots to watch", "add --plant lab --yes")
     check(experiment)
@@ -113,9 +104,7 @@ def run_command(
         stoppable(experiment, console, unattended) as interrupt,
     ):
         todo = todo if only is None else [only]
-        report = run_trials(
-            loaded, store, todo, jobs, console, interrupt, record_wire, yes, served, unattended
-        )
+        report = run_trials(loaded, store, todo, jobs, console, interrupt, yes, served, unattended)
         return _conclude(report, todo, folder, interrupt.requested, json), folder
 
 
@@ -147,7 +136,6 @@ def run_trials(
     jobs: int,
     console: "Console",
     interrupt: "Interrupt",
-    record_wire: Path | None,
     yes: bool,
     served: "Sequence[Observer]" = (),
     unattended: bool = False,
@@ -166,9 +154,7 @@ def run_trials(
         from tetractl.cli.lab_run import run_in_lab
 
         unit = loaded.experiment.units.length
-        return run_in_lab(
-            tasks, store, unit, console, interrupt, live, record_wire, yes, served, unattended
-        )
+        return run_in_lab(tasks, store, unit, console, interrupt, live, yes, served, unattended)
     if live:
         from tetractl.view.terminal.live import LiveView
 

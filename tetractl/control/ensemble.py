@@ -12,7 +12,7 @@ the parameters here are therefore this module's, and obstacles play no part in i
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import ClassVar, Literal
 
@@ -79,7 +79,12 @@ class Ensemble:
         self._turned = 0.0  # since the field was switched on [rad]
         self._k = 0
 
-    def plan(self, observation: Observation) -> Plan | Outcome:
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome:
         """Rotate the field on, or switch it off, or end the trial."""
         section = self.section
         problem = replace(self._problem, poses=self._when_acting(observation))
@@ -105,9 +110,6 @@ class Ensemble:
         self._acting.append((observation.sampled_ns + self._delay_ns, plan.direction))
         self._k += 1
         return plan
-
-    def sent(self, command: Command) -> None:
-        """Take no note: what was decided on a frame acts the dead time after it."""
 
     def _turn(self, problem: Problem) -> None:
         """Turn the field on; it begins where the robots head on the whole."""

@@ -15,6 +15,7 @@ from tetractl.control.evidence import Evidence
 from tetractl.control.identify import Prior
 from tetractl.control.losses import Arrivals
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.problem import Problem
@@ -64,8 +65,11 @@ class Knowledge:
         if self._evidence:
             self._evidence.sent(sent_ns, u)
 
-    def seen(self, observation: Observation) -> Problem:
-        """Add a frame; return the problem of the robots where the next direction will act."""
+    def seen(self, observation: Observation, last_command: Command | None = None) -> Problem:
+        """Add a frame, and how the direction before it was sent; return the problem of the robots
+        where the next direction will act."""
+        if last_command is not None and last_command.direction is not None:
+            self.sent(last_command.sent_ns, last_command.direction)
         now, estimate = observation.sampled_ns, self.estimate
         self._newest_ns = now
         if self._evidence and self._evidence.seen(observation):

@@ -1,168 +1,251 @@
-"""The section of a spec for model predictive control; `tetractl.control.algorithm_2` does it."""
+"""Model predictive control, Algorithm 2: choose the horizon, exert the first signal, warm start.
+
+Where each line of Algorithm 2 is:
+
+    2-4     for h = 1 ... h_max: u_(h) = pso(NULL)                        lengths.candidates
+    5, 23   u_(opt) = the u_(h) of the least J                            lengths.choose
+    6, 24   u_(warm) = u_(opt) without its first signal                   plan, at the next step
+    7, 25   exert u_(opt)(1)                                              run.trial, from plan
+    9, 26   for k = 1 ... k_max                                           plan, by run.trial
+    10      H = length of u_(warm)                                        lengths.candidates
+    11, 22  for h = H - 1, H, H + 1                                       lengths.candidates,
+            H first where an optimiser tells whether that is good enough  Searcher.search_all
+    12      feedback of the robots, once a step                           plan, _problem
+    13-15   break if the robots are close enough to their targets         plan
+    16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
+    18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
+    21      u_(h) = pso(u_gb^0), by any optimiser                         lengths.Searcher
+
+Beyond Algorithm 2, each by a field of its own: the plan's grid may be coarser than the control's
+(`hold`), the state may be predicted over the dead time, the motion identified while the robots
+drive (`estimate`) and lost commands believed in (`losses`), margins may follow the uncertainty
+(`collision.adaptive`), robots stop before an obstacle that no plan avoids (`collision.stop`),
+longer sequences be searched where no short one ends at the targets (`accept`), the stop come
+between two steps (`stop_between`), an optimiser may count costs as equally good, and the searches
+of a step may be limited.
+"""
 
 import time
-from collections.abc import Callable
-from typing import Annotated, Literal, Self
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
-from pydantic import Field, PositiveInt, model_validator
 
-from tetractl.control.algorithm_2 import Mpc
+from tetractl.control.cost import Foreseen, evaluate, foresee
 from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.identify import Prior
+from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, driven, longer
+from tetractl.control.knowledge import Knowledge
 from tetractl.control.knowledge import warm_up as warm_up_knowledge
-from tetractl.core.plan import Limits
-from tetractl.core.poses import Poses
+from tetractl.control.lengths import (
+    Candidate,
+    Searcher,
+    affordable,
+    candidates,
+    choose,
+    least_length,
+)
+from tetractl.control.margins import Margins, off_course
+from tetractl.control.mpc_section import MpcFields
+from tetractl.control.rng import mix
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.plan import End, Limits, Outcome, Plan, Search, never
+from tetractl.core.poses import Floats, Observation
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent
-from tetractl.experiment.choice import Choice, OneOf
-from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
-from tetractl.experiment.kinds import MOTIONS, OPTIMIZERS
-from tetractl.model.obstacles import Obstacles
+from tetractl.experiment.controller import OptimizerSection, same
 
-_OPTIMIZER = Choice(OPTIMIZERS, default="pso")
+LATE = 2.0
+"""Dead times that a stop may come late: it may be lost once."""
 
 
-class Collision(Model):
-    """How the planner's potential (13) decides that a robot is inside an obstacle."""
+class Mpc:
+    """The controller of one trial; `key` is the root of all its random draws.
 
-    check: Literal["samples", "swept"] = "samples"
-    """`samples` tests the predicted positions as (13) is printed; `swept` tests the whole segment
-    between two of them."""
-    margin: NonNegative = 0.0
-    """Obstacles are grown by this much for the planner [length unit]."""
-    walls: bool = False
-    """Whether leaving the arena counts as entering an obstacle."""
-    radius: NonNegative = 0.0
-    """Radius of a robot, by which obstacles are grown as well [length unit]; 0 for points."""
-    separation: NonNegative = 0.0
-    """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
-    meet. It is tested at the predicted positions."""
-    adaptive: bool = False
-    """Whether the margin grows by how far off course a robot may come before the next command acts,
-    by what is known of it, and shrinks to the room there is where a robot or a target is within
-    it."""
-    stop: bool = False
-    """Whether all robots stop, and the trial ends, where the best plan found touches an obstacle or
-    its margin and a robot is about to enter one. For robots that can stand still."""
+    `timer` [ns] is only looked at where the section sets a deadline.
+    """
 
+    def __init__(
+        self,
+        section: MpcFields,
+        setup: Setup,
+        key: int,
+        optimizer: Optimizer,
+        timer: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        self.section = section
+        problem = section.problem(setup)
+        prior = section.prior.of(problem, section.dead_time) if section.estimate else None
+        self.knowledge = Knowledge(
+            problem, section.period, section.dead_time, prior, section.losses
+        )
+        walls = setup.arena if section.collision.walls else None
+        self.margins = Margins(setup.obstacles, walls, setup.targets)
+        self.key = key
+        self.optimizer = optimizer
+        self.timer = timer
+        self.accept = section.accept  # total error accepted now
+        self.k = 0
+        self.warm: Floats | None = None  # u_(warm), None before step 0
+        self.blocked = False  # whether the last plan touches an obstacle or its margin
+        self.resume = 0  # length from which to go on where the time for longer ones was up
 
-class PriorSection(Model):
-    """Standard deviations of what the spec says of the robots, before they are seen to move."""
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        """Do one control step: decide u_(opt), or that the trial is over."""
+        phase = self.k % self.section.hold  # control periods since the last knot of the plan
+        if self.warm is not None and phase == 0:
+            self.warm = self.warm[1:]  # lines 6, 24
+        first_period = (self.section.hold - phase) * self.section.period
+        problem = self._problem(self.knowledge.seen(observation, last_command), first_period)
+        gaps = problem.poses.distances(problem.targets)
+        if self.section.arrived(gaps):  # lines 13-15
+            return Outcome.ARRIVED
+        if self.k > self.section.steps_max:  # line 9
+            return Outcome.STEPS_MAX
+        if ended := self._ended(problem, observation, gaps):
+            return ended
+        plan = self._decide(problem)
+        self.warm, self.blocked = plan.signals, plan.obstacle_cost > 0
+        self.k += 1
+        return plan
 
-    a: Positive = 0.2
-    """Of each a, relative to it."""
-    speed: Positive = 0.15
-    """Of each speed, relative to it."""
-    dead_time: Positive = 0.1
-    """Of the dead time [s]."""
-    heading_bias: Positive = 0.05
-    """Of the angle between the direction sent and the one a robot turns towards [rad]."""
-
-    def of(self, problem: Problem, dead_time: float) -> Prior:
-        """Return the prior of the robots of a problem."""
-        return Prior(
-            a=problem.a,
-            speed=problem.speed,
-            dead_time=dead_time,
-            a_std=self.a,
-            speed_std=self.speed,
-            dead_time_std=self.dead_time,
-            heading_bias_std=self.heading_bias,
+    def _problem(self, known: Problem, first_period: float) -> Problem:
+        """Pose the problem where a direction decided now will act, for the robots as known."""
+        collision = self.section.collision
+        problem = replace(known, first_period=first_period)
+        if not collision.adaptive:
+            return problem
+        dead_time = self.knowledge.predictor.dead_time_s
+        off = off_course(problem.speed, self.section.period, dead_time, self.knowledge.estimate)
+        margin = collision.margin + collision.radius + off
+        apart = collision.separation + 2 * off if collision.separation else 0.0
+        return replace(
+            problem,
+            obstacles=self.margins.obstacles(problem.poses, margin),
+            separation=self.margins.separation(problem.poses, apart),
         )
 
+    def _ended(
+        self, problem: Problem, observation: Observation, gaps: Floats
+    ) -> Outcome | End | None:
+        """Return how the trial ends now: with its sequence, or where stopping is as good as that,
+        or safer. `gaps` (N,) are the distances to the targets.
 
-class MpcSection(ControllerSection):
+        No search is done for it, so that a log tells all that the end depends on.
+        """
+        if self.warm is None:
+            return None
+        wary = self.blocked and self.section.collision.stop
+        if wary and self._enters(problem, observation, self.warm):
+            return Outcome.NOTHING_BETTER
+        if len(self.warm) > 0 and self.section.accept == 0:
+            return None
+        period = self.section.period if self.section.stop_between else 0.0
+        if 0 < self.accept < float((gaps - problem.speed * period).sum()):
+            return None  # at full speed no stop would be near enough
+        direction, bias = self.knowledge.held_at_action(observation)
+        stopping = best_stop(problem, direction, bias, period)
+        outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
+        if 0 < self.accept < stopping.error:
+            return None
+        if len(self.warm) and float(evaluate(problem, self.warm[None]).total[0]) < stopping.error:
+            return None
+        return End(outcome, stopping.delay_ns) if stopping.delay_ns else outcome
+
+    def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
+        """Return whether a robot enters an obstacle before the next stop could act, under the plan
+        under way or, where that is used up, the direction held."""
+        held, bias = self.knowledge.held_at_action(observation)
+        ahead = np.full_like(held, warm[0]) if len(warm) else held
+        seconds = self.section.period + LATE * self.knowledge.predictor.dead_time_s
+        return self.margins.entered(problem.poses, *driven(problem, ahead, bias, seconds))
+
+    def _decide(self, problem: Problem) -> Plan:
+        """Search every horizon that is a candidate now, longer ones where need be, and choose.
+
+        A limit of evaluations is shared equally. Where it is too small for all horizons of step 0,
+        fewer are tried, evenly spread, each with WORTHWHILE times the least of a search.
+        """
+        section, step_key = self.section, mix(self.key, self.k)
+        wanted, most = list(self._candidates()), section.evaluations_max
+        if most is not None:
+            wanted = affordable(wanted, self.warm, most // section.optimizer.evaluations_min)
+        searcher = Searcher(
+            self.optimizer, section.optimizer, problem, step_key, most, self._expired()
+        )
+        good_enough = section.optimizer.good_enough
+        count = 0 if self.warm is None else len(self.warm)
+        if self.warm is None and section.first_lengths == "spread" and good_enough is not None:
+            searcher.search_spread(least_length(problem), section.horizon_max, good_enough)
+        else:
+            enough = good_enough
+            if enough is not None and self.accept > 0:
+                enough = min(enough, self.accept)  # what is not accepted makes the robots go round
+            searcher.search_all(wanted, enough, count)
+        least = min(search.cost for search in searcher.found)
+        if self.warm is not None and least > self.accept > 0:
+            self._go_around(searcher)
+        chosen = choose(searcher.found, good_enough, count)
+        if self.warm is not None and searcher.found[chosen].length > count + 1:
+            self.accept *= 1 + RELENTS
+        plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
+        return replace(plan, estimate=self.knowledge.estimate)
+
+    def _candidates(self) -> Iterable[Candidate]:
+        return candidates(self.warm, self.section.horizon_max)
+
+    def _expired(self) -> Callable[[], bool]:
+        if self.section.deadline is None or self.warm is None:
+            return never
+        end = self.timer() + round(self.section.deadline * SECOND)
+        return lambda: self.timer() >= end
+
+    def _go_around(self, searcher: Searcher) -> None:
+        """Search longer sequences until one is good enough, as far as horizon and steps allow."""
+        assert self.warm is not None
+        section = self.section
+        most = min((section.steps_max - self.k) // section.hold, section.horizon_max)
+        lengths = [n for n in longer(len(self.warm), most) if n >= self.resume]
+        self.resume = 0
+        for length in lengths:
+            found = searcher.search(length, None)
+            if found is None:
+                self.resume = length
+                return
+            if found.cost <= ENOUGH * self.accept:
+                return
+
+
+def make_plan(
+    problem: Problem,
+    searches: list[Search],
+    chosen: int,
+    step_key: int,
+    foreseen: Callable[[Problem, Floats], Foreseen] = foresee,
+) -> Plan:
+    """Assemble the decision from its searches, with the predicted path and the terms of (7)."""
+    best = searches[chosen]
+    ahead = foreseen(problem, best.signals)
+    return Plan(
+        signals=best.signals,
+        path=ahead.path,
+        cost=best.cost,
+        target_cost=ahead.target,
+        obstacle_cost=ahead.obstacle,
+        searches=tuple(searches),
+        chosen=chosen,
+        generator=step_key,
+    )
+
+
+class MpcSection(MpcFields):
     """Model predictive control, Algorithm 2, with any optimiser; the paper's is PSO."""
-
-    type: Literal["mpc"] = "mpc"
-    hold: PositiveInt = 1
-    """Control periods for which each signal of a sequence is meant to be held: the plan's grid is
-    `hold` times coarser than the control's, and a signal under way can still be changed."""
-    motion: Annotated[str, OneOf(MOTIONS)] = "euler"
-    """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
-    `exact` is the closed form of (1)-(3) under a held direction."""
-    estimate: bool = False
-    """Whether a, speed and heading bias of each robot and the dead time of all are identified while
-    they drive, starting from the spec's values."""
-    prior: PriorSection = PriorSection()
-    """How far those may be off."""
-    losses: bool = False
-    """Whether the prediction takes into account which of the last two commands arrived at each
-    robot, by how it turned since."""
-    accept: NonNegative = 0.0
-    """Total error to accept [length unit]. Where no length H - 1, H, H + 1 ends within it, longer
-    sequences are searched, and the trial ends where stopping is within it and as good as any plan:
-    the less, the longer a trial takes. Each time the robots go round a tenth more is accepted. 0 is
-    Algorithm 2, which only ends with its sequence."""
-    stop_between: bool = False
-    """Whether the stop may come between two control steps, at the moment that leaves the least
-    error."""
-    horizon_max: int = Field(default=51, ge=1, le=2000)
-    """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
-    horizon h = length - 1."""
-    first_lengths: Literal["all", "spread"] = "all"
-    """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2, from the
-    shortest to the first that is good enough, where the optimiser tells; or `spread`, with such an
-    optimiser: ever wider apart from the shortest that could reach the targets, until one is good
-    enough, and then by halves."""
-    obstacle_weight: NonNegative = 1000.0
-    """Weight omega_p of the obstacle potential in (7) [length unit]."""
-    collision: Collision = Collision()
-    """How the planner tells that a robot is inside an obstacle."""
-    evaluations_max: int | None = Field(default=None, ge=1)
-    """Cost evaluations one control step may spend, shared equally by its horizons; then the best
-    sequence so far is used. No limit by default."""
-    optimizer: Annotated[OptimizerSection, _OPTIMIZER] = Field(default_factory=_OPTIMIZER.make)
-    """The optimiser of each search."""
-
-    @model_validator(mode="after")
-    def _a_limit_pays_for_a_search(self) -> Self:
-        least = self.optimizer.evaluations_min
-        if self.evaluations_max is not None and self.evaluations_max < least:
-            message = f"must be at least {least}, the least of a search by this optimiser"
-            raise inconsistent("evaluations_max", message)
-        return self
-
-    @property
-    def iterations_max(self) -> int:
-        """Largest number of iterations of one search."""
-        return self.optimizer.iterations_max
-
-    def bounds(self) -> dict[str, str]:
-        """Return the horizons of step 0 and the evaluations of a search."""
-        found = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
-        if most := self.optimizer.evaluations_max:
-            found["cost evaluations of a horizon"] = f"at most {most}"
-        return found
-
-    def numbers_held(self, setup: Setup) -> int:
-        """Return the numbers of the longest search: positions, velocities, bests and poses of its
-        particles, and the Jacobian of a polish with a row a residual."""
-        robots, length = len(setup.names), self.horizon_max
-        swarm = 4 * self.optimizer.evaluations_min * (length + robots)
-        residuals = robots * (2 + robots // 2 + len(setup.obstacles))
-        return swarm + residuals * length
-
-    def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
-        """Return the problem with the robots at `poses`, or at their starts."""
-        collision, walls = self.collision, setup.arena if self.collision.walls else None
-        margin = collision.margin + collision.radius
-        return Problem(
-            poses=setup.starts if poses is None else poses,
-            targets=setup.targets,
-            a=setup.a,
-            speed=setup.speed,
-            motion=self.motion,
-            period=self.hold * self.period,
-            first_period=self.hold * self.period,
-            obstacles=Obstacles.of(setup.obstacles, margin, walls),
-            obstacle_weight=self.obstacle_weight,
-            swept=collision.check == "swept",
-            separation=collision.separation,
-        )
 
     def build(
         self,

@@ -10,17 +10,17 @@ Source of the tree: LaValle, "Rapidly-exploring random trees: a new tool for pat
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from tetractl.control.algorithm_2 import make_plan
 from tetractl.control.cost import evaluate
 from tetractl.control.given import given_search, plain_problem
 from tetractl.control.go_around import best_stop
 from tetractl.control.knowledge import Knowledge
+from tetractl.control.mpc import make_plan
 from tetractl.control.rng import mix, uniform
 from tetractl.core.commands import Command
 from tetractl.core.plan import End, Outcome, Plan
@@ -96,10 +96,15 @@ class Rrt:
         self._path = setup.targets  # corners still to be passed (M, 2), the target last
         self._k = 0
 
-    def plan(self, observation: Observation) -> Plan | Outcome | End:
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
         """Point the field at the next corner of the path, or end the trial."""
         section = self.section
-        problem = self._knowledge.seen(observation)
+        problem = self._knowledge.seen(observation, last_command)
         gaps = problem.poses.distances(problem.targets)
         if section.arrived(gaps):
             return Outcome.ARRIVED
@@ -111,11 +116,6 @@ class Rrt:
             return ended
         self._k += 1
         return make_plan(problem, [given_search(problem, signals)], 0, step_key)
-
-    def sent(self, command: Command) -> None:
-        """Note when the direction decided last was sent."""
-        if command.direction is not None:
-            self._knowledge.sent(command.sent_ns, command.direction)
 
     def _towards(self, problem: Problem, key: int) -> float:
         """Return the direction of the next corner [rad]; where it is blocked, of a new path's.

@@ -1,16 +1,16 @@
 """A controller that sends a given sequence of directions, whatever the robots do: open loop."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from tetractl.control.algorithm_2 import make_plan
 from tetractl.control.cost import evaluate
 from tetractl.control.given import given_search, plain_problem
 from tetractl.control.knowledge import Knowledge
+from tetractl.control.mpc import make_plan
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
@@ -49,16 +49,16 @@ class SequenceSection(ControllerSection):
         key: int,
         wrap: Callable[[OptimizerSection], Optimizer] = same,
         timer: Callable[[], int] = time.perf_counter_ns,
-    ) -> "Sequence":
+    ) -> "SequenceController":
         """Return the controller of one trial."""
-        return Sequence(self, setup, key)
+        return SequenceController(self, setup, key)
 
     def warm_up(self, setup: Setup) -> None:
         """Evaluate the cost once."""
         evaluate(self.problem(setup), np.zeros((1, 1)))
 
 
-class Sequence:
+class SequenceController:
     """The controller of one trial; its steps' keys come from `key`, though nothing is drawn."""
 
     def __init__(self, section: SequenceSection, setup: Setup, key: int) -> None:
@@ -68,9 +68,14 @@ class Sequence:
         )
         self._k = 0
 
-    def plan(self, observation: Observation) -> Plan | Outcome | End:
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
         """Return the next direction, and where it and the following ones are predicted to lead."""
-        problem, section = self._knowledge.seen(observation), self.section
+        problem, section = self._knowledge.seen(observation, last_command), self.section
         gaps = problem.poses.distances(problem.targets)
         if section.arrived(gaps):
             return Outcome.ARRIVED
@@ -84,8 +89,3 @@ class Sequence:
         step_key = mix(self._key, self._k)
         self._k += 1
         return make_plan(problem, [given_search(problem, signals)], 0, step_key)
-
-    def sent(self, command: Command) -> None:
-        """Note when the direction decided last was sent."""
-        if command.direction is not None:
-            self._knowledge.sent(command.sent_ns, command.direction)

@@ -1,4 +1,4 @@
-"""The folder for compiled code, which nobody but its user can write to, and names for its files.
+"""The folder for compiled code, which only its user can write to, and names for its files.
 
 What is in the folder is executed: numba's files are pickles, and the firmware's cores are shared
 libraries. A folder that somebody else can write to, or whose parents somebody else can exchange,
@@ -68,7 +68,7 @@ def claim(folder: Path) -> str | None:
 
 
 def exposed(folder: Path) -> str | None:
-    """Return who else could put files into a folder, in a sentence, None for nobody.
+    """Return who else could put files into a folder, in a sentence; None if no other user can.
 
     The folder has to be the user's, and each parent the user's or root's; a parent that others can
     write to must be sticky, as the temporary folder is. A group of which the user is the only

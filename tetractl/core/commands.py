@@ -55,23 +55,25 @@ class Verdict:
 
     `final` are the poses after the stop. `entered` (N,) is True for robots whose path touched an
     obstacle, by `model.path_check`; `clearance` (N,) is the least distance of each robot to an
-    obstacle [length unit], negative inside, inf without obstacles. `unrest` names the robots that
-    were not seen to stand after the stop, and how, "" for none. `edge` (N,) is the least distance
-    of each robot to the edge of the arena, negative outside, and `apart` (N,) to another robot, inf
-    for one alone; both are empty in logs from before they were kept. All are of the robots'
-    centres.
+    obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` names the robots
+    that were not seen to stand after the stop, and how, "" for none. `edge` (N,) is the least
+    distance of each robot to the edge of the arena, negative outside, and `apart` (N,) to another
+    robot, inf for one alone; both are empty in logs from before they were kept. All are of the
+    robots' centres.
     """
 
     final: Poses
     entered: tuple[bool, ...]
     clearance: tuple[float, ...]
-    unrest: str = ""
+    not_at_rest: str = ""
     edge: tuple[float, ...] = ()
     apart: tuple[float, ...] = ()
 
 
 EMULATED = "emulated"
 """The key of the fact of a `PlantInfo` that names the emulated devices."""
+EMULATED_NAME = "EMULATED by tetractl"
+"""Part of the name by which an emulated device identifies itself to its client."""
 
 
 @dataclass(frozen=True, slots=True)

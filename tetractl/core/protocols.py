@@ -57,7 +57,7 @@ class Plant(Protocol):
         ...
 
     def settle(self) -> Verdict:
-        """After stop: wait until the robots stand still, and judge the path."""
+        """After stop: wait until the robots stand still, and evaluate the path."""
         ...
 
     def close(self) -> None:
@@ -66,7 +66,7 @@ class Plant(Protocol):
 
 
 class Device(Protocol):
-    """A device of the lab that is opened, looked at and closed; a context manager.
+    """A device of the lab that is opened, checked and closed; a context manager.
 
     Entering connects and raises AbortError where that cannot be; leaving releases everything, is
     idempotent and never raises.
@@ -79,6 +79,7 @@ class Device(Protocol):
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
+        /,
     ) -> None: ...
 
     def check(self) -> Health:
@@ -180,12 +181,18 @@ class Optimizer(Protocol):
 class Controller(Protocol):
     """Chooses the common direction at each control step; one object lasts one trial."""
 
-    def plan(self, observation: Observation) -> Plan | Outcome | End:
-        """Decide the next `direction` of a plan, or that the trial is over."""
-        ...
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        """Decide the next `direction` of a plan, or that the trial is over.
 
-    def sent(self, command: Command) -> None:
-        """Take note of the command by which the plan's direction was sent, and when."""
+        `observation` is the newest camera frame, `earlier` are those exposed since the observation
+        of the control step before, oldest first. `last_command` is what that step's direction was
+        sent by, None at the first step.
+        """
         ...
 
 

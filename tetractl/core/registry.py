@@ -70,14 +70,14 @@ class Registry:
         but it cannot be imported or is not derived from `base`.
         """
         if name in self.builtin:
-            return _imported(self.builtin[name])
+            return imported(self.builtin[name])
         point = self._installed[name]
         try:
             found = point.load()
         except Exception as error:  # whatever another package's module raises when it is imported
             text = str(error).partition("\n")[0]
             raise self._unusable(point, f"{type(error).__name__}: {text}") from error
-        if self.base and not (isinstance(found, type) and issubclass(found, _imported(self.base))):
+        if self.base and not (isinstance(found, type) and issubclass(found, imported(self.base))):
             raise self._unusable(point, f"it is no class derived from {self.base}")
         return found
 
@@ -113,7 +113,8 @@ class Registry:
         return {point.name: point for point in points}  # of two packages the first by name
 
 
-def _imported(code: str) -> Any:
+def imported(code: str) -> Any:
+    """Return what "module:attribute" names."""
     module, _, attribute = code.partition(":")
     return getattr(import_module(module), attribute)
 

@@ -1,4 +1,4 @@
-"""The numbers of an experiment as arrays, computed once and handed to whoever needs them."""
+"""The numbers of an experiment as arrays, computed once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

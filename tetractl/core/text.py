@@ -1,4 +1,4 @@
-"""Text that is safe to print, whoever wrote it."""
+"""Text made safe to print, wherever it is from."""
 
 
 def printable(text: str, length: int | None = None) -> str:
@@ -23,3 +23,8 @@ def cell(text: str) -> str:
     """
     safe = printable(text)
     return f"'{safe}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else safe
+
+
+def unit_of(unit: str) -> str:
+    """Return a length unit of a spec as readers write it."""
+    return unit.replace("um", "µm")

@@ -26,7 +26,7 @@ class Start:
 
     `resolved` is the spec as YAML with every field, defaults and `--set` applied; `spec_hash` is
     the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the packages
-    beside tetractl that provide a kind which the spec uses.
+    besides tetractl that provide a kind which the spec uses.
     """
 
     setup: Setup

@@ -1,4 +1,4 @@
-"""Calls done in order by a background thread, so that a slow disk or screen delays nobody."""
+"""Calls done in order by a background thread: a slow disk or screen does not delay the caller."""
 
 import queue
 import threading
@@ -8,7 +8,7 @@ from typing import Any
 from tetractl.core.errors import TetractlError
 
 
-def _idle() -> float | None:
+def _nothing() -> float | None:
     return None
 
 
@@ -19,9 +19,9 @@ class Worker:
     the thread does not finish within `patience_s`; the error is `too_slow`. The first failure, of
     these or of a call itself, is `failure`. The next `put`, `drain` or `check` raises it, once; of
     the calls after it none is done. After each call, and whenever the time it returned has passed,
-    the thread calls `tend`, which returns the time until it wants to be called again [s], None for
-    after the next call. With `gather_s` the thread lets calls gather for so long: where the other
-    thread computes, taking turns at every call costs more than the calls do.
+    the thread calls `idle`, which returns the time until it wants to be called again [s], None for
+    after the next call. With `batch_s` the thread lets calls collect for so long: where the
+    other thread computes, taking turns at every call costs more than the calls do.
     """
 
     def __init__(
@@ -32,14 +32,14 @@ class Worker:
         wait_s: float,
         patience_s: float,
         too_slow: TetractlError,
-        tend: Callable[[], float | None] = _idle,
-        gather_s: float = 0.0,
+        idle: Callable[[], float | None] = _nothing,
+        batch_s: float = 0.0,
     ) -> None:
         self._wait_s, self._patience_s = wait_s, patience_s
-        self._too_slow, self._tend = too_slow, tend
+        self._too_slow, self._idle = too_slow, idle
         self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
         self._places = threading.Semaphore(size)
-        self._gather_s, self._awaited = gather_s, threading.Event()
+        self._batch_s, self._awaited = batch_s, threading.Event()
         self.failure: Exception | None = None
         self._raised = False
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
@@ -76,7 +76,7 @@ class Worker:
             self._raised = True
             raise self.failure
 
-    def close(self, last: Callable[[], object] = _idle) -> None:
+    def close(self, last: Callable[[], object] = _nothing) -> None:
         """Do what waits and then `last`, whatever failed before, and end the thread.
 
         Raises nothing: see `failure`, or call `check`. A second call does nothing. After a stall
@@ -103,18 +103,18 @@ class Worker:
     def _work(self) -> None:
         wait_s: float | None = None
         while True:
-            if self._gather_s and self._calls.empty():
-                self._awaited.wait(self._gather_s)
+            if self._batch_s and self._calls.empty():
+                self._awaited.wait(self._batch_s)
                 self._awaited.clear()
             try:
                 call = self._calls.get(timeout=wait_s)
             except queue.Empty:
-                call = _idle
+                call = _nothing
             if call is None:
                 return
             try:
                 call()
-                wait_s = self._tend()
+                wait_s = self._idle()
             except Exception as error:
                 self._fail(error)
                 wait_s = None

@@ -21,7 +21,8 @@ class Cell:
 
     x, y [mm] and heading [rad] in the spec's axes; `a` [rad/s] is its turning rate at the reference
     field, `speed` [mm/s]; `noise` [rad/s^0.5] makes the heading a Brownian motion. A `waiting` cell
-    is held where it is: no cell does that by itself.
+    is held where it is: no cell does that by itself. One counts as `standing` while no field steers
+    it, for it never does.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Cell:
     speed: float
     noise: float = 0.0
     waiting: bool = True
+    standing: bool = True
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Put the cell somewhere, to wait there."""
@@ -87,9 +89,10 @@ class Dish:
         while self._now_ns + STEP_NS <= until_ns:
             self._now_ns += STEP_NS
             self.driver.advance(self._now_ns)
-            if DriverStatus.RUNNING in self.driver.status:
-                for cell in self.cells:
-                    cell.waiting = False
+            steered = DriverStatus.RUNNING in self.driver.status
+            for cell in self.cells:
+                cell.standing = not steered
+                cell.waiting &= not steered
             x, y = self.field_mt
             field = x / self._reference_mt, y / self._reference_mt
             for cell in self.cells:

@@ -1,22 +1,24 @@
 """Faults of a script: makes them happen, takes them back, and notes when each became visible.
 
 A fault is visible when its first effect leaves on a wire: with the first frame exposed under it,
-with the first frame sent under it, or at once. The faults themselves are beside the device that
-has them.
+with the first frame sent under it, or at once. Which faults a device can have is a table beside the
+device, of rows made by `fault`.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, create_model
 
 from tetractl.core.clock import SECOND
 from tetractl.emulate.loop import Timeline
 from tetractl.experiment.base import Model, Name, NonNegative, Positive
 
 Undo = Callable[[], None]
+Begin = Callable[[Any, Any], Undo]  # of a fault and the device that it happens to
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class Visible(Enum):
@@ -28,10 +30,11 @@ class Visible(Enum):
 
 
 class Fault(Model):
-    """One thing that goes wrong; further fields are those of its kind."""
+    """A scripted fault; `fault` adds the fields of a kind."""
 
-    visible: ClassVar[Visible] = Visible.AT_ONCE
-    fault: Any  # each fault's own name, as a Literal
+    visible: ClassVar[Visible]
+    begin: ClassVar[Callable[..., Undo]]  # of a device: makes it happen, returns what ends it
+    fault: Any  # the name of its kind, as a Literal
     at: NonNegative = 0.0
     """When, after `since` [s]."""
     since: Literal["start", "client", "run"] = "run"
@@ -40,49 +43,11 @@ class Fault(Model):
     duration: Positive | None = Field(default=None, alias="for")
     """How long [s]; for good by default."""
 
-    def begin(self, device: Any) -> Undo:
-        """Make it happen to the device that it belongs to; return what takes it back."""
-        raise NotImplementedError
-
     def names(self) -> Iterator[str]:
         """Yield the robots it names."""
         for key in ("robot", "other"):
             if (name := getattr(self, key, None)) is not None:
                 yield name
-
-
-class Mark(Fault):
-    """Nothing goes wrong: it is only reported, for a test to act on."""
-
-    fault: Literal["mark"]
-    name: Name
-    """What the mark is called."""
-
-    def begin(self, device: Any) -> Undo:
-        """Do nothing."""
-        return lambda: None
-
-
-class Unplug(Fault):
-    """The actuator's port is pulled out."""
-
-    fault: Literal["unplug"]
-
-    def begin(self, device: Any) -> Undo:
-        """Take the port away."""
-        device.unplug()
-        return device.plug
-
-
-class StuckPort(Fault):
-    """The actuator's port takes no bytes."""
-
-    fault: Literal["stuck_port"]
-
-    def begin(self, device: Any) -> Undo:
-        """Stall the port."""
-        device.port.stall(True)
-        return lambda: device.port.stall(False)
 
 
 def setting(target: object, **values: object) -> Undo:
@@ -96,6 +61,58 @@ def setting(target: object, **values: object) -> Undo:
             setattr(target, name, value)
 
     return undo
+
+
+def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
+    """Return what begins a fault by setting attributes of `target(device, fault)`.
+
+    A value that can be called is called with the fault.
+    """
+
+    def begin(fault: Fault, device: Any) -> Undo:
+        now = {name: v(fault) if callable(v) else v for name, v in values.items()}
+        return setting(target(device, fault), **now)
+
+    return begin
+
+
+def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True) -> Begin:
+    """Return what begins a fault by a call of `act(device, fault)` with `on`, and ends it with the
+    opposite."""
+
+    def begin(fault: Fault, device: Any) -> Undo:
+        switch = act(device, fault)
+        switch(on)
+        return lambda: switch(not on)
+
+    return begin
+
+
+def fault(
+    name: str, about: str, begin: Begin, visible: Visible = Visible.AT_ONCE, /, **keys: Any
+) -> type[Fault]:
+    """Return a kind of fault: a row of a device's table.
+
+    `keys` are the fields that a script gives besides those of `Fault`: a type, or a pair of a type
+    and a default.
+    """
+    fields: dict[str, Any] = {"fault": (Literal[name], ...)}
+    for key, kind in keys.items():
+        fields[key] = kind if isinstance(kind, tuple) else (kind, ...)
+    made = create_model(name, __base__=Fault, __doc__=about, **fields)
+    made.visible, made.begin = visible, begin
+    return made
+
+
+UNPLUG = fault(
+    "unplug", "The actuator's port is pulled out.", switching(lambda d, f: d.plugged, False)
+)
+STUCK_PORT = fault(
+    "stuck_port", "The actuator's port takes no bytes.", switching(lambda d, f: d.port.stall)
+)
+MARK = fault(
+    "mark", "Nothing goes wrong: it is only reported.", lambda f, d: lambda: None, name=Name
+)
 
 
 @dataclass(slots=True)

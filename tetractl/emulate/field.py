@@ -7,10 +7,10 @@ import math
 from collections.abc import Callable
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.port import PseudoPort
 from tetractl.lab.actuators.field.coils import Pair
-from tetractl.lab.actuators.field.core import DriverCore, DriverLimits
 from tetractl.lab.actuators.field.protocol import DriverStatus, decode_command
 from tetractl.lab.cobs import Splitter
 from tetractl.lab.errors import WireError

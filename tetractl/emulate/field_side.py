@@ -1,20 +1,20 @@
 """The emulated actuator of type `field`: its settings and faults, a current driver, and cells."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
 from tetractl.emulate.cells import Cell, Dish
-from tetractl.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
+from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, fault, settings, switching
 from tetractl.emulate.field import CurrentDriver
+from tetractl.emulate.firmware import DriverLimits
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.port import PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative
-from tetractl.lab.actuators.field.core import DriverLimits
 from tetractl.lab.actuators.field.protocol import DriverStatus
 from tetractl.lab.actuators.field.section import FieldSection
 
@@ -28,93 +28,35 @@ class FieldSettings(Model):
     """The driver's supply voltage [mV]."""
 
 
-class DriverOff(Fault):
-    """The current driver is switched off."""
-
-    fault: Literal["off"]
-
-    def begin(self, device: "EmulatedField") -> Undo:
-        """Switch it off."""
-        device.driver.switch(False)
-        return lambda: device.driver.switch(True)
+def _driver_of(device: Any, fault: Any) -> CurrentDriver:
+    return device.driver
 
 
-class LowSupply(Fault):
-    """The driver's supply has this voltage."""
-
-    fault: Literal["low_supply"]
-    millivolts: int = Field(ge=0, le=60_000)
-    """Its voltage."""
-
-    def begin(self, device: "EmulatedField") -> Undo:
-        """Set the voltage."""
-        return setting(device.driver, supply_mv=self.millivolts)
-
-
-class Hot(Fault):
-    """The coils have this temperature."""
-
-    fault: Literal["hot"]
-    celsius: float = Field(ge=0, le=200)
-    """Their temperature."""
-
-    def begin(self, device: "EmulatedField") -> Undo:
-        """Set the temperature."""
-        return setting(device.driver, temperature_dc=round(10 * self.celsius))
-
-
-class Mute(Fault):
-    """The driver hears but does not reply."""
-
-    fault: Literal["mute"]
-
-    def begin(self, device: "EmulatedField") -> Undo:
-        """Silence the driver."""
-        return setting(device.driver, mute=True)
-
-
-@dataclass(frozen=True, slots=True)
-class CellBody:
-    """A cell as a `Body`; it counts as standing while no field steers it, for it never does."""
-
-    cell: Cell
-    side: "EmulatedField"
-
-    @property
-    def name(self) -> str:
-        """The cell's name in the spec."""
-        return self.cell.name
-
-    @property
-    def x(self) -> float:
-        """Its place along x [mm]."""
-        return self.cell.x
-
-    @property
-    def y(self) -> float:
-        """Its place along y [mm]."""
-        return self.cell.y
-
-    @property
-    def heading(self) -> float:
-        """Its heading [rad]."""
-        return self.cell.heading
-
-    @property
-    def standing(self) -> bool:
-        """Whether no field steers it."""
-        return not self.side.driven
-
-    def place(self, x: float, y: float, heading: float) -> None:
-        """Put it somewhere, to wait there for the field."""
-        self.cell.place(x, y, heading)
+FAULTS = (
+    UNPLUG,
+    STUCK_PORT,
+    fault("off", "The driver is switched off.", switching(lambda d, f: d.driver.switch, False)),
+    fault(
+        "low_supply",
+        "The driver's supply has this voltage.",
+        settings(_driver_of, supply_mv=attrgetter("millivolts")),
+        millivolts=Annotated[int, Field(ge=0, le=60_000)],
+    ),
+    fault(
+        "hot",
+        "The coils have this temperature.",
+        settings(_driver_of, temperature_dc=lambda f: round(10 * f.celsius)),
+        celsius=Annotated[float, Field(ge=0, le=200)],
+    ),
+    fault("mute", "The driver hears but does not reply.", settings(_driver_of, mute=True)),
+)
 
 
 class EmulatedField:
     """A current driver on a pseudo-terminal, and the cells between its coils."""
 
     Settings: ClassVar[type[Model]] = FieldSettings
-    faults: ClassVar[Sequence[type[Fault]]] = (Unplug, StuckPort, DriverOff, LowSupply, Hot, Mute)
+    faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
     def __init__(self, stage: Stage, settings: FieldSettings) -> None:
         section = stage.lab.actuator
@@ -130,10 +72,14 @@ class EmulatedField:
             Cell(name, 0.0, 0.0, 0.0, a, speed * stage.mm, settings.heading_noise)
             for name, a, speed in numbers
         ]
-        self.bodies = [CellBody(cell, self) for cell in self.cells]
         coils, seed = section.calibrated_coils(), stage.options.seed
         self._dish = Dish(self.driver, coils, section.strength_mt, self.cells, start_ns, seed)
         self._loop: Loop | None = None
+
+    @property
+    def bodies(self) -> Sequence[Cell]:
+        """The cells, in the order of the setup."""
+        return self.cells
 
     @property
     def driven(self) -> bool:
@@ -173,6 +119,13 @@ class EmulatedField:
         assert self._loop is not None, "open() gives the loop"
         self.port.plug()
         self._loop.watch(self.port.fd, self.driver.readable)
+
+    def plugged(self, on: bool) -> None:
+        """Plug the driver in, or pull it out."""
+        if on:
+            self.plug()
+        else:
+            self.unplug()
 
     def unplug(self) -> None:
         """Pull the driver out; idempotent."""

@@ -1,23 +1,53 @@
 """The emulated lab put together: two sides, faults, a record, and a helping hand."""
 
+import json
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, TextIO
 
 from tetractl.core.clock import SECOND
-from tetractl.core.errors import SpecError
+from tetractl.core.errors import SpecError, TetractlError
 from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault, Injector
 from tetractl.emulate.loop import Loop, Timeline
-from tetractl.emulate.record import Record
 from tetractl.emulate.script import Script, Sides
 from tetractl.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
 from tetractl.experiment.lab import LabSection
 
-TICK_NS = 2_000_000  # how often robots are looked at
+TICK_NS = 2_000_000  # how often robots are checked
 FLUSH_NS = 200_000_000
 CARRY_NS = 500_000_000  # how long a robot is in the helper's hands
 
 Report = Callable[[str, Facts], None]
+
+
+class Record:
+    """Writes events to a file, or nowhere without a path. `t_ns` is `time.monotonic_ns`."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._file: TextIO | None = None
+        if path is not None:
+            try:
+                self._file = path.open("w", encoding="utf-8")
+            except OSError as error:
+                raise TetractlError(f"cannot write the record {path}: {error.strerror}") from None
+
+    def add(self, t_ns: int, event: str, **facts: Any) -> None:
+        """Append an event."""
+        if self._file is not None:
+            line = {"t_ns": t_ns, "event": event, **facts}
+            self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
+
+    def flush(self) -> None:
+        """Hand over to the system what was added."""
+        if self._file is not None:
+            self._file.flush()
+
+    def close(self) -> None:
+        """Close the file; idempotent."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
 
 
 class EmulatedLab:
@@ -54,12 +84,12 @@ class EmulatedLab:
             self._client,
         )
         sides = Sides.of(lab.camera.type, lab.actuator.type)
-        told = script.emulation
+        emulated = script.emulation
         self.actuator: EmulatedActuator = sides.actuator(
-            stage, told.actuator or sides.actuator.Settings()
+            stage, emulated.actuator or sides.actuator.Settings()
         )
         self.camera: EmulatedCamera = sides.camera(
-            stage, told.camera or sides.camera.Settings(), self.actuator.bodies
+            stage, emulated.camera or sides.camera.Settings(), self.actuator.bodies
         )
         self._moving = [False] * len(setup.names)
         self._ran = False  # since the robots were last put on their starts
@@ -196,8 +226,8 @@ class EmulatedLab:
 
 def _check_names(script: Script, setup: Setup) -> None:
     """Raise SpecError where a script names a robot that the spec has not."""
-    told = script.emulation
-    lists = [told.robots, *(getattr(side, "robots", ()) for side in (told.camera, told.actuator))]
+    own = script.emulation
+    lists = [own.robots, *(getattr(side, "robots", ()) for side in (own.camera, own.actuator))]
     names = [robot.name for robots in lists for robot in robots]
     names += [name for fault in script.faults for name in fault.names()]
     for name in names:

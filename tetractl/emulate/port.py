@@ -23,7 +23,7 @@ class PseudoPort:
     def __init__(self, link: Path) -> None:
         self.link = link
         self.fd = -1
-        self._far = -1  # kept open, so that our end lives on while nobody has the port open
+        self._far = -1  # kept open, so that our end lives on while the port is not open
 
     def plug(self) -> None:
         """Make the port and its name; UsageError where the name cannot be had."""
@@ -37,7 +37,7 @@ class PseudoPort:
             raise
 
     def unplug(self) -> None:
-        """Take port and name away; whoever has it open gets errors. Idempotent."""
+        """Take port and name away; its user gets errors. Idempotent."""
         self._remove_link()
         self._close()
 

@@ -1,5 +1,5 @@
 """A script for the emulated lab: how it differs from the spec, which faults happen when, and what
-is expected of whoever drives it."""
+is expected of the run that drives it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +9,11 @@ from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import SpecError
-from tetractl.emulate.faults import Fault, Mark
-from tetractl.emulate.kinds import ACTUATORS, CAMERAS
+from tetractl.emulate.faults import MARK, Fault
+from tetractl.emulate.sides import ACTUATORS, CAMERAS
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
-from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import words
-from tetractl.experiment.yaml.frozen import frozen
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 
 
@@ -61,7 +60,7 @@ class Emulation(Model):
 
 
 class Runner(Model):
-    """What a test does to whoever drives the lab."""
+    """What a test does to the run that drives the lab."""
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings that both sides get."""
@@ -112,7 +111,7 @@ class Script(Model):
     )
     """What goes wrong, and when."""
     runner: Runner = Runner()
-    """What a test does to whoever drives the lab."""
+    """What a test does to the run that drives the lab."""
     expect: Expect | None = None
     """What a test expects."""
 
@@ -139,7 +138,7 @@ class Sides:
     @property
     def faults(self) -> dict[str, type[Fault]]:
         """Every fault that the lab can have, by name."""
-        kinds = (*self.camera.faults, *self.actuator.faults, Mark)
+        kinds = (*self.camera.faults, *self.actuator.faults, MARK)
         return {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in kinds}
 
 

@@ -1,6 +1,6 @@
 """What an emulated lab is made of: bodies that an actuator's side moves and a camera's side sees.
 
-A further camera or actuator is emulated by a class like these and a line in `kinds.py`.
+A further camera or actuator is emulated by a class like these and a line at the end.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
+from tetractl.core.registry import Registry
 from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault
 from tetractl.emulate.loop import Loop, Timeline
@@ -61,25 +62,10 @@ class Stage:
 class Body(Protocol):
     """A robot as it truly is: x, y [mm] and heading [rad] in the spec's axes."""
 
-    @property
-    def name(self) -> str:
-        """The robot's name in the spec."""
-        ...
-
-    @property
-    def x(self) -> float:
-        """Its place along x [mm]."""
-        ...
-
-    @property
-    def y(self) -> float:
-        """Its place along y [mm]."""
-        ...
-
-    @property
-    def heading(self) -> float:
-        """Its heading [rad]."""
-        ...
+    name: str
+    x: float
+    y: float
+    heading: float
 
     @property
     def standing(self) -> bool:
@@ -101,7 +87,7 @@ class EmulatedSide(Protocol):
     faults: ClassVar[Sequence[type[Fault]]]
 
     def open(self, loop: Loop) -> Facts:
-        """Take ports and names; return where the device is, for whoever connects to it."""
+        """Take ports and names; return where the device is, for its clients."""
         ...
 
     def close(self) -> Facts:
@@ -110,7 +96,7 @@ class EmulatedSide(Protocol):
 
 
 class EmulatedCamera(EmulatedSide, Protocol):
-    """Shows `bodies`, in their order, to whoever connects; made as (stage, settings, bodies)."""
+    """Shows `bodies`, in their order, to its clients; made as (stage, settings, bodies)."""
 
     def hide(self, hidden: bool) -> None:
         """Let no body be tracked, as while all are carried, or show them again."""
@@ -136,7 +122,7 @@ class EmulatedActuator(EmulatedSide, Protocol):
         ...
 
     def switch(self, on: bool) -> None:
-        """Switch off what is driven, as while robots are carried, or on, which starts it anew."""
+        """Switch off what is driven, as while robots are carried, or on, which restarts it."""
         ...
 
     def advance(self, until_ns: int) -> None:
@@ -146,3 +132,21 @@ class EmulatedActuator(EmulatedSide, Protocol):
     def tick(self) -> None:
         """Do what is due every few milliseconds, such as sending answers."""
         ...
+
+
+CAMERAS = Registry(
+    "tetractl.emulated_cameras",
+    "emulated camera",
+    {
+        "optitrack": "tetractl.emulate.optitrack.side:EmulatedOptitrack",
+        "apriltag": "tetractl.emulate.apriltag.side:EmulatedAprilTag",
+    },
+)
+ACTUATORS = Registry(
+    "tetractl.emulated_actuators",
+    "emulated actuator",
+    {
+        "m3pi-xbee": "tetractl.emulate.m3pi.side:EmulatedM3pi",
+        "field": "tetractl.emulate.field_side:EmulatedField",
+    },
+)

@@ -77,7 +77,7 @@ class OptimizerSection(Model):
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
         """Yield the fields of a logged search that cannot be this optimiser's.
 
-        `warmed` tells whether there was a warm start. What holds for every optimiser, such as a
+        `warmed` says whether there was a warm start. What holds for every optimiser, such as a
         history that only falls, is checked elsewhere.
         """
         if found.evaluations < 1:
@@ -93,10 +93,10 @@ class ControllerSection(Model):
     """A controller and its parameters, with what the rest of the system needs of each."""
 
     type: Any  # each section's own name, as a Literal
-    period: Positive = 0.2
+    period: float = Field(default=0.2, ge=1e-3, allow_inf_nan=False)
     """Control period T [s] (the paper's experiment: 5 Hz)."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """From measurement to actuation, as the controller believes it [s]: it plans from where the
+    """From measurement to actuation, as the controller assumes it [s]: it plans from where the
     robots will be by then under the directions already sent."""
     steps_max: int = Field(default=100, ge=1, le=1_000_000)
     """Largest number of control steps k_max."""
@@ -145,7 +145,7 @@ class ControllerSection(Model):
         """Return the controller of one trial; `key` is the root of all its random draws.
 
         Every optimiser the controller uses has to be passed through `wrap`, and `timer` [ns] is the
-        only clock it may look at: so a log can be verified by doing every search again.
+        only clock it may read: so a log can be verified by doing every search again.
         """
 
     def warm_up(self, setup: Setup) -> None:

@@ -1,10 +1,12 @@
 """What every disturbance of a simulation has; each is one file, named in `experiment.kinds`."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
@@ -12,18 +14,21 @@ from tetractl.experiment.base import Model
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """A command on its way to N robots: it acts from `due_ns` on those `reached` (N,).
+class DelayedCommand:
+    """A command on its way to N robots: sent at `sent_ns`, it acts from `due_ns` on.
 
-    `direction` is u [rad], None for a stop and where it switches the `field_off`. `headings` (N,)
-    are those that the host had measured when it sent the command [rad]; `wheels` (2, N) are the
-    left and right wheel speeds that the command makes [length unit/s], None where robots are sent
-    the direction itself.
+    `direction` is u [rad], None for a stop and where it switches the `field_off`. `reached` (N,)
+    are the robots that receive it, on which it acts `late_ns` (N,) later still, None for all at
+    once. `headings` (N,) are those that the host had measured when it sent the command [rad];
+    `wheels` (2, N) are the left and right wheel speeds that the command makes [length unit/s], None
+    where robots are sent the direction itself.
     """
 
+    sent_ns: int
     due_ns: int
     direction: float | None
     reached: Bools
+    late_ns: NDArray[np.int64] | None = None
     headings: Floats | None = None
     wheels: Floats | None = None
     field_off: bool = False
@@ -32,7 +37,8 @@ class Order:
 class Disturbance:
     """A disturbance of one trial of N robots; what a method does not change, it returns.
 
-    Several disturb one after another, in the order of the spec.
+    Several disturb one after another, in the order of the spec. Times are of the trial's clock,
+    which begins when the plant is opened.
     """
 
     def parameters(self, a: Floats, speed: Floats) -> tuple[Floats, Floats]:
@@ -43,23 +49,33 @@ class Disturbance:
         """Return the true poses before the first command, from those of the spec; called once."""
         return poses
 
-    def planning_s(self) -> float:
-        """Return the time from a frame's being given to the controller to the sending of its
+    def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
+        """Return the true a and speed from `time_s` to the next call, (N,) each.
+
+        `a` and `speed` are those of `parameters`, as the disturbances before this one vary them.
+        Called at every camera frame, before it is exposed, and where a command acts, before it
+        does; a robot of a = 0 and speed 0 stands.
+        """
+        return a, speed
+
+    def planning_s(self, time_s: float) -> float:
+        """Return the time from giving a frame to the controller, at `time_s`, to the sending of its
         command, or of the stop, in addition to that of the other disturbances [s].
         """
         return 0.0
 
-    def sent(self, order: Order) -> Order:
+    def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return what becomes of a command or of one of the repeated stops.
 
-        Where it would act before one that was sent earlier, it acts together with that.
+        Where it would act on a robot before one that was sent earlier, it acts together with that.
         """
-        return order
+        return command
 
-    def moved(self, poses: Poses, moving: Floats, seconds: float) -> Poses:
-        """Return the true poses after the `seconds` between two camera frames.
+    def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
+        """Return the true poses at `time_s` from those without this disturbance.
 
-        `moving` (N,) is 1 for robots that move, 0 for those that stand.
+        It acted for `seconds`, since the last call, on the robots that were `moving` (N,): 1 for
+        those that move, 0 for those that stand. Called as `varied`, just before it.
         """
         return poses
 
@@ -77,6 +93,12 @@ class Disturbance:
         one that would overtake another arrives together with that.
         """
         return received_ns
+
+
+def overriding(disturbances: Sequence[Disturbance], method: str) -> list[Disturbance]:
+    """Return the disturbances whose class has its own `method`, in command."""
+    base = getattr(Disturbance, method)
+    return [one for one in disturbances if getattr(type(one), method) is not base]
 
 
 class DisturbanceSection(Model):

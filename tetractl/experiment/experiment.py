@@ -10,12 +10,12 @@ from pydantic_core import PydanticCustomError
 from tetractl.core.colors import NAMED, known_colors
 from tetractl.core.poses import Poses
 from tetractl.core.setup import METRES, Bounds, Setup
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
-from tetractl.experiment.choice import Choice
+from tetractl.experiment.base import Finite, Length, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.kinds import CONTROLLERS, PLANTS, SHAPES
 from tetractl.experiment.lab import LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
+from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.shape import ShapeSection
 
 
@@ -26,7 +26,7 @@ class Units(Model):
     """Of every position, distance, speed and cost."""
 
 
-Obstacle = Annotated[ShapeSection, Choice(SHAPES)]
+Obstacle = Annotated[ShapeSection, KindSection(SHAPES)]
 
 
 class Arena(Model):
@@ -51,8 +51,8 @@ class Robot(Model):
     """One robot: where it starts, where it is to go, and how it moves, (1)-(3)."""
 
     name: Name
-    """Name, unique in the experiment: letters, digits, spaces, dots, underscores and hyphens,
-    starting with a letter or digit."""
+    """Name, unique in the experiment: letters without accents (a to z, A to Z), digits, spaces,
+    dots, underscores and hyphens, starting with a letter or digit."""
     start: Point
     """Start position [x, y]."""
     heading: Finite = 0.0
@@ -93,9 +93,9 @@ class Reference(Model):
     """Where the result was published."""
     n: int = Field(ge=2)
     """Number of trials."""
-    mean: NonNegative
+    mean: Length
     """Mean total error."""
-    std: NonNegative
+    std: Length
     """Standard deviation (n - 1) of the total error."""
 
 
@@ -106,22 +106,22 @@ class Scale(Model):
     """What the error is scaled to, for instance `T. pyriformis`."""
     unit: Literal["um", "mm", "cm", "m"] = "um"
     """Length unit of the numbers here."""
-    speed: Positive
+    speed: Length = Field(gt=0)
     """Speed of the robots scaled to [unit/s]."""
-    body_length: Positive
+    body_length: Length = Field(gt=0)
     """Their body length [unit]."""
 
 
-_PLANT = Choice(PLANTS, default="sim")
-_CONTROLLER = Choice(CONTROLLERS, default="mpc")
+_PLANT = KindSection(PLANTS, default="sim")
+_CONTROLLER = KindSection(CONTROLLERS, default="mpc")
 
 
 class Experiment(Model):
     """One experiment, as read from a YAML spec."""
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    """Name of the experiment, which log folders are called after: letters, digits, dots,
-    underscores and hyphens, starting with a letter or digit."""
+    """Name of the experiment, which log folders are called after: letters without accents
+    (a to z, A to Z), digits, dots, underscores and hyphens, starting with a letter or digit."""
     description: str = ""
     """One or two sentences for people."""
     units: Units = Units()
@@ -138,13 +138,16 @@ class Experiment(Model):
     """What chooses the direction."""
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
     """What the direction steers; a simulation where no `type` is given."""
-    lab: Annotated[LabSection, Choice(PLANTS, default="lab")] | None = None
+    lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
-    """File beside the spec, of `tetractl identify`: its a and speed of each robot and its dead time
-    take the places of the spec's own."""
+    """File of `tetractl identify`, relative to the spec: its a and speed of each robot and its dead
+    time take the places of the spec's own."""
     trials: Trials = Trials()
     """How often the experiment is repeated."""
+    error_bound: Positive | None = None
+    """Total error [length unit] above which a trial counts as far off: the tables show the share of
+    such trials; by default those above 10 medians of their batch."""
     reference: Reference | None = None
     """A published result to compare with."""
     scale: Scale | None = None

@@ -3,13 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
+from tetractl.experiment.base import Finite, Model, Name, NonNegative
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
-from tetractl.experiment.yaml.explain import explain
-from tetractl.experiment.yaml.frozen import frozen
+from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
 
 
@@ -62,28 +61,25 @@ class Identified(Model):
     """By name."""
 
 
-class _PositiveValues(Model):
-    """What a spec asks of the values that it takes."""
-
-    a: Positive
-    speed: NonNegative
-
-
 def identified_yaml(found: Identified) -> str:
     """Return the text of such a file."""
     return dump(found.model_dump(mode="json", exclude_none=True))
 
 
 def read_identified(path: Path) -> tuple[Identified, str]:
-    """Return a file's values and its text; problems are told as a spec's are."""
+    """Return a file's values and its text; problems are reported as a spec's are."""
     text = read_text(path)
     document = parse_document(text, str(path))
-    try:
-        found = Identified.model_validate(frozen(document.data), strict=True)
-        for robot in found.robots.values():
-            _PositiveValues(a=robot.a.value, speed=robot.speed.value)
-    except ValidationError as error:
-        raise InvalidSpecError([*document.found, *explain(error, document)]) from None
+    found = validated(Identified, document)
+    for name, robot in found.robots.items():
+        for key, wrong, words in (
+            ("a", robot.a.value <= 0, "must be greater than 0"),
+            ("speed", robot.speed.value < 0, "must be at least 0"),
+        ):
+            if wrong:
+                place = document.place(("robots", name, key, "value"))
+                problem = place.problem(("robots", name, key, "value"), words, place.text)
+                document.problems.append(problem)
     if document.found:
         raise InvalidSpecError(document.found)
     return found, text

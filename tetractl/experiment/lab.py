@@ -6,7 +6,6 @@ length unit; times are seconds.
 """
 
 import threading
-from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Self
@@ -16,12 +15,12 @@ from pydantic import Field, model_validator
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.errors import UsageError
 from tetractl.core.protocols import Actuator, Camera
+from tetractl.core.registry import imported
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive, inconsistent
-from tetractl.experiment.choice import Choice
 from tetractl.experiment.kinds import ACTUATORS, CAMERAS
 from tetractl.experiment.plant import PlantSection
+from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.problems import Loc
 
 STOPS = 10
@@ -51,6 +50,8 @@ class RobotPart(Model):
 class DeviceSection(Model):
     """A device of the lab and its parameters."""
 
+    device: ClassVar[str] = ""
+    """The class of the device, as "module:class": imported where one is built."""
     type: Any  # each section's own name, as a Literal
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
@@ -68,12 +69,12 @@ class DeviceSection(Model):
 class CameraSection(DeviceSection):
     """A camera system and its parameters."""
 
-    @abstractmethod
-    def build(self, setup: Setup, clock: Clock, tap: Tap, wake: Callable[[], None]) -> Camera:
+    def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
         """Return the camera of the setup's robots, in their order; nothing is opened.
 
         `wake` is called after each frame. AbortError where the camera's software is not installed.
         """
+        return imported(self.device)(self, setup, clock, wake)
 
     def heading_offset(self, name: str) -> float:
         """Return what the camera adds to the heading it sees of a robot [rad]."""
@@ -83,18 +84,21 @@ class CameraSection(DeviceSection):
 class ActuatorSection(DeviceSection):
     """An actuator and its parameters."""
 
-    @abstractmethod
-    def build(self, setup: Setup, clock: Clock, tap: Tap) -> Actuator:
+    calibration: ClassVar[str] = ""
+    """A function that does what `calibrate` says, as "module:function"; "" where there is none."""
+
+    def build(self, setup: Setup, clock: Clock) -> Actuator:
         """Return the actuator of the setup's robots, in their order; nothing is opened."""
+        return imported(self.device)(self, setup, clock)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot in reach, for good where the actuator can; needs nothing but its port.
 
-        Not `alone`, beside a run that has the port, where the actuator can. Returns what was done,
+        Not `alone`, while a run has the port too, where the actuator can. Returns what was done,
         in words for people; AbortError where nothing can be sent.
         """
         clock = MonotonicClock()
-        with self.build(setup, clock, NO_TAP) as actuator:
+        with self.build(setup, clock) as actuator:
             for _ in range(STOPS):
                 actuator.stop(emergency=True)
                 clock.sleep_until(clock.now() + STOP_GAP_NS)
@@ -114,7 +118,10 @@ class ActuatorSection(DeviceSection):
         `limit` bounds what is sent, in the actuator's own unit. `report` is called with lines for
         people, `emergency` set stops the robots.
         """
-        raise UsageError(f"an actuator of type {self.type} is not calibrated by moving robots")
+        if not self.calibration:
+            raise UsageError(f"an actuator of type {self.type} is not calibrated by moving robots")
+        measure = imported(self.calibration)
+        return measure(self, lab, setup, names, limit, emergency, report)
 
 
 class LabLimits(Model):
@@ -130,13 +137,13 @@ class LabLimits(Model):
     untracked_abort: Positive = 0.3
     """The run aborts when a robot was not tracked for this long [s]."""
     jump_mm: NonNegative = 30.0
-    """A pose is not believed that is further from any of the last second than twice the robot's
+    """A pose is rejected that is further from any of the last second than twice the robot's
     speed allows, plus this [mm]."""
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
-    """A body whose height above the floor is not between these two is not believed to be on its
-    robot [mm]; the camera system's own zero is the floor. Only where the camera tells heights."""
+    """A body whose height above the floor is not between these two is taken to be off its robot
+    [mm]; the camera system's own zero is the floor. Only where the camera reports heights."""
     tilt: Positive = 0.5
-    """Nor is a body whose upward axis is turned by more than this from the vertical [rad]."""
+    """So is a body whose upward axis is turned by more than this from the vertical [rad]."""
     damaged_frames: int = Field(default=20, ge=1, le=100_000)
     """The run aborts on more damaged camera frames than this within a second."""
     edge_mm: NonNegative = 0.0
@@ -176,9 +183,9 @@ class LabSection(PlantSection):
     """Real robots in a real arena: a camera in, an actuator out."""
 
     simulated: ClassVar[bool] = False
-    camera: Annotated[CameraSection, Choice(CAMERAS)]
+    camera: Annotated[CameraSection, KindSection(CAMERAS)]
     """What tracks the robots."""
-    actuator: Annotated[ActuatorSection, Choice(ACTUATORS)]
+    actuator: Annotated[ActuatorSection, KindSection(ACTUATORS)]
     """What moves the robots."""
     limits: LabLimits = LabLimits()
     """What ends a run, and what it waits for."""

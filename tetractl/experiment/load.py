@@ -11,21 +11,23 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from tetractl.core.commands import PlantInfo
+from tetractl.core.errors import SpecError
 from tetractl.core.text import printable
-from tetractl.core.trial import Start
-from tetractl.experiment.attached import Attached, attach
-from tetractl.experiment.choice import STRICT
+from tetractl.core.trial import OWN_FILES, Start
 from tetractl.experiment.consistency import contradictions, section_contradictions, too_large
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.identified import Identified, merge, read_identified
 from tetractl.experiment.kinds import packages
+from tetractl.experiment.registry_fields import STRICT
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain
-from tetractl.experiment.yaml.frozen import frozen
 from tetractl.experiment.yaml.overrides import override
-from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 from tetractl.experiment.yaml.upgrade import upgrade
+
+Attached = tuple[tuple[str, str], ...]
+"""Names and texts of the files that a spec draws on: they go into the log with it."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class LoadedSpec:
     text: str
     name: str  # file name, without its folder
     path: Path | None = None
-    attached: Attached = ()  # name and text of files the spec draws on
+    attached: Attached = ()
     notices: tuple[str, ...] = ()  # lines for people on names that have changed
 
     @cached_property
@@ -110,6 +112,17 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
     )
 
 
+def attach(attached: Attached, path: Path, text: str) -> Attached:
+    """Return the files attached with one more; SpecError where a log has another of that name."""
+    name = printable(path.name)
+    if name in OWN_FILES or name in dict(attached):
+        raise SpecError(
+            f"{printable(str(path))}: the log of a trial holds another {name}",
+            "give this file a name of its own",
+        )
+    return (*attached, (name, text))
+
+
 def document_of(
     text: str,
     origin: str,
@@ -136,6 +149,9 @@ def _experiment(
 ) -> tuple[Experiment, tuple[str, ...], Attached]:
     """Return the experiment, what names have changed, and the files in `folder` it draws on."""
     document = document_of(text, origin, sets)
+    if "base" in document.data and "robots" not in document.data:
+        hint = f"run it with: tetractl study {origin}"
+        raise InvalidSpecError([SpecProblem(origin, "is a study, not a spec")], hint)
     attached: Attached = ()
     named = document.data.get("identified")
     if isinstance(named, str) and folder is None:

@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.operators import Operators
 from tetractl.core.protocols import Plant
 from tetractl.core.setup import Setup
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Model, Positive
 from tetractl.experiment.yaml.problems import Loc
 
@@ -39,11 +39,11 @@ class PlantSection(Model):
 
     @abstractmethod
     def build(
-        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, operators: Operators
+        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> Plant:
         """Return the plant of one trial; `seed` feeds a simulation's disturbances.
 
-        Only real robots need `operators`.
+        Only real robots need `supervision`.
         """
 
     @property

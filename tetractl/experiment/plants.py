@@ -9,20 +9,17 @@ from pydantic import Field, ValidationError
 
 from tetractl.core.errors import SpecError
 from tetractl.core.text import printable
-from tetractl.experiment.attached import attach
 from tetractl.experiment.base import Model
-from tetractl.experiment.choice import STRICT, Choice
 from tetractl.experiment.consistency import section_contradictions
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.kinds import PLANTS
 from tetractl.experiment.lab import LabSection
-from tetractl.experiment.load import LoadedSpec
+from tetractl.experiment.load import LoadedSpec, attach
+from tetractl.experiment.registry_fields import STRICT, KindSection
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
-from tetractl.experiment.yaml.explain import explain
-from tetractl.experiment.yaml.frozen import frozen
+from tetractl.experiment.yaml.document import Document, Place, frozen, parse_document, read_text
+from tetractl.experiment.yaml.explain import explain, validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
-from tetractl.experiment.yaml.upgrade_lab import is_old_calibration, upgrade_calibration
 
 PlantKind = Literal["sim", "lab"]
 DEVICES = ("camera", "actuator")
@@ -47,7 +44,7 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     """
     experiment = loaded.experiment
     if kind == "sim" and not experiment.plant.simulated:
-        updated = {"plant": Choice(PLANTS, default="sim").make(), "lab": experiment.plant}
+        updated = {"plant": KindSection(PLANTS, default="sim").make(), "lab": experiment.plant}
         return replace(loaded, experiment=experiment.model_copy(update=updated))
     if kind != "lab" and experiment.plant.simulated:
         return loaded
@@ -82,19 +79,10 @@ def calibration_yaml(calibration: Calibration) -> str:
 def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     """Return an experiment in the lab with a calibration's values in place of its lab's own.
 
-    `text` is the calibration file, `origin` its name; problems are told as a spec's are.
+    `text` is the calibration file, `origin` its name; problems are reported as a spec's are.
     """
     document = _calibration(text, origin)
-    if is_old_calibration(document.data):
-        data = upgrade_calibration(document.data)
-        document.data.clear()
-        document.data.update(data)
-    try:
-        calibration = Calibration.model_validate(frozen(document.data), strict=True)
-    except ValidationError as error:
-        raise InvalidSpecError([*document.found, *explain(error, document)]) from None
-    if document.found:
-        raise InvalidSpecError(document.found)
+    calibration = validated(Calibration, document)
     data = experiment.model_dump()
     places: dict[Loc, Place] = {}
     for device in DEVICES:
@@ -117,7 +105,7 @@ def _calibration(text: str, origin: str) -> Document:
         document = parse_document(text, origin)
     except InvalidSpecError:
         document = None
-    if document is None or not ("measured" in document.data or is_old_calibration(document.data)):
+    if document is None or "measured" not in document.data:
         raise SpecError(
             f"{printable(origin)}: is no calibration", "`tetractl lab calibrate` writes one"
         )

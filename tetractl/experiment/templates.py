@@ -69,7 +69,7 @@ controller:
   hold: 4                 # ... of a plan whose directions are held for 0.2 s
   motion: exact           # predict by the closed form of the motion
   estimate: true          # learn each robot's a and speed on the way
-  dead_time: 0.06         # s: cameras (`tetractl lab check` tells), radio, the wheels' lag
+  dead_time: 0.06         # s: cameras (`tetractl lab check` measures), radio, the wheels' lag
   horizon_max: 51         # signals: the longest plan is 10.2 s
   steps_max: 400          # control steps of a trial at most
   arrival_tolerance: {tolerance}   # {unit}; a trial ends when every robot is this near its target

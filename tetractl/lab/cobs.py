@@ -55,15 +55,15 @@ def decode(frame: bytes) -> bytes:
     return bytes(out)
 
 
-def seal(payload: bytes) -> bytes:
-    """Append the CRC, little-endian, stuff and close."""
+def frame_with_crc(payload: bytes) -> bytes:
+    """Return a payload as a frame: its CRC appended, little-endian, stuffed and closed by 00."""
     if len(payload) + 2 > FRAME_MAX:
         raise WireError(f"{len(payload)} bytes do not fit in a frame")
     return encode(payload + crc16(payload).to_bytes(2, "little"))
 
 
-def unseal(frame: bytes) -> bytes:
-    """Undo `seal`, given a frame without its closing 00; WireError unless the CRC is right."""
+def checked_payload(frame: bytes) -> bytes:
+    """Return the payload of a frame, given without its closing 00; WireError for a wrong CRC."""
     payload = decode(frame)
     if not 2 < len(payload) <= FRAME_MAX:
         raise WireError(f"a frame of {len(payload)} bytes")

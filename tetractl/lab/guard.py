@@ -12,14 +12,15 @@ Lengths are in the spec's length unit, times ns on the run's clock.
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.belief import Reach, Track
-from tetractl.lab.identities import Identities
+from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.motion_check import REPEATS, MotionCheck
+from tetractl.lab.pose_filter import MotionLimits, PoseFilter
+from tetractl.lab.swap_detection import SwapDetector
 
 NOISE_MM = 2.0  # by how far a pose may err
 SWIMMERS = 0.7  # by how much cells may move otherwise than commanded, as a share
@@ -73,7 +74,7 @@ class GuardRules:
 
 @dataclass(frozen=True, slots=True)
 class Ruling:
-    """The decision of a tick: which robots may move (N,), and the poses that are believed (N,).
+    """The decision of a tick: which robots may move (N,), and the accepted poses (N,).
 
     A pose is None where a robot is not tracked. `reason` says why a run was aborted.
     """
@@ -93,9 +94,9 @@ class Guard:
     state: GuardState = GuardState.PREFLIGHT
     reason: str = ""
     emergency: bool = False
-    _tracks: list[Track] = field(default_factory=list)
+    _filters: list[PoseFilter] = field(default_factory=list)
     _motion: MotionCheck = field(init=False)
-    _identities: Identities = field(init=False)
+    _swaps: SwapDetector = field(init=False)
     _last_frame_ns: int | None = None
     _outdated: int = 0
     _outdated_in_a_row: int = 0
@@ -114,9 +115,9 @@ class Guard:
 
     def __post_init__(self) -> None:
         rules = self.rules
-        self._tracks = [
-            Track(
-                Reach(
+        self._filters = [
+            PoseFilter(
+                MotionLimits(
                     speed,
                     turning,
                     rules.jump,
@@ -131,11 +132,11 @@ class Guard:
         ]
         noise = NOISE_MM / rules.mm if rules.individual else 0.0
         self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise)
-        self._identities = Identities(rules.names)
+        self._swaps = SwapDetector(rules.names)
 
     @property
     def jumps(self) -> int:
-        """Poses that were not believed."""
+        """Poses that were refused."""
         return self._jumps
 
     @property
@@ -145,8 +146,8 @@ class Guard:
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Why the newest pose of each robot (N,) is not believed, "" where it is or none came."""
-        return tuple(track.refused for track in self._tracks)
+        """Why the newest pose of each robot (N,) was refused, "" where it was not or none came."""
+        return tuple(track.refused for track in self._filters)
 
     def ready(self) -> None:
         """Note that the preflight is passed."""
@@ -159,10 +160,10 @@ class Guard:
             self.state = GuardState.RUN
             self._last_tick_ns = self._steered_ns = now_ns
             self._driven, self._outdated = True, 0
-            self._identities.restart()
+            self._swaps.restart()
             self._motion.restart()
             self._disobedient.clear()
-            for track in self._tracks:  # where robots were before the run does not count
+            for track in self._filters:  # where robots were before the run does not count
                 track.forget()
 
     def rest(self) -> None:
@@ -178,7 +179,7 @@ class Guard:
             limit, newest = self.rules.untracked_stop_ns, self._last_frame_ns or 0
             self._ghosts = {
                 i: track.refused
-                for i, track in enumerate(self._tracks)
+                for i, track in enumerate(self._filters)
                 if track.refused and newest - track.seen_ns > limit
             }
 
@@ -196,17 +197,10 @@ class Guard:
         """Note the last transmission: speeds [length unit/s] and turning rates [rad/s]."""
         share = self.rules.wheel_error if self.rules.individual else SWIMMERS
         self._motion.sent(now_ns, speed, turning, share)
-        self._identities.sent(now_ns, turning)
+        self._swaps.sent(now_ns, turning)
 
-    def believed(self, frame: CameraFrame) -> tuple[tuple[Pose | None, bool], ...]:
-        """Return each robot's last believed pose and whether it is of this frame."""
-        return tuple(
-            (track.pose, track.pose is not None and track.seen_ns == frame.sampled_ns)
-            for track in self._tracks
-        )
-
-    def see(self, frame: CameraFrame) -> CameraFrame | None:
-        """Judge one camera frame; return it with the believed poses alone.
+    def see(self, frame: CameraFrame) -> AcceptedFrame | None:
+        """Check one camera frame; return it with the poses that are accepted.
 
         None for a frame that was not exposed after those before it: it is dropped and counted.
         """
@@ -222,16 +216,15 @@ class Guard:
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         self._motion.frame(now)
-        believed: list[Pose | None] = []
-        for i, (track, pose) in enumerate(zip(self._tracks, frame.poses, strict=True)):
+        fresh: list[bool] = []
+        for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             self._disobedient.discard(i)
             if pose is None:
                 track.lost()
             elif not track.add(pose, now, self._fault(i, pose, now)):
                 self._jumps += 1
-                pose = None
-            believed.append(pose)
-        return replace(frame, poses=tuple(believed))
+            fresh.append(pose is not None and not track.refused)
+        return AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
 
     def no_frame(self, silent_ns: int) -> str:
         """Return what is wrong where no newer frame came for `silent_ns`."""
@@ -252,8 +245,8 @@ class Guard:
             self.abort(failure)
         self._count_damaged(now_ns, damaged)
         tracked = self._tracked(now_ns)
-        believed = tuple(
-            track.pose if ok else None for track, ok in zip(self._tracks, tracked, strict=True)
+        accepted = tuple(
+            track.pose if ok else None for track, ok in zip(self._filters, tracked, strict=True)
         )
         warnings: tuple[str, ...] = ()
         if self._active:
@@ -266,19 +259,19 @@ class Guard:
                     f"{steps} control steps in a row were late: no direction for {silent_s:.1f} s"
                 )
             self._check_stream(now_ns)
-            if mistaken := self._identities.fault():
+            if mistaken := self._swaps.fault():
                 self.abort(mistaken)
             self._check_tracking(now_ns)
-            self._check_places(believed)
+            self._check_places(accepted)
             warnings, self._warnings = tuple(self._warnings), []
-        still = (False,) * len(self._tracks)
+        still = (False,) * len(self._filters)
         if not self._active:
-            return Ruling(self.state, still, believed, self.reason, warnings)
+            return Ruling(self.state, still, accepted, self.reason, warnings)
         fresh = now_ns - (self._last_frame_ns or 0) <= self.rules.stale_ns
         let = tracked if self.rules.individual else (True,) * len(tracked)
         moving = let if fresh else still
         self.state = GuardState.RUN if all(moving) and all(tracked) else GuardState.HOLD
-        return Ruling(self.state, moving, believed, "", warnings)
+        return Ruling(self.state, moving, accepted, "", warnings)
 
     def _behind(self) -> str:
         return f"exposed {self._behind_ns / SECOND:.2f} s before the newest"
@@ -292,7 +285,7 @@ class Guard:
 
         Only while a run may move it: after a stop, `standstill` finds what moves on.
         """
-        track = self._tracks[i]
+        track = self._filters[i]
         before = track.pose
         fault = self._ghosts.get(i) or track.fault(pose, now_ns, self._driven)
         if fault or not self._active or before is None:
@@ -302,7 +295,7 @@ class Guard:
         if self.rules.individual:
             seen_ns, heading = self._headings.get(i, (-SECOND, 0.0))
             turned = math.remainder(pose.heading - heading, math.tau)
-            self._identities.turned(i, now_ns, now_ns - seen_ns, turned)
+            self._swaps.turned(i, now_ns, now_ns - seen_ns, turned)
         self._headings[i] = now_ns, pose.heading
         fault = self._motion.disagrees(i, before, pose)
         if fault and not self.rules.individual:  # what swims by itself is warned of
@@ -322,9 +315,9 @@ class Guard:
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
         limit = max(self.rules.untracked_stop_ns, 0)
         newest = self._last_frame_ns or 0
-        # a stream that stands still is judged as such, not as robots that are not tracked
+        # a stream that stands still is a fault of its own, not as robots that are not tracked
         return tuple(
-            track.pose is not None and newest - track.seen_ns <= limit for track in self._tracks
+            track.pose is not None and newest - track.seen_ns <= limit for track in self._filters
         )
 
     def _check_stream(self, now_ns: int) -> None:
@@ -334,7 +327,7 @@ class Guard:
 
     def _check_tracking(self, now_ns: int) -> None:
         newest = self._last_frame_ns or 0
-        for i, (name, track) in enumerate(zip(self.rules.names, self._tracks, strict=True)):
+        for i, (name, track) in enumerate(zip(self.rules.names, self._filters, strict=True)):
             lost_ns = newest - track.seen_ns
             if i in self._disobedient and lost_ns > self.rules.untracked_stop_ns:
                 self.abort(f"{name} {track.refused}")
@@ -364,7 +357,7 @@ class Guard:
                 gap = math.hypot(then.x - other_then.x, then.y - other_then.y)
                 before = math.hypot(now.x - other_now.x, now.y - other_now.y)
                 if min(gap, before) < rules.separation and gap <= before:
-                    self.abort(f"{other} and {name} are too close: {before:.0f} apart")
+                    self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
         """Whether a robot gets further out: one at the edge may move back in."""

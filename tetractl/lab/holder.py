@@ -14,7 +14,7 @@ SWITCH_OFF = "switch the robots off by hand if they move"
 
 
 def holder(port: str) -> int | None:
-    """Return the process that has locked a port; None for nobody, or where only Linux would say."""
+    """Return the process that has locked a port; None for none, or where Linux alone would say."""
     with suppress(OSError):
         at = Path(port).stat()
         device = f"{os.major(at.st_dev):02x}:{os.minor(at.st_dev):02x}:{at.st_ino}"
@@ -35,7 +35,7 @@ def command_line(pid: int) -> list[str]:
 def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
     """Stop the robots of the run that has a port, then end that run, by SIGKILL if need be.
 
-    `stops` sends stops beside the run and returns what it did; it is repeated until the port is
+    `stops` sends stops past the run and returns what it did; it is repeated until the port is
     free, for a run that hangs may still drive. AbortError where the run is not ended: it is not
     known, another user's, or no tetractl.
     """
@@ -65,7 +65,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
             time.sleep(0.05)
         else:
             if not said:
-                say(f"{sent}, beside it")
+                say(f"{sent}, past it")
             said = True
         if pid is None or not ours:
             raise _left(name, "is no tetractl that could be ended" if pid else "is not known")
@@ -82,7 +82,7 @@ def _left(
     stops: Callable[[], str] = lambda: "",
     say: Callable[[str], None] = lambda line: None,
 ) -> AbortError:
-    """Return the error of a program that still has the port, after stops beside it."""
+    """Return the error of a program that still has the port, after stops past it."""
     with suppress(AbortError):
         say(stops())
     return AbortError(f"{name} still has the port: it {why}", f"end it yourself; {SWITCH_OFF}")

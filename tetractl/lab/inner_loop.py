@@ -6,20 +6,19 @@ direction is sent at the actuator's rate; a new direction, or a stop, at once.
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TypeVar
 
 from tetractl.core.clock import Clock
 from tetractl.core.commands import Transmission
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.experiment.lab import STOP_GAP_NS, STOPS
+from tetractl.lab.frames import FrameBuffer
 from tetractl.lab.guard import Guard, GuardState, Ruling
 
 T = TypeVar("T")
-OnFrame = Callable[[CameraFrame], None]
 
 IDLE_S = 0.01
 STEER_S = 0.25  # a step that takes longer has hung
@@ -30,9 +29,8 @@ KEPT = 100_000
 class InnerLoop:
     """Steps a guard between a camera and an actuator. Times are ns on `clock`.
 
-    `wake` is set by the camera after each frame, `emergency` by a person. `on_frame` is called with
-    each frame that the guard did not drop, of the poses that it believes. Without `start`, whoever
-    turns the clock calls `step`.
+    `wake` is set by the camera after each frame, `emergency` by a person. `frames` holds what the
+    guard accepted. Without `start`, the owner of the clock calls `step`.
     """
 
     def __init__(
@@ -43,9 +41,8 @@ class InnerLoop:
         clock: Clock,
         wake: threading.Event,
         emergency: threading.Event,
-        on_frame: OnFrame,
     ) -> None:
-        self.guard, self._on_frame = guard, on_frame
+        self.guard, self.frames = guard, FrameBuffer()
         self.last: Transmission | None = None
         self._camera, self._actuator, self._clock = camera, actuator, clock
         self._wake, self._emergency = wake, emergency
@@ -59,7 +56,6 @@ class InnerLoop:
         self._aborted = False
         self._stops_left = 0
         self._next_ns = 0
-        self._exposed_ns = 0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="inner loop", daemon=True)
 
@@ -106,7 +102,7 @@ class InnerLoop:
                 self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)
 
     def step(self) -> None:
-        """Judge the frames that came, and send what is due now."""
+        """Check the frames that came, and send what is due now."""
         with self._lock:
             self._guarded_tick()
 
@@ -153,10 +149,8 @@ class InnerLoop:
     def _tick(self) -> None:
         guard, now = self.guard, self._clock.now()
         for frame in self._camera.frames():
-            if (believed := guard.see(frame)) is None:
-                continue
-            self._exposed_ns = believed.sampled_ns
-            self._on_frame(believed)
+            if (accepted := guard.see(frame)) is not None:
+                self.frames.append(accepted)
         if self._emergency.is_set():
             guard.abort("emergency stop by the operator", emergency=True)
         ruling = guard.tick(now, self._camera.damaged, self._actuator.failure)
@@ -188,8 +182,10 @@ class InnerLoop:
         period = self._actuator.period_ns
         self._next_ns = max(self._next_ns + period, now + period // 2)
         if self._actuator.individual or any(ruling.moving):
+            newest = self.frames.newest
+            exposed_ns = 0 if newest is None else newest.frame.sampled_ns
             self._note(
-                self._actuator.steer(self._direction, ruling.poses, ruling.moving, self._exposed_ns)
+                self._actuator.steer(self._direction, ruling.poses, ruling.moving, exposed_ns)
             )
         else:
             self._note(self._actuator.stop())

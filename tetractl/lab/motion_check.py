@@ -103,7 +103,7 @@ class MotionCheck:
         return bool(np.any((least > 0.0) | (most < 0.0)))
 
     def disagrees(self, i: int, before: Pose, pose: Pose) -> str:
-        """Return how robot i, last seen at a pose that agreed, moves as nobody commanded.
+        """Return how robot i, last seen at a pose that agreed, moves otherwise than commanded.
 
         "" where it does not; then the new pose is one that agreed.
         """

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import EMULATED, RobotStatus
 from tetractl.core.poses import CameraFrame
+from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.rig import Rig
 
 POLL_S = 1.0
@@ -45,8 +46,8 @@ class RobotFinding:
 class Preflight:
     """What a preflight found.
 
-    `latency_ms` (median, greatest) is the age of frames on arrival, None where the camera cannot
-    tell it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own,
+    `latency_ms` (median, greatest) is the age of frames on arrival, None where the camera does not
+    report it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own,
     `questions` what a person, where there is one, has to agree to.
     """
 
@@ -81,24 +82,23 @@ class Preflight:
 
 
 def inspect(rig: Rig) -> Preflight:
-    """Look at some camera frames, ask both devices and poll the robots; moves nothing."""
+    """Watch some camera frames, ask both devices and poll the robots; moves nothing."""
     statuses = rig.actuator.poll(POLL_S)
     outdated = rig.guard.outdated
     seen = _watch(rig)
     outdated = rig.guard.outdated - outdated
     camera, actuator = rig.camera.check(), rig.actuator.check()
-    newest = rig.newest
+    newest = rig.frames.newest
     problems = [*camera.problems, *actuator.problems]
-    if newest is not None and newest.fault:
-        problems.append(newest.fault)
+    if newest is not None and newest.frame.fault:
+        problems.append(newest.frame.fault)
     if not seen:
-        heard_ns = 0 if newest is None else newest.received_ns
-        problems.append(rig.guard.no_frame(rig.clock.now() - heard_ns))
+        problems.append(rig.guard.no_frame(rig.silent_ns()))
     latency_ms = _latency_ms(seen)
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old when they come")
     if newest is not None:
-        problems += _strangers(rig, newest)
+        problems += _strangers(rig, newest.frame)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
     devices = {"camera": camera, "actuator": actuator}
     emulated = ", ".join(name for name, health in devices.items() if health.emulated)
@@ -115,7 +115,7 @@ def inspect(rig: Rig) -> Preflight:
 
 def unplaced(rig: Rig) -> list[str]:
     """Return, a line a robot, who is not seen on its start now."""
-    newest, found = rig.newest, []
+    newest, found = rig.frames.newest, []
     for i, name in enumerate(rig.setup.names):
         off_mm, off_heading = _off(rig, i, newest)
         line = rig.not_tracked(i) if off_mm is None else _misplaced(rig, name, off_mm, off_heading)
@@ -129,7 +129,7 @@ def dropped(outdated: int) -> str:
     return f"camera frames dropped because later ones had come: {outdated}"
 
 
-def _robot(rig: Rig, i: int, frame: CameraFrame | None, status: RobotStatus) -> RobotFinding:
+def _robot(rig: Rig, i: int, frame: AcceptedFrame | None, status: RobotStatus) -> RobotFinding:
     name = rig.setup.names[i]
     off_mm, off_heading = _off(rig, i, frame)
     misplaced = "" if off_mm is None else _misplaced(rig, name, off_mm, off_heading)
@@ -145,9 +145,9 @@ def _misplaced(rig: Rig, name: str, off_mm: float, off_heading: float | None) ->
     return ""
 
 
-def _off(rig: Rig, i: int, frame: CameraFrame | None) -> tuple[float | None, float | None]:
+def _off(rig: Rig, i: int, frame: AcceptedFrame | None) -> tuple[float | None, float | None]:
     """Return how far a robot is from its start: [mm] and [rad], None where it is not tracked."""
-    pose = frame.poses[i] if frame is not None else None
+    pose = frame.pose(i) if frame is not None else None
     if pose is None:
         return None, None
     starts = rig.setup.starts
@@ -162,19 +162,18 @@ def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
 
 def _watch(rig: Rig) -> list[CameraFrame]:
     """Return the next frames: `WATCHED` of them, or as many as come before the camera is silent."""
-    clock, newest = rig.clock, rig.newest
-    first = 0 if newest is None else newest.number
+    clock, frames, first = rig.clock, rig.frames, rig.frames.count
     began = heard = clock.now()
     silence = round(rig.limits.stream_lost * SECOND)
-    seen: list[CameraFrame] = []
-    while len(seen) < WATCHED and clock.now() - began < WATCH_NS:
+    count = first
+    while count - first < WATCHED and clock.now() - began < WATCH_NS:
         clock.sleep_until(clock.now() + LOOK_NS)
-        before, seen = len(seen), [frame for frame in tuple(rig.recent) if frame.number > first]
-        if len(seen) > before:
+        before, count = count, frames.count
+        if count > before:
             heard = clock.now()
         elif clock.now() - heard > silence:
             break
-    return seen
+    return [accepted.frame for accepted in frames.since(first)]
 
 
 def _latency_ms(seen: Sequence[CameraFrame]) -> tuple[float, float] | None:

@@ -1,22 +1,17 @@
 """A lab in use: a camera and an actuator with the guard and the inner loop between them."""
 
 import threading
-from collections import deque
 from contextlib import ExitStack
-from types import TracebackType
 from typing import Self
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.experiment.lab import LabLimits, LabSection
 from tetractl.lab.guard import Guard, GuardRules
-from tetractl.lab.inner_loop import InnerLoop, OnFrame
+from tetractl.lab.inner_loop import InnerLoop
 
 MM = 1e-3  # m
-RECENT = 512  # camera frames that are kept to look at
 
 
 class Rig:
@@ -24,8 +19,7 @@ class Rig:
 
     Entering opens the actuator and the camera and begins to watch: in a thread or, where
     `threaded` is False, at each call of `loop.step`. `wake` must be what the camera was made with.
-    `on_frame` is called, in that thread, with each frame that the guard did not drop, of the poses
-    that it believes; `recent` are the last of them.
+    `frames` holds the camera frames that the guard accepted.
     """
 
     def __init__(
@@ -42,7 +36,6 @@ class Rig:
         self.camera, self.actuator, self.limits = camera, actuator, limits
         self.setup, self.clock = setup, clock
         self.mm = setup.metres / MM  # millimetres in a length unit
-        self.recent: deque[CameraFrame] = deque(maxlen=RECENT)
         self.guard = Guard(guard_rules(setup, limits, actuator.individual))
         self.loop = InnerLoop(
             camera,
@@ -51,9 +44,8 @@ class Rig:
             clock,
             wake or threading.Event(),
             emergency or threading.Event(),
-            self._see,
         )
-        self.on_frame: OnFrame = lambda frame: None
+        self.frames = self.loop.frames
         self._threaded = threaded
         self._opened = ExitStack()
 
@@ -69,18 +61,8 @@ class Rig:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def newest(self) -> CameraFrame | None:
-        """The newest frame that the guard did not drop, of the poses that it believes."""
-        return self.recent[-1] if self.recent else None
 
     def not_tracked(self, i: int) -> str:
         """Return a line that robot i is not tracked, and why where that is known."""
@@ -92,9 +74,10 @@ class Rig:
         self.loop.close()
         self._opened.close()
 
-    def _see(self, frame: CameraFrame) -> None:
-        self.recent.append(frame)
-        self.on_frame(frame)
+    def silent_ns(self) -> int:
+        """Return for how long no accepted frame has come."""
+        newest = self.frames.newest
+        return self.clock.now() - (0 if newest is None else newest.frame.received_ns)
 
 
 def build_rig(
@@ -102,12 +85,11 @@ def build_rig(
     setup: Setup,
     clock: Clock,
     emergency: threading.Event | None = None,
-    tap: Tap = NO_TAP,
 ) -> Rig:
     """Return the rig of a spec; nothing is opened yet."""
     wake = threading.Event()
-    camera = lab.camera.build(setup, clock, tap, wake.set)
-    actuator = lab.actuator.build(setup, clock, tap)
+    camera = lab.camera.build(setup, clock, wake.set)
+    actuator = lab.actuator.build(setup, clock)
     return Rig(camera, actuator, lab.limits, setup, clock, emergency, wake)
 
 

@@ -14,7 +14,6 @@ import serial
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
-from tetractl.core.wire_tap import NO_TAP, Tap
 
 WRITE_TIMEOUT_S = 0.02
 READ_TIMEOUT_S = 0.05
@@ -39,8 +38,7 @@ class SerialPort:
     """The port `name` at `baud` bits a second, with `device` (such as "the radio") behind it.
 
     `heard` is called in the reader's thread with bytes and their time [ns on `clock`], and with no
-    bytes once the port has failed. `wire` is what the tap calls the port, `hint` what an error
-    advises.
+    bytes once the port has failed; `hint` is what an error advises.
     """
 
     def __init__(
@@ -51,19 +49,17 @@ class SerialPort:
         clock: Clock,
         heard: Heard,
         hint: str,
-        tap: Tap = NO_TAP,
-        wire: str = "serial",
     ) -> None:
         self.failure: str | None = None
         self._name, self._baud, self._device, self._hint = name, baud, device, hint
-        self._clock, self._heard, self._tap, self._wire = clock, heard, tap, wire
+        self._clock, self._heard = clock, heard
         self._sending = threading.Lock()
         self._closing = threading.Event()
         self._port: serial.Serial | None = None
         self._thread = threading.Thread(target=self._read, name=device, daemon=True)
 
     def open(self, alone: bool = True) -> None:
-        """Open the port and start to read, for this process `alone` or beside the one that has it.
+        """Open the port and start to read, for this process `alone` or besides the one that has it.
 
         AbortError where it cannot, PortHeldError where another has it.
         """
@@ -96,9 +92,7 @@ class SerialPort:
                 raise self._fail(f"is gone: {_why(error)}") from error
             if waiting > MAX_BUFFER:
                 raise self._fail(f"holds {waiting} bytes back: {self._device} is stuck")
-            now = self._clock.now()
-        self._tap.sent(self._wire, now, data)
-        return now
+            return self._clock.now()
 
     def set_baud(self, baud: int) -> None:
         """Change the speed of the open port [bits a second]."""
@@ -133,9 +127,7 @@ class SerialPort:
                     self._heard(b"", self._clock.now())
                 return
             if data:
-                now = self._clock.now()
-                self._tap.received(self._wire, now, data)
-                self._heard(data, now)
+                self._heard(data, self._clock.now())
 
 
 def _put(fd: int, data: bytes) -> None:

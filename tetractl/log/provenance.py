@@ -9,13 +9,14 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
 
-from tetractl import __version__
 from tetractl.core.cache import compiler_settings
 from tetractl.core.cache import digest as cache_name
+from tetractl.core.text import printable
+from tetractl.core.version import __version__
 
 PACKAGES = (
     "numpy",
@@ -68,6 +69,23 @@ def host() -> dict[str, str]:
     }
 
 
+def processor(host: Mapping[str, str]) -> str:
+    """Return the type of a host's processor, as `znver3-1a2b3c`; "" where its record lacks it.
+
+    That is LLVM's name for it, and six digits that name the instruction sets in use: code compiled
+    for two types may differ in the last bits of its results.
+    """
+    if not (name := host.get("cpu_target")):
+        return ""
+    sets = f"{host.get('cpu_features')} {host.get('numpy_dispatch')}"
+    return f"{printable(name, 40)}-{_short_digest(sets)}"
+
+
+@lru_cache(maxsize=64)
+def _short_digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:6]
+
+
 @cache
 def versions() -> dict[str, str]:
     """Return the versions behind a result and, from a source checkout, its git state.
@@ -107,7 +125,7 @@ def host_metadata(packages: Mapping[str, str]) -> dict[str, str]:
 
 
 def plugins(packages: Mapping[str, str]) -> dict[str, str]:
-    """Return the versions of packages beside tetractl, by the keys they have in a log."""
+    """Return the versions of packages besides tetractl, by the keys they have in a log."""
     return {PLUGIN + name: version for name, version in packages.items()}
 
 
@@ -182,8 +200,8 @@ def _cpu_features() -> str:
 
 
 def _numpy_dispatch() -> str:
-    """Return the instruction sets that numpy found and was not told to leave."""
-    from numpy._core._multiarray_umath import (  # the only place that tells
+    """Return the instruction sets that numpy found and uses."""
+    from numpy._core._multiarray_umath import (  # in no public place
         __cpu_features__ as features,
     )
 

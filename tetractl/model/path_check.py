@@ -50,13 +50,13 @@ class PathCheck:
         self.edge = np.minimum(self.edge, self.arena.inside(x, y).min(axis=1))
         self.apart = np.minimum(self.apart, separations(x, y))
 
-    def verdict(self, final: Poses, unrest: str = "") -> Verdict:
+    def verdict(self, final: Poses, not_at_rest: str = "") -> Verdict:
         """Return the verdict on the path so far, which ended in `final`."""
         return Verdict(
             final,
             tuple(bool(entered) for entered in self.entered),
             tuple(self.clearance.tolist()),
-            unrest,
+            not_at_rest,
             tuple(self.edge.tolist()),
             tuple(self.apart.tolist()),
         )

@@ -3,11 +3,13 @@
 import numpy as np
 
 from tetractl.core.poses import Floats, Poses
-from tetractl.experiment.disturbance import Order
+from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.base import Held, Motion
 
 NEVER = 2**62
 """A time after the end of every trial [ns]."""
+LEAST_A = 1e-12
+"""Turning rate of a robot that is held [rad/s]: the closed form divides by it."""
 
 
 class DirectDrive:
@@ -22,48 +24,57 @@ class DirectDrive:
 
     def __init__(self, motion: Motion, a: Floats, speed: Floats, starts: Poses) -> None:
         self.poses = starts
-        self._motion, self._a, self._speed = motion, a, speed
+        self._motion = motion
         self._held = Held(*(np.zeros(a.size) for _ in range(4)))
         self._free = np.zeros(a.size, dtype=np.bool_)  # robots on which no field acts
+        self._sine = np.zeros(a.size)  # sin(u - heading) when the command came
+        self.vary(a, speed)
 
     @property
     def moving(self) -> Floats:
         """1 for robots that move, 0 for those that stand, (N,)."""
-        return self._held.moving
+        return self._held.moving * self._able
 
-    def glide(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
+    def vary(self, a: Floats, speed: Floats) -> None:
+        """Turn and move at other true rates from now on, (N,) each."""
+        self._able = (a > 0) | (speed > 0)
+        self._a, self._speed = np.maximum(a, LEAST_A), speed
+        self._held.turning = a * self._sine
+
+    def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
         """Move on, and return x, y and heading (M, N) after each of the times (M,) from now [s].
 
         `ticks` tells which of the times are those of true samples; here they make no difference.
         """
         p, held = self.poses, self._held
-        t = seconds[:, None] * held.moving
-        if self._free.any():  # nobody turns who is told to go where it heads
+        t = seconds[:, None] * self.moving
+        if self._free.any():  # a robot turns no further if u is its heading
             held.direction = np.where(self._free, p.heading, held.direction)
         x, y, heading = self._motion.hold(p.x, p.y, p.heading, held, self._a, self._speed, t)
         self.poses = Poses(x[-1], y[-1], heading[-1])
         return x, y, heading
 
-    def take(self, order: Order) -> None:
+    def apply(self, command: DelayedCommand) -> None:
         """Let a command act on the robots that received it.
 
         The wheel speeds of `arc` are those of the headings measured when the command was sent; the
         chords of `euler` begin at the true headings.
         """
-        got, held = order.reached, self._held
+        got, held = command.reached, self._held
         heading = self.poses.heading
         held.moving = np.where(
-            got, float(order.field_off or order.direction is not None), held.moving
+            got, float(command.field_off or command.direction is not None), held.moving
         )
-        self._free = np.where(got, order.field_off, self._free)
-        if order.direction is None:
-            held.turning = np.where(got, 0.0, held.turning)
+        self._free = np.where(got, command.field_off, self._free)
+        if command.direction is None:
+            self._sine = np.where(got, 0.0, self._sine)
+            held.turning = self._a * self._sine
             held.course = np.where(got, heading, held.course)
             return
         answered = heading
-        if self._motion.name == "arc" and order.headings is not None:
-            answered = order.headings
-        turning = self._a * np.sin(order.direction - answered)
-        held.direction = np.where(got, order.direction, held.direction)
-        held.turning = np.where(got, turning, held.turning)
+        if self._motion.name == "arc" and command.headings is not None:
+            answered = command.headings
+        self._sine = np.where(got, np.sin(command.direction - answered), self._sine)
+        held.direction = np.where(got, command.direction, held.direction)
+        held.turning = self._a * self._sine
         held.course = np.where(got, heading, held.course)

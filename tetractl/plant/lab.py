@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -9,15 +10,15 @@ import numpy as np
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.commands import HALTS, Command, Note, PlantInfo, Sample, Transmission, Verdict
 from tetractl.core.errors import AbortError
-from tetractl.core.operators import Operators
-from tetractl.core.poses import CameraFrame, Observation, Poses
+from tetractl.core.poses import Observation, Pose, Poses
 from tetractl.core.setup import Setup
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.guard import GuardState
-from tetractl.lab.placing import wait_until_ready
 from tetractl.lab.preflight import Preflight, dropped
+from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked
 from tetractl.lab.rig import Rig, build_rig
-from tetractl.lab.standstill import unrest, unseen
+from tetractl.lab.start_gate import wait_until_ready
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
@@ -33,25 +34,24 @@ class LabPlantSection(LabSection):
         return MonotonicClock()
 
     def build(
-        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, operators: Operators
+        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> "LabPlant":
         """Return the plant of one trial; nothing is opened yet."""
-        rig = build_rig(self, setup, clock, operators.emergency, operators.tap)
-        return LabPlant(rig, operators)
+        rig = build_rig(self, setup, clock, supervision.emergency)
+        return LabPlant(rig, supervision)
 
 
 class LabPlant:
     """A `Plant` of real robots; after a fault every call raises AbortError with the reason."""
 
-    def __init__(self, rig: Rig, operators: Operators) -> None:
+    def __init__(self, rig: Rig, supervision: LabSupervision) -> None:
         self.rig, self.setup, self.clock = rig, rig.setup, rig.clock
-        self._operators = operators
-        rig.on_frame = self._see
+        self._supervision = supervision
         self._heading = self.setup.starts.heading
         self._path_check = PathCheck.of(self.setup)
-        self._judging = False
+        self._read = 0  # of the rig's accepted frames
         self._newest: Observation | None = None
-        self._fresh: deque[Sample] = deque(maxlen=KEPT)
+        self._fresh: list[Sample] = []
         self._news: deque[Command | Note] = deque(maxlen=KEPT)
         self._returned: set[int] = set()  # send times of what `steer` has returned
         self._observed_ns: int | None = None
@@ -61,14 +61,12 @@ class LabPlant:
         """Connect, look everything over, and wait until the robots stand on their starts."""
         rig = self.rig
         rig.__enter__()
-        findings = wait_until_ready(rig, self._operators)
+        findings = wait_until_ready(rig, self._supervision)
         now = self.clock.now()
         self._news.extend(Note(now, "warning", warning) for warning in findings.all_warnings)
         rig.guard.ready()
-        while len(self._fresh) > 1:  # the newest stays: it is what `observe` may return
-            self._fresh.popleft()
-        self._judging = True
-        if self._newest is None:
+        self._read = rig.frames.count - 1  # the newest stays: it is what `observe` may return
+        if rig.frames.newest is None:
             raise AbortError("no camera frame came")
         rate_hz = findings.camera_rate_hz or 0.0
         facts = {**_facts(findings), HALTS: "yes" if rig.actuator.halts else "no"}
@@ -78,6 +76,7 @@ class LabPlant:
         """Return the newest camera frame; a robot not tracked now keeps its last pose."""
         self._raise_abort()
         self._observed_ns = self.clock.now()
+        self._take_frames()
         assert self._newest is not None, "open() waits for the first frame"
         return self._newest
 
@@ -101,9 +100,8 @@ class LabPlant:
 
     def samples(self) -> list[Sample]:
         """Return, once, every camera frame since the last call, oldest first."""
-        fresh: list[Sample] = []
-        while self._fresh:
-            fresh.append(self._fresh.popleft())
+        self._take_frames()
+        fresh, self._fresh = self._fresh, []
         return fresh
 
     def news(self) -> list[Command | Note]:
@@ -127,22 +125,22 @@ class LabPlant:
         return self._stop
 
     def settle(self) -> Verdict:
-        """Wait until the camera shows every robot, standing where it can, and judge the path.
+        """Wait until the camera shows every robot, standing where it can, and check the path.
 
         A fault that came too late for a further step, such as a stop that could not be sent, counts
         as robots that are not seen to stand.
         """
-        not_shown = unrest if self.rig.actuator.halts else unseen
-        restless = not_shown(self.rig) if self._newest else ""
-        if restless:
-            self._news.append(Note(self.clock.now(), "error", restless))
+        not_shown = wait_for_rest if self.rig.actuator.halts else wait_until_tracked
+        not_at_rest = not_shown(self.rig) if self.rig.frames.newest else ""
+        if not_at_rest:
+            self._news.append(Note(self.clock.now(), "error", not_at_rest))
         if outdated := self.rig.guard.outdated:
             self._news.append(Note(self.clock.now(), "warning", dropped(outdated)))
         if self.rig.guard.state is GuardState.ABORT:
-            restless = restless or self.rig.guard.reason
-        self._judging = False
+            not_at_rest = not_at_rest or self.rig.guard.reason
+        self._take_frames()
         final = self._newest.poses if self._newest is not None else self.setup.starts
-        return self._path_check.verdict(final, restless)
+        return self._path_check.verdict(final, not_at_rest)
 
     def close(self) -> None:
         """Release camera and actuator."""
@@ -152,22 +150,29 @@ class LabPlant:
         if self.rig.guard.state is GuardState.ABORT:
             raise AbortError(self.rig.guard.reason)
 
-    def _see(self, frame: CameraFrame) -> None:
-        """Keep one frame, in the inner loop's thread, after the guard judged it."""
+    def _take_frames(self) -> None:
+        """Keep the frames that the guard has accepted since the last call."""
+        for accepted in (frames := self.rig.frames.since(self._read)):
+            poses, frame = self._unwrapped(accepted.poses), accepted.frame
+            self._heading = poses.heading
+            self._path_check.add(poses.x[None], poses.y[None])
+            times = frame.sampled_ns, frame.received_ns
+            self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
+            self._fresh.append(Sample(self._newest, None))
+        self._read += len(frames)
+
+    def _unwrapped(self, seen: Sequence[Pose | None]) -> Poses:
+        """Return the poses with headings that go on from the last ones without a turn of 2 pi.
+
+        A robot without any pose yet is on its start.
+        """
         starts = self.setup.starts
         x, y, heading = starts.x.copy(), starts.y.copy(), self._heading.copy()
-        valid = np.zeros(len(x), dtype=np.bool_)
-        for i, (pose, here) in enumerate(self.rig.guard.believed(frame)):
-            valid[i] = here
+        for i, pose in enumerate(seen):
             if pose is not None:
                 x[i], y[i] = pose.x, pose.y
                 heading[i] += math.remainder(pose.heading - heading[i], math.tau)
-        self._heading = heading
-        poses = Poses(x, y, heading)
-        self._newest = Observation(frame.number, frame.sampled_ns, frame.received_ns, poses, valid)
-        if self._judging:
-            self._path_check.add(poses.x[None], poses.y[None])
-        self._fresh.append(Sample(self._newest, None))
+        return Poses(x, y, heading)
 
     def _command(self, sent: Transmission) -> Command:
         delivered = sent.moving  # as far as anybody knows: a broadcast is not acknowledged

@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Sample
 from tetractl.core.poses import Bools, Observation, Poses
 from tetractl.experiment.base import Model, NonNegative
-from tetractl.experiment.disturbance import Disturbance
+from tetractl.experiment.disturbance import Disturbance, overriding
 
 Integers = NDArray[np.int64]
 
@@ -42,10 +42,9 @@ class SimCamera:
         rng: np.random.Generator,
         disturbances: Sequence[Disturbance],
     ) -> None:
-        self._rate_hz, self._noise, self._rng = rate_hz, noise, rng
-        overriding = [d for d in disturbances if type(d).measured is not Disturbance.measured]
-        self._measured = overriding
-        self._received = [d for d in disturbances if type(d).received is not Disturbance.received]
+        self.rate_hz, self._noise, self._rng = rate_hz, noise, rng
+        self._measured = overriding(disturbances, "measured")
+        self._received = overriding(disturbances, "received")
         self._tracked = np.ones(robots, dtype=np.bool_)
         self._tracked.setflags(write=False)  # one array for all frames
         self._exposed = 0  # frames so far
@@ -58,7 +57,7 @@ class SimCamera:
     @property
     def next_ns(self) -> int:
         """When the next frame is exposed [ns]."""
-        return round(self._exposed * SECOND / self._rate_hz)
+        return round(self._exposed * SECOND / self.rate_hz)
 
     @property
     def arriving_ns(self) -> int | None:
@@ -67,7 +66,7 @@ class SimCamera:
 
     def due(self, until: int) -> Integers:
         """Return the times up to `until` at which frames have to be exposed, oldest first [ns]."""
-        return due_ns(self._exposed, self._rate_hz, until)
+        return due_ns(self._exposed, self.rate_hz, until)
 
     def expose(self, when: int, truth: Poses) -> None:
         """Expose the next frame at `when` [ns] with the robots at their true poses."""

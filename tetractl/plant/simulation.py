@@ -1,9 +1,7 @@
 """The simulated plant: true motion in continuous virtual time, a camera, and disturbances."""
 
 import json
-from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -12,26 +10,26 @@ from pydantic import Field, model_validator
 from tetractl.core.clock import SECOND, Clock, VirtualClock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.errors import AbortError
-from tetractl.core.operators import Operators
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
+from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
-from tetractl.experiment.choice import Choice, OneOf
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection, Order
+from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
 from tetractl.experiment.kinds import DISTURBANCES, MOTIONS
 from tetractl.experiment.lab import STOP_GAP_NS, STOPS
 from tetractl.experiment.plant import PlantSection
+from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.model.path_check import PathCheck
 from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.direct import DirectDrive
-from tetractl.plant.sim_camera import MeasurementNoise, SimCamera, due_ns
+from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
+from tetractl.plant.true_motion import TrueMotion
 from tetractl.plant.wheel_host import WheelDriveSection
 from tetractl.plant.wheels import WheelDrive
 
 NO_FRAME_S = 60
+STOPS_MAX = 3000  # repetitions of a stop that some robot has not heard: one minute
 POSES_MAX = 2_000_000  # of one control period, which are simulated together
-UNJUDGED = 200  # stretches of the path that are judged together
 WHEELS_KEY = 2**32 - 1
 """Spawn key of the wheels' draws; disturbances have those from 4 on."""
 
@@ -43,7 +41,7 @@ class SimSection(PlantSection):
     simulated: ClassVar[bool] = True
     switches_field: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
-    motion: Annotated[str, OneOf(MOTIONS)] = "exact"
+    motion: Annotated[str, KindName(MOTIONS)] = "exact"
     """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25), computed from the newest
     frame, between two commands; `euler` moves by (4)-(6) themselves, on straight chords. Robots on
     `drive` ignore it."""
@@ -70,7 +68,7 @@ class SimSection(PlantSection):
     trial and robot."""
     speed_error: Fraction = 0.0
     """As `a_error`, for the speed."""
-    disturbances: tuple[Annotated[DisturbanceSection, Choice(DISTURBANCES)], ...] = Field(
+    disturbances: tuple[Annotated[DisturbanceSection, KindSection(DISTURBANCES)], ...] = Field(
         default=(), max_length=100
     )
     """Further disturbances, which act one after another."""
@@ -114,7 +112,7 @@ class SimSection(PlantSection):
         return VirtualClock()
 
     def build(
-        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, operators: Operators
+        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> "SimPlant":
         """Return the simulation of one trial."""
         return SimPlant(self, setup, clock, seed)
@@ -142,33 +140,39 @@ class SimPlant:
         for disturbance in disturbances:
             self.a, self.speed = disturbance.parameters(self.a, self.speed)
             starts = disturbance.placed(starts)
-        self._moving = [d for d in disturbances if type(d).moved is not Disturbance.moved]
+        self._news: list[Command | Note] = []
         self._camera = SimCamera(
-            self.a.size, section.camera_rate, section.measurement_noise, measuring, disturbances
+            count, section.camera_rate, section.measurement_noise, measuring, disturbances
         )
         self._drive = self._driven(starts, seed)
-        self._by_frame = bool(self._moving) or (
-            section.heading_noise > 0 and isinstance(self._drive, DirectDrive)
+        self._motion = TrueMotion(
+            setup,
+            self.a,
+            self.speed,
+            self._drive,
+            self._camera,
+            disturbances,
+            section.heading_noise if section.drive is None else 0.0,
+            swerving,
+            section.truth_rate,
+            lambda now: self._news.append(self._transmit(now)),
         )
-        self._orders: deque[Order] = deque()
-        self._path_check = PathCheck.of(setup)
-        self._time = 0
-        self._ticks = 0  # true samples taken so far
-        self._path: list[tuple[Floats, Floats]] = []  # x, y of the samples not judged yet
-        self._news: list[Command | Note] = []
         self._stop: Command | None = None
-        self._repeats_stops = section.drive is not None or any(
-            type(d).sent is not Disturbance.sent for d in disturbances
-        )
+        self._repeats_stops = section.drive is not None or bool(overriding(disturbances, "sent"))
 
     @property
     def poses(self) -> Poses:
         """The true poses now."""
         return self._drive.poses
 
+    @property
+    def rates(self) -> tuple[Floats, Floats]:
+        """The true a [rad/s] and speed [length unit/s] now, (N,) each."""
+        return self._motion.rates
+
     def open(self) -> PlantInfo:
         """Expose the first frame."""
-        self._advance(self.clock.now())
+        self._motion.advance(self.clock.now())
         facts = {
             "true_a": json.dumps(self.a.tolist()),
             "true_speed": json.dumps(self.speed.tolist()),
@@ -177,7 +181,7 @@ class SimPlant:
 
     def observe(self) -> Observation:
         """Return the newest camera frame that the host has received."""
-        self._advance(self.clock.now())
+        self._motion.advance(self.clock.now())
         newest = self._camera.newest
         assert newest is not None, "open() waits for the first frame"
         return newest
@@ -191,12 +195,12 @@ class SimPlant:
             command = self._transmit(now)
         else:
             command = self._send_direction(direction, now, answered)
-        self._advance(now)
+        self._motion.advance(now)
         return command
 
     def samples(self) -> list[Sample]:
         """Return, once, every camera frame received since the last call, oldest first."""
-        self._advance(self.clock.now())
+        self._motion.advance(self.clock.now())
         return self._camera.samples()
 
     def news(self) -> list[Command | Note]:
@@ -207,7 +211,7 @@ class SimPlant:
     def stop(self) -> Command:
         """Stop every robot, after the time that planning takes.
 
-        The stop is repeated, so that it is not among the commands that are lost.
+        The stop is repeated until every robot has heard it.
         """
         if self._stop is None:
             seen = self.observe()
@@ -217,25 +221,33 @@ class SimPlant:
             if isinstance(self._drive, WheelDrive):
                 self._drive.host.halt()
             heard = np.zeros(count, dtype=np.bool_)
-            for i in range(STOPS if self._repeats_stops else 1):
+            for i in range(STOPS_MAX if self._repeats_stops else 1):
+                if i >= STOPS and heard.all():
+                    break
                 sent = now + i * STOP_GAP_NS
-                every, due = np.ones(count, dtype=np.bool_), self._due_ns(seen, sent)
-                order = Order(due, None, every, seen.poses.heading, np.zeros((2, count)))
-                heard |= self._dispatch(order).reached
+                command = DelayedCommand(
+                    sent,
+                    self._due_ns(seen, sent),
+                    None,
+                    np.ones(count, dtype=np.bool_),
+                    headings=seen.poses.heading,
+                    wheels=np.zeros((2, count)),
+                )
+                heard |= self._motion.dispatch(command).reached
             still = None if self.setup.wheel_radius is None else zeros
             self._stop = Command(None, now, tuple(heard.tolist()), still, still)
-            self._advance(now)
+            self._motion.advance(now)
         return self._stop
 
     def settle(self) -> Verdict:
-        """Wait until the robots stand and for a camera frame of it, and judge the true path."""
-        stopped = self._orders[-1].due_ns if self._orders else self.clock.now()
+        """Wait until the robots stand and for a camera frame of it, and check the true path."""
+        stopped = max(self._motion.settled_ns, self.clock.now())
         stand = stopped + round(self._drive.rest_s * SECOND)
         self.clock.sleep_until(stand + round(2 * SECOND / self.spec.camera_rate))
-        self._advance(self.clock.now())
+        self._motion.advance(self.clock.now())
         self._await_frame(stand)
-        self._judge()
-        return self._path_check.verdict(self.poses)
+        self._motion.check()
+        return self._motion.path_check.verdict(self.poses)
 
     def close(self) -> None:
         """Nothing to release."""
@@ -265,14 +277,14 @@ class SimPlant:
             self.clock.sleep_until(self._camera.next_ns if arriving is None else arriving)
             if self.clock.now() > patience:
                 raise AbortError(f"no camera frame came for {NO_FRAME_S} s")
-            self._advance(self.clock.now())
+            self._motion.advance(self.clock.now())
 
     def _plan(self) -> int:
         """Let the time of planning pass, and return the time then [ns]."""
-        seconds = sum(disturbance.planning_s() for disturbance in self._disturbances)
+        seconds = sum(one.planning_s(self.clock.now() / SECOND) for one in self._disturbances)
         if seconds > 0:
             self.clock.sleep_until(self.clock.now() + round(seconds * SECOND))
-        self._advance(self.clock.now())
+        self._motion.advance(self.clock.now())
         return self.clock.now()
 
     def _due_ns(self, answered: Observation, now: int) -> int:
@@ -287,13 +299,15 @@ class SimPlant:
         headings = answered.poses.heading
         due = self._due_ns(answered, now)
         off = direction is None
-        order = self._dispatch(Order(due, direction, self._heard(), headings, field_off=off))
+        heard = self._heard()
+        command = DelayedCommand(now, due, direction, heard, None, headings, field_off=off)
+        reached = self._motion.dispatch(command).reached
         left = right = None
         setup = self.setup
         if setup.wheel_radius is not None:
             towards = headings if direction is None else direction
             left, right = wheel_speeds(headings, towards, setup.a, setup.speed, setup.wheel_radius)
-        return Command(direction, now, tuple(order.reached.tolist()), left, right, off)
+        return Command(direction, now, tuple(reached.tolist()), left, right, off)
 
     def _transmit(self, now: int) -> Command:
         """Send wheel speeds computed from the newest frame that the host has."""
@@ -303,88 +317,7 @@ class SimPlant:
         sent, made = drive.host.speeds(now, seen)
         due = self._due_ns(seen, now)
         u = drive.host.direction
-        order = Order(due, u, self._heard(), seen.poses.heading, made, u is None)
-        reached = tuple(self._dispatch(order).reached.tolist())
+        headings = seen.poses.heading
+        command = DelayedCommand(now, due, u, self._heard(), None, headings, made, u is None)
+        reached = tuple(self._motion.dispatch(command).reached.tolist())
         return Command(u, now, reached, sent[0], sent[1], u is None)
-
-    def _dispatch(self, order: Order) -> Order:
-        """Put an order on its way, and return what becomes of it."""
-        for disturbance in self._disturbances:
-            order = disturbance.sent(order)
-        earliest = self._orders[-1].due_ns if self._orders else self._time
-        self._orders.append(replace(order, due_ns=max(order.due_ns, earliest)))
-        return order
-
-    def _advance(self, until: int) -> None:
-        """Move the robots on, block by block; nothing changes what is held inside a block."""
-        while True:
-            frame = self._camera.next_ns
-            end = min(until, frame) if self._by_frame else until
-            end = min(end, self._drive.repeats_ns)
-            order = (
-                self._orders.popleft() if self._orders and self._orders[0].due_ns <= end else None
-            )
-            reached = order.due_ns if order else end
-            disturbed = self._by_frame and reached == frame
-            repeats = order is None and reached == self._drive.repeats_ns
-            self._glide(reached, order is not None or disturbed or repeats)
-            self._camera.receive(reached)
-            if disturbed:
-                self._disturb()
-            if order:
-                self._drive.take(order)
-            elif repeats:
-                self._news.append(self._transmit(reached))
-            elif reached == until:
-                return
-
-    def _disturb(self) -> None:
-        """Add the random walk that the heading took since the last frame, and disturb the poses."""
-        drive, seconds = self._drive, 1 / self.spec.camera_rate
-        moving = drive.moving
-        if self.spec.heading_noise > 0 and isinstance(drive, DirectDrive):
-            step = self.spec.heading_noise / np.sqrt(self.spec.camera_rate)
-            walk = step * self._swerving.standard_normal(self.a.size)
-            p = drive.poses
-            drive.poses = Poses(p.x, p.y, p.heading + walk * moving)
-        for disturbance in self._moving:
-            drive.poses = disturbance.moved(drive.poses, moving, seconds)
-
-    def _glide(self, end: int, event: bool) -> None:
-        """Move to `end` with everything held, exposing and judging what is due on the way.
-
-        Wheels, whose path is a sum, stop at the last sample before `end` unless something happens
-        there: so it makes no difference how often they are looked at.
-        """
-        nothing_due = min(self._camera.next_ns, self._next_tick_ns) > end
-        if end == self._time and nothing_due and not self._by_frame:  # a frame may move the robots
-            return
-        frames = self._camera.due(end)
-        ticks = due_ns(self._ticks, self.spec.truth_rate, end)
-        self._ticks += len(ticks)
-        ends = [end] if event or isinstance(self._drive, DirectDrive) else []
-        times = np.sort(np.concatenate([frames, ticks, np.array(ends, dtype=np.int64)]))
-        times = times[np.diff(times, prepend=-1) > 0]  # as np.unique, in half the time
-        if not len(times):
-            return
-        is_tick = np.zeros(len(times))
-        is_tick[np.searchsorted(times, ticks)] = 1.0
-        x, y, heading = self._drive.glide((times - self._time) / SECOND, is_tick)
-        self._time = int(times[-1])
-        self._path.append((x, y))
-        if len(self._path) > UNJUDGED:
-            self._judge()
-        for due, i in zip(frames.tolist(), np.searchsorted(times, frames).tolist(), strict=True):
-            self._camera.expose(due, Poses(x[i], y[i], heading[i]))
-
-    @property
-    def _next_tick_ns(self) -> int:
-        """When the next true sample is taken [ns]."""
-        return round(self._ticks * SECOND / self.spec.truth_rate)
-
-    def _judge(self) -> None:
-        """Judge the true path since the last call."""
-        if self._path:
-            x, y = (np.vstack(column) for column in zip(*self._path, strict=True))
-            self._path_check.add(x, y)
-            self._path = []

@@ -10,7 +10,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.disturbance import Order
+from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.plant.wheel_host import WheelDriveSection, WheelHost
 
 REST = 1e-10
@@ -48,8 +48,8 @@ class WheelDrive:
         self._walk, self._walking = walk / np.sqrt(truth_rate), walking
         self._still = REST * float(setup.speed.max(initial=0.0))
         radii = setup.wheel_radius * (1 + section.radius_error * erring.uniform(-1, 1, count))
-        self._turn_of = a / setup.a / (2 * radii)  # turning rate of a difference of wheel speeds
-        self._way_of = np.divide(speed, setup.speed, out=np.ones(count), where=setup.speed > 0) / 2
+        self._setup, self._radii = setup, radii
+        self.vary(a, speed)
         self._targets = np.zeros((2, count))  # what the wheels follow, left and right
         self._wheels = np.zeros((2, count))
 
@@ -61,9 +61,17 @@ class WheelDrive:
     @property
     def moving(self) -> Floats:
         """1 for robots told to move, 0 for those told to stand, (N,)."""
-        return (self._targets != 0).any(axis=0).astype(np.float64)
+        able = (self._turn_of > 0) | (self._way_of > 0)
+        return (able & (self._targets != 0).any(axis=0)).astype(np.float64)
 
-    def glide(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
+    def vary(self, a: Floats, speed: Floats) -> None:
+        """Turn and drive at other true rates from now on, (N,) each."""
+        known = self._setup
+        self._turn_of = a / known.a / (2 * self._radii)  # turning rate of a wheel difference
+        nominal = np.ones(speed.size)
+        self._way_of = np.divide(speed, known.speed, out=nominal, where=known.speed > 0) / 2
+
+    def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
         """Move on, and return x, y and heading (M, N) after each of the times (M,) from now [s].
 
         At the times of true samples, where `ticks` (M,) is 1, the heading walks at random.
@@ -90,10 +98,10 @@ class WheelDrive:
         self.poses = Poses(x[-1], y[-1], heading[-1])
         return x, y, heading
 
-    def take(self, order: Order) -> None:
-        """Let the wheels of the robots that received an order follow it."""
-        assert order.wheels is not None, "every order holds wheel speeds"
-        self._targets = np.where(order.reached, order.wheels, self._targets)
+    def apply(self, command: DelayedCommand) -> None:
+        """Let the wheels of the robots that received a command follow it."""
+        assert command.wheels is not None, "every command holds wheel speeds"
+        self._targets = np.where(command.reached, command.wheels, self._targets)
 
     def _follow(self, t: Floats) -> Floats:
         """Return the wheels' ways (M, 2, N) after times t (M, 1, 1); they are at the last then."""

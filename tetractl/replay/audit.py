@@ -11,8 +11,8 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.lab import LabSection
-from tetractl.lab.standstill import REST_NS
-from tetractl.log.format.metadata import run_metadata
+from tetractl.lab.rest_check import REST_NS
+from tetractl.log.format.metadata import FORMAT, run_metadata
 from tetractl.log.read.reader import path_verdict, trial_path
 from tetractl.log.read.trial_log import ALTERED, TrialLog, frame_gaps, step_gaps
 from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
@@ -62,6 +62,8 @@ def audit(log: TrialLog, same_host: bool) -> Audit:
 def _run(log: TrialLog) -> Iterator[Difference]:
     """The run record follows from the resolved spec and the start of the trial."""
     ours = run_metadata(replace(log.start, seed=log.experiment.trials.seed))
+    if log.run.get(FORMAT) == "1":
+        ours[FORMAT] = "1"
     for key in sorted(ours.keys() | log.run.keys()):
         if ours.get(key) != log.run.get(key):
             text = f"states {log.run.get(key)!r}, but the resolved spec and the run make it "
@@ -99,7 +101,9 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
         if i is not None:
             yield from _at(k, first_difference(at, log.sample(i).observation, name="observation"))
         elif rows and min(rows) < at.frame and not log.damage:
-            yield Difference(k, "observation.frame", f"frame {at.frame} is not on /mocap")
+            yield Difference(
+                k, "observation.frame", f"frame {at.frame} is not among the camera frames"
+            )
         found = first_difference(step.plan.direction, command.direction, name="command.direction")
         yield from _at(k, found)
         same_time = sent.get(command.sent_ns, ())
@@ -205,7 +209,7 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return
-    halts = log.start.plant.facts.get(HALTS) == "yes"  # logs of old do not tell
+    halts = log.start.plant.facts.get(HALTS) == "yes"  # early logs do not say
     for i, name in enumerate(log.start.setup.names):
         seen = np.flatnonzero(log.valid[:, i])
         unseen_s = seconds(int(now[-1] - (now[seen[-1]] if len(seen) else 0)))

@@ -16,8 +16,10 @@ from tetractl.core.text import printable
 from tetractl.experiment.load import resolved_yaml
 from tetractl.log.format import channels, layout
 from tetractl.log.format.channels import CHANNELS, TEXT, Entry
+from tetractl.log.format.codec import Frames
 from tetractl.log.format.metadata import WARNINGS
 from tetractl.log.format.scene import decode_note, encode_note
+from tetractl.log.format.tetractl_pb2 import CameraFrames
 from tetractl.log.read import bounds
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.trial_log import TrialLog
@@ -30,8 +32,11 @@ DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN})
 
 
 def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator[Difference]:
-    """Yield the first difference of each topic, and of what else follows; none of a damaged log."""
-    if log.damage:
+    """Yield the first difference of each topic, and of what else follows.
+
+    None of a damaged log, nor of format 1, whose messages nothing writes any more.
+    """
+    if log.damage or raw.run.version == 1:
         return
     called_for: list[Entry] = []  # of /log
     yield from _messages(raw, log, same_host, called_for)
@@ -58,7 +63,7 @@ def _messages(
     """
     left = {topic: iter(raw.by_topic[topic]) for topic in CHANNELS if topic != channels.LOG}
     count, until = dict.fromkeys(left, 0), time.perf_counter() + bounds.seconds_limit()
-    for made in _encoded(log):
+    for made in _encoded(raw, log):
         if time.perf_counter() > until:
             text = f"not encoded again: takes over {bounds.seconds_limit():g} s"
             yield Difference(None, made.topic, f"{text}; {bounds.FACTOR}=2 allows twice as much")
@@ -79,12 +84,21 @@ def _messages(
             yield Difference(None, topic, f"has more than the {count[topic]} messages that follow")
 
 
-def _encoded(log: TrialLog) -> Iterator[Entry]:
-    """Yield the messages of a trial, those of a topic in their order; of /log those that follow."""
+def _encoded(raw: RawLog, log: TrialLog) -> Iterator[Entry]:
+    """Yield the messages of a trial, those of a topic in their order; of /log those that follow.
+
+    Camera frames are put together as in the log: which were handed on together is not known.
+    """
     messages = Messages(log.start)
     yield from messages.start()
-    for i in range(len(log.frames)):
-        yield from messages.samples([log.sample(i)])
+    begin = 0
+    frames = Frames(log.frames, log.mocap_ns, log.received_ns, log.mocap, log.valid, log.truth)
+    yield from messages.tracking(frames)
+    for entry in raw.by_topic[channels.FRAMES]:
+        end = begin + len(CameraFrames.FromString(entry.data).frame)
+        if begin < end:
+            yield from messages.block(frames.part(slice(begin, end)))
+        begin = end
     for step in log.steps:
         yield from (entry for entry in messages.step(step) if entry.topic != channels.COMMANDS)
     for command in log.commands:

@@ -18,7 +18,7 @@ from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import End, Limits, Outcome, Plan, Search, StopReason, never
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Observation
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.trial import Result, Step
@@ -47,8 +47,8 @@ class _TooLongError(Exception):
 class Rerun:
     """Does the logged searches of a trial again, in place of a controller's optimisers.
 
-    A search that the deadline cut short is run with the looks at the clock that spend the logged
-    evaluations: a deadline is only obeyed at a look, so their number is all there is to know. With
+    A search that the deadline cut short is run with as many readings of the clock as spend the
+    logged evaluations: only a reading can end a search, so their number says it all. With
     `search_again` False the logged searches are given back, and what differs in them is in `wrong`.
     From `start` on, `limit_s` may pass on the clock `wall` [s].
     """
@@ -204,10 +204,11 @@ def recompute(
     controller = log.experiment.controller.build(setup, key, rerun.wrap, rerun.timer)
     tolerance = EXACT if search_again else _tolerance(setup.starts.xy, setup.targets)
     estimated = any(step.plan.estimate is not None for step in log.steps)
+    last: Step | None = None
     for step in first_steps(log):
         rerun.begin(step.plan.searches)
         try:
-            decision = controller.plan(step.observation)
+            decision = plan_again(controller, log, last, step.observation)
             if rerun.expired():
                 raise _TooLongError
         except (_TooLongError, MemoryError):
@@ -232,8 +233,22 @@ def recompute(
         found = next(iter(rerun.wrong), first_difference(decision, step.plan, tolerance))
         if found:
             return Difference(step.k, *found)
-        controller.sent(step.command)
-    return _outcome(log, controller, rerun) if len(first_steps(log)) == len(log.steps) else None
+        last = step
+    if len(first_steps(log)) < len(log.steps):
+        return None
+    return _outcome(log, controller, last, rerun)
+
+
+def plan_again(
+    controller: Controller, log: TrialLog, last: Step | None, observation: Observation
+) -> Plan | Outcome | End:
+    """Return a controller's decision on an observation that follows a control step of a log."""
+    if last is None:
+        return controller.plan(observation)
+    began, times = last.observation.sampled_ns, log.mocap_ns
+    between = np.flatnonzero((times > began) & (times < observation.sampled_ns))
+    earlier = [log.sample(int(i)).observation for i in between]
+    return controller.plan(observation, last.command, earlier)
 
 
 def first_steps(log: TrialLog) -> list[Step]:
@@ -241,7 +256,9 @@ def first_steps(log: TrialLog) -> list[Step]:
     return [step for k, step in enumerate(log.steps) if step.k == k]
 
 
-def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference | None:
+def _outcome(
+    log: TrialLog, controller: Controller, last: Step | None, rerun: Rerun
+) -> Difference | None:
     """Check that the controller ends the trial as logged, on a frame of the last period.
 
     The frame it ended on is not logged as such: in a simulation it is the newest a control period
@@ -262,7 +279,8 @@ def _outcome(log: TrialLog, controller: Controller, rerun: Rerun) -> Difference 
     rerun.begin(())
     for i in newest:
         try:
-            decision = copy.deepcopy(controller).plan(log.sample(int(i)).observation)
+            seen = log.sample(int(i)).observation
+            decision = plan_again(copy.deepcopy(controller), log, last, seen)
         except NoSearchError:
             said.append("goes on")
             continue

@@ -8,15 +8,16 @@ On the machine and versions that wrote the log they must come out with the same 
 """
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Command
 from tetractl.core.errors import AbortError, TetractlError
-from tetractl.core.operators import Operators
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Plant
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import Result, Step, TrialRecords
 from tetractl.log.read import bounds
 from tetractl.log.read.trial_log import TrialLog
@@ -71,7 +72,7 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
     section, setup = log.experiment.plant, log.start.setup
     _, seed = trial_seeds(log.start.seed, log.start.trial)
     clock = section.clock()
-    plant = section.build(setup, clock, seed, Operators())
+    plant = section.build(setup, clock, seed, LabSupervision())
     ending = _Ending(plant, clock, stop.sent_ns, section.planning_max_s > 0)
     recorder = _Recorder(log, ending)
     Trial(
@@ -131,7 +132,12 @@ class _LoggedPlans:
         self._steps, self._ending, self._k = log.steps, ending, 0
         self._outcome = log.result.outcome if log.result else Outcome.ABORTED
 
-    def plan(self, observation: Observation) -> Plan | Outcome | End:
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
         """Return the next logged plan; AbortError where the observation is not the logged one."""
         if self._k == len(self._steps):
             return End(self._outcome, max(0, self._ending.delay_ns))
@@ -141,9 +147,6 @@ class _LoggedPlans:
             text = f"step {step.k} has frame {step.observation.frame}, not {observation.frame}"
             raise AbortError(text)
         return step.plan
-
-    def sent(self, command: Command) -> None:
-        """Take note of a command: nothing depends on it."""
 
 
 class _Recorder(Recorder):

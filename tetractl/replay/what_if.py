@@ -1,7 +1,7 @@
 """What another controller would have decided on the observations of a recorded trial.
 
-The other controller is given each recorded observation, and told of the directions that were sent,
-not of its own: so at every step it answers the situation that the robots were really in. That is a
+The other controller is given each recorded observation and the directions that were really sent,
+not its own: so at every step it answers the situation that the robots were really in. That is a
 prediction. It is no closed loop: had it decided, the robots would have been elsewhere at the next
 step.
 """
@@ -19,7 +19,7 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.identification.tracks import require_field
-from tetractl.replay.recompute import first_steps
+from tetractl.replay.recompute import first_steps, plan_again
 from tetractl.run.seeds import trial_seeds
 
 SAME = 1e-9
@@ -102,11 +102,11 @@ def what_if(
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     setup = other.setup
     controller = other.controller.build(setup, key, timer=timer)
-    found, ended = [], ""
+    found, ended, last = [], "", None
     steps = first_steps(log)
     for step in steps:
         try:
-            decision = controller.plan(step.observation)
+            decision = plan_again(controller, log, last, step.observation)
         except TetractlError as error:
             ended = f"at step {step.k} the other controller fails: {error}"
             break
@@ -130,7 +130,7 @@ def what_if(
                 apart=np.hypot(*(ends[1] - ends[0]).T),
             )
         )
-        controller.sent(step.command)
+        last = step
     if not ended and len(steps) < len(log.steps):
         ended = f"the log lacks step {len(steps)}"
     return WhatIf(setup.unit, tuple(found), len(log.steps), ended)

@@ -11,13 +11,15 @@ from typing import Any
 
 from tetractl.core.errors import LogError
 from tetractl.core.table.data import plain
-from tetractl.core.table.numbers import lengths
+from tetractl.core.table.numbers import NONE, lengths
 from tetractl.core.table.show import html
-from tetractl.core.table.table import Table
+from tetractl.core.table.table import Column, Table
+from tetractl.core.text import unit_of
+from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report import figures
-from tetractl.report.trial_data import Detail, trial_data
+from tetractl.report.trial_data import trial_data
 from tetractl.results.batch import sources
 from tetractl.results.contrast import GroupComparison, contrast
 from tetractl.results.describe import Group, describe
@@ -25,6 +27,9 @@ from tetractl.results.items import as_items
 from tetractl.results.tables import page_trials, tables
 
 ASSETS = files("tetractl.report") / "assets"
+TOTAL = "the sum over the robots of the distance to the target"
+MANY = 100
+"""More trials than this are shown without their plans and searches: a page stays below 20 MB."""
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
 
 
@@ -41,7 +46,7 @@ def report(
     groups, unread = _groups(paths)
     logged = [group.batch.logs for group in groups]
     count = sum(map(len, logged))
-    detail, shown = Detail.of(count), list[tuple[Path, dict[str, Any]]]()
+    shown = list[tuple[str, str, dict[str, Any]]]()
     first: TrialLog | None = None
     drawn: list[str] = []
     done = 0
@@ -57,13 +62,14 @@ def report(
                 continue
             first = first or log
             logs.append(figures.lean(log))
-            shown.append((path, trial_data(log, path.name, detail)))
+            name = f"{group.name}, {path.name}" if len(groups) > 1 else path.name
+            shown.append((str(path), name, trial_data(log, path.name, count <= MANY)))
         drawn.append(figures.of_batch(group.name if len(groups) > 1 else "", logs))
-    numbers = {str(path): number for number, (path, _) in enumerate(shown, 1)}
-    name = title or groups[0].experiment.name
+    numbers = {path: number for number, (path, _, _) in enumerate(shown, 1)}
+    name = title or _title(paths, groups)
     body = [_header(name, groups), _errors(groups, numbers, drawn), _statistics(groups, numbers)]
     if first is not None:
-        body.insert(1, _player(shown, groups[0].unit))
+        body.insert(1, _player([trial for _, *trial in shown], groups[0].unit))
         body.append(
             f"<section><h2>Figures of the first trial</h2>{figures.of_trial(first)}</section>"
         )
@@ -74,6 +80,7 @@ def report(
 
 def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
     """Describe each folder and the single logs; return them and what could not be read."""
+    paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]
     single = [str(path) for path in paths if not path.is_dir()]
     listed = [*(sources(single) if single else []), *(sources(folders) if folders else [])]
@@ -81,7 +88,15 @@ def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
     unread = [f"{log.path}: {log.problem}" for _, batch in batches for log in batch.lost]
     if not any(batch.trials for _, batch in batches):
         raise LogError(f"none of the logs can be read: {', '.join(unread[:1])}")
-    return [describe(batch, name) for name, batch in batches], unread
+    known = [(name, batch) for name, batch in batches if batch.trials or batch.attempts]
+    return [describe(batch, name) for name, batch in known], unread
+
+
+def _title(paths: Sequence[Path], groups: Sequence[Group]) -> str:
+    """Return the name of a study by its folder, else those of the experiments."""
+    if len(paths) == 1 and len(groups) > 1:
+        return paths[0].resolve().name
+    return ", ".join(dict.fromkeys(group.experiment.name for group in groups))
 
 
 def _page(title: str, body: str, scripts: str) -> str:
@@ -103,40 +118,62 @@ def _page(title: str, body: str, scripts: str) -> str:
 
 
 def _header(title: str, groups: Sequence[Group]) -> str:
-    cards = []
-    for group in groups:
-        total, unit = group.total, group.unit.replace("um", "µm")
-        show = lengths(total.mean)
-        interval = f"95 % {total.ci95.text(show)}, " if total.ci95.known else ""
-        trials = group.batch.trials
-        entered = sum(trial.result.entered_obstacle for trial in trials)
-        name = f"{escape(group.name)}: " if len(groups) > 1 else ""
-        cards += [
-            f"<div>{name}mean total error<b>{show(total.mean)} {unit}</b>"
-            f'<span class="quiet">{interval}n {total.n}, {group.origin}</span></div>',
-            f"<div>entered an obstacle<b>{entered} of {len(trials)}</b>"
-            '<span class="quiet">trials</span></div>',
-        ]
     about = escape(groups[0].experiment.description)
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
         '<button id="theme" aria-label="Light or dark">◐</button></header>'
-        f'<div class="figures">{"".join(cards)}</div>'
+        + (_cards(groups[0]) if len(groups) == 1 else html([_overview(groups)]))
     )
 
 
-def _player(shown: Sequence[tuple[Path, dict[str, Any]]], unit: str) -> str:
+def _cards(group: Group) -> str:
+    """Return the two figures of a single group."""
+    total, show = group.total, lengths(group.total.mean)
+    interval = f"95 % {total.ci95.text(show)}, " if total.ci95.known else ""
+    return (
+        f'<div class="figures"><div>mean total error<b>{show(total.mean)} {unit_of(group.unit)}</b>'
+        f'<span class="quiet">{TOTAL}<br>{interval}n {total.n}, {group.origin}</span></div>'
+        f"<div>entered an obstacle<b>{_entered(group)}</b>"
+        '<span class="quiet">trials</span></div></div>'
+    )
+
+
+def _overview(groups: Sequence[Group]) -> Table:
+    """Return the same figures of several groups as a table."""
+    totals = [group.total for group in groups]
+    show = lengths(min((t.mean for t in totals if t.n), default=1.0))
+    return Table(
+        "",
+        (
+            Column("batch", [group.name for group in groups]),
+            Column("n", [total.n for total in totals]),
+            Column("mean total error", [t.mean for t in totals], unit_of(groups[0].unit), show),
+            Column("95 % interval", [t.ci95.text(show) if t.ci95.known else NONE for t in totals]),
+            Column("entered an obstacle", [_entered(group) for group in groups]),
+            Column("plant", [group.origin.value for group in groups]),
+        ),
+        f"Mean total error: {TOTAL}.",
+    )
+
+
+def _entered(group: Group) -> str:
+    trials = group.batch.trials
+    return f"{sum(trial.result.entered_obstacle for trial in trials)} of {len(trials)}"
+
+
+def _player(shown: Sequence[Sequence[Any]], unit: str) -> str:
+    """Return the player of trials, each a name and its data."""
     options = "".join(
-        f'<option value="{i}">{i + 1}: {escape(path.name)}</option>'
-        for i, (path, _) in enumerate(shown)
+        f'<option value="{i}">{i + 1}: {escape(name)}</option>' for i, (name, _) in enumerate(shown)
     )
     data = "".join(
         f'<script type="application/json" id="trial-data-{i}">{_json(trial)}</script>\n'
         for i, (_, trial) in enumerate(shown)
     )
     frame = (ASSETS / "player.html").read_text()
-    unit = unit.replace("um", "µm")
-    return frame.replace("@OPTIONS@", options).replace("@UNIT@", unit) + data
+    frame = frame.replace("@OPTIONS@", options).replace("@UNIT@", unit_of(unit))
+    left_out = f"<p>Plans and searches are left out of pages of more than {MANY} trials.</p>"
+    return frame.replace("@NOTE@", left_out if len(shown) > MANY else "") + data
 
 
 def _json(value: Any) -> str:

@@ -1,43 +1,68 @@
-"""What the page's player shows of one trial, as an object for JSON."""
+"""What the page's player shows of one trial, as an object for JSON.
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+Arrays are base64 of little-endian numbers, unpacked by assets/data.js.
+"""
+
+import base64
+import math
+from collections.abc import Sequence, Sized
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.report.pack import floats, rounded
 
 FRAMES_HZ = 30.0
 """Camera frames of the page a second, at most: what a screen shows."""
+PLAN_ERROR = 1e-3
+"""How far a plan on the page may be from the logged one, of the longer side of the arena."""
+HISTORY_ERROR = 5e-3
+"""How far a search's curve of log J over the iterations may be from the logged one, of its size."""
+MISSING = -32768
+"""What stands for NaN among 16-bit numbers."""
+LARGEST = 32767
 
 
-@dataclass(frozen=True, slots=True)
-class Detail:
-    """How much of a trial the page holds: points of a plan and of a search's history, at most."""
-
-    plan_points: int
-    history_points: int
-
-    @classmethod
-    def of(cls, trials: int) -> "Detail":
-        """Return the detail for a page of so many trials."""
-        if trials <= 20:
-            return cls(16, 30)
-        return cls(6, 8) if trials <= 100 else cls(0, 0)
+def floats(values: ArrayLike) -> dict[str, Any]:
+    """Return an array in single precision: {"f4": base64}."""
+    return {"f4": _text(np.asarray(values, dtype="<f4"))}
 
 
-def trial_data(log: TrialLog, file: str, detail: Detail) -> dict[str, Any]:
+def rounded(values: ArrayLike) -> dict[str, Any]:
+    """Return an array in 16 bits: {"i2": base64, "scale": s, "offset": o}, value = o + s i.
+
+    The error of a value is at most 1/131,068 of the extent of all values. What is not finite
+    becomes `MISSING`.
+    """
+    wanted = np.asarray(values, dtype=float)
+    finite = np.isfinite(wanted)
+    least, most = (wanted[finite].min(), wanted[finite].max()) if finite.any() else (0.0, 0.0)
+    offset = least / 2 + most / 2
+    scale = (most / 2 - least / 2) / LARGEST
+    if not (scale > 0 and math.isfinite(scale)):
+        scale = 1.0
+    steps = np.rint((np.where(finite, wanted, offset) - offset) / scale)
+    packed = np.where(finite, np.clip(steps, -LARGEST, LARGEST), MISSING).astype("<i2")
+    return {"i2": _text(packed), "scale": float(scale), "offset": float(offset)}
+
+
+def _text(values: "np.ndarray[Any, Any]") -> str:
+    return base64.b64encode(values.tobytes()).decode()
+
+
+def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     """Return a trial of N robots for the player; lengths in `unit`, times [s] from the first
     direction sent.
 
     `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`.
     Of each control step, `steps` holds time, direction u, cost J, number of signals, solve time and
-    the robots' distances to their targets (K, N); `plan` and `history` hold the predicted positions
-    and J over the iterations of the chosen search, those of step k from `at[k]` to `at[k + 1]`.
+    the robots' distances to their targets (K, N). With `plans`, `plan` holds the predicted
+    positions and `history` the iterations and J of the chosen search, those of step k from `at[k]`
+    to `at[k + 1]`; both are thinned to points between which straight lines are as good.
     """
     setup, steps = log.start.setup, log.steps
     colors = robot_colors(setup.names, setup.colors)
@@ -51,7 +76,7 @@ def trial_data(log: TrialLog, file: str, detail: Detail) -> dict[str, Any]:
     arena = setup.arena
     return {
         "file": file,
-        "unit": setup.unit.replace("um", "µm"),
+        "unit": unit_of(setup.unit),
         "period_s": setup.period_s,
         "arena": [arena.left, arena.bottom, arena.right, arena.top],
         "obstacles": [shape.outline().tolist() for shape in setup.obstacles],
@@ -75,8 +100,8 @@ def trial_data(log: TrialLog, file: str, detail: Detail) -> dict[str, Any]:
             "stopped": [str(step.plan.search.stopped) for step in steps],
             "distance": floats(distances),
         },
-        "plan": _ragged((step.plan.path[..., :2] for step in steps), detail.plan_points),
-        "history": _ragged((step.plan.search.history for step in steps), detail.history_points),
+        "plan": _plans(log) if plans else None,
+        "history": _histories(log) if plans else None,
         "events": [{"t": e.time_s, "level": e.level, "text": e.text} for e in log.events],
         "outcome": result.outcome.value if result else "the log ends early",
         "reason": result.reason if result else "",
@@ -98,14 +123,57 @@ def _thinned(log: TrialLog) -> "np.ndarray[Any, np.dtype[np.intp]]":
     return from_start[np.union1d(first, [len(from_start) - 1])]
 
 
-def _ragged(arrays: Iterable[Floats], points: int) -> dict[str, Any] | None:
-    """Return arrays of different lengths behind each other, `points` of each at most."""
-    if not points:
-        return None
-    few = []
-    for array in arrays:
-        count = min(len(array), points)
-        few.append(array[np.rint(np.linspace(0, len(array) - 1, count)).astype(int)])
-    at = np.cumsum([0, *map(len, few)]).tolist()
-    values = np.concatenate(few) if few else np.zeros(0)
-    return {"at": at, "values": rounded(values) if values.ndim > 1 else floats(values)}
+def _plans(log: TrialLog) -> dict[str, Any]:
+    arena = log.start.setup.arena
+    error = PLAN_ERROR * max(arena.width, arena.height)
+    paths = [step.plan.path[..., :2] for step in log.steps]
+    few = [path[corners(path, error)] for path in paths]
+    return {"at": _starts(few), "values": rounded(_joined(few))}
+
+
+def _histories(log: TrialLog) -> dict[str, Any]:
+    histories = [step.plan.search.history for step in log.steps]
+    kept = [corners(_on_log_axes(history)[:, None], HISTORY_ERROR) for history in histories]
+    costs = [history[keep] for history, keep in zip(histories, kept, strict=True)]
+    return {
+        "at": _starts(kept),
+        "iterations": floats(_joined(kept)),
+        "values": floats(_joined(costs)),
+    }
+
+
+def _on_log_axes(history: Floats) -> Floats:
+    """Return the points (n, 2) of a curve of log J over the iterations, from 0 to 1 in both."""
+    heights = np.log(np.clip(np.nan_to_num(history, posinf=np.inf), 1e-300, 1e300))
+    size = float(np.ptp(heights)) or 1.0
+    return np.column_stack([np.linspace(0, 1, len(history)), heights / size])
+
+
+def corners(points: Floats, error: float) -> "np.ndarray[Any, np.dtype[np.intp]]":
+    """Return the indices of some of (n, N, 2) points, rising, the first and last among them.
+
+    No point of the N curves is further than `error` from the straight line between the points kept
+    before and after it (Douglas and Peucker 1973).
+    """
+    kept, open_spans = {0, len(points) - 1} if len(points) else set(), [(0, len(points) - 1)]
+    while open_spans:
+        first, last = open_spans.pop()
+        if last - first < 2:
+            continue
+        inner, chord = points[first + 1 : last] - points[first], points[last] - points[first]
+        length2 = np.maximum((chord**2).sum(axis=-1), 1e-300)
+        share = np.clip((inner * chord).sum(axis=-1) / length2, 0, 1)[..., None]
+        gaps = np.linalg.norm(inner - share * chord, axis=-1).max(axis=1)
+        if gaps.max() > error:
+            worst = first + 1 + int(gaps.argmax())
+            kept.add(worst)
+            open_spans += [(first, worst), (worst, last)]
+    return np.array(sorted(kept), dtype=np.intp)
+
+
+def _starts(arrays: Sequence[Sized]) -> list[int]:
+    return np.cumsum([0, *map(len, arrays)]).tolist()
+
+
+def _joined(arrays: Sequence[ArrayLike]) -> ArrayLike:
+    return np.concatenate(arrays) if arrays else np.zeros(0)

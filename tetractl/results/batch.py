@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.log.read.find import ROWS, find_logs, find_rows, is_set_aside
+from tetractl.log.read.find import ROWS, find_logs, find_rows, is_set_aside, without_others
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.rows import row_results
 from tetractl.log.read.trial_log import ResultSummary
@@ -142,6 +142,7 @@ def open_batch(paths: Sequence[Path | str], rows: bool = True) -> Batch:
 def sources(paths: Sequence[str]) -> list[Source]:
     """Return the batches that paths name: each of several folders is one, as is each arm of a
     study whose folder is the only path; any other paths are one batch together."""
+    paths = [str(path) for path in without_others(paths)]
     if len(paths) > 1 and all(Path(path).is_dir() for path in paths):
         found = [one_source([path]) for path in paths]
         if len({source.name for source in found}) < len(found):
@@ -190,6 +191,5 @@ def _add_unlogged(
                     trials.remove(log)
                     damaged.append(Damaged(log.path, f"its end is lost, and read from {row.path}"))
         if lost:
-            problem = f"{lost} trials have neither a log nor a result in their row"
-            again = "the study's --rerun-outdated runs them again"
-            damaged.append(Damaged(str(file), f"{problem}; {again}"))
+            problem = f"{lost} trials have neither a log nor a row that can be read"
+            damaged.append(Damaged(str(file), f"{problem}; the study runs them again"))

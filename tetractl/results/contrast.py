@@ -33,6 +33,7 @@ from tetractl.results.same_experiment import differences
 
 ENOUGH = 8
 """Fewest trials on each side, or pairs, for a verdict."""
+PAIRED_T, WELCH_T = "paired t", "Welch's t"
 SIGNED_RANK, RANK_SUM = "signed rank", "rank sum"
 _NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "scale", "lab"}
 
@@ -41,13 +42,15 @@ _NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "s
 class Contrast:
     """The total errors of two groups; differences are those of `one` minus those of `other`.
 
-    With `pairs`, the trials in the same world, `difference` and `standardised` are of the pairs and
-    `test` is Wilcoxon's signed-rank test; else `difference` is Welch's, `both` the interval from
-    those of the two means, and `test` the rank-sum test. `why_unpaired` is "" with pairs. `p_holm`
-    and `deviation_p_holm` are corrected for all contrasts that are tested. `detects` is the
-    difference, in standard deviations (of the differences, or of the values), that so many trials
-    show in 80 % of all studies. `verdict` is "lower", "higher" or "undecided", None for the
-    `reason`. Groups of unlike plants, `alike` False, are not tested: their p is NaN.
+    With `pairs`, the trials in the same world, `difference` is that of the paired t test and
+    `standardised` is of the pairs; else `difference` is Welch's, and `both` the interval from those
+    of the two means. The interval and the p of `difference` are of one test, of the means. `rank_p`
+    answers another question, which group errs more often: it is Wilcoxon's signed-rank or rank-sum
+    test. `why_unpaired` is "" with pairs. Each `..._holm` is corrected for all contrasts that are
+    tested. `detects` is the difference, in standard deviations (of the differences, or of the
+    values), that so many trials show in 80 % of all studies. `verdict` is "lower", "higher" or
+    "undecided", None for the `reason`. Groups of unlike plants, `alike` False, are not tested:
+    their p is NaN.
     """
 
     one: Group
@@ -57,14 +60,14 @@ class Contrast:
     why_unpaired: str
     difference: MeanDifference
     both: Interval
-    test: str
-    p_value: float
+    rank_p: float
     standardised: Effect
     delta: Effect
     deviations: Ratio
     detects: float
     differs: tuple[str, ...]
     p_holm: float = math.nan
+    rank_p_holm: float = math.nan
     deviation_p_holm: float = math.nan
     verdict: str | None = None
     reason: str | None = None
@@ -73,6 +76,11 @@ class Contrast:
     def name(self) -> str:
         """What is subtracted from what."""
         return f"{self.one.name} - {self.other.name}"
+
+    @property
+    def tests(self) -> str:
+        """The tests of the means and of the ranks."""
+        return f"{PAIRED_T}, {SIGNED_RANK}" if self.pairs else f"{WELCH_T}, {RANK_SUM}"
 
     @property
     def counted(self) -> str:
@@ -123,15 +131,15 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
     alike = one.origin is other.origin
     paired, why = paired_differences(one, other)
     if len(paired):
-        difference, test, p_value = paired_t(paired), SIGNED_RANK, signed_rank(paired)
+        difference, rank_p = paired_t(paired), signed_rank(paired)
         detects = detectable(len(paired), tests)
     else:
         difference = welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
-        test, p_value = RANK_SUM, rank_sum(one.totals, other.totals)
+        rank_p = rank_sum(one.totals, other.totals)
         detects = detectable_between(a.n, b.n, tests)
     deviations = deviation_ratio(one.totals, other.totals)
     if not alike:
-        p_value = detects = math.nan
+        rank_p = detects = math.nan
         difference = replace(difference, p_value=math.nan)
         deviations = replace(deviations, p_value=math.nan)
     return Contrast(
@@ -142,8 +150,7 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
         why_unpaired=why,
         difference=difference,
         both=from_both_intervals(a, b),
-        test=test,
-        p_value=p_value,
+        rank_p=rank_p,
         standardised=standardised(paired),
         delta=cliffs_delta(one.totals, other.totals),
         deviations=deviations,
@@ -185,14 +192,14 @@ def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
 
 def _corrected(found: Sequence[Contrast]) -> list[Contrast]:
     """Correct the p-values for their number, and give the verdicts."""
-    p_values = holm([one.p_value for one in found])
+    means = holm([one.difference.p_value for one in found])
+    ranks = holm([one.rank_p for one in found])
     deviations = holm([one.deviations.p_value for one in found])
     corrected = []
-    for one, p_holm, deviation in zip(found, p_values, deviations, strict=True):
+    for one, p_holm, rank, deviation in zip(found, means, ranks, deviations, strict=True):
         verdict, reason = _verdict(one, p_holm)
-        corrected.append(
-            replace(one, p_holm=p_holm, deviation_p_holm=deviation, verdict=verdict, reason=reason)
-        )
+        p_values = {"p_holm": p_holm, "rank_p_holm": rank, "deviation_p_holm": deviation}
+        corrected.append(replace(one, **p_values, verdict=verdict, reason=reason))
     return corrected
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment, Reference, Scale
-from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import Origin
 from tetractl.results.batch import Batch, counts
 from tetractl.results.difference import MeanDifference, welch
 from tetractl.results.estimate import Distribution, Interval, distributions
@@ -101,7 +101,7 @@ def describe(batch: Batch, name: str = "") -> Group:
     totals = np.array([result.total_error for result in counted], dtype=float)
     errors = np.array([result.robot_errors for result in counted], dtype=float)
     errors = errors.reshape(len(counted), len(experiment.robots))
-    total, *each = distributions(np.vstack([totals, errors.T]))
+    (total,) = distributions(totals[None], experiment.error_bound)
     return Group(
         name=name or experiment.name,
         batch=batch,
@@ -110,7 +110,7 @@ def describe(batch: Batch, name: str = "") -> Group:
         totals=totals,
         errors=errors,
         total=total,
-        robots=tuple(each),
+        robots=tuple(distributions(errors.T)),
         statistics=tuple(statistic.of_batch(batch.trials) for statistic in statistics()),
         published=_published(experiment, total, origin),
         scaled=_scaled(experiment, total) if origin.comparable else None,

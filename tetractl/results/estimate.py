@@ -13,10 +13,11 @@ import numpy as np
 from scipy import special
 
 from tetractl.core.poses import Floats
-from tetractl.core.table.numbers import NONE
+from tetractl.core.table.numbers import NONE, lengths
 
 CONFIDENCE = 0.95
 
+FAR = 10  # medians, above which a value is far off where no bound is stated
 _FEWEST = 3  # values for an interval of a mean: two have no skewness
 _NAN = math.nan
 Z = float(special.ndtri((1 + CONFIDENCE) / 2))
@@ -64,8 +65,42 @@ class Interval:
 
 
 @dataclass(frozen=True, slots=True)
+class Tail:
+    """How many of n values lie above a `bound`, and Wilson's interval of their share.
+
+    A mean of a few values says little of rare large ones: of 20 trials, two of three batches show
+    none of what happens in 2 %. `stated` is whether the spec states the bound; else it is 10
+    medians. None of it is known of no values, or of a median that is not positive.
+    """
+
+    bound: float
+    above: int
+    n: int
+    stated: bool
+    ci95: Interval
+
+    def text(self, unit: str = "") -> str:
+        """Return such as "2 of 100 above 85.0 mm (1 to 7 %)"."""
+        if not math.isfinite(self.bound):
+            return NONE
+        bound = f"{lengths(self.bound)(self.bound)} {unit}".strip()
+        return f"{self.above} of {self.n} above {bound}{percent(self.ci95)}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the items of JSON that describe the tail."""
+        known = math.isfinite(self.bound)
+        return {
+            "bound": finite(self.bound),
+            "stated": self.stated,
+            "n_above": self.above if known else None,
+            "ci95": self.ci95.ends,
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class Distribution:
-    """n values described: mean, standard deviation (n - 1), median, range, interval of the mean.
+    """n values described: mean, standard deviation (n - 1), median, range, interval of the mean,
+    and the tail.
 
     For n = 0 everything is NaN, for n = 1 the deviation.
     """
@@ -77,6 +112,7 @@ class Distribution:
     min: float
     max: float
     ci95: Interval
+    tail: Tail
 
     def as_dict(self) -> dict[str, Any]:
         """Return the items of JSON that describe the values; what is not known is None."""
@@ -88,15 +124,15 @@ class Distribution:
             "min": finite(self.min),
             "max": finite(self.max),
             **self.ci95.as_dict(),
+            "tail": self.tail.as_dict(),
         }
 
 
-def distributions(rows: Floats) -> list[Distribution]:
-    """Describe each row of an array of shape (R, n)."""
+def distributions(rows: Floats, bound: float | None = None) -> list[Distribution]:
+    """Describe each row of an array of shape (R, n), with tails above `bound` or 10 medians."""
     count, n = rows.shape
     if n == 0:
-        nothing = Distribution(0, _NAN, _NAN, _NAN, _NAN, _NAN, Interval.none("no values"))
-        return [nothing] * count
+        return [known_distribution(0, _NAN, _NAN, Interval.none("no values"))] * count
     rows = np.sort(rows, axis=1)  # makes every number independent of the order of the trials
     low, high = rows[:, 0], rows[:, -1]
     mean = np.clip(rows.mean(axis=1), low, high)
@@ -105,18 +141,33 @@ def distributions(rows: Floats) -> list[Distribution]:
     intervals = map(_mean_interval, rows, mean, std)
     figures = np.column_stack([mean, std, median, low, high]).tolist()
     return [
-        Distribution(n, *row, ci95=interval)
-        for row, interval in zip(figures, intervals, strict=True)
+        Distribution(n, *figure, ci95=interval, tail=_tail(row, figure[2], bound))
+        for row, figure, interval in zip(rows, figures, intervals, strict=True)
     ]
+
+
+def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distribution:
+    """Describe values of which no more than these figures are known."""
+    unknown = Tail(_NAN, 0, n, False, Interval.none(""))
+    return Distribution(n, mean, std, _NAN, _NAN, _NAN, ci95, unknown)
+
+
+def _tail(values: Floats, median: float, bound: float | None) -> Tail:
+    """Return the tail of values (n,) above a bound, None for FAR medians."""
+    limit = FAR * median if bound is None else bound
+    n = len(values)
+    if not limit > 0:
+        return Tail(_NAN, 0, n, False, Interval.none("the median is not positive"))
+    above = int((values > limit).sum())
+    return Tail(limit, above, n, bound is not None, proportion_interval(above, n))
 
 
 def published_distribution(n: int, mean: float, std: float) -> Distribution:
     """Describe a published result of which only n, mean and deviation are known; the interval is
     Student's on a logarithmic scale."""
     if mean <= 0 or std <= 0:
-        return Distribution(n, mean, std, _NAN, _NAN, _NAN, Interval.none("nothing varies"))
-    low, high = _log_t(n, mean, std)
-    return Distribution(n, mean, std, _NAN, _NAN, _NAN, Interval(low, high, "log-t"))
+        return known_distribution(n, mean, std, Interval.none("nothing varies"))
+    return known_distribution(n, mean, std, Interval(*_log_t(n, mean, std), "log-t"))
 
 
 def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
@@ -177,3 +228,8 @@ def proportion_interval(successes: int, n: int) -> Interval:
     low = (middle - half) / scale if successes > 0 else 0.0
     high = (middle + half) / scale if successes < n else 1.0
     return Interval(low, high, "Wilson")
+
+
+def percent(share: Interval) -> str:
+    """Return an interval of a share such as " (0 to 16 %)", "" for none."""
+    return f" ({100 * share.low:.0f} to {100 * share.high:.0f} %)" if share.known else ""

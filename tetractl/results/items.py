@@ -6,8 +6,7 @@ from typing import Any
 
 from tetractl.core.table.data import flat
 from tetractl.core.table.table import Table
-from tetractl.log.read.origin import Origin
-from tetractl.log.read.trial_log import ResultSummary
+from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.batch import Batch, counts
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group, Scaled
@@ -79,6 +78,7 @@ def contrast_items(found: Contrast) -> dict[str, Any]:
             ("n", group.counted),
             ("mean", group.total.mean),
             ("std", group.total.std),
+            ("tail", group.total.tail.as_dict()),
         )
     }
     return {
@@ -91,9 +91,10 @@ def contrast_items(found: Contrast) -> dict[str, Any]:
         "unpaired_reason": found.why_unpaired or None,
         **_difference(found.difference),
         "both": found.both.as_dict(),
-        "test": found.test,
-        "test_p": found.p_value,
-        "test_p_holm": found.p_holm,
+        "p_holm": found.p_holm,
+        "rank_p": found.rank_p,
+        "rank_p_holm": found.rank_p_holm,
+        "tests": found.tests,
         "standardised": _effect(found.standardised),
         "cliffs_delta": _effect(found.delta),
         "deviation_ratio": _effect(found.deviations)
@@ -158,6 +159,7 @@ def _trial(trial: ResultSummary) -> dict[str, Any]:
         "outcome": result.outcome.value,
         "reason": result.reason,
         "warnings": trial.warnings,
+        "processor": trial.processor,
         **{key: item for one in statistics() for key, item in one.of_trial(trial).items()},
         "counted": counts(trial),
     }

@@ -1,14 +1,15 @@
 """Whether trials are of one experiment, and in which fields two experiments differ."""
 
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.batch import Batch
 
-_BOOKKEEPING = {"trials", "description"}  # fields that do not change a trial
+_BOOKKEEPING = {"trials", "description", "error_bound"}  # fields that do not change a trial
 
 
 def experiment_of(batch: Batch) -> Experiment:
@@ -21,6 +22,8 @@ def experiment_of(batch: Batch) -> Experiment:
     if not batch.trials:
         if batch.attempts:
             raise UsageError("no trial to summarise but earlier attempts", "go on with --resume")
+        if batch.lost:
+            raise LogError("no log can be read: {0.path}: {0.problem}".format(batch.lost[0]))
         raise UsageError("no trial to summarise")
     first = batch.trials[0]
     for other in (*batch.trials, *batch.attempts):
@@ -57,7 +60,8 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
 def differences(one: Experiment, two: Experiment) -> list[str]:
     """Return `path: value != value` for each field in which two experiments differ.
 
-    The description and the trials' count and seed are left out: they do not change a trial.
+    What does not change a trial is left out: the description, the trials' count and seed, and the
+    bound of the tables.
     """
     return list(
         _differences(
@@ -79,7 +83,8 @@ def _differences(one: Any, two: Any, path: str = "") -> Iterator[str]:
     elif isinstance(one, (dict, list)) or isinstance(two, (dict, list)):
         yield path
     else:
-        yield f"{path}: {one} != {two}"
+        words = (value if isinstance(value, str) else json.dumps(value) for value in (one, two))
+        yield f"{path}: {' != '.join(words)}"
 
 
 def listing(differences: Sequence[str], most: int = 4) -> str:

@@ -11,7 +11,7 @@ from tetractl.core.table.numbers import lengths
 from tetractl.core.trial import Result
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.batch import counts
-from tetractl.results.estimate import Interval, distributions, proportion_interval
+from tetractl.results.estimate import distributions, percent, proportion_interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,10 @@ def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
         (found,) = distributions(np.array([[value for value in values if math.isfinite(value)]]))
         show = lengths(found.mean)
         text = f"{show(found.mean)} (95 % interval {found.ci95.text(show)})"
-        return Value({key: found.as_dict()}, ((f"{label}, mean", text),))
+        rows = [(f"{label}, mean", text)]
+        if found.tail.above:
+            rows.append(("  its tail, 95 % interval", found.tail.text()))
+        return Value({key: found.as_dict()}, tuple(rows))
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
         value = of(trial.result)
@@ -72,15 +75,9 @@ def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         found = sum(map(holds, trials))
         interval = proportion_interval(found, len(trials))
-        text = f"{found} of {len(trials)}{_percent(interval)}"
+        text = f"{found} of {len(trials)}{percent(interval)}"
         return Value(
             {key: found, f"{key}_ci95": interval.ends}, ((f"{label}, 95 % interval", text),)
         )
 
     return Statistic(of_batch)
-
-
-def _percent(interval: Interval) -> str:
-    if not interval.known:
-        return ""
-    return f" ({100 * interval.low:.0f} to {100 * interval.high:.0f} %)"

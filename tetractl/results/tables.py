@@ -1,20 +1,22 @@
 """Lays groups and their contrasts out as tables for readers."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from tetractl.core.table.numbers import NONE, digits, fixed, lengths, p_value
 from tetractl.core.table.table import Column, Table
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import Origin
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group
-from tetractl.results.estimate import Distribution, Interval
+from tetractl.results.estimate import FAR, Distribution, Interval, known_distribution
 from tetractl.results.flagged import flagged
 from tetractl.results.same_experiment import listing
 
 _SHOWN = 20  # flagged trials, before a table gets too long to read
-_FAR = 100.0  # times the least mean, from which on an error has six digits of its own
+_OTHER_SCALE = 100.0  # times the least mean, from which on an error has six digits of its own
 _ABREAST = 3  # groups in one table of figures
 
 Show = Callable[[float], str]
@@ -44,7 +46,7 @@ def error_table(
     decimals = lengths(least, finest)
 
     def show(value: float) -> str:  # a result many times as large keeps its own digits
-        return f"{value:g}" if value > _FAR * least > 0 else decimals(value)
+        return f"{value:g}" if value > _OTHER_SCALE * least > 0 else decimals(value)
 
     def column(name: str, of: Callable[[Distribution], float]) -> Column:
         return Column(name, [of(values) for _, values in named], format=show)
@@ -86,12 +88,25 @@ def _errors(groups: Sequence[Group]) -> Table:
     for group in groups:
         if group.published and all(name != "published" for name, _ in named):
             known = group.published.reference
-            ends = Interval.none("")
-            nan = math.nan
-            row = Distribution(known.n, known.mean, known.std, nan, nan, nan, ends)
+            row = known_distribution(known.n, known.mean, known.std, Interval.none(""))
             named.append(("published", row))
     scale = min((group.total.mean for group in groups if group.counted), default=math.nan)
-    return error_table(title, [*named, *each], first.unit, scale, finest(first.experiment))
+    errors = error_table(title, [*named, *each], first.unit, scale, finest(first.experiment))
+    simulated = (trial for group in groups for trial in group.batch.trials if trial.simulated)
+    return replace(errors, note=processors_note(trial.processor for trial in simulated))
+
+
+def processors_note(types: Iterable[str]) -> str:
+    """Return a note on simulated trials of several types of processor, "" for those of one.
+
+    The same trial may differ in its last bits between two of them.
+    """
+    found = Counter(filter(None, types))
+    if len(found) < 2:
+        return ""
+    listed = ", ".join(f"{name} ({count})" for name, count in found.most_common(4))
+    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    return f"trials of {len(found)} types of processor, which may differ slightly: {listed}{more}"
 
 
 def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:
@@ -117,6 +132,7 @@ def _figures(group: Group) -> list[tuple[str, str]]:
         rows.append(("  its disturbances", "assumed in the spec, not measured"))
     complete = f"{group.counted} of {len(group.batch.trials)}"
     rows.append(("complete, with known errors", complete))
+    rows.append((tail_label(group.total), group.total.tail.text(group.unit)))
     if group.published:
         found = group.published.difference
         if found is None:
@@ -149,6 +165,12 @@ def _figures(group: Group) -> list[tuple[str, str]]:
     ]
 
 
+def tail_label(values: Distribution) -> str:
+    """Return the name of a row or column of tails."""
+    bound = "error_bound" if values.tail.stated else f"{FAR} medians"
+    return f"trials above {bound}, 95 % interval"
+
+
 def _contrasts(found: Sequence[Contrast]) -> list[Table]:
     """Return the differences of the means, how large they are, and what the tests rest on."""
     if not found:
@@ -160,7 +182,7 @@ def _contrasts(found: Sequence[Contrast]) -> list[Table]:
     names = Column("one - other", [one.name for one in found])
     verdicts = [one.verdict or f"none: {one.reason}" for one in found]
     compared = "Comparison of the mean total errors"
-    if any(one.test for one in found) and len(found) > 1:
+    if any(one.alike for one in found) and len(found) > 1:
         compared += f", p corrected for {len(found)} tests"
     differences = Table(
         compared,
@@ -174,13 +196,14 @@ def _contrasts(found: Sequence[Contrast]) -> list[Table]:
         ),
     )
     effects = Table.of_texts(
-        "Size of the differences, with 95 % intervals",
-        (names.name, "in sd of pairs", "Cliff's delta", "sd ratio", "p of sd (Holm)"),
+        "Size of the differences, with 95 % intervals, p by Holm",
+        (names.name, "in sd of pairs", "Cliff's delta", "p of ranks", "sd ratio", "p of sd"),
         [
             (
                 one.name,
                 _with_ends(one.standardised.value, one.standardised.ci95, two),
                 _with_ends(one.delta.value, one.delta.ci95, two),
+                p_value(one.rank_p_holm),
                 _with_ends(one.deviations.value, one.deviations.ci95, two),
                 p_value(one.deviation_p_holm),
             )
@@ -189,11 +212,11 @@ def _contrasts(found: Sequence[Contrast]) -> list[Table]:
     )
     basis = Table.of_texts(
         "What the comparisons rest on",
-        (names.name, "test", "what n can show", "why not paired", "differs in"),
+        (names.name, "tests", "what n can show", "why not paired", "differs in"),
         [
             (
                 one.name,
-                one.test if one.alike else NONE,
+                one.tests if one.alike else NONE,
                 detects(one),
                 one.why_unpaired,
                 listing(one.differs) or "nothing",

@@ -13,9 +13,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from tetractl.core.errors import AbortError, UsageError
+from tetractl.core.files import save_whole
 from tetractl.run.executors import Ended, Ready
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.store import save_whole
 from tetractl.run.task import Finished, Task, log_path, run_task
 
 CONNECT_S = 10.0

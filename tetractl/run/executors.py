@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Protocol
 
 from tetractl.core.errors import AbortError
-from tetractl.core.operators import Operators
 from tetractl.core.protocols import Observer
+from tetractl.core.supervision import LabSupervision
 from tetractl.run.interrupt import SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 
@@ -31,8 +31,8 @@ Ended = tuple[Task, Finished | Exception]
 Ready = Callable[[Task], Path]
 """Is called in this process before a task is handed out; returns the folder for its log."""
 
-InLab = Callable[[int], AbstractContextManager[Operators | None]]
-"""Returns the operators of a trial in the lab, for as long as it runs, by the trial's number."""
+InLab = Callable[[int], AbstractContextManager[LabSupervision | None]]
+"""Returns the supervision of a trial in the lab, for as long as it runs, by the trial's number."""
 
 
 class Executor(Protocol):
@@ -79,8 +79,8 @@ class Here:
                 return
             folder = ready(task)
             try:
-                with self._in_lab(task.trial) as operators:
-                    found = run_task(task, folder, self._interrupt, self._observers, operators)
+                with self._in_lab(task.trial) as supervision:
+                    found = run_task(task, folder, self._interrupt, self._observers, supervision)
             except Exception as error:
                 found = error
             yield task, found

@@ -117,13 +117,3 @@ def _attempts(folder: Path, log: Path, number: int) -> list[Path]:
 
 def _is_log(path: Path) -> bool:
     return path.name.endswith((SUFFIX, PART))
-
-
-def save_whole(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all; LogError if it cannot be written."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written: {error.strerror}") from error

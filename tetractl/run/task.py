@@ -11,13 +11,13 @@ from pathlib import Path
 from tetractl.control.build import build_controller, warm_up
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError, UsageError
-from tetractl.core.operators import Operators
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
+from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.kinds import packages
 from tetractl.experiment.load import LoadedSpec, start_of
-from tetractl.log.provenance import trial_code
+from tetractl.log.provenance import host, processor, trial_code
 from tetractl.log.write.recorder import Recorder
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
@@ -54,8 +54,8 @@ class Task:
 class Finished:
     """A trial that was run to an outcome, in `wall_s` on the clock and `cpu_s` of the processor.
 
-    `digest` and `warnings`, the number of warnings and errors among its messages, are those of a
-    task with `digest`.
+    A task with `digest` has the `digest`, the number of `warnings` and errors among the trial's
+    messages, and the type of the `processor` that ran it.
     """
 
     result: Result
@@ -64,6 +64,7 @@ class Finished:
     cpu_s: float
     digest: str = ""
     warnings: int = 0
+    processor: str = ""
 
 
 class OtherCodeError(UsageError):
@@ -91,7 +92,7 @@ def run_task(
     folder: Path,
     interrupt: Interrupt,
     observers: Sequence[Observer] = (),
-    operators: Operators | None = None,
+    supervision: LabSupervision | None = None,
 ) -> Finished:
     """Run a trial, its log in `folder` if one is kept.
 
@@ -110,13 +111,14 @@ def run_task(
         log = stack.enter_context(_log(spec, folder, task.trial)) if task.log else None
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         writers = [writer for writer in (log, digest) if writer]
-        result = run_with(writers, spec, task.trial, observers, interrupt, operators)
+        result = run_with(writers, spec, task.trial, observers, interrupt, supervision)
         wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
     if digest is None:
         return Finished(result, task.log, wall_s, cpu_s)
     if log and log.failure:  # the digest would be that of another outcome
         raise log.failure
-    return Finished(result, task.log, wall_s, cpu_s, digest.trial_digest, digest.warnings)
+    type_ = processor(host())
+    return Finished(result, task.log, wall_s, cpu_s, digest.trial_digest, digest.warnings, type_)
 
 
 @lru_cache(maxsize=64)
@@ -155,7 +157,7 @@ def run_with(
     trial: int,
     observers: Sequence[Observer],
     interrupt: Interrupt,
-    operators: Operators | None = None,
+    supervision: LabSupervision | None = None,
 ) -> Result:
     """Run one trial with these writers in place of a log's.
 
@@ -170,7 +172,7 @@ def run_with(
             observers = [stack.enter_context(closing(Relay(observer))) for observer in observers]
         return Trial(
             start=start_of(spec, trial, PlantInfo("", plant.simulated, 0.0, {}), start_unix_ns),
-            plant=plant.build(experiment.setup, clock, seed, operators or Operators()),
+            plant=plant.build(experiment.setup, clock, seed, supervision or LabSupervision()),
             controller=build_controller(experiment, key),
             first_plan=experiment.controller.first_plan,
             clock=clock,

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 
 from tetractl.core.clock import SECOND, Clock, seconds
-from tetractl.core.commands import Command, Note, PlantInfo
+from tetractl.core.commands import Command, Note, PlantInfo, Sample
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
@@ -40,6 +40,8 @@ class Trial:
     _solving_ns: int = 0
     _misses: int = 0
     _began_ns: int | None = None  # when the first direction was sent
+    _samples: list[Sample] = field(default_factory=list)  # not yet passed on to the observers
+    _between: list[Observation] = field(default_factory=list)  # frames since the last step's
 
     def run(self) -> Result:
         """Run the trial and return its result.
@@ -94,7 +96,6 @@ class Trial:
                 self._sleep_until(self.clock.now() + decision.delay_ns)
                 return decision.outcome, ""
             command = self._steer(decision.direction)
-            self.controller.sent(command)
             self._solve_ns.append(self._solving_ns)
             missed = k > 0 and self._solving_ns > period
             self._misses += missed
@@ -108,17 +109,34 @@ class Trial:
             if late > period:  # an overrun is not made up for by a burst of steps
                 began += late
             self._sleep_until(began + round((k + 1) * period_s * SECOND))
-            observation = self.plant.observe()
-            decision = self._plan(observation)
+            last, observation = observation, self.plant.observe()
+            decision = self._plan(observation, command, self._frames_between(last, observation))
         raise AssertionError("unreachable: the loop ends by returning")
 
-    def _plan(self, observation: Observation) -> Decision:
-        with self.interrupt.breakable():
-            return self._timed_plan(observation)
+    def _frames_between(self, last: Observation, now: Observation) -> list[Observation]:
+        """Return the frames exposed between those of two control steps, oldest first."""
+        self._take_samples()
+        frames = self._between
+        self._between = [one for one in frames if one.sampled_ns > now.sampled_ns]
+        return [one for one in frames if last.sampled_ns < one.sampled_ns < now.sampled_ns]
 
-    def _timed_plan(self, observation: Observation) -> Decision:
+    def _plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Decision:
+        with self.interrupt.breakable():
+            return self._timed_plan(observation, last_command, earlier)
+
+    def _timed_plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Decision:
         before = time.perf_counter_ns()
-        decision = self.controller.plan(observation)
+        decision = self.controller.plan(observation, last_command, earlier)
         self._solving_ns = time.perf_counter_ns() - before
         return decision
 
@@ -177,8 +195,15 @@ class Trial:
         with self.interrupt.breakable():
             self.clock.sleep_until(when)
 
+    def _take_samples(self) -> None:
+        samples = self.plant.samples()
+        self._samples += samples
+        self._between += [sample.observation for sample in samples]
+
     def _pass_samples(self) -> None:
-        samples, news = self.plant.samples(), self.plant.news()
+        self._take_samples()
+        samples, self._samples = self._samples, []
+        news = self.plant.news()
         for observer in self.observers:
             observer.on_samples(samples)
             _pass_news(observer, news)
@@ -193,11 +218,11 @@ class Trial:
         stopped = self.clock.now()
         try:
             verdict = self.plant.settle()
-            samples, news = self.plant.samples(), self.plant.news()
+            samples, news = self._samples + self.plant.samples(), self.plant.news()
         finally:
             self.plant.close()
-        if verdict.unrest and outcome is not Outcome.ABORTED:
-            outcome, reason = Outcome.ABORTED, verdict.unrest
+        if verdict.not_at_rest and outcome is not Outcome.ABORTED:
+            outcome, reason = Outcome.ABORTED, verdict.not_at_rest
         result = Result.of(
             self.start.setup,
             verdict,

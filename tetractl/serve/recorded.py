@@ -1,4 +1,4 @@
-"""Serves a recorded trial to log viewers as a player plays it; they can command the player."""
+"""Serves a recorded trial to log viewers as a player plays it; which can command the player."""
 
 import queue
 from bisect import bisect_right
@@ -7,20 +7,20 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.read.raw_log import RawLog
 from tetractl.replay.player import Playback, Player
+from tetractl.serve.live import Viewers
 from tetractl.serve.protocol import Request, State
-from tetractl.serve.server import ViewerServer
 
 FRAME_NS = SECOND // 60
 
 
 class ServedReplay:
-    """Sends the messages of a log by `server` as the time of `player` passes them.
+    """Sends the messages of a log to `viewers` as the time of `player` passes them.
 
     After a jump in time the newest message of each topic is sent again. Requests of viewers are
     answered at once and obeyed by the next `follow`.
     """
 
-    def __init__(self, contents: RawLog, player: Player, port: int, viewer: str = "") -> None:
+    def __init__(self, contents: RawLog, player: Player) -> None:
         self._start_ns = contents.run.start_unix_ns
         known = [entry for entry in contents.entries if entry.topic in CHANNELS]
         self._entries = sorted(known, key=lambda entry: entry.log_ns)
@@ -29,10 +29,10 @@ class ServedReplay:
         self.player = player
         self._jumps: int | None = None  # of the player, when it was last followed
         self._sent = 0  # entries before this one were passed
-        self._told: tuple[Playback, float] | None = None
+        self._announced: tuple[Playback, float] | None = None
         span_ns = (self._start_ns + player.start_ns, self._start_ns + player.until_ns)
         name = contents.run.items["name"]
-        self.server = ViewerServer(name, port, span_ns, self._asked, viewer)
+        self.viewers = Viewers(name, span_ns, self._asked)
 
     def follow(self) -> None:
         """Obey the viewers, and send what has come since the last call."""
@@ -41,21 +41,21 @@ class ServedReplay:
             request = self._requests.get()
             at_ns = None if request.seek_ns is None else request.seek_ns - self._start_ns
             player.command(playing=request.playing, rate=request.rate, at_ns=at_ns)
-            self._told = None
+            self._announced = None
         player.update()
         jumped = player.jumps != self._jumps
         now_ns, self._jumps = self._start_ns + player.now, player.jumps
         passed = bisect_right(self._times, now_ns)
         if jumped:
             newest = {entry.topic: entry for entry in self._entries[:passed]}
-            self.server.jump(now_ns, newest.values())
+            self.viewers.jump(now_ns, newest.values())
         else:
-            self.server.publish(self._entries[self._sent : passed])
+            self.viewers.publish(self._entries[self._sent : passed])
         self._sent = passed
         state = player.state, player.rate
-        if (jumped or state != self._told) and player.state is not Playback.QUIT:
-            self._told = state
-            self.server.tell(State(player.state, now_ns, player.rate, jumped))
+        if (jumped or state != self._announced) and player.state is not Playback.QUIT:
+            self._announced = state
+            self.viewers.announce(State(player.state, now_ns, player.rate, jumped))
 
     def play(self, wall: Clock) -> None:
         """Follow the player until it quits."""

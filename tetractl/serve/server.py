@@ -1,98 +1,97 @@
-"""A WebSocket on the loopback address from which Foxglove and Lichtblick read a trial.
+"""The server on the loopback address: a page, logs, a layout, and a live WebSocket for log viewers.
 
-The sockets are those of `websockets` (the extra `serve`), in a thread of its own. Nobody waits for
-a client: each has a queue of `BACKLOG` messages, of which the oldest are dropped. Only the link
-with the token is answered. A client can publish nothing and call nothing; it can play a recording.
+Everything is below a path that begins with a random token, which keeps other users of this machine
+out: they can reach the port but do not know the link. A foreign `Host` is another site's name that
+points at this machine (DNS rebinding); a foreign `Origin` is a page of another site in the
+operator's browser, which a WebSocket does not keep out. Parts of a file (RFC 9110, section 14) and
+pages of another origin (CORS) are answered, since a log viewer reads a log piece by piece.
 """
 
-import asyncio
-import json
-import logging
+import hmac
+import re
+import secrets
 import socket
 import threading
-from collections import deque
-from collections.abc import Callable, Iterable
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from functools import partial
 from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
-
-from websockets.asyncio.server import ServerConnection, serve
-from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request as Upgrade
-from websockets.http11 import Response
-from websockets.typing import Subprotocol
+from typing import TYPE_CHECKING, BinaryIO, Self
+from urllib.parse import quote, unquote, urlsplit
 
 from tetractl.core.errors import UsageError
-from tetractl.log.format.channels import LOG, Entry
-from tetractl.serve import protocol
-from tetractl.serve.door import ADDRESS, is_own_host, is_token, is_viewers_origin, new_token
-from tetractl.serve.protocol import Request, State
 
-BACKLOG = 2048
-"""Messages that may wait for one client: three seconds of a trial with a camera of 120 Hz."""
-CLOSE_S = 0.25
-"""For the clients to take their last messages, and again to end their connections."""
-REQUEST_BYTES = 1 << 16
+if TYPE_CHECKING:
+    from tetractl.serve.live import Viewers
+
+ADDRESS = "127.0.0.1"
+TOKEN_BYTES = 12  # 96 random bits; a link fits next to the arena on a terminal of 80 columns
+FOXGLOVE = "https://app.foxglove.dev"
+"""Foxglove in the browser."""
+BLOCK_BYTES = 1 << 16
 
 
-class ViewerServer:
-    """Serves at `url` from construction to `close`; a context manager.
+class LoopbackServer:
+    """Serves from construction to `close`, in threads of its own; a context manager.
 
-    A recording has the span `span_ns` [Unix ns]; `asked` is called, in another thread, with each
-    request of a viewer and returns the state that follows from it. `viewer` is the address of a
-    viewer whose page may read it, beside those that `is_viewers_origin` knows. Raises UsageError
-    where the port cannot be used; port 0 is any that is free.
+    `page` is HTML, `layout` JSON, `logs` are files by name, and `live` is what WebSockets read;
+    pages of the viewer at the address `viewer` may read it too. Each is at an address of its own:
+    `page_url`, `layout_url`, `log_url` and `live_url`. Raises UsageError where the port cannot be
+    used; port 0 is any that is free.
     """
 
     def __init__(
         self,
-        name: str,
-        port: int,
-        span_ns: tuple[int, int] | None = None,
-        asked: Callable[[Request], State] | None = None,
+        port: int = 0,
+        page: bytes = b"",
+        layout: bytes = b"{}",
+        logs: Mapping[str, Path] | None = None,
+        live: "Viewers | None" = None,
         viewer: str = "",
     ) -> None:
+        self.token = secrets.token_urlsafe(TOKEN_BYTES)
+        self.page, self.layout, self.logs = page, layout, dict(logs or {})
+        self.live, self.viewer = live, viewer
         try:
-            listening = socket.create_server((ADDRESS, port))
+            self._http = ThreadingHTTPServer((ADDRESS, port), partial(_Handler, self))
         except OSError as error:
             why = f"port {port}: cannot be used: {error.strerror}"
             raise UsageError(why, "try --port 0") from error
-        self.port: int = listening.getsockname()[1]
-        self._token, self._viewer = new_token(), viewer
-        self.url = f"ws://{ADDRESS}:{self.port}/{self._token}"
-        self.watched = False
-        """Whether any client reads any topic."""
-        self._asked = asked
-        self._greeting = protocol.greeting(name, span_ns)
-        # From here on all is of the thread, to which the methods below hand what is to be done.
-        self._clients: set[_Client] = set()
-        self._newest: dict[str, Entry] = {}
-        self._time_ns = 0  # until there is any
-        self._state: State | None = None
-        self._loop, self._closing = asyncio.new_event_loop(), asyncio.Event()
+        self._http.daemon_threads = True
+        self.port: int = self._http.server_address[1]
         self._thread = threading.Thread(
-            target=self._run, args=(listening,), name="viewers", daemon=True
+            target=self._http.serve_forever, args=(0.05,), name="viewers", daemon=True
         )
         self._thread.start()
 
-    def publish(self, entries: Iterable[Entry]) -> None:
-        """Send messages, each after the time at which it was logged; never waits."""
-        self._do(self._publish, list(entries))
+    @property
+    def page_url(self) -> str:
+        """The address of the page."""
+        return f"http://{ADDRESS}:{self.port}/{self.token}/"
 
-    def jump(self, time_ns: int, entries: Iterable[Entry]) -> None:
-        """Go to another time [Unix ns]; `entries` are the newest messages of all topics then."""
-        self._do(self._jump, time_ns, list(entries))
+    @property
+    def layout_url(self) -> str:
+        """The address of the layout."""
+        return f"{self.page_url}layout.json"
 
-    def tell(self, state: State) -> None:
-        """Send the state of the playback."""
-        self._do(self._tell, state)
+    @property
+    def live_url(self) -> str:
+        """The address of the WebSocket."""
+        return f"ws://{ADDRESS}:{self.port}/{self.token}"
+
+    def log_url(self, name: str) -> str:
+        """Return the address of a log."""
+        return f"{self.page_url}logs/{quote(name)}"
 
     def close(self) -> None:
-        """End the connections; waits for at most twice `CLOSE_S`."""
-        self._do(self._closing.set)
-        self._thread.join(2 * CLOSE_S)
+        """Send the viewers their last messages, end their connections, and answer no more."""
+        if self.live:
+            self.live.close()
+        self._http.shutdown()
+        self._http.server_close()
+        self._thread.join()
 
     def __enter__(self) -> Self:
         return self
@@ -105,141 +104,156 @@ class ViewerServer:
     ) -> None:
         self.close()
 
-    def _do(self, action: Callable[..., object], *args: object) -> None:
-        with suppress(RuntimeError):  # it is closed
-            self._loop.call_soon_threadsafe(action, *args)
 
-    def _run(self, listening: socket.socket) -> None:
-        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
-            runner.run(self._serve(listening))
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "tetractl", ""
+    timeout = 30
 
-    async def _serve(self, listening: socket.socket) -> None:
-        logger = logging.getLogger(__name__)
-        logger.addHandler(logging.NullHandler())  # or what clients do wrong is printed to stderr
-        async with serve(
-            self._meet,
-            sock=listening,
-            process_request=self._admit,
-            subprotocols=[Subprotocol(protocol.PROTOCOL)],
-            compression=None,
-            server_header=None,
-            max_size=REQUEST_BYTES,
-            close_timeout=CLOSE_S,
-            logger=logger,
-        ):
-            await self._closing.wait()
-            last = [asyncio.create_task(client.sent.wait()) for client in self._clients]
-            if last:
-                await asyncio.wait(last, timeout=CLOSE_S)
+    def __init__(self, server: LoopbackServer, *args: object) -> None:
+        self._site = server
+        super().__init__(*args)  # type: ignore[arg-type]
 
-    def _admit(self, connection: ServerConnection, upgrade: Upgrade) -> Response | None:
-        """Return None for a request that may become a connection, else the answer."""
-        headers = upgrade.headers
-        if (
-            is_token(upgrade.path.strip("/"), self._token)
-            and is_own_host(headers.get("Host"), self.port)
-            and is_viewers_origin(headers.get("Origin"), self._viewer)
-        ):
-            return None
-        return connection.respond(HTTPStatus.FORBIDDEN, "use the link that tetractl printed\n")
+    def do_GET(self) -> None:
+        if self._site.live and (self.headers.get("Upgrade") or "").lower() == "websocket":
+            self._upgrade(self._site.live.converse)
+        else:
+            self._answer(body=True)
 
-    async def _meet(self, connection: ServerConnection) -> None:
-        """Serve one client; what it says wrong ends its connection and no other."""
-        for said in self._greeting:
-            await connection.send(said)
-        client = _Client()
-        if self._time_ns:
-            client.put(protocol.time(self._time_ns))
-        if self._state:
-            now = replace(self._state, time_ns=self._time_ns, sought=False)
-            client.put(protocol.playback_state(now))
-        self._clients.add(client)
-        sending = asyncio.create_task(client.send(connection))
-        try:
-            async for said in connection:
-                self._obey(client, said)
-        finally:
-            sending.cancel()
-            client.sent.set()
-            self._clients.discard(client)
-            self._count()
+    def do_HEAD(self) -> None:
+        self._answer(body=False)
 
-    def _obey(self, client: "_Client", said: str | bytes) -> None:
-        if isinstance(said, bytes):
-            found = protocol.control(said)
-            if found and self._asked:
-                request, name = found
-                client.put(protocol.playback_state(self._asked(request), name))
+    def do_OPTIONS(self) -> None:
+        """Allow what a viewer asks for before it reads a part of a file."""
+        if self._wanted() is None:
+            self._refuse(HTTPStatus.NOT_FOUND)
             return
-        asked: dict[str, Any] = json.loads(said)
-        if asked["op"] == "subscribe":
-            for one in asked["subscriptions"]:
-                topic = protocol.TOPICS[one["channelId"]]
-                client.subscriptions[topic] = protocol.subscription(one["id"])
-                if topic in self._newest and topic != LOG:  # a line of text would be shown twice
-                    client.message(self._newest[topic])
-        elif asked["op"] == "unsubscribe":
-            ended = set(map(protocol.subscription, asked["subscriptionIds"]))
-            kept = client.subscriptions.items()
-            client.subscriptions = {topic: one for topic, one in kept if one not in ended}
-        self._count()
+        self.send_response(HTTPStatus.NO_CONTENT)
+        self._allow()
+        self.send_header("Access-Control-Allow-Methods", "GET, HEAD, OPTIONS")
+        self.send_header("Access-Control-Allow-Headers", "Range")
+        self.send_header("Access-Control-Allow-Private-Network", "true")
+        self.end_headers()
 
-    def _count(self) -> None:
-        self.watched = any(client.subscriptions for client in self._clients)
+    def _upgrade(self, converse: Callable[[socket.socket, bytes], None]) -> None:
+        """Hand a connection over to what speaks the WebSocket's protocol."""
+        self.close_connection = True
+        token, origin = self.path.strip("/"), self.headers.get("Origin")
+        if not (self._let_in(token) and is_viewers_origin(origin, self._site.viewer)):
+            self._refuse(HTTPStatus.FORBIDDEN)
+            return
+        self.connection.settimeout(None)
+        head = "".join(f"{name}: {value}\r\n" for name, value in self.headers.items())
+        line = f"{self.command} {self.path} {self.request_version}\r\n"
+        converse(self.connection, f"{line}{head}\r\n".encode("latin-1"))
 
-    def _publish(self, entries: Iterable[Entry]) -> None:
-        for entry in entries:
-            self._newest[entry.topic] = entry
-            if entry.log_ns > self._time_ns:
-                self._go_to(entry.log_ns)
-            for client in self._clients:
-                client.message(entry)
+    def _let_in(self, token: str) -> bool:
+        """Whether a request has the right token, compared in constant time, and our `Host`."""
+        ours = (f"{ADDRESS}:{self._site.port}", f"localhost:{self._site.port}")
+        right = hmac.compare_digest(token.encode(), self._site.token.encode())
+        return right and self.headers.get("Host") in ours
 
-    def _jump(self, time_ns: int, entries: Iterable[Entry]) -> None:
-        self._newest.clear()
-        self._go_to(time_ns)
-        self._publish(entries)
+    def _answer(self, body: bool) -> None:
+        wanted = self._wanted()
+        if wanted is None:
+            self._refuse(HTTPStatus.NOT_FOUND)
+        elif isinstance(wanted, bytes):
+            page = wanted is self._site.page
+            kind = "text/html" if page else "application/json"
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", f"{kind}; charset=utf-8")
+            self.send_header("Content-Length", str(len(wanted)))
+            if not page:
+                self.send_header("Content-Disposition", 'attachment; filename="layout.json"')
+            self.send_header("Referrer-Policy", "no-referrer")
+            self.end_headers()
+            if body:
+                self.wfile.write(wanted)
+        else:
+            try:
+                with wanted.open("rb") as file:
+                    self._part(file, body)
+            except OSError:
+                self._refuse(HTTPStatus.NOT_FOUND)
 
-    def _go_to(self, time_ns: int) -> None:
-        self._time_ns = time_ns
-        self._send(protocol.time(time_ns))
+    def _wanted(self) -> bytes | Path | None:
+        """Return the page, the layout, the file of a log, or None for what is not served."""
+        _, token, *rest = [unquote(step) for step in urlsplit(self.path).path.split("/")]
+        if not self._let_in(token):
+            return None
+        if rest == [""]:
+            return self._site.page or None
+        if rest == ["layout.json"]:
+            return self._site.layout
+        return self._site.logs.get(rest[1]) if len(rest) == 2 and rest[0] == "logs" else None
 
-    def _tell(self, state: State) -> None:
-        self._state = state
-        self._send(protocol.playback_state(state))
+    def _part(self, file: BinaryIO, body: bool) -> None:
+        size = file.seek(0, 2)
+        asked = self.headers.get("Range")
+        span = (0, size - 1) if asked is None else byte_range(asked, size)
+        if span is None:
+            self.send_response(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE)
+            self._allow()
+            self.send_header("Content-Range", f"bytes */{size}")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return
+        first, last = span
+        self.send_response(HTTPStatus.OK if asked is None else HTTPStatus.PARTIAL_CONTENT)
+        self._allow()
+        self.send_header("Content-Type", "application/octet-stream")
+        self.send_header("Accept-Ranges", "bytes")
+        self.send_header("Content-Length", str(last - first + 1))
+        if asked is not None:
+            self.send_header("Content-Range", f"bytes {first}-{last}/{size}")
+        self.end_headers()
+        file.seek(first)
+        left = last - first + 1 if body else 0
+        while left > 0 and (block := file.read(min(left, BLOCK_BYTES))):
+            self.wfile.write(block)
+            left -= len(block)
+        if left > 0:
+            self.close_connection = True  # the file was cut meanwhile
 
-    def _send(self, message: bytes) -> None:
-        for client in self._clients:
-            client.put(message)
+    def _allow(self) -> None:
+        self.send_header("Access-Control-Allow-Origin", "*")
+        self.send_header(
+            "Access-Control-Expose-Headers", "Accept-Ranges, Content-Length, Content-Range"
+        )
+        self.send_header("Cache-Control", "no-store")
+
+    def _refuse(self, status: HTTPStatus) -> None:
+        self.send_response(status)
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Print nothing."""
 
 
-class _Client:
-    """The subscriptions of one client, an id by topic, and the messages that wait for it."""
+def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
+    """Whether a request comes from a program, a desktop viewer or the page of a known viewer.
 
-    def __init__(self) -> None:
-        self.subscriptions: dict[str, bytes] = {}
-        self.sent = asyncio.Event()  # nothing waits
-        self._some = asyncio.Event()
-        self._waiting: deque[bytes] = deque(maxlen=BACKLOG)
+    Known are Foxglove's, any page served by this machine, and the viewer at the address `viewer`.
+    """
+    if origin is None or origin in (FOXGLOVE, "file://"):
+        return True
+    where = urlsplit(origin)
+    if where.scheme in ("http", "https") and where.hostname in (ADDRESS, "localhost"):
+        return True
+    return bool(where.netloc) and where[:2] == urlsplit(viewer)[:2]
 
-    def message(self, entry: Entry) -> None:
-        """Have a message sent where its topic is subscribed to."""
-        subscription = self.subscriptions.get(entry.topic)
-        if subscription:
-            self.put(protocol.message(subscription, entry))
 
-    def put(self, message: bytes) -> None:
-        """Have a message sent."""
-        self._waiting.append(message)
-        self._some.set()
-        self.sent.clear()
+def byte_range(asked: str, size: int) -> tuple[int, int] | None:
+    """Return the first and last byte of a `Range` header, None where it cannot be satisfied.
 
-    async def send(self, connection: ServerConnection) -> None:
-        """Send what waits, until the connection ends."""
-        with suppress(ConnectionClosed):
-            while True:
-                await self._some.wait()
-                while self._waiting:
-                    await connection.send(self._waiting.popleft())
-                self._some.clear()
-                self.sent.set()
+    Of several ranges none is given.
+    """
+    found = re.fullmatch(r"\s*bytes\s*=\s*(\d{0,18})\s*-\s*(\d{0,18})\s*", asked)
+    if not found or not (found[1] or found[2]):
+        return None
+    if not found[1]:  # the last n bytes
+        first, last = max(size - int(found[2]), 0), size - 1
+        return (first, last) if int(found[2]) > 0 and size > 0 else None
+    first, last = int(found[1]), min(int(found[2] or size - 1), size - 1)
+    return (first, last) if first <= last else None

@@ -1,13 +1,14 @@
-"""An arm of a study: one point of the sweep with one controller."""
+"""An arm of a study: one point of the sweep with one controller, and its values as text."""
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from tetractl.experiment.load import LoadedSpec
-from tetractl.study.cells import shown
 
+DIGITS = 6  # of a number in a name or a figure
 NAME_LENGTH = 100  # of a folder, far below what file systems take
 
 
@@ -39,3 +40,22 @@ def arm_name(controller: str, values: Mapping[str, Any]) -> str:
     words += [f"{path}={shown(value)}" for path, value in zip(paths, values.values(), strict=True)]
     name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(words))[:NAME_LENGTH]
     return name.lstrip(".-") or "base"
+
+
+def shown(value: Any) -> str:
+    """Return a value as people read it: numbers to six digits, of a list of mappings its length."""
+    if isinstance(value, float):
+        return f"{value:.{DIGITS}g}"
+    if isinstance(value, list | tuple) and value and isinstance(value[0], dict):
+        return f"{len(value)}"  # such as the robots
+    return value if isinstance(value, str) else as_yaml(value)
+
+
+def as_cell(value: Any) -> Any:
+    """Return a value as a cell: numbers, truth values and text as they are, others as YAML."""
+    return value if isinstance(value, int | float | str) or value is None else as_yaml(value)
+
+
+def as_yaml(value: Any) -> str:
+    """Return a value in one line as `--set` takes it."""
+    return json.dumps(value, ensure_ascii=False)  # JSON is YAML

@@ -1,4 +1,4 @@
-"""One figure a swept field: total error against the field's value, a line a controller."""
+"""One figure per swept field: total error against the field's value, a line per controller."""
 
 import re
 from collections.abc import Sequence
@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
-from tetractl.study.cells import as_yaml, shown
-from tetractl.study.effect import FieldValue, field_values, numeric
+from tetractl.core.text import unit_of
+from tetractl.study.arm import as_yaml, shown
 from tetractl.study.load import LoadedStudy
 from tetractl.study.store import Store
-from tetractl.study.table import counted_rows
+from tetractl.study.table import FieldValue, field_values, numeric, origins
 from tetractl.view import style
 
 DECADES = 1.5  # that positive values must span to be drawn on a logarithmic axis
@@ -38,7 +38,7 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
     """Draw the mean total error with its 95 % interval against a field; None without any error.
 
-    Where several arms share a value, the mean is over them too, world by world.
+    Where several arms share a value, the mean is over them too, trial by trial.
     """
     names = dict.fromkeys(arm.controller for arm in loaded.arms)
     curves = {
@@ -68,13 +68,13 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
             )
             _draw(axes, x, found, "-o" if joined else "o", name, look)
         axes.set_xlabel(field)
-        axes.set_ylabel(f"total error [{style.unit_of(loaded.unit)}]")
+        axes.set_ylabel(f"total error [{unit_of(loaded.unit)}]")
         axes.set_ylim(bottom=0)
         axes.grid(axis="y", color=style.FAINT, linewidth=0.6)
         axes.set_axisbelow(True)
         if any(names):
             figure.legend(loc="outside lower center", ncols=4)
-    style.headline(figure, _headline(loaded, store, every))
+    style.headline(figure, _headline(loaded, every))
     return figure
 
 
@@ -123,13 +123,13 @@ def _draw(
     axes.autoscale_view()
 
 
-def _headline(loaded: LoadedStudy, store: Store, found: Sequence[FieldValue]) -> str:
-    """Return what was steered, how often, and what is drawn."""
-    origins = sorted({row.columns["origin"] for _, row in counted_rows(loaded, store)})
+def _headline(loaded: LoadedStudy, found: Sequence[FieldValue]) -> str:
+    """Return the plant, the number of trials, and what is drawn."""
+    plants = sorted(set(origins(loaded)))
     counts = sorted({group.error.n for group in found})
     n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     pooled = " over the other fields" if any(group.arms > 1 for group in found) else ""
     return (
-        f"{loaded.study.name}, {' and '.join(origins)}: mean{pooled} and its 95 % interval,"
-        f" n = {n} worlds"
+        f"{loaded.study.name}, {' and '.join(plants)}: mean{pooled} and its 95 % interval,"
+        f" n = {n} trials"
     )

@@ -8,21 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from tetractl.core.errors import SpecError
 from tetractl.core.text import printable
-from tetractl.experiment.choice import STRICT
 from tetractl.experiment.load import LoadedSpec, arm_hash, load_spec
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
-from tetractl.experiment.yaml.explain import explain
-from tetractl.experiment.yaml.frozen import frozen
+from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
 from tetractl.experiment.yaml.schema import schema_of
 from tetractl.run.limits import check
 from tetractl.run.task import code_of
-from tetractl.study.arm import Arm, arm_name
-from tetractl.study.cells import as_yaml
+from tetractl.study.arm import Arm, arm_name, as_yaml
 from tetractl.study.study import Study
 from tetractl.study.sweep import Setting
 
@@ -82,16 +78,11 @@ def study_schema() -> dict[str, Any]:
 
 
 def _study(document: Document) -> Study:
-    try:
-        study = Study.model_validate(frozen(document.data), strict=True, context=STRICT)
-    except ValidationError as error:
-        document.problems.extend(explain(error, document, study_schema()))
-        study = None
-    if document.found or study is None:
-        spec = "robots" in document.data and "base" not in document.data
-        hint = "this is a spec: a study names it as its 'base:'" if spec else None
-        raise InvalidSpecError(document.found, hint)
-    return study
+    if "robots" in document.data and "base" not in document.data:
+        origin = document.origin
+        hint = f"run it with: tetractl run {origin}; a study names it as its 'base:'"
+        raise InvalidSpecError([SpecProblem(origin, "is a spec, not a study")], hint)
+    return validated(Study, document)
 
 
 _Placed = list[tuple[str, Loc]]  # settings, and where in the study each is written

@@ -67,7 +67,7 @@ def lacking(
             if not shard.has(i * count + trial):
                 continue
             row = store.rows[arm.name].get(trial)
-            outdated = row is not None and (row.code != arm.code or not row.result)
+            outdated = row is not None and row.code != arm.code
             if row is None or (outdated and rerun_outdated):
                 keep = trial < logs.each
                 tasks.append(Task(trial, count, spec, arm.name, keep, logs.failed, True, arm.code))

@@ -7,14 +7,15 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.yaml.problems import did_you_mean
 from tetractl.log.format.metadata import result_metadata
 from tetractl.log.format.trial_digest import trial_digest
+from tetractl.log.provenance import host, processor
 from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.rows import Row
 from tetractl.replay.difference import first_difference
 from tetractl.run.interrupt import Interrupt, interrupted_once
 from tetractl.run.store import set_aside
 from tetractl.run.task import log_path, run_trial
 from tetractl.study.arm import Arm
 from tetractl.study.load import LoadedStudy, spec_of
-from tetractl.study.row import Row
 from tetractl.study.store import Store
 
 
@@ -35,12 +36,14 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     if digest != row.trial_digest:
         text = _difference(path, row)
         set_aside(folder, row.trial)
-        outdated = row.code != arm.code
+        hint, here = None, processor(host())
+        if row.processor != here:
+            hint = f"the row is of another type of processor: {row.processor}, this one is {here}"
+        if row.code != arm.code:
+            hint = "the row is of outdated code"
         raise LogError(
             f"{which}: the digest of its log is {digest}, that of its row {row.trial_digest}{text}",
-            "the row is of outdated code"
-            if outdated
-            else "was it run on another type of processor?",
+            hint,
         )
     store.add_row(arm, replace(row, logged=True))
     return f"{path}: {result.summary}, digest as in its row: {digest}"
@@ -49,8 +52,9 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
 def _difference(log: Path, row: Row) -> str:
     """Return the first difference of the log's result from the row's; "" where it is elsewhere."""
     now = read_result(log)
-    stated = result_metadata(now.result, now.experiment.units.length, now.warnings)
-    found = first_difference(stated, row.result, name="result") if row.result else None
+    unit = now.experiment.units.length
+    ours, stated = (result_metadata(of.result, unit, of.warnings) for of in (now, row))
+    found = first_difference(ours, stated, name="result")
     return "; {}: {}".format(*found) if found else ""
 
 

@@ -2,19 +2,23 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
+from tetractl.core.files import save_whole
 from tetractl.core.plan import Outcome
+from tetractl.core.text import printable
 from tetractl.experiment.load import resolved_yaml
+from tetractl.log.format.channels import TEXT
 from tetractl.log.read.find import ROWS
-from tetractl.log.read.origin import Origin
-from tetractl.log.read.rows import SIMULATED, SPEC
-from tetractl.log.read.trial_log import ResultSummary
-from tetractl.run.store import made_and_locked, make_folder, save_whole, set_aside
+from tetractl.log.read.rows import SPEC, Row, read_rows
+from tetractl.run.store import made_and_locked, make_folder, set_aside
 from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.arm import Arm
-from tetractl.study.row import Row
+
+DECIDING = ("code", "processor", "count")
+"""What rows of a trial have in common where their digests must agree."""
 
 
 class Store:
@@ -38,7 +42,7 @@ class Store:
         """
         with made_and_locked(self.folder):
             for arm in self._arms.values():
-                self.rows[arm.name] = read_rows(self.folder, arm, mend=True)
+                self.rows[arm.name] = rows_of(self.folder, arm, mend=True)
                 if self.rows[arm.name]:
                     self.arm_folder(arm)
             yield
@@ -65,20 +69,21 @@ class Store:
         if result.outcome is Outcome.INTERRUPTED:
             path.unlink(missing_ok=True)
             return
-        experiment = arm.spec.experiment
-        summary = ResultSummary(
-            path=str(path),
-            experiment=experiment,
-            seed=experiment.trials.seed,
+        row = Row(
             trial=task.trial,
-            origin=Origin.of(experiment, SIMULATED),
-            result=result,
-            recovered=False,
-            digest=None,
+            arm_hash=arm.hash,
+            code=arm.code,
+            processor=finished.processor,
+            trial_digest=finished.digest,
+            count=task.count,
+            logged=finished.logged,
+            wall_s=finished.wall_s,
+            cpu_s=finished.cpu_s,
             warnings=finished.warnings,
+            result=replace(result, reason=printable(result.reason, TEXT)),
+            place=str(self.folder / arm.name / ROWS),
         )
-        digest, logged, took_s = finished.digest, finished.logged, (finished.wall_s, finished.cpu_s)
-        self.add_row(arm, Row.of(summary, arm.hash, arm.code, digest, logged, took_s))
+        self.add_row(arm, row)
 
     def add_row(self, arm: Arm, row: Row) -> None:
         """Add a row, in memory and on disk."""
@@ -86,7 +91,7 @@ class Store:
         path = self.arm_folder(arm) / ROWS
         try:
             with path.open("a", encoding="utf-8") as file:
-                file.write(row.line())
+                file.write(row.line(arm.spec.experiment))
         except OSError as error:
             raise LogError(f"{path}: cannot be written: {error.strerror}") from error
 
@@ -99,7 +104,7 @@ class Store:
         """
         added = 0
         for folder in folders:
-            found = [(arm, read_rows(folder, arm)) for arm in self._arms.values()]
+            found = [(arm, rows_of(folder, arm)) for arm in self._arms.values()]
             if not any(rows for _, rows in found):
                 raise UsageError(f"{folder}: holds no trial of this study")
             for arm, rows in found:
@@ -110,12 +115,11 @@ class Store:
         """Add a row of another folder with its log, unless there is as good a one."""
         twin = self.rows[arm.name].get(row.trial)
         if twin is not None:
-            alike = (twin.code, twin.count) == (row.code, row.count)
+            alike = all(getattr(twin, name) == getattr(row, name) for name in DECIDING)
             if alike and twin.trial_digest != row.trial_digest:
                 raise UsageError(
                     f"{folder}: trial {row.trial} of {arm.name} differs from that in {self.folder},"
-                    " by the same code",
-                    "were they run on processors of different types?",
+                    " by the same code on the same type of processor"
                 )
             if twin.logged or not row.logged or twin.trial_digest != row.trial_digest:
                 return False
@@ -126,36 +130,36 @@ class Store:
         return True
 
 
-def read_rows(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
-    """Return the rows of an arm by trial; lines that are none are passed over.
+def rows_of(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
+    """Return the rows of an arm by trial; the trials of damaged rows are run again.
 
     With `mend` the file is cut after its last whole line. Raises UsageError for rows of another
     spec, LogError if the file cannot be read.
     """
     path = folder / arm.name / ROWS
-    try:
-        text = path.read_bytes()
-        whole = text.rfind(b"\n") + 1
-        if mend and whole < len(text):
-            with path.open("r+b") as file:
-                file.truncate(whole)
-    except FileNotFoundError:
+    if not path.exists():
         return {}
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    rows: dict[int, Row] = {}
-    for line in text[:whole].decode(errors="replace").split("\n")[:-1]:
-        try:
-            row = Row.read(line)
-        except (ValueError, TypeError):
-            continue  # the trial is run again
-        if row.arm_hash != arm.hash:
+    if mend:
+        _cut_to_lines(path)
+    found = read_rows(path, arm.spec.experiment)
+    for row in found.values():
+        if row is not None and row.arm_hash != arm.hash:
             raise UsageError(
-                f"{path}: was run with another spec or seed",
+                f"{row.place}: was run with another spec or seed",
                 "name another folder with --out, or the study it was run with",
             )
-        rows[row.trial] = row
-    return rows
+    return {trial: row for trial, row in found.items() if row is not None}
+
+
+def _cut_to_lines(path: Path) -> None:
+    try:
+        with path.open("r+b") as file:
+            text = file.read()
+            whole = text.rfind(b"\n") + 1
+            if whole < len(text):
+                file.truncate(whole)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def keep_log(path: Path, source: Path) -> None:

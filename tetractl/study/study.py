@@ -5,8 +5,8 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from tetractl.experiment.base import Model, Name
-from tetractl.experiment.choice import Choice
 from tetractl.experiment.experiment import Trials
+from tetractl.experiment.registry_fields import KindSection
 from tetractl.study.kinds import SWEEPS
 from tetractl.study.sweep import Path, Sweep
 
@@ -16,13 +16,13 @@ class Study(Model):
     every such arm has the same seeds, so that its trials happen in the same worlds."""
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    """Name of the study, which its folder is called after: letters, digits, dots, underscores and
-    hyphens, starting with a letter or digit."""
+    """Name of the study, which its folder is called after: letters without accents
+    (a to z, A to Z), digits, dots, underscores and hyphens, starting with a letter or digit."""
     description: str = ""
     """One or two sentences for people."""
     base: str = Field(min_length=1, max_length=1000)
     """File of the spec that every arm starts from, beside the study's own."""
-    sweep: Annotated[Sweep, Choice(SWEEPS)] | None = None
+    sweep: Annotated[Sweep, KindSection(SWEEPS)] | None = None
     """The fields that take several values, and which; without it the base's values are kept."""
     controllers: dict[Name, dict[Path, Any]] = Field(default={}, max_length=1000)
     """By name, the alternatives to compare: each a mapping of paths to values, set before those of

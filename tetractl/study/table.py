@@ -1,23 +1,29 @@
-"""The tables of a study: one row per trial over all arms, times, and the errors of each arm."""
+"""The tables of a study: a row per trial over all arms, and the total error by arm and field."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from tetractl.core.clock import MILLISECOND
 from tetractl.core.table.files import TableFiles
-from tetractl.core.table.numbers import NONE
 from tetractl.core.table.table import Column, Table
-from tetractl.log.read.origin import Origin
-from tetractl.results.tables import error_table
-from tetractl.study.arm import Arm
-from tetractl.study.cells import as_cell
-from tetractl.study.effect import error_of
+from tetractl.log.read.rows import SIMULATED, Row
+from tetractl.log.read.trial_log import Origin
+from tetractl.results.batch import Batch, counts
+from tetractl.results.estimate import Distribution, distributions
+from tetractl.results.items import trials_table
+from tetractl.results.tables import error_table, processors_note
+from tetractl.study.arm import Arm, as_cell, as_yaml
 from tetractl.study.load import LoadedStudy
-from tetractl.study.row import Row
 from tetractl.study.store import Store
 
 TRIALS, TIMES = "trials.csv", "times.csv"
+HOST_COLUMNS = ("deadline_misses",)
+"""Columns of `export` that differ between two runs of a trial; they are in the table of times."""
 MOST = 100  # arms that are printed
 
 
@@ -30,6 +36,11 @@ def counted_rows(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, Row]]
                 yield arm, rows[trial]
 
 
+def origins(loaded: LoadedStudy) -> list[Origin]:
+    """Return the origin of each arm's trials."""
+    return [Origin.of(arm.spec.experiment, SIMULATED) for arm in loaded.arms]
+
+
 def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write the tables and return their paths; the same rows give the same `trials.csv`.
 
@@ -38,49 +49,113 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     and `code`. `times.csv` has what differs from run to run.
     """
     paths = {"trials": store.folder / TRIALS, "times": store.folder / TIMES}
-    found = list(counted_rows(loaded, store))
-    columns = dict.fromkeys(name for _, row in found for name in row.columns)
     trials: list[dict[str, Any]] = []
     times: list[dict[str, Any]] = []
-    for arm, row in found:
+    for arm, row in counted_rows(loaded, store):
+        found = _exported(arm, row)
         log = f"{arm.name}/trial-{row.trial:03d}.mcap" if row.logged else ""
         head = {"log": log, "trial": row.trial, "arm": arm.name}
         swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
-        same = {name: row.columns.get(name) for name in columns}
         tail = {"trial_digest": row.trial_digest, "code": row.code}
-        trials.append(head | {"controller": arm.controller} | swept | same | tail)
-        times.append(head | dict(row.times))
+        repeats = {key: value for key, value in found.items() if key not in HOST_COLUMNS}
+        trials.append(head | {"controller": arm.controller} | swept | repeats | tail)
+        times.append(head | {key: found[key] for key in HOST_COLUMNS} | _times(row))
     with TableFiles(paths, "csv") as files:
-        if found:
+        if trials:
             files.add("trials", Table.of_records("trials", trials))
             files.add("times", Table.of_records("times", times))
     return list(paths.values())
 
 
+def _exported(arm: Arm, row: Row) -> dict[str, Any]:
+    """Return the columns of `tetractl export` for a trial, but those that lead its table."""
+    table = trials_table(Batch.of([row.summary(arm.spec.experiment)]))
+    return {one.key: one.known[0] for one in table.columns if one.name not in ("path", "trial")}
+
+
+def _times(row: Row) -> dict[str, Any]:
+    solve_ms = [ns / MILLISECOND for ns in row.result.solve_ns]
+    return {
+        "solve_mean_ms": sum(solve_ms) / len(solve_ms) if solve_ms else None,
+        "solve_max_ms": max(solve_ms, default=None),
+        "wall_s": row.wall_s,
+        "cpu_s": row.cpu_s,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class FieldValue:
+    """The arms in which a field has one value, and the total error over their seeds."""
+
+    value: Any
+    arms: int
+    error: Distribution
+
+
+def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribution:
+    """Describe the total error over the trials that every one of some arms has a result of.
+
+    Trials of one number have the same seed in every arm and count once, with their mean over the
+    arms: counting them as independent observations would make the interval too short.
+    """
+    errors = [
+        {
+            trial: row.result.total_error
+            for trial, row in store.rows[arm.name].items()
+            if trial < loaded.study.trials.count and counts(row.summary(arm.spec.experiment))
+        }
+        for arm in arms
+    ]
+    trials = sorted(set.intersection(*(set(found) for found in errors)))
+    means = [float(np.mean([found[trial] for found in errors])) for trial in trials]
+    bound = arms[0].spec.experiment.error_bound
+    return distributions(np.array([means], dtype=np.float64), bound)[0]
+
+
+def field_values(
+    loaded: LoadedStudy, store: Store, path: str, arms: Iterable[Arm]
+) -> list[FieldValue]:
+    """Return the arms that set a field, grouped by its value: numbers rising, others in order."""
+    found: dict[str, list[Arm]] = {}
+    for arm in arms:
+        if path in arm.values:
+            found.setdefault(as_yaml(arm.values[path]), []).append(arm)
+    made = [
+        FieldValue(several[0].values[path], len(several), error_of(loaded, store, several))
+        for several in found.values()
+    ]
+    return sorted(made, key=lambda group: group.value) if numeric(made) else made
+
+
+def numeric(found: Iterable[FieldValue]) -> bool:
+    """Whether a field's values are all numbers."""
+    values = [group.value for group in found]
+    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+
+
 def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     """Return the total error of each arm, what aborted, and the plant."""
-    arms = loaded.arms[:MOST]
+    arms, plants = loaded.arms[:MOST], origins(loaded)[:MOST]
     named = [(arm.name, error_of(loaded, store, [arm])) for arm in arms]
-    aborted, plants = [], []
-    for arm in arms:
-        rows = [store.rows[arm.name].get(i) for i in range(loaded.study.trials.count)]
-        aborted.append(sum(row is not None and not row.complete for row in rows))
-        plants.append(next((str(row.columns["origin"]) for row in rows if row is not None), NONE))
+    found = list(counted_rows(loaded, store))
+    aborted = Counter(arm.name for arm, row in found if not row.complete)
     errors = error_table(f"{loaded.study.name}: total error [{loaded.unit}]", named, loaded.unit)
-    notes = []
+    notes = [processors_note(row.processor for _, row in found)]
     if Origin.DISTURBED in plants:
         notes.append("disturbances are assumed in the spec, not measured")
     if len(loaded.arms) > MOST:
         more = len(loaded.arms) - MOST
         notes.append(f"and {more} arms more, which the table of trials has")
     first, n, mean, std, *_, interval = errors.columns
+    label = f"above {'error_bound' if named[0][1].tail.stated else '10 medians'}"
     columns = (
         replace(first, name="arm", unit=""),
         n,
         mean,
         interval,
         std,
-        Column("aborted", aborted),
-        Column("plant", plants, words=True),
+        Column(label, [error.tail.text() for _, error in named]),
+        Column("aborted", [aborted[arm.name] for arm in arms]),
+        Column("plant", [str(plant) for plant in plants], words=True),
     )
-    return replace(errors, columns=columns, note="; ".join(notes))
+    return replace(errors, columns=columns, note="; ".join(filter(None, notes)))

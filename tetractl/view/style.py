@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from tetractl.core.errors import UsageError
+from tetractl.core.files import save_whole
 
 INK, GREY, FAINT = "#222222", "#8A8A8A", "#D0D0D0"
 OBSTACLE, OBSTACLE_EDGE = "#F6DF8B", "#B8960C"
@@ -59,11 +60,6 @@ _METADATA: dict[str, dict[str, Any]] = {
 }
 
 
-def unit_of(unit: str) -> str:
-    """Return the length unit as papers write it."""
-    return unit.replace("um", "µm")
-
-
 @contextmanager
 def styled() -> Iterator[None]:
     """Apply this style to what is drawn inside the block, and restore matplotlib's settings."""
@@ -97,7 +93,7 @@ def headline(drawing: Figure, text: str, alarm: str = "") -> None:
 def _lower_legends(drawing: Figure, share: float) -> float:
     """Lower the legends above the axes below the top `share` of a figure; return their height [in].
 
-    The layout leaves space for a legend beside a headline, not below it.
+    The layout leaves space for a legend next to a headline, not below it.
     """
     drawing.draw_without_rendering()
     above_in = 0.0
@@ -134,14 +130,17 @@ def file_format(path: Path) -> str:
 
 def save(drawing: Figure, path: Path) -> None:
     """Write a figure; the same figure gives the same bytes."""
-    wanted = file_format(path)
+    save_whole(path, picture(drawing, file_format(path)))
+
+
+def picture(drawing: Figure, wanted: str) -> bytes:
+    """Return a figure in a format; the same figure gives the same bytes."""
+    file = io.BytesIO()
     with styled():
-        drawing.savefig(path, format=wanted, metadata=_METADATA[wanted])
+        drawing.savefig(file, format=wanted, metadata=_METADATA[wanted])
+    return file.getvalue()
 
 
 def svg(drawing: Figure) -> bytes:
-    """Return a figure as SVG; the same figure gives the same bytes."""
-    picture = io.BytesIO()
-    with styled():
-        drawing.savefig(picture, format="svg", metadata=_METADATA["svg"])
-    return picture.getvalue()
+    """Return a figure as SVG."""
+    return picture(drawing, "svg")

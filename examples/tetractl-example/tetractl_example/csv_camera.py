@@ -18,7 +18,6 @@ from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import Tap
 from tetractl.experiment.base import Positive
 from tetractl.experiment.lab import CameraSection
 
@@ -36,7 +35,7 @@ class CsvCameraSection(CameraSection):
     rate: Positive = 100.0
     """Frames a second after the last one of the file [Hz]."""
 
-    def build(self, setup: Setup, clock: Clock, tap: Tap, wake: Callable[[], None]) -> "CsvCamera":
+    def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> "CsvCamera":
         """Return the camera of the setup's robots, in their order."""
         return CsvCamera(self, setup.names, clock, wake)
 

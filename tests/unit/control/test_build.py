@@ -20,12 +20,13 @@ late, compile = [], Dispatcher.compile
 Dispatcher.compile = lambda self, types: late.append(self.py_func.__name__) or compile(self, types)
 poses = np.array([[*robot.start, robot.heading] for robot in spec.robots])
 controller = build_controller(spec, 1)
+command = None
 for k in range(4):
     ns = 200_000_000 * k
     seen = Observation(24 * k, ns, ns, Poses.of(poses), np.ones(len(spec.robots), bool))
-    plan = controller.plan(seen)
+    plan = controller.plan(seen, command)
     assert isinstance(plan, Plan)
-    controller.sent(Command(plan.direction, ns, (True,) * len(spec.robots)))
+    command = Command(plan.direction, ns, (True,) * len(spec.robots))
     poses = plan.path[1]
 print(late)
 """

@@ -31,7 +31,7 @@ def drive(fields, **changes):
             return np.array(sums), np.array(off), plans, decision
         off.append(decision.field_off)
         plans.append(decision)
-        controller.sent(plant.steer(decision.direction))
+        plant.steer(decision.direction)
         plant.clock.sleep_until((k + 1) * SECOND // 5)
     raise AssertionError
 
@@ -72,7 +72,7 @@ def test_a_dead_time_that_is_told_is_predicted_over(dead_time):
             when, promised = due.pop(0)
             starts.append((when, promised))
         plan = controller.plan(now)
-        controller.sent(world.steer(plan.direction))
+        world.steer(plan.direction)
         acts = now.sampled_ns + round(dead_time * SECOND)
         due.append((acts, plan.path[0]))
         world.clock.sleep_until((k + 1) * SECOND // 5)

@@ -336,7 +336,7 @@ def beside_a_wall(gap, stop=True):
     poses[0, 0] = experiment.setup.arena.right - gap
     controller.plan(seen(poses))
     controller.knowledge.sent(0, 0.0)
-    controller.untold, controller.warm = None, np.empty(0)
+    controller.warm = np.empty(0)
     return controller, seen(poses, now=200_000_000)
 
 
@@ -370,7 +370,6 @@ def test_the_stop_comes_between_two_steps_where_that_is_best():
     controller = mpc(spec(**fields), 99, Scripted({1: 0.0}))
     controller.plan(seen())
     controller.knowledge.sent(0, 0.0)
-    controller.untold = None
     poses[:, 0] -= 0.05 * np.array([180, 200, 150])  # on the way for the dead time
     ended = controller.plan(seen(poses, now=200_000_000))
     assert isinstance(ended, End)

@@ -54,14 +54,15 @@ def drive(key, fields=None, **plant):
     )
     world, controller = sim(spec, key), build_controller(spec, key)
     world.open()
+    command = None
     for k in range(400):
-        decision = controller.plan(world.observe())
+        decision = controller.plan(world.observe(), command)
         if isinstance(decision, Outcome | End):
             delay = decision.delay_ns if isinstance(decision, End) else 0
             world.clock.sleep_until(world.clock.now() + delay)
             world.stop()
             return world.settle(), decision
-        controller.sent(world.steer(decision.direction))
+        command = world.steer(decision.direction)
         world.clock.sleep_until((k + 1) * SECOND // 5)
     raise AssertionError
 

@@ -25,11 +25,6 @@ def test_nothing_is_left_that_a_terminal_obeys(text: str, shown: str) -> None:
     printable(text).encode()
 
 
-def test_long_text_is_cut() -> None:
-    assert printable("x" * 50, 10) == "xxxxxxx..."
-    assert printable("x" * 10, 10) == "x" * 10
-
-
 @given(st.text(), st.integers(3, 30))
 def test_text_once_printable_stays_as_it_is(text: str, length: int) -> None:
     shown = printable(text, length)

@@ -41,9 +41,9 @@ def test_a_full_queue_fails_at_once_and_what_waits_is_still_done():
     assert 1 <= len(done) <= 2
 
 
-def test_calls_that_gather_wait_for_whoever_waits_for_them():
+def test_a_batch_of_calls_is_done_once_somebody_waits_for_them():
     done: list[int] = []
-    worker = make(size=3, wait_s=10.0, gather_s=3600.0)
+    worker = make(size=3, wait_s=10.0, batch_s=3600.0)
     worker.put(done.append, 0)
     assert done == []
     worker.drain()
@@ -77,16 +77,16 @@ def test_a_thread_that_does_not_end_is_a_failure():
     gate.set()
 
 
-def test_tend_is_called_after_each_call_and_when_its_time_has_come():
-    tended = threading.Semaphore(0)
+def test_idle_is_called_after_each_call_and_when_its_time_has_come():
+    called = threading.Semaphore(0)
     times = iter([0.001, 0.001, None])
 
-    def tend() -> float | None:
-        tended.release()
+    def idle() -> float | None:
+        called.release()
         return next(times, None)
 
-    worker = make(tend=tend)
+    worker = make(idle=idle)
     worker.put(lambda: None)
     for _ in range(3):
-        assert tended.acquire(timeout=10)
+        assert called.acquire(timeout=10)
     worker.close()

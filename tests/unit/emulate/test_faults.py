@@ -1,323 +1,137 @@
-"""Every fault of a script can be seen where a real one would be: on the wires."""
+"""What each fault does to its device and takes back; what a run makes of it is in `tests/plays`."""
 
-import itertools
 import math
 from pathlib import Path
 
 import pytest
-import serial
-from support.emulated_lab import Client, emulated, turn_until
+from support.emulated_lab import APRILTAG_SPEC, FIELD_SPEC, SPEC, emulated, turn_until
 
-from tetractl.emulate.optitrack.server import CLOCK_HZ
-from tetractl.lab.actuators.m3pi.broadcast import (
-    BroadcastCommand,
-    Flag,
-    decode_reply,
-    encode_command,
-)
-from tetractl.lab.actuators.xbee.frames import AtCommand, Receive16, Transmit16
-from tetractl.lab.actuators.xbee.framing import Decoder, encode
-from tetractl.lab.cameras.optitrack.messages import (
-    Connect,
-    EchoRequest,
-    EchoResponse,
-    NatNetFrame,
-    ServerInfo,
-)
-from tetractl.lab.cameras.optitrack.wire import parse
-from tetractl.lab.errors import WireError
+from tetractl.core.clock import SECOND
+from tetractl.emulate.faults import Visible
+from tetractl.emulate.optitrack.tracked_body import expose
+from tetractl.emulate.script import Sides
+from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
+from tetractl.lab.cameras.optitrack.messages import Version
 
 RUN = ((60, 60), (60, 60))
 
 
-@pytest.fixture
-def faulty(tmp_path):
-    """Return a function that opens a lab and a client under a fault that starts at once."""
-    open_now = []
-
-    def start(fault, since="start"):
-        told = []
-        lab = emulated(
-            tmp_path,
-            script=f"faults: [{{{fault}, since: {since}}}]",
-            tell=lambda event, facts: told.append((event, facts.get("name"), facts.get("phase"))),
-        )
-        lab.told = told
-        lab.__enter__()
-        client = Client(lab)
-        open_now.extend((lab, client.socket))
-        return lab, client
-
-    yield start
-    for thing in reversed(open_now):
-        thing.close()
-
-
-def frames(lab, client, count=3):
-    client.ask(Connect(), ServerInfo)
-    return client.next(NatNetFrame, count)
-
-
-def fault_seen(lab, name):
-    turn_until(lab, lambda: ("fault", name, "start") in lab.told)
-
-
-def test_no_server(faulty):
-    lab, client = faulty("fault: no_server")
-    client.send(Connect())
-    fault_seen(lab, "no_server")
-    before = lab.timeline.now_ns
-    turn_until(lab, lambda: lab.timeline.now_ns > before + 100_000_000)
-    assert client.poll() == []
-
-
-def test_no_frames(faulty):
-    lab, client = faulty("fault: no_frames")
-    assert client.ask(Connect(), ServerInfo)
-    before = lab.timeline.now_ns
-    turn_until(lab, lambda: lab.timeline.now_ns > before + 100_000_000)
-    assert not [message for message in client.poll() if isinstance(message, NatNetFrame)]
-
-
-def test_freeze_repeats_one_frame(faulty):
-    lab, client = faulty("fault: freeze, for: 0.2")
-    client.ask(Connect(), ServerInfo)
-    turn_until(lab, lambda: ("fault", "freeze", "end") in lab.told)
-    client.next(NatNetFrame, 4)
-    got = [frame.number for frame in client.got if isinstance(frame, NatNetFrame)]
-    while got[-1] == got[0]:
-        client.next(NatNetFrame, len(got) + 1)
-        got = [frame.number for frame in client.got if isinstance(frame, NatNetFrame)]
-    assert got.count(got[0]) > 5
-    assert got[-1] > got[0] + 5
-
-
-def test_counter_back(faulty):
-    lab, client = faulty("fault: counter_back, frames: 500, at: 0.1", since="client")
-    client.ask(Connect(), ServerInfo)
-    fault_seen(lab, "counter_back")
-    client.next(NatNetFrame)
-    numbers = [frame.number for frame in client.poll() if isinstance(frame, NatNetFrame)]
-    steps = {b - a for a, b in itertools.pairwise(numbers)}
-    assert steps == {1, -499}
-
-
-def test_edit_mode(faulty):
-    lab, client = faulty("fault: edit_mode")
-    assert all(frame.edit_mode for frame in frames(lab, client)[1:])
-
-
-def test_bad_datagrams_are_all_refused(faulty):
-    lab, client = faulty("fault: bad_datagrams, share: 1")
-    client.send(Connect())
-    refused = []
-
-    def drain():
-        try:
-            while True:
-                datagram = client.socket.recv(65535)
-                try:
-                    message = parse(datagram, client.version)
-                    assert isinstance(message, ServerInfo)
-                except WireError:
-                    refused.append(datagram)
-        except BlockingIOError:
-            return len(refused) > 20
-
-    turn_until(lab, drain)
-
-
-def test_other_version(faulty):
-    lab, client = faulty("fault: other_version, version: '3.0'")
-    client.send(Connect())
-
-    def refused():
-        try:
-            client.poll()
-        except WireError:
-            return True
-
-    turn_until(lab, refused)
-
-
-def test_untracked_holds_the_last_pose(faulty):
-    lab, client = faulty("fault: untracked, robot: blue", since="client")
-    client.ask(Connect(), ServerInfo)
-    fault_seen(lab, "untracked")
-    lab.actuator.robot("blue").place(900, 900, 0)
-    client.got.clear()
-    frame = client.next(NatNetFrame, 3)[-1]
-    green, blue = frame.bodies
-    assert (green.tracking_valid, blue.tracking_valid) == (True, False)
-    assert blue.mean_error == 0.0
-    assert blue.position == pytest.approx((0.5, 0.06, -1.5))
-
-
-def test_jump(faulty):
-    lab, client = faulty("fault: jump, robot: green, by: [300, -100]")
-    green, _ = frames(lab, client)[-1].bodies
-    assert green.tracking_valid
-    assert green.position == pytest.approx((0.8, 0.06, -0.4))
-
-
-def echoed(lab, client, sent):
-    """The server's clock in an echo [s], and the timeline's time then."""
-    answer = client.ask(EchoRequest(sent), EchoResponse)
-    return answer.server / CLOCK_HZ, lab.timeline.now_ns / 1e9
-
-
-@pytest.mark.parametrize("by", [0.5, -0.5])
-def test_clock_jump(faulty, by):
-    lab, client = faulty(f"fault: clock_jump, by: {by}", since="client")
-    before, then = echoed(lab, client, 1)
-    client.ask(Connect(), ServerInfo)
-    fault_seen(lab, "clock_jump")
-    after, now = echoed(lab, client, 2)
-    assert after - before - (now - then) == pytest.approx(by, abs=0.1)
-    frame = client.next(NatNetFrame, 3)[-1]
-    exposed = frame.ticks.exposure / CLOCK_HZ
-    assert exposed - lab.timeline.now_ns / 1e9 == pytest.approx(after - now, abs=0.1)
-
-
-def test_clock_rate(faulty):
-    lab, client = faulty("fault: clock_rate, rate: 3", since="client")
-    client.ask(Connect(), ServerInfo)
-    fault_seen(lab, "clock_rate")
-    before, then = echoed(lab, client, 1)
-    turn_until(lab, lambda: lab.timeline.now_ns / 1e9 > then + 0.2)
-    after, now = echoed(lab, client, 2)
-    assert (after - before) / (now - then) == pytest.approx(3, rel=0.1)
-
-
-def test_twin_id(faulty):
-    lab, client = faulty("fault: twin_id, robot: blue, other: green")
-    assert [body.id for body in frames(lab, client)[-1].bodies] == [1, 1]
-
-
-def test_swap(faulty):
-    lab, client = faulty("fault: swap, robot: green, other: blue")
-    by_id = {body.id: body.position for body in frames(lab, client)[-1].bodies}
-    assert by_id[1] == pytest.approx((0.5, 0.06, -1.5))
-    assert by_id[7] == pytest.approx((0.5, 0.06, -0.5))
-
-
-def test_nan_and_bad_quaternion(faulty):
-    lab, client = faulty("fault: nan, robot: green")
-    green, _ = frames(lab, client)[-1].bodies
-    assert green.tracking_valid and all(map(math.isnan, green.position))
-
-
-def test_bad_quaternion(faulty):
-    lab, client = faulty("fault: bad_quaternion, robot: green")
-    green, _ = frames(lab, client)[-1].bodies
-    assert green.tracking_valid
-    assert math.hypot(*green.quaternion) == pytest.approx(0.5)
-
-
-@pytest.fixture
-def driven(faulty):
-    """Return a function that sends frames to the robots of a faulty lab."""
-    ports = []
-
-    def start(fault):
-        lab, _ = faulty(fault)
-        port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.3)
-        ports.append(port)
-        turn_until(lab, lambda: ("fault", fault.split()[1].strip(","), "start") in lab.told)
-
-        def send(sequence, *wheels, flags=Flag.RUN):
-            payload = encode_command(BroadcastCommand(sequence, flags, wheels))
-            port.write(encode(Transmit16(0, 0xFFFF, 0, payload)))
-
-        return lab, port, send
-
-    yield start
-    for port in ports:
-        port.close()
-
-
-def test_veer_and_stop(driven):
-    lab, _, send = driven("fault: veer, robot: green, counts: [80, 40]")
-    send(1, *RUN)
-    turn_until(lab, lambda: lab.actuator.robot("blue").counts() == (60, 60))
-    assert lab.actuator.robot("green").counts() == (80, 40)
-    send(2, flags=Flag(0))
-    turn_until(lab, lambda: all(robot.standing for robot in lab.actuator.robots))
-
-
-def test_wheel_stuck(driven):
-    lab, _, send = driven("fault: wheel_stuck, robot: green, wheel: left")
-    send(1, *RUN)
-    turn_until(lab, lambda: lab.actuator.robot("green").right > 100)
-    assert lab.actuator.robot("green").left == 0.0
-
-
-def replies(lab, port, send, count):
-    decoder, got = Decoder(), []
-    send(9, flags=Flag.POLL)
-
-    def enough():
-        got.extend(f for f in decoder.feed(port.read(4096)) if isinstance(f, Receive16))
-        return len(got) >= count
-
-    turn_until(lab, enough)
-    before = lab.timeline.now_ns
-    turn_until(lab, lambda: lab.timeline.now_ns > before + 60_000_000)
-    enough()
-    return [decode_reply(frame.data[:-1]) for frame in got]
-
-
-def test_off(driven):
-    assert [r.id for r in replies(*driven("fault: off, robot: green"), 1)] == [1]
-
-
-def test_wrong_id(driven):
-    found = replies(*driven("fault: wrong_id, robot: green, id: 5"), 2)
-    assert sorted(reply.id for reply in found) == [1, 5]
-
-
-def test_low_battery(driven):
-    lab, port, send = driven("fault: low_battery, robot: green, millivolts: 3900")
-    assert [r.battery_mv for r in replies(lab, port, send, 2)] == [3900, 5100]
-
-
-def test_loss_of_everything(driven):
-    lab, _, send = driven("fault: loss, share: 1")
-    send(1, *RUN)
-    before = lab.timeline.now_ns
-    turn_until(lab, lambda: lab.timeline.now_ns > before + 50_000_000)
-    assert not any(any(robot.counts()) for robot in lab.actuator.robots)
-
-
-def test_unplug(faulty):
-    lab, _ = faulty("fault: unplug, at: 0.05")
-    port = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.3)
-    try:
-        fault_seen(lab, "unplug")
-        assert not lab.actuator.port.link.exists()
-        with pytest.raises(serial.SerialException):
-            port.write(b"x")
-    finally:
-        port.close()
-
-
-def test_stuck_port(driven):
-    _, port, _ = driven("fault: stuck_port")
-    with pytest.raises(serial.SerialTimeoutException):
-        port.write(encode(AtCommand(1, b"HV")))
-
-
-def test_a_mark_is_only_told(faulty):
-    lab, _ = faulty("fault: mark, name: now")
-    fault_seen(lab, "mark")
-
-
-def test_faults_since_run_wait_for_the_first_wheel_command(driven):
-    lab, _port, send = driven("fault: mark, name: x")
-    assert ("run", None, None) not in lab.told
-    send(1, (0, 0), (0, 0))
-    send(2, *RUN)
-    turn_until(lab, lambda: ("run", None, None) in lab.told)
+def bodies(lab):
+    """What the cameras give of the bodies now, to 6 digits."""
+    camera = lab.camera
+    found = expose(camera.tracked, camera.view, camera.swapped, camera.hidden)
+    parts = [(body.id, body.tracking_valid, *body.position, *body.quaternion) for body in found]
+    return [tuple(round(part, 6) + 0.0 for part in body) for body in parts]
+
+
+def trouble(name):
+    return lambda lab: getattr(lab.camera.motive.trouble, name)
+
+
+def green(name):
+    return lambda lab: getattr(lab.actuator.robot("green"), name)
+
+
+def ticks(ns):
+    return lambda lab: lab.camera.motive.server.clock.ticks(ns)
+
+
+UPRIGHT = (0.0, 0.247404, 0.0, 0.968912)  # 0.5 rad about the vertical
+BLUE = (7, True, 0.5, 0.06, -1.5, 0.0, -0.841471, 0.0, 0.540302)
+
+
+def shown(x=0.5, height=0.06, z=-0.5, quaternion=UPRIGHT, number=1, valid=True):
+    return [(number, valid, x, height, z, *quaternion), BLUE]
+
+
+OPTITRACK = [
+    ("no_server", trouble("silent"), True),
+    ("no_frames", trouble("no_frames"), True),
+    ("freeze", trouble("frozen"), True),
+    ("edit_mode", trouble("edit_mode"), True),
+    ("counter_back, frames: 500", trouble("counter"), 500),
+    ("bad_datagrams, share: 0.5", trouble("damaged"), 0.5),
+    ("other_version, version: '3.0'", trouble("version"), Version(3, 0)),
+    ("outdated, by: 2, frames: 3", trouble("outdated_s"), 2.0),
+    ("untracked, robot: green", bodies, shown(valid=False)),
+    ("jump, robot: green, by: [300, -100]", bodies, shown(0.8, z=-0.4)),
+    ("ghost, robot: green, by: [5, 0]", lambda lab: lab.camera.tracked[0].step, (5.0, 0.0)),
+    ("repeat", lambda lab: [body.repeats for body in lab.camera.tracked], [True, True]),
+    ("lifted, robot: green, height: 900", bodies, shown(height=0.9)),
+    ("tipped, robot: green, angle: 0.5", lambda lab: lab.camera.tracked[0].roll, 0.5),
+    ("swap, robot: green, other: blue", lambda lab: bodies(lab)[0][2:5], (0.5, 0.06, -1.5)),
+    ("nan, robot: green", lambda lab: math.isnan(bodies(lab)[0][2]), True),
+    ("bad_quaternion, robot: green", lambda lab: round(math.hypot(*bodies(lab)[0][5:]), 5), 0.5),
+    ("twin_id, robot: blue, other: green", lambda lab: [b[0] for b in bodies(lab)], [1, 1]),
+]
+M3PI = [
+    ("veer, robot: green, counts: [80, 40]", green("veer"), (80, 40)),
+    ("wheel_stuck, robot: green, wheel: left", green("stuck"), (True, False)),
+    ("wheel_stuck, robot: green, wheel: both", green("stuck"), (True, True)),
+    ("loss, share: 0.25", lambda lab: lab.actuator.radio.loss, 0.25),
+    ("off, robot: green", green("powered"), False),
+    ("low_battery, robot: green, millivolts: 3900", green("battery_mv"), 3900),
+]
+FIELD = [
+    ("off", lambda lab: lab.actuator.driver.powered, False),
+    ("low_supply, millivolts: 9000", lambda lab: lab.actuator.driver.supply_mv, 9000),
+    ("hot, celsius: 85", lambda lab: lab.actuator.driver.temperature_dc, 850),
+    ("mute", lambda lab: lab.actuator.driver.mute, True),
+]
+TAGS = [("untracked, robot: green", lambda lab: lab.camera.renderer.hidden, {1})]
+ROWS = [
+    *((SPEC, *row) for row in OPTITRACK + M3PI),
+    *((FIELD_SPEC, *row) for row in FIELD),
+    *((APRILTAG_SPEC, *row) for row in TAGS),
+]
+
+
+def begun(folder, fault, spec=SPEC):
+    """A lab that is not open, its script's one fault, and the device that has it."""
+    lab = emulated(folder, script=f"faults: [{{fault: {fault}}}]", spec=spec)
+    (found,) = lab.injector.faults
+    return lab, found, lab._device_of(found)
+
+
+@pytest.mark.parametrize(("spec", "fault", "read", "during"), ROWS, ids=lambda v: str(v)[:30])
+def test_a_fault_changes_its_device_and_takes_it_back(tmp_path, spec, fault, read, during):
+    if spec == APRILTAG_SPEC:
+        pytest.importorskip("cv2")
+    lab, found, device = begun(tmp_path, fault, spec)
+    before = read(lab).copy() if isinstance(read(lab), set) else read(lab)
+    assert before != during
+    undo = found.begin(device)
+    assert read(lab) == during
+    undo()
+    assert read(lab) == before
+
+
+@pytest.mark.parametrize(
+    ("fault", "gained"), [("clock_jump, by: -0.5", -0.5), ("clock_rate, rate: 3", 2.0)]
+)
+def test_the_servers_clock_is_set_or_runs_wrongly(tmp_path, fault, gained):
+    lab, found, device = begun(tmp_path, fault)
+    then = lab.timeline.now_ns + SECOND
+    before = ticks(then)(lab)
+    found.begin(device)
+    assert (ticks(then)(lab) - before) / 1e7 == pytest.approx(gained)
+
+
+def test_a_robot_with_another_number_obeys_that_one(tmp_path):
+    lab, found, device = begun(tmp_path, "wrong_id, robot: green, id: 1")
+    found.begin(device)
+    robot = lab.actuator.robot("green")
+    robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, ((10, 10), (20, 20)))))
+    assert robot.counts() == (20, 20)
+
+
+def test_every_fault_is_in_the_table_of_a_device_with_when_it_shows():
+    optitrack = Sides.of("optitrack", "m3pi-xbee").faults
+    assert len(optitrack) == 29
+    at_once = {name for name, kind in optitrack.items() if kind.visible is Visible.AT_ONCE}
+    assert {"mark", "unplug", "clock_jump", "veer"} <= at_once
+    assert optitrack["freeze"].visible is Visible.SENT
+    assert optitrack["jump"].visible is Visible.EXPOSED
 
 
 @pytest.mark.slow
@@ -325,16 +139,16 @@ def test_robots_are_put_back_and_restarted(tmp_path):
     told = []
     lab = emulated(tmp_path, replace_after=0.1, tell=lambda event, facts: told.append(event))
     with lab:
-        green = lab.actuator.robot("green")
-        green.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
-        turn_until(lab, lambda: green.x > 510)
-        green.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
+        robot = lab.actuator.robot("green")
+        robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
+        turn_until(lab, lambda: robot.x > 510)
+        robot.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
         turn_until(lab, lambda: not lab.camera.tracked[0].tracked)
-        assert not green.powered
+        assert not robot.powered
         turn_until(lab, lambda: "placed" in told)
-        assert (green.x, green.y, green.heading) == (500, 500, 0.5)
-        green.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
-        assert green.counts() == (60, 60)
+        assert (robot.x, robot.y, robot.heading) == (500, 500, 0.5)
+        robot.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
+        assert robot.counts() == (60, 60)
 
 
 def open_files():

@@ -15,7 +15,6 @@ from tetractl.emulate.loop import Timeline
 from tetractl.emulate.optitrack.motive import Motive
 from tetractl.emulate.optitrack.server import ServerClock
 from tetractl.emulate.optitrack.streaming import Streaming
-from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
 from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     Connect,
@@ -30,7 +29,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     Version,
 )
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
-from tetractl.lab.cameras.optitrack.wire import pack
+from tetractl.lab.cameras.optitrack.wire import pack, response_float, response_int
 
 MULTICAST = ("lab.camera.transport=multicast", "lab.camera.group=239.255.42.98")
 
@@ -118,7 +117,7 @@ def test_a_client_can_pin_the_version(opened):
     client.version = Version(3, 1)
     info = client.ask(Connect(bitstream=(3, 1, 0, 0)), ServerInfo)
     assert info.version == (4, 2)
-    assert client.next(NatNetFrame).precision is None
+    assert client.next(NatNetFrame).ticks is not None
     client.version = Version(2, 9)
     client.got.clear()
     client.send(Request("Bitstream,2.9"))

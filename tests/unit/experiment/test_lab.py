@@ -28,24 +28,6 @@ actuator:
     - {name: blue, radius_mm: 41.5, left: {gain_mm: 7.0, dead_zone: 9}, right: {invert: true},
        swap: true}
 """
-OLD_MEASURED = """
-measured: 2026-01-01T00:00:00Z
-robots:
-  - {name: blue, heading_offset: 0.25, radius_mm: 41.5, left: {gain_mm: 7.0, dead_zone: 9},
-     right: {invert: true}, swap: true}
-"""
-OLD = """
-name: old
-arena: {left: 0, bottom: 0, width: 2000, height: 2000}
-robots: [{name: green, start: [500, 500], target: [1500, 500], a: 6, speed: 180}]
-wheels: {radius: 40}
-lab:
-  mocap: {server: 127.0.0.1, transport: unicast, rotation: 0.5}
-  radio: {port: nowhere, rate: 30}
-  protocol: {type: slave, accept_no_watchdog: true}
-  robots: [{name: green, body: 7, heading_offset: 0.1, address: 3, swap: true}]
-  limits: {connect: 3, bad_datagrams: 7, battery_warn: 4.5, edge_mm: 20}
-"""
 
 
 def test_the_plant_is_chosen_by_kind():
@@ -70,10 +52,9 @@ def test_a_spec_without_a_lab_has_none():
         on_plant(loaded, "lab")
 
 
-@pytest.mark.parametrize("text", [MEASURED, OLD_MEASURED])
-def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path, text):
+def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     (tmp_path / "spec.yaml").write_text(SPEC.read_text())
-    (tmp_path / "m.yaml").write_text(text)
+    (tmp_path / "m.yaml").write_text(MEASURED)
     loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
     plain = lab_of(loaded.experiment, "spec")
     run = on_plant(loaded, "lab")
@@ -84,7 +65,7 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path, text
     assert (blue.left.gain_mm, blue.left.dead_zone, blue.right.invert) == (7.0, 9, True)
     assert blue.index == 1
     assert [lab.camera.heading_offset(name) for name in ("green", "blue")] == [0.0, 0.25]
-    assert run.attached == (("m.yaml", text),)
+    assert run.attached == (("m.yaml", MEASURED),)
 
 
 def test_a_calibration_is_written_as_it_is_read():
@@ -106,6 +87,11 @@ def test_a_calibration_is_written_as_it_is_read():
         ("name: blue", "name: pink", "m: pink is no robot of the lab"),
         ("dead_zone: 9", "dead_zone: 60}, limit: 50, x: {", "unknown key"),
         ("measured: 2026", "meshured: 2026", "m: is no calibration"),
+        (
+            "camera:",
+            "robots: []\ncamera:",
+            r"m:3:1: robots: unknown key; known here: measured, camera, actuator",
+        ),
     ],
 )
 def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
@@ -114,44 +100,24 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
         calibrated(experiment, MEASURED.replace(before, after), "m")
 
 
-def test_a_lab_of_the_old_form_is_read_and_its_owner_gets_the_new_lines():
-    loaded = parse_spec(OLD, "old")
-    lab = loaded.experiment.lab
-    assert (lab.camera.type, lab.actuator.type) == ("optitrack", "m3pi-xbee")
-    assert (lab.camera.server, lab.camera.rotation, lab.camera.connect) == ("127.0.0.1", 0.5, 3)
-    assert lab.camera.robots[0].model_dump() == {
-        "name": "green",
-        "body": 7,
-        "heading_offset": 0.1,
-    }
-    assert (lab.actuator.port, lab.actuator.rate, lab.actuator.battery_warn) == ("nowhere", 30, 4.5)
-    assert (lab.actuator.robots[0].address, lab.actuator.robots[0].swap) == (3, True)
-    assert lab.actuator.protocol.type == "slave"
-    assert (lab.limits.damaged_frames, lab.limits.edge_mm) == (7, 20)
-    (notice,) = loaded.notices
-    old = OLD[OLD.index("lab:") :]
-    lines = notice[notice.index("lab:") :]
-    again = parse_spec(OLD.replace(old, lines), "new")
-    assert again.experiment == loaded.experiment
-    assert again.notices == ()
+@pytest.mark.parametrize("place", ["lab", "plant"])
+@pytest.mark.parametrize(
+    "old", ["{mocap: {server: 127.0.0.1x}, radio: {port: no}, robots: []}", "{type: lab, radio: 3}"]
+)
+def test_a_lab_of_the_old_form_gets_one_error_that_names_the_page(place, old):
+    spec = load_spec(EXPERIMENTS / "three_m3pi.yaml").text
+    lines = spec.partition("\nplant:")[0].count("\n") + 2
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(f"{spec.partition(chr(10) + 'plant:')[0]}\n{place}: {old}\n", "s.yaml")
+    (line,) = caught.value.lines()
+    assert line.startswith(f"s.yaml:{lines}:{len(place) + 3}: {place}: is of an old form; ")
+    assert line.endswith("docs/reference/spec.md#lab shows them")
 
 
-def test_problems_of_an_old_lab_are_told_at_their_old_places():
-    with pytest.raises(InvalidSpecError, match=r"old:7:19: lab.camera.server: 127.0.0.1x"):
-        parse_spec(OLD.replace("127.0.0.1", "127.0.0.1x"), "old")
-    with pytest.raises(InvalidSpecError, match=r"old:10:\d+: lab.actuator.robots.0.swap: 1"):
-        parse_spec(OLD.replace("swap: true", "swap: 1"), "old")
-
-
-def test_settings_of_an_old_lab_go_by_the_new_names():
-    lab = parse_spec(OLD, "old", ["lab.actuator.port=/dev/x"]).experiment.lab
-    assert lab.actuator.port == "/dev/x"
-
-
-@pytest.mark.parametrize("lab", ["3", "{mocap: 3}", "{robots: 3}", "{robots: [3]}", "{radio: {}}"])
-def test_an_old_lab_that_is_none_is_refused(lab):
+@pytest.mark.parametrize("lab", ["3", "{mocap: 3, camera: {}}", "{}"])
+def test_what_is_no_lab_is_refused(lab):
     with pytest.raises(InvalidSpecError):
-        parse_spec(OLD[: OLD.index("lab:")] + f"lab: {lab}", "old")
+        parse_spec(load_spec(EXPERIMENTS / "three_m3pi.yaml").text + f"lab: {lab}\n", "s.yaml")
 
 
 @pytest.mark.parametrize(

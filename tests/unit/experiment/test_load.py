@@ -1,12 +1,18 @@
-import subprocess
-import sys
+import re
+from pathlib import Path
 
 import pytest
 from support.paths import ROOT
+from support.work import bounded
 
 from tetractl.core.errors import Exit, SpecError
-from tetractl.experiment.load import load_spec, parse_spec, resolved_yaml, spec_hash
+from tetractl.core.trial import OWN_FILES
+from tetractl.experiment.consistency import contradictions
+from tetractl.experiment.experiment import Arena, Robot
+from tetractl.experiment.load import attach, load_spec, parse_spec, resolved_yaml, spec_hash
 from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.log.format import channels
+from tetractl.model.shapes.circle import Circle
 
 EXPERIMENTS = ROOT / "experiments"
 GOOD = """\
@@ -36,132 +42,97 @@ def changed(old, new):
     return GOOD.replace(old, new, 1)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line"),
-    [
-        (
-            "start: [10, 10]",
-            "headng: 0, start: [10, 10]",
-            "s.yaml:4:17: robots.0.headng: unknown key; did you mean 'heading'?",
-        ),
-        (
-            "controller:\n",
-            "controller:\n  motoin: exact\n",
-            "s.yaml:10:3: controller.motoin: unknown key; did you mean 'motion'?",
-        ),
-        (
-            "controller:\n",
-            "controller:\n  particles: 3\n",
-            "s.yaml:10:3: controller.particles: unknown key here; "
-            "did you mean 'controller.optimizer.particles'?",
-        ),
-        (
-            "window: 5",
-            "frobnicate: 5",
-            "s.yaml:11:28: controller.optimizer.stop.frobnicate: unknown key; "
-            "known here: type, window, decrease",
-        ),
-        (
-            "type: circle,",
-            "type: circle, circle: 3,",
-            "s.yaml:8:20: obstacles.1.circle: unknown key; known here: type, center, radius",
-        ),
-        ("a: 3", "a: -3", "s.yaml:4:55: robots.0.a: -3: must be greater than 0"),
-        ("speed: 20", "speed: -20", "s.yaml:4:65: robots.0.speed: -20: must be at least 0"),
-        ("a: 3", "a: .nan", "s.yaml:4:55: robots.0.a: .nan: must be a finite number"),
-        ("a: 3", "a: 1e999", "s.yaml:4:55: robots.0.a: 1e999: must be a finite number"),
-        ("a: 3", "a: on", "s.yaml:4:55: robots.0.a: on: must be a number"),
-        ("a: 3", "a: true", "s.yaml:4:55: robots.0.a: true: must be a number"),
-        ("a: 3", "a: '3'", "s.yaml:4:55: robots.0.a: '3': must be a number; take the quotes away"),
-        ("a: 3", "a:", "s.yaml:4:54: robots.0.a: has no value; must be a number"),
-        ("a: 3", "a: [3]", "s.yaml:4:55: robots.0.a: [3]: must be a number"),
-        ("window: 5", "window: 5.5", "stop.window: 5.5: must be a whole number"),
-        ("window: 5", "window: 0", "stop.window: 0: must be at least 1"),
-        ("[10, 10]", "[10]", "s.yaml:4:24: robots.0.start: [10]: must have 2 entries"),
-        ("[10, 10]", "[1, 2, 3]", "robots.0.start: [1, 2, 3]: must have at most 2 entries, not 3"),
-        ("[10, 10]", "10", "s.yaml:4:24: robots.0.start: 10: must be a list"),
-        ("[10, 10]", "[10, ten]", "s.yaml:4:29: robots.0.start.1: ten: must be a number"),
-        ("name: good", "name: 5", "s.yaml:1:7: name: 5: must be text; put it in quotes"),
-        (
-            "name: good",
-            "name: a/b",
-            "s.yaml:1:7: name: a/b: must be letters, digits, dots, underscores and hyphens, "
-            "starting with a letter or digit",
-        ),
-        (
-            "controller:\n",
-            "controller:\n  motion: exactt\n",
-            "s.yaml:10:11: controller.motion: exactt: must be one of euler, arc, exact; "
-            "did you mean 'exact'?",
-        ),
-        (
-            "type: rectangle",
-            "type: rectangel",
-            "s.yaml:7:12: obstacles.0.type: rectangel: must be one of rectangle, circle, polygon; "
-            "did you mean 'rectangle'?",
-        ),
-        (
-            "type: rectangle, ",
-            "",
-            "s.yaml:7:5: obstacles.0.type: is missing; must be one of rectangle, circle, polygon",
-        ),
-        (
-            ", a: 3",
-            "",
-            "s.yaml:4:5: robots.0.a: is missing; add it: turning rate a towards the common "
-            "direction [rad/s], (3)",
-        ),
-        (
-            "obstacles:\n",
-            "plant: {camera_rate: 120, truth_rate: 60}\nobstacles:\n",
-            "s.yaml:6:39: plant.truth_rate: 60: must be at least camera_rate, 120",
-        ),
-        (
-            "obstacles:\n",
-            "plant: {type: sim, truth_rate: 60}\nobstacles:\n",
-            "s.yaml:6:32: plant.truth_rate: 60: must be at least camera_rate, 120",
-        ),
-        (
-            "start: [10, 10]",
-            "start: [45, 50]",
-            "s.yaml:4:24: robots.0.start: [45, 50]: is inside obstacles.0, a rectangle; "
-            "move one of them",
-        ),
-        (
-            "target: [90, 80]",
-            "target: [63, 22]",
-            "s.yaml:5:42: robots.1.target: [63, 22]: is inside obstacles.1, a circle; "
-            "move one of them",
-        ),
-        (
-            "target: [90, 80]",
-            "target: [190, 80]",
-            "s.yaml:5:42: robots.1.target: [190, 80]: is outside the arena; "
-            "must be within x 0 to 100, y 0 to 100",
-        ),
-        (
-            "left: 40",
-            "left: 140",
-            "s.yaml:7:5: obstacles.0: is entirely outside the arena, "
-            "which is x 0 to 100, y 0 to 100",
-        ),
-        (
-            "center: [60, 20]",
-            "center: [104, 104]",
-            "s.yaml:8:5: obstacles.1: is entirely outside the arena, "
-            "which is x 0 to 100, y 0 to 100",
-        ),
-        (
-            "name: two",
-            "name: one",
-            "s.yaml:5:12: robots.1.name: one: robots.0 has this name already; names must differ",
-        ),
-        ("type: relative, window: 5", "type: 3", "stop.type: 3: must be one of paper, relative"),
-        ("{type: relative, window: 5}", "paper", "stop: paper: must be a mapping of keys"),
-    ],
-)
-def test_each_problem_is_one_line_at_its_place(old, new, line):
-    (found,) = problems(changed(old, new))
+def joined(table):
+    """Return a table of cases with its broken lines joined."""
+    return table.replace("\n    ", " ").replace("(nothing)", "")
+
+
+PROBLEMS = r"""
+start: [10, 10] -> headng: 0, start: [10, 10]
+  s.yaml:4:17: robots.0.headng: unknown key; did you mean 'heading'?
+controller:\n -> controller:\n  motoin: exact\n
+  s.yaml:10:3: controller.motoin: unknown key; did you mean 'motion'?
+controller:\n -> controller:\n  particles: 3\n
+  s.yaml:10:3: controller.particles: unknown key here; did you mean
+    'controller.optimizer.particles'?
+window: 5 -> frobnicate: 5
+  s.yaml:11:28: controller.optimizer.stop.frobnicate: unknown key; known here: type, window,
+    decrease
+type: circle, -> type: circle, circle: 3,
+  s.yaml:8:20: obstacles.1.circle: unknown key; known here: type, center, radius
+a: 3 -> a: -3
+  s.yaml:4:55: robots.0.a: -3: must be greater than 0
+speed: 20 -> speed: -20
+  s.yaml:4:65: robots.0.speed: -20: must be at least 0
+a: 3 -> a: .nan
+  s.yaml:4:55: robots.0.a: .nan: must be a finite number
+a: 3 -> a: 1e999
+  s.yaml:4:55: robots.0.a: 1e999: must be a finite number
+a: 3 -> a: on
+  s.yaml:4:55: robots.0.a: on: must be a number
+a: 3 -> a: true
+  s.yaml:4:55: robots.0.a: true: must be a number
+a: 3 -> a: '3'
+  s.yaml:4:55: robots.0.a: '3': must be a number; take the quotes away
+a: 3 -> a:
+  s.yaml:4:54: robots.0.a: has no value; must be a number
+a: 3 -> a: [3]
+  s.yaml:4:55: robots.0.a: [3]: must be a number
+window: 5 -> window: 5.5
+  stop.window: 5.5: must be a whole number
+window: 5 -> window: 0
+  stop.window: 0: must be at least 1
+[10, 10] -> [10]
+  s.yaml:4:24: robots.0.start: [10]: must have 2 entries
+[10, 10] -> [1, 2, 3]
+  robots.0.start: [1, 2, 3]: must have at most 2 entries, not 3
+[10, 10] -> 10
+  s.yaml:4:24: robots.0.start: 10: must be a list
+[10, 10] -> [10, ten]
+  s.yaml:4:29: robots.0.start.1: ten: must be a number
+name: good -> name: 5
+  s.yaml:1:7: name: 5: must be text; put it in quotes
+name: good -> name: a/b
+  s.yaml:1:7: name: a/b: must be letters without accents (a to z, A to Z), digits, dots,
+    underscores and hyphens, starting with a letter or digit
+controller:\n -> controller:\n  motion: exactt\n
+  s.yaml:10:11: controller.motion: exactt: must be one of euler, arc, exact; did you mean 'exact'?
+type: rectangle -> type: rectangel
+  s.yaml:7:12: obstacles.0.type: rectangel: must be one of rectangle, circle, polygon; did you
+    mean 'rectangle'?
+type: rectangle,  -> (nothing)
+  s.yaml:7:5: obstacles.0.type: is missing; must be one of rectangle, circle, polygon
+, a: 3 -> (nothing)
+  s.yaml:4:5: robots.0.a: is missing; add it: turning rate a towards the common direction
+    [rad/s], (3)
+obstacles:\n -> plant: {camera_rate: 120, truth_rate: 60}\nobstacles:\n
+  s.yaml:6:39: plant.truth_rate: 60: must be at least camera_rate, 120
+obstacles:\n -> plant: {type: sim, truth_rate: 60}\nobstacles:\n
+  s.yaml:6:32: plant.truth_rate: 60: must be at least camera_rate, 120
+start: [10, 10] -> start: [45, 50]
+  s.yaml:4:24: robots.0.start: [45, 50]: is inside obstacles.0, a rectangle; move one of them
+target: [90, 80] -> target: [63, 22]
+  s.yaml:5:42: robots.1.target: [63, 22]: is inside obstacles.1, a circle; move one of them
+target: [90, 80] -> target: [190, 80]
+  s.yaml:5:42: robots.1.target: [190, 80]: is outside the arena; must be within x 0 to 100, y
+    0 to 100
+left: 40 -> left: 140
+  s.yaml:7:5: obstacles.0: is entirely outside the arena, which is x 0 to 100, y 0 to 100
+center: [60, 20] -> center: [104, 104]
+  s.yaml:8:5: obstacles.1: is entirely outside the arena, which is x 0 to 100, y 0 to 100
+name: two -> name: one
+  s.yaml:5:12: robots.1.name: one: robots.0 has this name already; names must differ
+type: relative, window: 5 -> type: 3
+  stop.type: 3: must be one of paper, relative
+{type: relative, window: 5} -> paper
+  stop: paper: must be a mapping of keys
+"""  # what is replaced in GOOD, and the line that says so
+
+
+@pytest.mark.parametrize("case", re.findall(r"(.*) -> (.*)\n  (.*)\n", joined(PROBLEMS)))
+def test_each_problem_is_one_line_at_its_place(case):
+    old, new, line = case
+    (found,) = problems(changed(*(text.replace("\\n", "\n") for text in (old, new))))
     assert line in found
 
 
@@ -215,38 +186,47 @@ def test_control_characters_are_not_printed():
     assert "\\x1b[31m\\n: unknown key" in found
 
 
-@pytest.mark.parametrize(
-    ("setting", "line"),
-    [
-        (
-            "controller.optimizer.particle=200",
-            "controller.optimizer.particle: unknown key; did you mean 'particles'?",
-        ),
-        ("controler.period=1", "controler: unknown key; did you mean 'controller'?"),
-        ("particles=3", "did you mean 'controller.optimizer.particles'?"),
-        ("robots.0.a=-5", "robots.0.a: -5: must be greater than 0"),
-        ("robots.two.start=[200, 1]", "robots.1.start: [200, 1]: is outside the arena"),
-        (
-            "robots.2.a=5",
-            "robots: has no entry '2'; its entries are 0 to 1 or one, two",
-        ),
-        ("robots.0.start.7=5", "robots.0.start: has no entry '7'; its entries are 0 to 1"),
-        ("name.x=5", "name: has no 'x'; it is a single value"),
-        ("robots", "must be PATH=VALUE"),
-        ("=5", "must be PATH=VALUE"),
-        ("controller.evaluations_max=1e22", "1e22: must be a whole number"),
-        (".".join("a" * 40) + "=1", "the path has more than 32 steps"),
-        ("controller..period=5", "controller: a step of the path is empty"),
-        ("trials={count: 1", "not valid YAML"),
-        ("trials.count=", "trials.count: has no value; must be a whole number"),
-        ("trials.count=!!set {}", "trials.count: the tag !!set does not fit"),
-        ("trials={cnt: 3}", "trials.cnt: unknown key; did you mean 'count'?"),
-        (
-            "controller.first_plan.side=3",
-            "controller.first_plan.type: is missing; must be one of stand, square",
-        ),
-    ],
-)
+SETTINGS = """
+controller.optimizer.particle=200
+  controller.optimizer.particle: unknown key; did you mean 'particles'?
+controler.period=1
+  controler: unknown key; did you mean 'controller'?
+particles=3
+  did you mean 'controller.optimizer.particles'?
+robots.0.a=-5
+  robots.0.a: -5: must be greater than 0
+robots.two.start=[200, 1]
+  robots.1.start: [200, 1]: is outside the arena
+robots.2.a=5
+  robots: has no entry '2'; its entries are 0 to 1 or one, two
+robots.0.start.7=5
+  robots.0.start: has no entry '7'; its entries are 0 to 1
+name.x=5
+  name: has no 'x'; it is a single value
+robots
+  must be PATH=VALUE
+=5
+  must be PATH=VALUE
+controller.evaluations_max=1e22
+  1e22: must be a whole number
+a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a=1
+  the path has more than 32 steps
+controller..period=5
+  controller: a step of the path is empty
+trials={count: 1
+  not valid YAML
+trials.count=
+  trials.count: has no value; must be a whole number
+trials.count=!!set {}
+  trials.count: the tag !!set does not fit
+trials={cnt: 3}
+  trials.cnt: unknown key; did you mean 'count'?
+controller.first_plan.side=3
+  controller.first_plan.type: is missing; must be one of stand, square
+"""
+
+
+@pytest.mark.parametrize(("setting", "line"), re.findall(r"(.*)\n  (.*)\n", joined(SETTINGS)))
 def test_problems_of_settings_name_the_setting(setting, line):
     (found,) = problems(GOOD, setting)
     assert found.startswith(f"--set {setting}: ")
@@ -317,7 +297,9 @@ def test_a_loaded_spec_keeps_the_text_as_written(tmp_path):
 
 @pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_shipped_experiments_load_and_round_trip(path):
-    experiment = load_spec(path).experiment
+    spec = load_spec(path)
+    experiment = spec.experiment
+    assert spec.notices == ()
     assert parse_spec(resolved_yaml(experiment), "resolved").experiment == experiment
     assert path.read_text().startswith("# yaml-language-server: $schema=experiment.schema.json\n")
     assert experiment.name == path.stem.replace("_", "-")
@@ -369,17 +351,34 @@ def test_the_hash_follows_the_experiment_and_not_its_text():
         assert spec_hash(parse_spec(GOOD, "s.yaml", [setting]).experiment) != base
 
 
-def test_loading_a_spec_loads_no_compiler_and_no_plotting():
-    path = EXPERIMENTS / "three_m3pi.yaml"
-    code = (
-        "import sys; from pathlib import Path; from tetractl.experiment.load import load_spec; "
-        f"load_spec(Path({str(path)!r})); "
-        "print({'numba', 'scipy', 'matplotlib'} & sys.modules.keys())"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert result.stdout == "set()\n"
+def test_files_are_attached_by_names_that_a_log_has_not_already():
+    one = attach((), Path("a/robots.yaml"), "one")
+    assert dict(attach(one, Path("b/cameras.yaml"), "two")) == {
+        "robots.yaml": "one",
+        "cameras.yaml": "two",
+    }
+    assert {
+        channels.SPEC,
+        channels.RESOLVED_SPEC,
+        channels.ENVIRONMENT,
+        channels.LAYOUT,
+    } == OWN_FILES
+    for name in ("robots.yaml", *OWN_FILES):
+        with pytest.raises(SpecError, match=f"b/{name}: the log of a trial holds another {name}"):
+            attach(one, Path("b") / name, "two")
 
 
-def test_an_invalid_spec_is_a_spec_error():
-    with pytest.raises(SpecError):
-        parse_spec("name: x", "s.yaml")
+def test_many_robots_and_obstacles_are_compared_without_a_loop_over_the_pairs():
+    arena = Arena(left=0, bottom=0, width=1e4, height=1e4)
+    robots = {
+        i: Robot(name=f"r{i}", start=(10 * i, 10), target=(10 * i, 9000), a=2, speed=1)
+        for i in range(300)
+    }
+    obstacles = {
+        j: Circle(type="circle", center=(10 * j, 9000 if j % 100 == 7 else 5000), radius=4)
+        for j in range(300)
+    }
+    with bounded(100_000 + 10 * 300 * 300):
+        found = list(contradictions(arena, robots, obstacles))
+    assert [loc for loc, _ in found] == [("robots", i, "target") for i in (7, 107, 207)]
+    assert "inside obstacles.107, a circle" in found[1][1]

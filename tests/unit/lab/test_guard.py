@@ -38,7 +38,8 @@ class Course:
     def frame(self, poses=PLACES, fault="", step=FRAME):
         self.at += step
         self.number += 1
-        self.guard.see(CameraFrame(self.number, self.at, self.at, tuple(poses), fault=fault))
+        frame = CameraFrame(self.number, self.at, self.at, tuple(poses), fault=fault)
+        self.seen = self.guard.see(frame)
         return self.tick()
 
     def tick(self, after=0, failure=None):
@@ -153,7 +154,7 @@ def test_a_heading_that_flips_is_a_jump():
 
 
 def walk(step_mm, course, frames=40):
-    """Green's pose walks on by `step_mm` a frame; return how far it was believed [mm]."""
+    """Green's pose walks on by `step_mm` a frame; return how far it was accepted [mm]."""
     x, believed = PLACES[0].x, 0.0
     for _ in range(frames):
         x += step_mm
@@ -161,8 +162,7 @@ def walk(step_mm, course, frames=40):
         course.guard.steered(course.at)
         if course.guard.state is GuardState.ABORT:
             break
-        ((pose, _), _) = course.guard.believed(CameraFrame(0, course.at, course.at, PLACES))
-        believed = pose.x - PLACES[0].x
+        believed = course.seen.poses[0].x - PLACES[0].x
     return believed
 
 
@@ -252,7 +252,7 @@ def test_a_body_off_the_floor_is_not_believed_before_a_run_either():
     course = Course(replace(RULES, highest=500.0))
     course.frames(3, (HIGH, PLACES[1]))
     assert course.guard.refused[0].endswith("1450 mm")
-    assert course.guard.believed(CameraFrame(3, course.at, course.at, PLACES))[0] == (None, False)
+    assert (course.seen.poses[0], course.seen.fresh[0]) == (None, False)
 
 
 def test_driving_is_no_jump():
@@ -455,7 +455,7 @@ def test_a_ghost_is_not_believed_after_the_abort_either():
     refused = guard.jumps
     drive.go(3.0, see)
     assert guard.jumps == refused + 375
-    drive.go(1.0)  # the robot itself: nobody knows
+    drive.go(1.0)  # the robot itself: no sensor knows
     assert guard.jumps == refused + 500
 
 

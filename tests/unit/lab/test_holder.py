@@ -60,7 +60,7 @@ def hold(tmp_path, port):
 
 
 def stopping(port):
-    """Stop beside the holder; return what was said."""
+    """Stop next to the holder; return what was said."""
     said = []
     stop_beside(port, lambda: "sent stops", said.append)
     return "\n".join(said)
@@ -82,7 +82,7 @@ def test_a_run_is_asked_to_end_even_when_suspended(port, hold, suspended):
     assert process.wait() == -signal.SIGTERM
     assert f"{port}: process {process.pid} (" in said
     assert "asked it to stop its robots and end" in said
-    assert "sent stops, beside it" in said
+    assert "sent stops, past it" in said
     assert "it let go of the port" in said
 
 

@@ -4,6 +4,7 @@ import pytest
 from support.labs import fake_lab
 from support.trials import experiment
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab import inner_loop
 from tetractl.lab.guard import GuardState
@@ -35,6 +36,18 @@ def test_a_stop_is_sent_past_a_loop_that_hangs(hung):
     assert [sent.direction for sent in stops] == [None] * 10
     assert stops[-1].sent_ns - stops[0].sent_ns == pytest.approx(180_000_000, abs=20_000_000)
     assert hung.world.moving == (False,) * 3
+
+
+def test_a_robot_that_must_stop_is_not_steered_until_the_next_period():
+    lab = fake_lab(experiment().setup, period_ns=SECOND // 4)
+    lab.plant.open()
+    lab.plant.steer(0.5)
+    lab.clock.sleep_until(lab.clock.now() + SECOND // 100)
+    lab.camera.hidden.add("blue")
+    hidden = lab.clock.now()
+    lab.clock.sleep_until(hidden + SECOND // 4)
+    first = next(sent for sent in lab.actuator.sent if sent.moving == (True, False, True))
+    assert first.sent_ns - hidden < 80_000_000  # 50 ms of limits.untracked_stop, and some frames
 
 
 def test_a_loop_that_is_not_ready_steers_nothing():

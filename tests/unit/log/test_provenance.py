@@ -94,7 +94,7 @@ def test_the_code_of_a_trial_covers_what_makes_its_digest():
     parts = {part.replace("/", ".") for part in provenance.TRIAL_CODE}
     mine = {name for name in modules if name.startswith("tetractl.log.")}
     packages = {"tetractl.log.format", "tetractl.log.read"}
-    kept = {"tetractl.log.read.trial_log", "tetractl.log.read.origin"}  # records, not code
+    kept = {"tetractl.log.read.trial_log"}  # records, not code
     assert {
         name
         for name in mine - packages - kept

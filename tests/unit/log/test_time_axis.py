@@ -54,12 +54,6 @@ def test_a_log_that_lost_its_first_steps_still_knows_when_it_began() -> None:
     assert rest.began_ns == PLACING_NS
 
 
-def test_a_square_before_the_first_step_counts() -> None:
-    log = later(three_robots())
-    square = replace(log.commands[0], sent_ns=PLACING_NS - 3_000_000_000)
-    assert replace(log, commands=(square, *log.commands)).elapsed_s(PLACING_NS) == 3
-
-
 def test_notes_come_back_as_they_were(tmp_path: Path) -> None:
     made: Made = trial(steps=3, simulated=False)
     notes = (Note(100_000_001, "warning", "robot 1 turns the wrong way"), Note(7, "error", "ü"))

@@ -163,7 +163,7 @@ def test_a_recorded_path_is_checked_between_the_samples_that_are_known():
     path[[0, 3], 0, :2] = [[1100, 1200], [1500, 1200]]  # through the box; two samples are lost
     path[:, 1, :2] = [[0, 0], [1300, 1200], [0, 0], [0, 0]]
     known = np.isfinite(path[..., 0])
-    known[1, 1] = False  # a reflection in the box, not believed
+    known[1, 1] = False  # a reflection in the box, not accepted
     setup = replace(batches.experiment(2).setup, obstacles=(BOX,), arena=ARENA)
     final = Poses.of(np.zeros((2, 3)))
     verdict = check_path(setup, path, known, final)

@@ -12,6 +12,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_result, read_trial
+from tetractl.plant.disturbances.wander import WanderSection
 from tetractl.replay.verify import verify
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import run_trial
@@ -86,6 +87,11 @@ def test_the_radio_delays_and_loses_for_each_robot_alone():
     delivered = np.array([simulated.steer(0.0).delivered for _ in range(2000)])
     assert stats.binomtest(int((~delivered).sum()), delivered.size, 0.3).pvalue > 1e-4
     assert abs(np.corrcoef(delivered.T)[0, 1]) < 0.08
+    spread = driven(plant({"type": "radio", "spread": 0.1}), 1)[-1].truth.x
+    late_s = 1 - (spread - 900) / [100, 50]
+    assert late_s.min() >= 0
+    assert late_s.max() <= 0.11
+    assert late_s[0] != pytest.approx(late_s[1], abs=0.01)
     late = plant({"type": "radio", "delay": 0.05})
     assert driven(late, 1)[-1].truth.x - 900 == pytest.approx([94, 47], abs=1.0)
 
@@ -149,6 +155,102 @@ def test_cells_weave_and_their_bodies_point_along_their_paths():
     middle = (body[1:] + body[:-1]) / 2
     assert middle == pytest.approx(course, abs=0.12)
     assert np.ptp(middle[:, 1]) > 1.5  # the slower one weaves more steeply
+
+
+def test_no_robot_hears_anything_while_the_radio_is_silent():
+    section = {"type": "silent-radio", "times": 2, "duration": 0.5, "between": [1, 4]}
+    simulated = plant(section, seed=3)
+    simulated.open()
+    heard = []
+    for k in range(600):
+        simulated.clock.sleep_until(k * SECOND // 100)
+        heard.append(simulated.steer(0.0).delivered)
+    silent = ~np.array(heard).any(axis=1)
+    assert np.array_equal(silent, ~np.array(heard).all(axis=1))
+    begins = np.flatnonzero(np.diff(silent.astype(int)) == 1) + 1
+    assert len(begins) == 2
+    assert silent.sum() == pytest.approx(100, abs=2)
+    assert begins.min() >= 100
+    assert begins.max() <= 400
+
+
+def test_a_stop_in_a_silence_is_repeated_until_it_is_heard():
+    simulated = plant({"type": "silent-radio", "duration": 3, "between": [0.5, 0.5]})
+    driven(simulated, 1)
+    assert all(simulated.stop().delivered)
+    assert simulated.settle().final.x - 900 == pytest.approx([350, 175], abs=3)
+
+
+def test_each_robot_sticks_as_often_and_as_long_as_the_spec_says():
+    samples = driven(plant({"type": "sticking", "every": 1.0, "duration": 0.5}, seed=2), 300)
+    x = np.array([sample.truth.x for sample in samples])[1:]
+    stuck = np.abs(np.diff(x, axis=0)) < 1e-9
+    assert stuck.mean(axis=0) == pytest.approx([1 / 3, 1 / 3], abs=0.05)
+    assert np.abs(np.corrcoef(stuck.T)[0, 1]) < 0.1
+    for robot in stuck.T:
+        edges = np.flatnonzero(np.diff(robot.astype(int)))
+        spells = np.diff(edges)[1 if robot[0] else 0 :: 2] / 120
+        assert np.median(spells) == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("section", "behind"),
+    [
+        ({"type": "stale-camera", "age": 0.1}, lambda since: np.full_like(since, 0.1)),
+        ({"type": "frozen-camera"}, lambda since: since),
+    ],
+)
+def test_the_camera_shows_old_poses_as_new_for_a_spell(section, behind):
+    samples = driven(plant(section | {"duration": 0.4, "between": [1, 1]}), 3)
+    times = np.array([sample.observation.sampled_ns for sample in samples]) / SECOND
+    seen = np.array([sample.observation.poses.x for sample in samples])
+    lag_s = (np.array([sample.truth.x for sample in samples]) - seen) / [100, 50]
+    during = (times >= 1) & (times < 1.4)
+    assert np.diff(times) == pytest.approx(1 / 120, abs=1e-6)
+    assert np.all(lag_s[~during] == 0)
+    expected = behind(times[during] - 1)
+    assert lag_s[during] == pytest.approx(np.column_stack([expected] * 2), abs=1.1 / 120)
+
+
+def test_frames_may_stop_coming_for_a_spell():
+    section = {"type": "frozen-camera", "repeats": False, "duration": 0.4, "between": [1, 1]}
+    times = np.array([sample.observation.sampled_ns for sample in driven(plant(section), 3)])
+    assert np.diff(times).max() / SECOND == pytest.approx(0.4, abs=2 / 120)
+    assert len(times) == pytest.approx(3 * 120 - 0.4 * 120, abs=2)
+
+
+def test_markers_are_off_to_either_side_in_the_picture_alone():
+    off = []
+    for seed in range(50):
+        sample = driven(plant({"type": "marker-off", "heading": 0.1}, seed=seed), 0.1)[-1]
+        off.extend(sample.observation.poses.heading - sample.truth.heading)
+    assert np.abs(off) == pytest.approx(0.1)
+    assert stats.binomtest(int((np.array(off) > 0).sum()), len(off)).pvalue > 1e-4
+
+
+def test_robots_slow_down_as_batteries_do():
+    samples = driven(plant({"type": "battery", "speed": 0.2, "over": 10.0}), 20)
+    x = np.array([sample.truth.x for sample in samples])
+    speed = np.diff(x, axis=0) * 120 / [100, 50]
+    assert speed[600] == pytest.approx([0.9, 0.9], abs=1e-3)
+    assert speed[1300:] == pytest.approx(0.8, abs=1e-3)
+
+
+@pytest.mark.parametrize("field", ["a", "speed"])
+def test_a_and_speed_wander_as_far_and_as_fast_as_the_spec_says(field):
+    section = WanderSection.model_validate({"type": "wander", field: 0.1, "time": 0.5})
+    setup = experiment(robots=ROBOTS, obstacles=[]).setup
+    disturbance = section.build(setup, np.random.default_rng(5))
+    ones = np.ones(2)
+    both = np.log([disturbance.varied(ones, ones, k / 20) for k in range(20_000)])
+    error, other = (both[:, i] for i in ((0, 1) if field == "a" else (1, 0)))
+    assert np.all(other == 0)
+    assert error.std(axis=0) == pytest.approx([0.1, 0.1], rel=0.1)
+    kept = [np.corrcoef(robot[:-10], robot[10:])[0, 1] for robot in error.T]
+    assert kept == pytest.approx([np.exp(-1)] * 2, abs=0.1)
+    assert np.abs(np.corrcoef(error.T)[0, 1]) < 0.1
+    fast = driven(plant({"type": "wander", "speed": 0.1}, seed=5), 10)[-1].truth.x - 900
+    assert fast != pytest.approx([1000, 500], rel=1e-3)
 
 
 @pytest.mark.slow

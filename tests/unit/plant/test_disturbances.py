@@ -58,8 +58,8 @@ def test_parameters_are_those_the_robots_move_by():
 
 def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
     class OneLosesAll(Disturbance):
-        def sent(self, order):
-            return replace(order, reached=order.reached & [False, True])
+        def sent(self, command):
+            return replace(command, reached=command.reached & [False, True])
 
     simulated = plant(OneLosesAll())
     sent, _ = driven(simulated)
@@ -69,9 +69,9 @@ def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
     class FirstIsLate(Disturbance):
         late = 3 * PERIOD
 
-        def sent(self, order):
+        def sent(self, command):
             late, self.late = self.late, 0
-            return replace(order, due_ns=order.due_ns + late)
+            return replace(command, due_ns=command.due_ns + late)
 
     simulated = plant(FirstIsLate())
     driven(simulated)
@@ -80,8 +80,8 @@ def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
 
 def test_a_stop_waits_for_a_late_command_and_settle_for_the_stop():
     class Late(Disturbance):
-        def sent(self, order):
-            return replace(order, due_ns=order.due_ns + SECOND)
+        def sent(self, command):
+            return replace(command, due_ns=command.due_ns + SECOND)
 
     simulated = plant(Late())
     simulated.open()
@@ -91,21 +91,60 @@ def test_a_stop_waits_for_a_late_command_and_settle_for_the_stop():
     assert simulated.clock.now() > SECOND
 
 
-def test_moved_acts_between_two_frames_on_the_true_poses():
+def test_one_robot_alone_may_hear_later():
+    class SecondIsLate(Disturbance):
+        def sent(self, order):
+            return replace(order, late_ns=np.array([0, PERIOD]))
+
+    simulated = plant(SecondIsLate())
+    driven(simulated)
+    assert simulated.observe().poses.x - 900 == pytest.approx([100, 40])
+    simulated.stop()
+    assert simulated.settle().final.x - 900 == pytest.approx([100, 50])
+
+
+@pytest.mark.parametrize("drive", [None, {}])
+@pytest.mark.parametrize("motion", ["exact", "arc", "euler"])
+def test_a_robot_whose_a_and_speed_vanish_stands_and_goes_on_as_before(motion, drive):
+    class Held(Disturbance):
+        def varied(self, a, speed, time_s):
+            free = np.array([1.0, not 0.2 <= time_s < 0.6])
+            return a * free, speed * free
+
+    robots = [one | {"a": 2.0, "heading": 1.0} for one in ROBOTS]
+    spec = {"motion": motion, "disturbances": [Given.model_construct(what=Held())]}
+    if drive is not None:
+        spec["drive"] = drive
+    wheels = {"wheels": {"radius": 40}}
+    held = sim(experiment(robots=robots, obstacles=[], plant=spec, **wheels))
+    free = sim(experiment(robots=robots, obstacles=[], plant=spec | {"disturbances": []}, **wheels))
+    held.open(), free.open()
+    held.steer(0.0), free.steer(0.0)
+    ends = []
+    for simulated, seconds in ((free, 0.6), (held, 1.0)):  # one direction held throughout
+        simulated.clock.sleep_until(round(seconds * SECOND))
+        simulated.observe()
+        ends.append(simulated.poses.array()[1])
+    assert ends[1] == pytest.approx(ends[0], abs=0.01)
+
+
+def test_moved_acts_on_the_true_poses_before_a_frame_is_exposed():
     class Drift(Disturbance):
         seconds = 0.0
 
-        def moved(self, poses, moving, seconds):
+        def moved(self, poses, moving, seconds, time_s):
             self.seconds += seconds
+            assert time_s == pytest.approx(self.seconds)
             return Poses(poses.x, poses.y + 10 * seconds * moving, poses.heading)
 
     drift = Drift()
     simulated = plant(drift)
     _, samples = driven(simulated)
     truth = samples[-1].truth
-    assert truth.y - [800, 900] == pytest.approx([10, 10], abs=0.1)
+    assert truth.y - [800, 900] == pytest.approx([10, 10], abs=1e-9)
+    assert simulated.poses.y == pytest.approx(truth.y, abs=1e-9)
     assert samples[-1].observation.poses.y == pytest.approx(truth.y)
-    assert drift.seconds == pytest.approx(1.0, abs=0.02)
+    assert drift.seconds == pytest.approx(1.0)
 
 
 def test_measured_acts_on_the_frame_alone_and_who_is_lost_keeps_the_last_pose():

@@ -124,7 +124,7 @@ def test_cells_are_not_waited_for_after_a_stop():
     before = lab.clock.now()
     verdict = lab.plant.settle()
     assert lab.clock.now() == before
-    assert verdict.unrest == ""
+    assert verdict.not_at_rest == ""
     assert any(lab.world.moving)
 
 
@@ -135,8 +135,10 @@ def test_robots_that_do_not_stand_after_a_stop_are_named():
     lab.world.deaf = {0}
     lab.world.moving = (True, False, False)
     verdict = lab.plant.settle()
-    assert verdict.unrest == "2 s after the stop: green still moves"
-    assert [item.text for item in lab.plant.news() if isinstance(item, Note)] == [verdict.unrest]
+    assert verdict.not_at_rest == "2 s after the stop: green still moves"
+    assert [item.text for item in lab.plant.news() if isinstance(item, Note)] == [
+        verdict.not_at_rest
+    ]
 
 
 def test_a_stop_that_was_lost_is_sent_again_until_the_robots_stand():
@@ -145,7 +147,7 @@ def test_a_stop_that_was_lost_is_sent_again_until_the_robots_stand():
     lab.plant.stop()
     lab.world.moving = (True, False, False)
     before = len(lab.actuator.sent)
-    assert lab.plant.settle().unrest == ""
+    assert lab.plant.settle().not_at_rest == ""
     assert lab.world.moving == (False, False, False)
     assert all(sent.direction is None for sent in lab.actuator.sent[before:])
 
@@ -161,7 +163,7 @@ def test_a_robot_that_turns_on_the_spot_does_not_stand():
         lab.world.poses[1, 2] = lab.clock.now() / SECOND * 3.0
 
     lab.world.advance = spinning
-    assert lab.plant.settle().unrest == "2 s after the stop: blue still moves"
+    assert lab.plant.settle().not_at_rest == "2 s after the stop: blue still moves"
 
 
 def test_a_robot_that_is_not_seen_after_the_stop_is_stopped_again_and_named():
@@ -172,7 +174,9 @@ def test_a_robot_that_is_not_seen_after_the_stop_is_stopped_again_and_named():
     lab.plant.stop()
     before = len(lab.actuator.sent)
     verdict = lab.plant.settle()
-    assert verdict.unrest == ("2 s after the stop: blue is not tracked, so it is not seen to stand")
+    assert verdict.not_at_rest == (
+        "2 s after the stop: blue is not tracked, so it is not seen to stand"
+    )
     assert len(lab.actuator.sent) >= before + 50
 
 
@@ -185,7 +189,7 @@ def test_a_robot_that_is_seen_again_gives_its_true_final_pose():
     lab.clock.steps.append(lambda: lab.camera.hidden.clear() if lab.clock.now() > back else None)
     back = lab.clock.now() + SECOND
     verdict = lab.plant.settle()
-    assert verdict.unrest == ""
+    assert verdict.not_at_rest == ""
     assert verdict.final.array() == pytest.approx(lab.world.poses)
 
 
@@ -197,12 +201,12 @@ def test_cells_that_are_not_seen_after_the_stop_are_waited_for():
     lab.plant.stop()
     lab.clock.steps.append(lambda: lab.camera.hidden.clear() if lab.clock.now() > back else None)
     back = lab.clock.now() + SECOND // 2
-    assert lab.plant.settle().unrest == ""
+    assert lab.plant.settle().not_at_rest == ""
     assert lab.plant._newest.valid.all()
     lab.clock.steps.pop()
     lab.camera.hidden = {"blue"}
     wait(lab, 0.1)
-    assert lab.plant.settle().unrest == "2 s after the stop: blue is not tracked"
+    assert lab.plant.settle().not_at_rest == "2 s after the stop: blue is not tracked"
 
 
 def test_outdated_frames_are_counted_and_do_not_end_a_run():
@@ -217,7 +221,7 @@ def test_outdated_frames_are_counted_and_do_not_end_a_run():
     drive(lab, 0.4)
     assert all(s.observation.frame != 9999 for s in lab.plant.samples())
     lab.plant.stop()
-    assert lab.plant.settle().unrest == ""
+    assert lab.plant.settle().not_at_rest == ""
     notes = [item.text for item in lab.plant.news() if isinstance(item, Note)]
     assert notes[0].endswith("before the newest came, and was dropped")
     assert notes[-1] == "camera frames dropped because later ones had come: 1"
@@ -247,7 +251,7 @@ def test_a_body_that_is_not_on_the_floor_does_not_start_and_ends_a_run(standing,
 def test_an_emergency_stop_is_sent_as_one_and_ends_every_call():
     lab = opened()
     drive(lab, 0.4)
-    lab.operators.emergency.set()
+    lab.supervision.emergency.set()
     wait(lab, 0.3)
     assert lab.actuator.emergencies == 10
     with pytest.raises(AbortError, match="emergency stop by the operator"):
@@ -306,7 +310,7 @@ def test_who_lets_robots_start_is_asked_what_only_a_person_knows():
         def go(self):
             return True
 
-    lab.operators.attendant = Person()
+    lab.supervision.prompt = Person()
     lab.plant.open()
     assert shown[-1] == ((), ("does it run 802.15.4 firmware?",))
     notes = [item.text for item in lab.plant.news() if isinstance(item, Note)]
@@ -328,7 +332,7 @@ def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
         def go(self):
             return True
 
-    lab.operators.attendant = Person()
+    lab.supervision.prompt = Person()
     lab.plant.open()
     assert shown[0] == ("the cameras know no rigid body 'blu'", "blue is not tracked")
     assert shown[-1] == ()
@@ -356,7 +360,7 @@ def test_robots_are_waited_for_while_somebody_places_them():
         def go(self):
             return len(shown) > 6
 
-    lab.operators.attendant = Helper()
+    lab.supervision.prompt = Helper()
     info = lab.plant.open()
     assert shown[0] == ["blue is 120 mm from its start"]
     assert shown[-1] == []
@@ -367,6 +371,6 @@ def test_robots_are_waited_for_while_somebody_places_them():
 def test_a_person_may_give_up_waiting():
     lab = fake_lab(SETUP, LabLimits(placing=10.0))
     lab.world.poses[1, 0] += 120
-    lab.operators.cancelled = lambda: True
+    lab.supervision.cancelled = lambda: True
     with pytest.raises(KeyboardInterrupt):
         lab.plant.open()

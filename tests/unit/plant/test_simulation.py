@@ -160,7 +160,7 @@ def test_a_lost_command_leaves_the_one_before_in_force():
         path.append(simulated.observe().poses.array())
         for i, robot in enumerate(experiment().robots):
             if held[i] is None:
-                assert path[-1][i].tolist() == path[-2][i].tolist()  # never told to move
+                assert path[-1][i].tolist() == path[-2][i].tolist()  # never commanded to move
                 continue
             phi = held[i] - path[-2][i, 2]
             left = 2 * math.atan(math.tan(phi / 2) * math.exp(-robot.a * 0.2))
@@ -266,7 +266,7 @@ def test_the_truth_decides_what_the_camera_misses():
 
 
 def test_what_a_robot_does_before_it_stands_counts():
-    """With a dead time it is still moving when it is told to stop, and may enter an obstacle."""
+    """With a dead time it is still moving when the stop is sent, and may enter an obstacle."""
     wall = {"type": "rectangle", "left": 925, "bottom": 700, "width": 100, "height": 200}
     simulated = plant(STRAIGHT, [wall], dead_time=0.2)
     steered(simulated, [0.0, 0.0])  # at 920 now

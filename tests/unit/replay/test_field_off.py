@@ -17,7 +17,7 @@ from tetractl.replay.recording import Recording
 from tetractl.replay.redrive import recorded_directions
 from tetractl.replay.verify import verify
 from tetractl.replay.what_if import other_experiment, what_if
-from tetractl.report.trial_data import Detail, trial_data
+from tetractl.report.trial_data import trial_data
 from tetractl.results.trial_tables import steps
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
@@ -70,7 +70,7 @@ def test_tables_and_arrays_hold_no_direction_then(log):
 def test_it_is_shown(log):
     k = next(step.k for step in log.steps if step.command.field_off)
     assert "field off" in step_line(Recording(log), k)
-    assert trial_data(log, "t", Detail.of(1))["steps"]["u"]
+    assert trial_data(log, "t")["steps"]["u"]
     for kind in ("trajectory", "error", "timing"):
         draw(kind, [log])
 

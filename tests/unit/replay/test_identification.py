@@ -129,7 +129,7 @@ def test_pooled_tracks_tell_more_than_one():
 def test_frames_that_did_not_see_a_robot_are_left_out():
     _, track = drive(6, *NOISY, "plant.dead_time=0.1")
     track.valid[300:500, 1] = False
-    track.poses[300:500, 1] = 1e6  # garbage that must not be looked at
+    track.poses[300:500, 1] = 1e6  # garbage that must not be read
     found = identify([track], EXPECTED)
     assert found.robots[1].a.value == pytest.approx(4, rel=0.03)
     assert found.robots[1].intervals < found.robots[0].intervals

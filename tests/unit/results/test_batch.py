@@ -82,9 +82,11 @@ def test_rows_without_a_result_are_missed_only_where_there_is_no_log(tmp_path):
     assert (found, count) == ({0: True}, 1)
     (one,) = damaged
     assert (one.path, one.problem.partition(";")[0]) == (
-        str(arm / ROWS), "2 trials have neither a log nor a result in their row"
+        str(arm / ROWS), "2 trials have neither a log nor a row that can be read"
     )  # fmt: skip
-    assert run(tmp_path, SMALL, logs=FIRST).outdated == {arm.name: 3}
+    assert [task.key for task in run(tmp_path, SMALL, logs=FIRST).tasks] == [
+        (arm.name, trial) for trial in range(3)
+    ]
     run(tmp_path, SMALL, logs=FIRST, rerun_outdated=True)
     assert read(arm) == ({0: True, 1: False, 2: False}, 3, [])
 

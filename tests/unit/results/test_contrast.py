@@ -7,8 +7,8 @@ from scipy import optimize, stats
 from support.batches import DISTURBED, batch, experiment, group
 
 from tetractl.core.errors import UsageError
-from tetractl.log.read.origin import Origin
-from tetractl.results.contrast import RANK_SUM, SIGNED_RANK, contrast
+from tetractl.log.read.trial_log import Origin
+from tetractl.results.contrast import contrast
 from tetractl.results.effects import (
     detectable,
     detectable_between,
@@ -53,10 +53,14 @@ def test_every_two_groups_are_compared_by_pairs_and_corrected_for_their_number()
     last = found[2]
     ours, theirs = (ERRORS + 30).sum(axis=1), (ERRORS[::-1] * 3).sum(axis=1)
     test = stats.wilcoxon(ours - theirs, method="exact")
-    assert (last.test, last.p_value) == (SIGNED_RANK, pytest.approx(test.pvalue))
+    assert (last.tests, last.rank_p) == ("paired t, signed rank", pytest.approx(test.pvalue))
     assert last.difference.value == pytest.approx((ours - theirs).mean())
-    corrected = sorted(one.p_holm for one in found)
-    assert corrected[0] == pytest.approx(3 * min(one.p_value for one in found))
+    for corrected, plain in (
+        ([one.p_holm for one in found], [one.difference.p_value for one in found]),
+        ([one.rank_p_holm for one in found], [one.rank_p for one in found]),
+        ([one.deviation_p_holm for one in found], [one.deviations.p_value for one in found]),
+    ):
+        assert min(corrected) == pytest.approx(3 * min(plain))
     assert last.verdict == "lower"
 
 
@@ -65,8 +69,8 @@ def test_with_a_baseline_each_group_is_compared_with_that_alone():
     found = contrast([a, b], baseline=c)
     assert [group.name for group in found.groups] == ["a", "b", "c"]
     assert [one.name for one in found.contrasts] == ["a - c", "b - c"]
-    corrected = sorted(one.p_holm for one in found.contrasts)
-    assert corrected[0] == pytest.approx(2 * min(one.p_value for one in found.contrasts))
+    plain = min(one.difference.p_value for one in found.contrasts)
+    assert min(one.p_holm for one in found.contrasts) == pytest.approx(2 * plain)
 
 
 def test_a_baseline_and_two_folders_are_the_same_comparison():
@@ -117,16 +121,33 @@ def test_trials_of_the_same_world_are_paired_whatever_their_order():
 )
 def test_other_worlds_are_not_paired(fields, why):
     found = only(arm("a", ERRORS, **fields), arm("b", ERRORS))
-    assert (found.pairs, found.test) == (0, RANK_SUM)
+    assert (found.pairs, found.tests) == (0, "Welch's t, rank sum")
     assert why in found.why_unpaired
     assert found.difference.ci95.known
 
 
-def test_what_is_not_paired_is_tested_by_the_rank_sum():
+@pytest.mark.parametrize("paired", [True, False])
+def test_the_p_of_a_table_and_its_interval_are_of_one_test(paired):
+    """With equal means and unequal spread ranks differ, the means do not."""
+    rng = np.random.default_rng(3)
+    off = ranks = 0
+    for _ in range(200):
+        ours, theirs = rng.gamma(16, 1 / 16, (20, 1)), rng.gamma(1, 1, (20, 1))
+        fields = {"seed": 1 if paired else 2, "controller": EXACT}
+        found = only(arm("a", ours, robots=1), arm("b", theirs, robots=1, **fields))
+        interval = found.difference.ci95
+        assert (found.p_holm < 0.05) == (interval.high < 0 or interval.low > 0)
+        off += found.p_holm < 0.05
+        ranks += found.rank_p_holm < 0.05
+    assert off < 25
+    assert ranks > off
+
+
+def test_ranks_of_what_is_not_paired_are_those_of_the_rank_sum():
     other = arm("b", ERRORS[:9] * 2, plant=DISTURBED | {"dead_time": 0.1})
     found = only(arm("a", ERRORS), other)
     test = stats.mannwhitneyu(ERRORS.sum(axis=1), 2 * ERRORS[:9].sum(axis=1), method="exact")
-    assert found.p_value == pytest.approx(test.pvalue)
+    assert found.rank_p == pytest.approx(test.pvalue)
     assert detects(found).startswith("20 and 9 trials detect ")
 
 
@@ -137,9 +158,9 @@ def test_unlike_plants_have_a_difference_but_no_test_and_no_verdict():
     assert (first.alike, first.verdict) == (False, None)
     assert first.reason == "plants are not alike"
     assert first.difference.value == pytest.approx(a.total.mean - b.total.mean)
-    unknown = (first.p_value, first.p_holm, first.difference.p_value, first.deviations.p_value)
+    unknown = (first.rank_p, first.p_holm, first.difference.p_value, first.deviations.p_value)
     assert all(map(math.isnan, (*unknown, first.detects)))
-    assert tested.p_holm == tested.p_value  # nothing else is tested
+    assert tested.p_holm == tested.difference.p_value  # nothing else is tested
     items = contrast_items(first)
     assert (items["comparable"], items["verdict_reason"]) == (False, first.reason)
 

@@ -12,7 +12,7 @@ from tetractl.core.commands import Verdict
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
-from tetractl.log.read.origin import Origin
+from tetractl.log.read.trial_log import Origin
 from tetractl.results.batch import Batch, Damaged
 from tetractl.results.flagged import flagged
 

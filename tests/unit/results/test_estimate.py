@@ -66,6 +66,26 @@ def test_rows_are_described_apart():
     assert distributions(rows) == [only(row) for row in rows]
 
 
+@settings(max_examples=40)
+@given(samples, st.one_of(st.none(), st.floats(1, 5000)))
+def test_the_tail_is_what_lies_above_the_bound(values, bound):
+    (found,) = distributions(np.array([values], dtype=float), bound)
+    tail, limit = found.tail, 10 * statistics.median(values) if bound is None else bound
+    if limit <= 0:
+        assert math.isnan(tail.bound)
+        assert tail.text() == "-"
+        return
+    above = sum(value > limit for value in values)
+    assert (tail.above, tail.n, tail.stated) == (above, len(values), bound is not None)
+    assert tail.ci95 == proportion_interval(above, len(values))
+    assert found.as_dict()["tail"]["n_above"] == above
+
+
+def test_a_tail_says_its_bound_and_interval():
+    (found,) = distributions(np.array([[*[8.0] * 98, 200, 300]]))
+    assert found.tail.text("mm") == "2 of 100 above 80.0 mm (1 to 7 %)"
+
+
 def test_no_value_and_one_value_carry_no_interval():
     nothing, single = only([]), only([12.5])
     assert (nothing.n, nothing.ci95.reason) == (0, "no values")

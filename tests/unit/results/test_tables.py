@@ -154,6 +154,16 @@ def test_the_table_says_the_plant():
     assert "differ in more than the" in both
 
 
+def test_the_tail_of_the_errors_has_a_row_with_the_bound_of_the_spec_or_ten_medians():
+    rows = [[10.0]] * 19 + [[450.0]]
+    label = "trials above 10 medians, 95 % interval"
+    assert shown(group(batch(rows)), label) == "1 of 20 above 100.0 mm (1 to 24 %)"
+    bounded = group(batch(rows, experiment(1, error_bound=500.0)))
+    label = "trials above error_bound, 95 % interval"
+    assert shown(bounded, label) == "0 of 20 above 500.0 mm (0 to 16 %)"
+    assert contrast([bounded, bounded]).contrasts[0].differs == ()
+
+
 def test_outcomes_have_a_row():
     trials = batch(ERRORS[:4])
     trials[1] = replace(trials[1], result=result([1, 2, 3], outcome=Outcome.STEPS_MAX))

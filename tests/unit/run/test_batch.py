@@ -47,7 +47,7 @@ def scripted(monkeypatch, outcomes, action=lambda trial: None):
     result = made.trial(1, steps=2, frames=2).result
     ran = []
 
-    def run(task, folder, interrupt, observers, operators):
+    def run(task, folder, interrupt, observers, supervision):
         ran.append(task.trial)
         action(task.trial)
         outcome = outcomes.get(task.trial, Outcome.ARRIVED)

@@ -19,7 +19,7 @@ class BugError(Exception):
 
 
 def assert_ended_well(made, outcome):
-    """Robots stopped before anything else, once; plant closed; every observer told."""
+    """Robots stopped before anything else, once; plant closed; every observer notified."""
     names = made.happenings.names
     assert names.count("stop") == names.count("settle") == names.count("close") == 1
     assert names.index("stop") < names.index("settle") < names.index("close")
@@ -245,7 +245,7 @@ def test_the_square_is_driven_while_the_first_plan_is_made():
     made = bench(2, first_plan=SQUARE)
     result = made.run()
     assert_ended_well(made, Outcome.SEQUENCE_COMPLETED)
-    driven = made.plant.steered[:80]  # 8 sides of 2 s, told anew each control period
+    driven = made.plant.steered[:80]  # 8 sides of 2 s, sent again each control period
     assert [when for when, _ in driven] == [k * PERIOD for k in range(80)]
     turns = [direction for _, direction in driven]
     assert turns[::10] == pytest.approx([1.5707963, 3.1415927, -1.5707963, 0] * 2)
@@ -324,9 +324,9 @@ def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():
     made.happenings.actions["log.samples", 1] = told.set
     plan = made.controller.plan
 
-    def slow(observation):
-        assert told.wait(60), "nothing was told before the plan was there"
-        return plan(observation)
+    def slow(*seen):
+        assert told.wait(60), "nothing was reported before the plan was there"
+        return plan(*seen)
 
     made.controller.plan = slow
     assert made.run().outcome is Outcome.SEQUENCE_COMPLETED

@@ -18,9 +18,9 @@ MS = 1_000_000
 
 
 class Server:
-    """Keeps what is sent since the last jump, in which time, and the states told."""
+    """Keeps what is sent since the last jump, in which time, and the states reported."""
 
-    def __init__(self, name, port, span_ns, asked, viewer):
+    def __init__(self, name, span_ns, asked):
         self.span_ns, self.asked = span_ns, asked
         self.jumps, self.sent, self.told = [], [], []
 
@@ -32,7 +32,7 @@ class Server:
     def publish(self, entries):
         self.sent += entries
 
-    def tell(self, state):
+    def announce(self, state):
         self.told.append(state)
 
 
@@ -50,18 +50,18 @@ def contents(tmp_path_factory):
 
 @pytest.fixture
 def play(contents, monkeypatch):
-    monkeypatch.setattr(recorded, "ViewerServer", Server)
+    monkeypatch.setattr(recorded, "Viewers", Server)
 
     def opened(**options):
         wall = Wall()
         recording = Recording(trial_of(contents))
         player = Player(recording, wall, (recording.began_ns, recording.end_ns), **options)
-        served = ServedReplay(contents, player, 0)
+        served = ServedReplay(contents, player)
         return SimpleNamespace(
             wall=wall,
             player=player,
             served=served,
-            server=served.server,
+            server=served.viewers,
             start_ns=contents.run.start_unix_ns,
         )
 

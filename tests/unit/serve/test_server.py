@@ -12,29 +12,34 @@ from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
 from tetractl.core.errors import UsageError
-from tetractl.log.format.channels import CHANNELS, LOG, MOCAP, SCENE, TRANSFORMS, Entry
+from tetractl.log.format.channels import CHANNELS, FRAMES, LOG, SCENE, TRANSFORMS, Entry
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.messages import Messages
 from tetractl.replay.player import Playback
+from tetractl.serve.live import BACKLOG, Viewers
 from tetractl.serve.protocol import Request, State
-from tetractl.serve.server import BACKLOG, ViewerServer
+from tetractl.serve.server import LoopbackServer
 
 START_NS = 1_600_000_000_000_000_000
 
 
+def live(*args, **options):
+    return LoopbackServer(live=Viewers("test", *args), **options)
+
+
 @pytest.fixture
 def server():
-    with ViewerServer("test", 0) as server:
+    with live() as server:
         yield server
 
 
 def frame(number, size=2000):
-    return Entry(MOCAP, START_NS + number, START_NS, b"%8d" % number + bytes(size))
+    return Entry(FRAMES, START_NS + number, START_NS, b"%8d" % number + bytes(size))
 
 
 def test_topics_and_schemas_are_those_of_a_log(server, tmp_path):
     log = scan(made.write(made.trial(1, steps=1), tmp_path / "trial.mcap"))
-    with Viewer(server.url) as viewer:
+    with Viewer(server.live_url) as viewer:
         assert viewer.info["name"] == "test"
         assert viewer.info["capabilities"] == ["time"]
         assert viewer.channels.keys() == log.channels.keys() == CHANNELS.keys()
@@ -50,9 +55,10 @@ def test_topics_and_schemas_are_those_of_a_log(server, tmp_path):
 def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
     trial = made.trial(1, steps=2)
     messages = Messages(trial.start)
-    server.jump(trial.start.start_unix_ns, messages.start())
-    server.publish(messages.samples(trial.samples))
-    with Viewer(server.url) as viewer:
+    server.live.jump(trial.start.start_unix_ns, messages.start())
+    for sample in trial.samples:
+        server.live.publish(messages.samples([sample]))
+    with Viewer(server.live_url) as viewer:
         viewer.subscribe(SCENE, TRANSFORMS)
         _, scene = viewer.message(SCENE)
         named = [entity.id for entity in scene.entities]
@@ -64,51 +70,51 @@ def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
         viewer.seen(lambda got: got == ("time", at_ns, b""))
 
 
-def test_lines_of_text_are_not_told_twice(server):
-    server.publish([Entry(LOG, START_NS, START_NS, b""), frame(1)])
-    with Viewer(server.url) as viewer:
-        viewer.subscribe(LOG, MOCAP)
-        viewer.until(lambda got: got[0] == MOCAP)
+def test_lines_of_text_are_not_sent_twice(server):
+    server.live.publish([Entry(LOG, START_NS, START_NS, b""), frame(1)])
+    with Viewer(server.live_url) as viewer:
+        viewer.subscribe(LOG, FRAMES)
+        viewer.until(lambda got: got[0] == FRAMES)
         assert LOG not in [got[0] for got in viewer.all]
 
 
 def test_the_time_never_runs_back_but_by_a_jump(server):
-    with Viewer(server.url) as viewer:
-        server.publish([frame(1)])
-        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+    with Viewer(server.live_url) as viewer:
+        server.live.publish([frame(1)])
+        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
         viewer.all.clear()
-        server.publish([frame(3), frame(2), frame(4)])
-        server.jump(START_NS, [frame(0)])  # not to 1, whose time may have been still to come
-        for last in ("time", MOCAP):  # they wait in two queues
+        server.live.publish([frame(3), frame(2), frame(4)])
+        server.live.jump(START_NS, [frame(0)])  # not to 1, whose time may have been still to come
+        for last in ("time", FRAMES):  # they wait in two queues
             viewer.seen(lambda got, last=last: got[:2] == (last, START_NS))
-        told = {
+        sent = {
             kind: [got[1] - START_NS for got in viewer.all if got[0] == kind]
-            for kind in ("time", MOCAP)
+            for kind in ("time", FRAMES)
         }
-        assert told["time"][-3:] == [3, 4, 0]
-        assert told[MOCAP] == [3, 2, 4, 0]
+        assert sent["time"][-3:] == [3, 4, 0]
+        assert sent[FRAMES] == [3, 2, 4, 0]
 
 
 def test_it_is_watched_while_somebody_reads(server):
-    assert not server.watched
-    with Viewer(server.url) as viewer:
-        assert not server.watched
-        server.publish([frame(1)])
-        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
-        assert server.watched
+    assert not server.live.watched
+    with Viewer(server.live_url) as viewer:
+        assert not server.live.watched
+        server.live.publish([frame(1)])
+        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
+        assert server.live.watched
 
 
 def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
-    server = ViewerServer("test", 0)
-    with deaf(server.url, len(CHANNELS)) as stuck:
-        with Viewer(server.url) as viewer:
-            server.publish([frame(0)])
-            viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+    server = live()
+    with deaf(server.live_url, len(CHANNELS)) as stuck:
+        with Viewer(server.live_url) as viewer:
+            server.live.publish([frame(0)])
+            viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
             viewer.all.clear()
             for first in range(0, 3 * BACKLOG, 512):  # far more than its queue and sockets hold
-                server.publish([frame(first + i, 8000) for i in range(512)])
-                viewer.until(lambda got, last=first + 511: got[:2] == (MOCAP, START_NS + last))
-            got = [one[1] - START_NS for one in viewer.all if one[0] == MOCAP]
+                server.live.publish([frame(first + i, 8000) for i in range(512)])
+                viewer.until(lambda got, last=first + 511: got[:2] == (FRAMES, START_NS + last))
+            got = [one[1] - START_NS for one in viewer.all if one[0] == FRAMES]
             assert got == list(range(3 * BACKLOG))
         server.close()
         assert stuck.recv(1)
@@ -142,8 +148,8 @@ def knock(url, netloc=None, path=None, origin=None):
     ],
 )
 def test_pages_of_other_sites_are_refused_even_with_the_token(origin):
-    with ViewerServer("test", 0, viewer="http://lichtblick.example:8080/") as server:
-        assert knock(server.url, origin=origin) == 403
+    with live(viewer="http://lichtblick.example:8080/") as server:
+        assert knock(server.live_url, origin=origin) == 403
 
 
 @pytest.mark.parametrize(
@@ -158,23 +164,23 @@ def test_pages_of_other_sites_are_refused_even_with_the_token(origin):
     ],
 )
 def test_viewers_are_let_in_by_the_link(origin):
-    with ViewerServer("test", 0, viewer="http://lichtblick.example:8080/") as server:
-        assert knock(server.url, origin=origin) == 101
+    with live(viewer="http://lichtblick.example:8080/") as server:
+        assert knock(server.live_url, origin=origin) == 101
 
 
 def test_a_name_of_another_site_for_this_machine_is_refused(server):
     for host in ("evil.example", "192.168.1.7", "127.0.0.1.evil.example"):
-        assert knock(server.url, f"{host}:{server.port}") == 403
-    assert knock(server.url, "localhost:1") == 403
-    assert knock(server.url, f"localhost:{server.port}") == 101
+        assert knock(server.live_url, f"{host}:{server.port}") == 403
+    assert knock(server.live_url, "localhost:1") == 403
+    assert knock(server.live_url, f"localhost:{server.port}") == 101
 
 
 def test_without_the_token_nothing_is_answered(server):
-    token = urlsplit(server.url).path
+    token = urlsplit(server.live_url).path
     for path in ("", "/", "/" + "A" * 16, token[:-1], token + "A", token.upper() + "x"):
-        assert knock(server.url, path=path) == 403
-    with ViewerServer("other", 0) as other:
-        assert knock(server.url, path=urlsplit(other.url).path) == 403
+        assert knock(server.live_url, path=path) == 403
+    with live() as other:
+        assert knock(server.live_url, path=urlsplit(other.live_url).path) == 403
 
 
 def test_a_playback_is_moved_with_the_link_alone():
@@ -184,11 +190,11 @@ def test_a_playback_is_moved_with_the_link_alone():
         asked.append(request)
         return State(Playback.PLAYING, START_NS, request.rate)
 
-    with ViewerServer("test", 0, (START_NS, START_NS + 1), answer) as server:
-        where = urlsplit(server.url)
+    with live((START_NS, START_NS + 1), answer) as server:
+        where = urlsplit(server.live_url)
         with pytest.raises(InvalidStatus), Viewer(f"ws://{where.netloc}/"):
             pass
-        with Viewer(server.url) as viewer:
+        with Viewer(server.live_url) as viewer:
             viewer.control(True, 2.0, seek_ns=START_NS + 1, request="mine")
             assert viewer.state(request="mine").rate == 2.0
     assert asked == [Request(True, 2.0, START_NS + 1)]
@@ -213,37 +219,37 @@ def test_what_a_client_says_wrong_ends_its_connection_and_no_other(said, capfd):
     def answer(request):
         raise AssertionError
 
-    with ViewerServer("test", 0, (0, 1), answer) as server, Viewer(server.url) as other:
-        with Viewer(server.url) as viewer, pytest.raises(ConnectionClosedError):
+    with live((0, 1), answer) as server, Viewer(server.live_url) as other:
+        with Viewer(server.live_url) as viewer, pytest.raises(ConnectionClosedError):
             viewer.socket.send(said)
             viewer.until(lambda got: False)
-        server.publish([frame(1)])
-        other.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
+        server.live.publish([frame(1)])
+        other.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
     assert capfd.readouterr().err == ""
 
 
 def test_what_was_published_last_is_sent_before_the_end():
-    server = ViewerServer("test", 0)
-    with Viewer(server.url) as viewer:
-        server.publish([frame(0)])
-        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
-        server.publish([frame(number) for number in range(1, 500)])
+    server = live()
+    with Viewer(server.live_url) as viewer:
+        server.live.publish([frame(0)])
+        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
+        server.live.publish([frame(number) for number in range(1, 500)])
         server.close()
-        viewer.until(lambda got: got[:2] == (MOCAP, START_NS + 499))
+        viewer.until(lambda got: got[:2] == (FRAMES, START_NS + 499))
 
 
 def test_no_more_is_sent_of_what_a_viewer_gave_up(server):
-    with Viewer(server.url) as viewer:
-        server.publish([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
-        viewer.subscribe(MOCAP).until(lambda got: got[0] == MOCAP)
-        ended = [100 + viewer.channels[MOCAP]["id"]]
+    with Viewer(server.live_url) as viewer:
+        server.live.publish([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
+        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
+        ended = [100 + viewer.channels[FRAMES]["id"]]
         viewer.socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": ended}))
         viewer.subscribe(TRANSFORMS).until(lambda got: got[0] == TRANSFORMS)
-        server.publish([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
+        server.live.publish([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
         viewer.until(lambda got: got[:2] == (TRANSFORMS, START_NS + 3))
-        assert [got[1] - START_NS for got in viewer.all if got[0] == MOCAP] == [1]
+        assert [got[1] - START_NS for got in viewer.all if got[0] == FRAMES] == [1]
 
 
 def test_a_port_in_use_is_a_mistake_of_the_user(server):
     with pytest.raises(UsageError, match=f"port {server.port}: cannot be used"):
-        ViewerServer("other", server.port)
+        LoopbackServer(server.port)

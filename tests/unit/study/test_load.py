@@ -1,4 +1,4 @@
-# ruff: noqa: E501 (the lines told are long)
+# ruff: noqa: E501 (the lines printed are long)
 import pytest
 from support.paths import ROOT
 from support.running import QUICK

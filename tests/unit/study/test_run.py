@@ -1,5 +1,6 @@
 import json
 import pickle
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -16,10 +17,24 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import OtherCodeError, log_path, run_trial
 from tetractl.study.options import Logs, Shard
 from tetractl.study.repeat import repeat
-from tetractl.study.store import read_rows
+from tetractl.study.store import rows_of
 
 ALL, NONE, FAILED = Logs(float("inf"), True), Logs(0, False), Logs(0, True)
 ARM = "dead_time=0.1"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A folder with the small study and all it leaves in `out`, logs too; what it ran."""
+    folder = tmp_path_factory.mktemp("finished")
+    return folder, run(folder, SMALL, logs=ALL)
+
+
+@pytest.fixture
+def done(tmp_path, finished):
+    """A copy of that folder."""
+    shutil.copytree(finished[0], tmp_path, dirs_exist_ok=True)
+    return tmp_path
 
 
 def logged(log):
@@ -27,11 +42,22 @@ def logged(log):
     return trial_digest(read_trial(log))
 
 
-def edit(ran, **fields):
+def edit(folder, **fields):
     """Change fields of the rows of one arm on disk."""
-    path = ran.store.folder / ARM / "trials.jsonl"
+    path = folder / ARM / "trials.jsonl"
     lines = [json.loads(line) | fields for line in path.read_text().splitlines()]
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+def without_logs(folder):
+    """Make the rows of one arm those of trials that left no log."""
+    for log in (folder / ARM).glob("*.mcap"):
+        log.unlink()
+    edit(folder, logged=False)
+
+
+def digests(rows):
+    return {key: row.trial_digest for key, row in rows.items()}
 
 
 def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
@@ -44,80 +70,76 @@ def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
     found = read_result(log_path(tmp_path, 2))
     row = ran.rows[arm.name, 2]
     assert row.trial_digest == logged(log_path(tmp_path, 2))
-    assert row.columns["total_error_mm"] == found.result.total_error
-    assert row.columns["warnings"] == found.warnings
+    assert row.result.total_error == found.result.total_error
+    assert row.warnings == found.warnings
+    assert row.processor == found.processor != ""
 
 
-def test_a_log_kept_changes_no_row(tmp_path):
-    without, kept = (run(tmp_path, SMALL, out=out, logs=logs).rows
-                     for out, logs in (("none", NONE), ("all", ALL)))  # fmt: skip
+def test_a_log_kept_changes_no_row(finished, tmp_path):
+    kept, without = finished[1].rows, run(tmp_path, SMALL, logs=NONE).rows
     assert len(kept) == 6
-    for key, row in kept.items():
-        assert replace(row, logged=False, times={}, timing={}) == replace(
-            without[key], times={}, timing={}
+    for (arm, trial), row in kept.items():
+        other, result = without[arm, trial], row.result
+        same = replace(other.result, solve_ns=result.solve_ns, verdict=result.verdict)
+        assert not other.logged
+        assert replace(other, logged=True, wall_s=row.wall_s, cpu_s=row.cpu_s, result=same) == (
+            replace(row, result=replace(result, deadline_misses=same.deadline_misses))
         )
-        log = log_path(tmp_path / "all" / key[0], key[1])
-        assert logged(log) == row.trial_digest
+        assert logged(log_path(finished[0] / "out" / arm, trial)) == row.trial_digest
 
 
-def test_trials_come_first_over_all_arms(tmp_path):
-    ran = run(tmp_path, SMALL)
+def test_trials_come_first_over_all_arms(finished):
+    ran = finished[1]
     arms = [arm.name for arm in ran.loaded.arms]
     assert ran.watcher.started == [(arm, trial) for trial in range(3) for arm in arms]
     assert ran.watcher.endings[-1].left_s == 0
     assert ran.counts == (6, 0, 0)
 
 
-def test_trials_of_outdated_code_are_named_and_run_again_only_on_demand(tmp_path):
-    before = run(tmp_path, SMALL, logs=ALL)
-    table = (tmp_path / "out" / "trials.csv").read_bytes()
-    edit(before, code="older")
-    kept = run(tmp_path, SMALL, logs=ALL)
+def test_trials_of_outdated_code_are_named_and_run_again_only_on_demand(done):
+    table = (done / "out" / "trials.csv").read_bytes()
+    edit(done / "out", code="older")
+    kept = run(done, SMALL, logs=ALL)
     assert (len(kept.tasks), kept.outdated) == (0, {ARM: 3})
-    assert (tmp_path / "out" / "trials.csv").read_bytes() != table
-    again = run(tmp_path, SMALL, logs=ALL, rerun_outdated=True)
+    assert (done / "out" / "trials.csv").read_bytes() != table
+    again = run(done, SMALL, logs=ALL, rerun_outdated=True)
     assert (len(again.tasks), again.outdated) == (3, {})
-    assert (tmp_path / "out" / "trials.csv").read_bytes() == table
-    names = {path.name for path in (tmp_path / "out" / ARM).glob("*attempt*")}
+    assert (done / "out" / "trials.csv").read_bytes() == table
+    names = {path.name for path in (done / "out" / ARM).glob("*attempt*")}
     assert names == {f"trial-00{i}.attempt-1.mcap" for i in range(3)}
 
 
-def test_a_study_of_another_spec_is_not_mixed_in(tmp_path):
-    run(tmp_path, SMALL)
+def test_a_study_of_another_spec_is_not_mixed_in(done):
     with pytest.raises(UsageError, match="another spec or seed"):
-        run(tmp_path, SMALL.replace("seed: 7", "seed: 8"))
+        run(done, SMALL.replace("seed: 7", "seed: 8"))
 
 
-def test_a_folder_in_use_is_refused(tmp_path):
+def test_a_folder_in_use_is_refused(finished):
     """What the lock does among processes is tested in run/test_folder_lock.py."""
-    ran = run(tmp_path, SMALL)
+    folder, ran = finished
     refused = pytest.raises(UsageError, match="out: in use by process")
-    with locked(tmp_path / "out"), refused, ran.store.opened():
+    with locked(folder / "out"), refused, ran.store.opened():
         pass
 
 
-def test_more_trials_and_values_are_added_to_those_there_are(tmp_path):
-    run(tmp_path, SMALL)
+def test_more_trials_and_values_are_added_to_those_there_are(done):
     more = SMALL.replace("count: 3", "count: 4").replace("[0, 0.1]", "[0, 0.05, 0.1]")
-    ran = run(tmp_path, more)
+    ran = run(done, more)
     assert len(ran.tasks) == 3 * 4 - 2 * 3
     assert len(ran.rows) == 12
 
 
-def test_lines_that_are_no_rows_are_passed_over(tmp_path):
-    before = run(tmp_path, SMALL)
-    path = tmp_path / "out" / ARM / "trials.jsonl"
+def test_the_trials_of_damaged_rows_are_run_again(done, finished):
+    path = done / "out" / ARM / "trials.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(lines[0] + b'{"trial": 1}\n\xff\xfe\n' + lines[2][:-9])
-    ran = run(tmp_path, SMALL)
+    ran = run(done, SMALL)
     assert [task.key for task in ran.tasks] == [(ARM, 1), (ARM, 2)]
-    assert {key: row.trial_digest for key, row in ran.rows.items()} == {
-        key: row.trial_digest for key, row in before.rows.items()
-    }
+    assert digests(ran.rows) == digests(finished[1].rows)
     assert path.read_bytes().count(b"\n") == 5
 
 
-def test_a_failed_trial_has_a_row_and_is_told(tmp_path):
+def test_a_failed_trial_has_a_row_and_is_reported(tmp_path):
     ran = run(tmp_path, FAILING, logs=FAILED)
     assert [(arm, trial) for arm, trial, _ in ran.watcher.failures] == [
         ("speed=1e+308", i) for i in range(4)
@@ -161,8 +183,8 @@ def test_an_interrupted_trial_leaves_neither_row_nor_log(tmp_path):
     assert not list(tmp_path.rglob("*.mcap*"))
 
 
-def test_shares_are_disjoint_and_merge_to_the_whole(tmp_path):
-    whole = run(tmp_path, SMALL, out="whole", logs=ALL)
+def test_shares_are_disjoint_and_merge_to_the_whole(finished, tmp_path):
+    whole = finished[1]
     for i in (1, 2):
         run(tmp_path, SMALL, out=f"share-{i}", logs=ALL, shard=Shard(i, 2))
     shares = [tmp_path / "share-1", tmp_path / "share-2"]
@@ -173,77 +195,71 @@ def test_shares_are_disjoint_and_merge_to_the_whole(tmp_path):
         before = len(gathered.rows)
         assert gathered.store.merge(shares) == 6  # the one for its log
         assert before == 1
-    assert {k: r.trial_digest for k, r in gathered.rows.items()} == {
-        k: r.trial_digest for k, r in whole.rows.items()
-    }
+    assert digests(gathered.rows) == digests(whole.rows)
     for (arm, trial), row in gathered.rows.items():
         assert logged(log_path(tmp_path / "gathered" / arm, trial)) == row.trial_digest
 
 
-def test_rows_of_older_code_are_read(tmp_path):
-    """They state a digest of the log's bytes, under another name."""
-    ran = run(tmp_path, SMALL)
-    path = ran.store.folder / ARM / "trials.jsonl"
-    lines = [json.loads(line) for line in path.read_text().splitlines()]
-    for line in lines:
-        line |= {"digest": line.pop("trial_digest"), "code": "older"}
-    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    found = read_rows(tmp_path / "out", ran.loaded.arms[1])
-    assert [(row.trial, row.code) for row in found.values()] == [(i, "older") for i in range(3)]
-    assert found[1].trial_digest == ran.rows[ARM, 1].trial_digest
-
-
-def test_shares_that_contradict_each_other_are_refused(tmp_path):
-    mine, other = (run(tmp_path, SMALL, out=out) for out in ("mine", "other"))
+def test_shares_that_contradict_each_other_are_refused(done):
+    other = done / "other"
+    shutil.copytree(done / "out", other)
+    mine = run(done, SMALL)
     edit(other, trial_digest="0" * 64)
     with (
         mine.store.opened(),
-        pytest.raises(UsageError, match=f"trial 0 of {ARM} differs from that in .*mine"),
+        pytest.raises(UsageError, match=f"trial 0 of {ARM} differs from that in .*out"),
     ):
-        mine.store.merge([tmp_path / "other"])
-    edit(other, code="older")
-    with mine.store.opened():  # of other code it may differ
-        assert mine.store.merge([tmp_path / "other"]) == 0
+        mine.store.merge([other])
+    for may_differ in ({"code": "older"}, {"processor": "another-123456"}):
+        shutil.copytree(done / "out" / ARM, other / ARM, dirs_exist_ok=True)
+        edit(other, trial_digest="0" * 64, **may_differ)
+        with mine.store.opened():
+            assert mine.store.merge([other]) == 0
     with pytest.raises(UsageError, match="holds no trial of this study"):
-        mine.store.merge([tmp_path / "nowhere"])
+        mine.store.merge([done / "nowhere"])
 
 
-def test_a_trial_is_repeated_to_its_log(tmp_path):
-    ran = run(tmp_path, SMALL)
+def test_a_trial_is_repeated_to_its_log(done):
+    without_logs(done / "out")
+    ran = run(done, SMALL)
     with ran.store.opened():
-        told = repeat(ran.loaded, ran.store, f"{ARM}/1")
+        says = repeat(ran.loaded, ran.store, f"{ARM}/1")
         row = ran.rows[ARM, 1]
-        log = log_path(tmp_path / "out" / ARM, 1)
         assert row.logged
-        assert logged(log) == row.trial_digest
-        assert row.trial_digest in told
+        assert logged(log_path(done / "out" / ARM, 1)) == row.trial_digest
+        assert row.trial_digest in says
         with pytest.raises(UsageError, match="has its log"):
             repeat(ran.loaded, ran.store, f"{ARM}/1")
         for wrong in (ARM, f"{ARM}/x", f"{ARM}/7", "dead_time=0.2/0"):
             with pytest.raises(UsageError, match=f"--trial {wrong}"):
                 repeat(ran.loaded, ran.store, wrong)
-    assert read_rows(tmp_path / "out", ran.loaded.arms[1])[1].logged
+    assert rows_of(done / "out", ran.loaded.arms[1])[1].logged
 
 
-def test_a_trial_is_repeated_with_the_number_of_trials_it_was_run_with(tmp_path):
+def test_a_trial_is_repeated_with_the_number_of_trials_it_was_run_with(done):
     """The number is in the resolved spec of each log, and so in its digest."""
-    run(tmp_path, SMALL)
-    more = run(tmp_path, SMALL.replace("count: 3", "count: 4"))
+    without_logs(done / "out")
+    more = run(done, SMALL.replace("count: 3", "count: 4"))
     with more.store.opened():
         for trial in (1, 3):
             assert "digest as in its row" in repeat(more.loaded, more.store, f"{ARM}/{trial}")
 
 
-def test_a_repeated_trial_that_differs_is_set_aside(tmp_path):
-    ran = run(tmp_path, SMALL)
-    edit(ran, trial_digest="0" * 64, code="older")
-    with (
-        ran.store.opened(),
-        pytest.raises(LogError, match="the digest of its log is") as told,
-    ):
+@pytest.mark.parametrize(
+    ("changed", "hint"),
+    [
+        ({"code": "older"}, "the row is of outdated code"),
+        ({"processor": "other-123456"}, "the row is of another type of processor: other-123456, "),
+    ],
+)
+def test_a_repeated_trial_that_differs_is_set_aside(done, changed, hint):
+    without_logs(done / "out")
+    edit(done / "out", trial_digest="0" * 64, **changed)
+    ran = run(done, SMALL)
+    with ran.store.opened(), pytest.raises(LogError, match="the digest of its log is") as raised:
         repeat(ran.loaded, ran.store, f"{ARM}/1")
-    assert told.value.hint == "the row is of outdated code"
-    logs = [path.name for path in (tmp_path / "out" / ARM).glob("*.mcap")]
+    assert raised.value.hint.startswith(hint)
+    logs = [path.name for path in (done / "out" / ARM).glob("*.mcap")]
     assert logs == ["trial-001.attempt-1.mcap"]
 
 

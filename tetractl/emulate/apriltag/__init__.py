@@ -1,1 +1,1 @@
-"""An emulated camera that looks at tags: a renderer of pictures and a network camera."""
+"""An emulated camera above tags: a renderer of pictures and a network camera."""

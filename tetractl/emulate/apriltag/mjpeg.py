@@ -5,16 +5,15 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import TracebackType
 from typing import Self
 
 import cv2
 
 from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Poses
 from tetractl.emulate.apriltag.renderer import Renderer
-from tetractl.lab.announcement import EMULATED
 
 BOUNDARY = "emulated-by-tetractl"
 QUEUED = 32  # pictures of a client that reads slowly; more are dropped
@@ -92,12 +91,7 @@ class EmulatedNetworkCamera:
             thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop exposing, and close every connection."""
         self._closing.set()
         self._server.shutdown()
@@ -127,7 +121,7 @@ class EmulatedNetworkCamera:
         self._clients.add(mine)
         try:
             answer.send_response(200)
-            answer.send_header("Server", f"camera ({EMULATED})")
+            answer.send_header("Server", f"camera ({EMULATED_NAME})")
             answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
             if self._drips:
                 answer.flush_headers()

@@ -4,9 +4,9 @@ import random
 import time
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -23,7 +23,7 @@ from tetractl.emulate.apriltag.mjpeg import (
 )
 from tetractl.emulate.apriltag.optics import Optics
 from tetractl.emulate.apriltag.renderer import Renderer
-from tetractl.emulate.faults import Fault, Undo, Visible, setting
+from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Model, Name, NonNegative, Positive
@@ -52,71 +52,58 @@ class AprilTagSettings(Model):
     """Whether it answers byte by byte, without an end."""
 
 
-class Frozen(Fault):
-    """No pictures are exposed."""
-
-    visible: ClassVar[Visible] = Visible.SENT
-    fault: Literal["no_frames"]
-
-    def begin(self, device: "EmulatedAprilTag") -> Undo:
-        """Stop exposing."""
-        device.camera.frozen.set()
-        return device.camera.frozen.clear
+def _freeze(fault: Any, device: Any) -> Undo:
+    device.camera.frozen.set()
+    return device.camera.frozen.clear
 
 
-class Repeat(Fault):
-    """One picture is sent again and again, at the camera's rate."""
-
-    visible: ClassVar[Visible] = Visible.SENT
-    fault: Literal["repeat"]
-
-    def begin(self, device: "EmulatedAprilTag") -> Undo:
-        """Send the next picture from now on."""
-        sent: dict[str, bytes] = {}
-        return setting(device.camera, mangle=lambda part: sent.setdefault("first", part))
+def _cover(fault: Any, device: Any) -> Undo:
+    tag = device.tag(fault.robot)
+    device.renderer.hidden.add(tag)
+    return lambda: device.renderer.hidden.discard(tag)
 
 
-class Covered(Fault):
-    """A robot's tag is covered."""
-
-    visible: ClassVar[Visible] = Visible.EXPOSED
-    fault: Literal["untracked"]
-    robot: Name
-    """The robot it happens to."""
-
-    def begin(self, device: "EmulatedAprilTag") -> Undo:
-        """Draw the tag no more."""
-        tag = device.tag(self.robot)
-        device.renderer.hidden.add(tag)
-        return lambda: device.renderer.hidden.discard(tag)
+def _first_again(fault: Any) -> Callable[[bytes], bytes]:
+    sent: dict[str, bytes] = {}
+    return lambda part: sent.setdefault("first", part)
 
 
-class BadPictures(Fault):
-    """A share of the pictures is spoiled."""
+def _spoil(fault: Any, device: Any) -> Undo:
+    chance = random.Random(device.seed)
+    ways = {"cut": cut_short, "cut_ended": cut_before_its_end, "oversized": oversized}
 
-    visible: ClassVar[Visible] = Visible.SENT
-    fault: Literal["bad_pictures"]
-    share: float = Field(ge=0, le=1)
-    """How many of all, 0 to 1."""
-    how: Literal["cut", "cut_ended", "oversized"] = "cut"
-    """Cut short, cut short before an end marker, or of a header that claims 32767 x 32767."""
+    def spoiled(part: bytes) -> bytes:
+        return ways[fault.how](part) if chance.random() < fault.share else part
 
-    def begin(self, device: "EmulatedAprilTag") -> Undo:
-        """Spoil pictures from now on."""
-        chance = random.Random(device.seed)
-        ways = {"cut": cut_short, "cut_ended": cut_before_its_end, "oversized": oversized}
+    return setting(device.camera, mangle=spoiled)
 
-        def spoil(part: bytes) -> bytes:
-            return ways[self.how](part) if chance.random() < self.share else part
 
-        return setting(device.camera, mangle=spoil)
+FAULTS = (
+    fault("no_frames", "No pictures are exposed.", _freeze, Visible.SENT),
+    fault(
+        "repeat",
+        "One picture is sent again and again, at the camera's rate.",
+        settings(lambda d, f: d.camera, mangle=_first_again),
+        Visible.SENT,
+    ),
+    fault("untracked", "A robot's tag is covered.", _cover, Visible.EXPOSED, robot=Name),
+    fault(
+        "bad_pictures",
+        "A share of the pictures is cut short, cut short before an end marker, or of a header that "
+        "claims 32767 x 32767.",
+        _spoil,
+        Visible.SENT,
+        share=Share,
+        how=(Literal["cut", "cut_ended", "oversized"], "cut"),
+    ),
+)
 
 
 class EmulatedAprilTag:
-    """A network camera that looks at robots with tags."""
+    """A network camera above robots with tags."""
 
     Settings: ClassVar[type[Model]] = AprilTagSettings
-    faults: ClassVar[Sequence[type[Fault]]] = (Frozen, Repeat, Covered, BadPictures)
+    faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
     def __init__(self, stage: Stage, settings: AprilTagSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera
@@ -166,7 +153,7 @@ class EmulatedAprilTag:
     def close(self) -> Facts:
         """End the stream."""
         if self._opened:
-            self.camera.__exit__(None, None, None)
+            self.camera.__exit__()
             self._opened = False
         return {"pictures": self._exposures}
 

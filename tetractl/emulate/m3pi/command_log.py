@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from tetractl.lab.actuators.m3pi.broadcast import decode_command
 from tetractl.lab.actuators.m3pi.slave import Motor, MotorCount, SlaveDecoder
-from tetractl.lab.actuators.xbee.frames import Transmit, Transmit16, Transmit64
+from tetractl.lab.actuators.xbee.frames import Transmit16
 from tetractl.lab.actuators.xbee.framing import Decoder
 from tetractl.lab.cobs import Splitter
 from tetractl.lab.errors import WireError
@@ -32,7 +32,7 @@ class CommandLog:
             self._payload(0xFFFF, data)
             return
         for frame in self._api.feed(data):
-            if isinstance(frame, Transmit | Transmit16 | Transmit64):
+            if isinstance(frame, Transmit16):
                 self._payload(frame.destination, frame.data)
 
     def _payload(self, address: int, data: bytes) -> None:

@@ -66,7 +66,7 @@ class EmulatedRadio:
             return
         start = max(self._timeline.now_ns, self._in_ns)
         self._in_ns = start + _uart_ns(len(data), self._settings.baud)
-        self._timeline.at(self._in_ns, lambda: self._module.hear(data, self._timeline.now_ns))
+        self._timeline.at(self._in_ns, lambda: self._module.hear(data))
 
     def poll_answers(self) -> None:
         """Send what robots have to say; call it every millisecond or so."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.firmware import RobotCore
 from tetractl.lab.actuators.m3pi.broadcast import Counts
 from tetractl.lab.actuators.m3pi.command import Drivetrain, speeds_of_counts
-from tetractl.lab.actuators.m3pi.core import Core
 from tetractl.lab.actuators.m3pi.slave import Motor, MotorCount, Query, SlaveDecoder
 
 STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
@@ -28,7 +28,7 @@ class Program(Protocol):
         ...
 
     def counts(self, now_ms: int) -> Counts:
-        """Return what the motors are told now, in the order of the motors M1, M2."""
+        """Return what the motors are commanded now, in the order of the motors M1, M2."""
         ...
 
     def answer(self, now_ms: int) -> bytes:
@@ -40,7 +40,7 @@ class FirmwareProgram:
     """The mbed firmware's own core, compiled from `firmware/m3pi_core.c`."""
 
     def __init__(self, index: int) -> None:
-        self.core = Core(index)
+        self.core = RobotCore(index)
 
     def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
         """Pass the bytes to the core."""
@@ -48,7 +48,7 @@ class FirmwareProgram:
         self.core.push(data, now_ms & 0xFFFFFFFF)
 
     def counts(self, now_ms: int) -> Counts:
-        """Return the core's wheels; its watchdog is judged here."""
+        """Return the core's wheels; its watchdog acts here."""
         return self.core.wheels(now_ms & 0xFFFFFFFF)
 
     def answer(self, now_ms: int) -> bytes:
@@ -139,7 +139,7 @@ class EmulatedRobot:
 
     @property
     def standing(self) -> bool:
-        """Whether both wheels are at rest, as near as one could tell."""
+        """Whether both wheels are at rest, as near as can be seen."""
         return max(abs(self.left), abs(self.right)) < STANDING_MM_S
 
     @property
@@ -171,7 +171,7 @@ class EmulatedRobot:
             self.now_ns += step_ns
 
     def switch(self, on: bool) -> None:
-        """Switch the robot on, which starts its program anew, or off."""
+        """Switch the robot on, which restarts its program, or off."""
         self.powered = on
         if on:
             self.program = self.boot()

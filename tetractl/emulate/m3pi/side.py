@@ -2,12 +2,21 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.emulate.faults import Fault, StuckPort, Undo, Unplug, setting
+from tetractl.emulate.faults import (
+    STUCK_PORT,
+    UNPLUG,
+    Fault,
+    Share,
+    fault,
+    settings,
+    switching,
+)
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.m3pi.command_log import CommandLog
 from tetractl.emulate.m3pi.module import ModuleSettings
@@ -25,7 +34,6 @@ from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
 
-Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=-127, le=127)]
 MODES = {"transparent": 0, "api1": 1, "api2": 2}
 SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zigbee
@@ -69,102 +77,71 @@ class M3piSettings(Model):
     """The robots that are not as the spec says."""
 
 
-class RobotFault(Fault):
-    """A fault of one robot."""
-
-    robot: Name
-    """The robot it happens to."""
+def _boots(fault: Any) -> Callable[[], Program]:
+    return partial(FirmwareProgram, fault.id)
 
 
-class Veer(RobotFault):
-    """A robot's motors get other counts than sent."""
-
-    fault: Literal["veer"]
-    counts: tuple[Count, Count]
-    """What they get instead of any count but 0, as sent."""
-
-    def begin(self, device: "EmulatedM3pi") -> Undo:
-        """Replace the counts."""
-        return setting(device.robot(self.robot), veer=self.counts)
+def _robot_of(device: Any, fault: Any) -> EmulatedRobot:
+    return device.robot(fault.robot)
 
 
-class WheelStuck(RobotFault):
-    """A wheel does not turn any more."""
-
-    fault: Literal["wheel_stuck"]
-    wheel: Literal["left", "right", "both"]
-    """Which wheel."""
-
-    def begin(self, device: "EmulatedM3pi") -> Undo:
-        """Stick the wheel."""
-        stuck = self.wheel in ("left", "both"), self.wheel in ("right", "both")
-        return setting(device.robot(self.robot), stuck=stuck)
-
-
-class Loss(Fault):
-    """Robots do not hear a share of the transmissions."""
-
-    fault: Literal["loss"]
-    share: Share
-    """How many of all, 0 to 1."""
-
-    def begin(self, device: "EmulatedM3pi") -> Undo:
-        """Lose transmissions from now on."""
-        return setting(device.radio, loss=self.share)
-
-
-class Off(RobotFault):
-    """A robot is switched off."""
-
-    fault: Literal["off"]
-
-    def begin(self, device: "EmulatedM3pi") -> Undo:
-        """Switch it off."""
-        robot = device.robot(self.robot)
-        robot.switch(False)
-        return lambda: robot.switch(True)
-
-
-class WrongId(RobotFault):
-    """A robot's firmware was built with another number."""
-
-    fault: Literal["wrong_id"]
-    id: int = Field(ge=0, le=31)
-    """Its number in broadcasts."""
-
-    def begin(self, device: "EmulatedM3pi") -> Undo:
-        """Load the other firmware."""
-        boot = partial(FirmwareProgram, self.id)
-        return setting(device.robot(self.robot), boot=boot, program=boot())
-
-
-class LowBattery(RobotFault):
-    """A robot's battery has this voltage."""
-
-    fault: Literal["low_battery"]
-    millivolts: int = Field(ge=0, le=9000)
-    """Its voltage."""
-
-    def begin(self, device: "EmulatedM3pi") -> Undo:
-        """Set the voltage."""
-        battery = device.robot(self.robot).battery
-        return setting(battery, open_mv=float(self.millivolts), sag_mv=0.0)
+Wheel = Literal["left", "right", "both"]
+STUCK = {"left": (True, False), "right": (False, True), "both": (True, True)}
+FAULTS = (
+    fault(
+        "veer",
+        "A robot's motors get these counts in place of any but 0.",
+        settings(_robot_of, veer=attrgetter("counts")),
+        robot=Name,
+        counts=tuple[Count, Count],
+    ),
+    fault(
+        "wheel_stuck",
+        "A wheel does not turn any more.",
+        settings(_robot_of, stuck=lambda f: STUCK[f.wheel]),
+        robot=Name,
+        wheel=Wheel,
+    ),
+    UNPLUG,
+    STUCK_PORT,
+    fault(
+        "loss",
+        "Robots do not hear this share of the transmissions.",
+        settings(lambda d, f: d.radio, loss=attrgetter("share")),
+        share=Share,
+    ),
+    fault(
+        "off",
+        "A robot is switched off.",
+        switching(lambda d, f: _robot_of(d, f).switch, False),
+        robot=Name,
+    ),
+    fault(
+        "wrong_id",
+        "A robot's firmware was built with this number.",
+        settings(_robot_of, boot=_boots, program=lambda f: _boots(f)()),
+        robot=Name,
+        id=Annotated[int, Field(ge=0, le=31)],
+    ),
+    fault(
+        "low_battery",
+        "A robot's battery has this voltage.",
+        settings(
+            lambda d, f: _robot_of(d, f).battery,
+            open_mv=lambda f: float(f.millivolts),
+            sag_mv=0.0,
+        ),
+        robot=Name,
+        millivolts=Annotated[int, Field(ge=0, le=9000)],
+    ),
+)
 
 
 class EmulatedM3pi:
     """An XBee on a pseudo-terminal, and the robots that hear it."""
 
     Settings: ClassVar[type[Model]] = M3piSettings
-    faults: ClassVar[Sequence[type[Fault]]] = (
-        Veer,
-        WheelStuck,
-        Unplug,
-        StuckPort,
-        Loss,
-        Off,
-        WrongId,
-        LowBattery,
-    )
+    faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
     def __init__(self, stage: Stage, settings: M3piSettings) -> None:
         section = stage.lab.actuator
@@ -236,6 +213,13 @@ class EmulatedM3pi:
         assert self._loop is not None, "open() gives the loop"
         self.port.plug()
         self._loop.watch(self.port.fd, self.radio.readable)
+
+    def plugged(self, on: bool) -> None:
+        """Plug the radio in, or pull it out."""
+        if on:
+            self.plug()
+        else:
+            self.unplug()
 
     def unplug(self) -> None:
         """Pull the radio out; idempotent."""

@@ -10,11 +10,12 @@ from functools import partial
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.emulate.loop import Timeline
-from tetractl.emulate.optitrack.mangle import mangle
 from tetractl.emulate.optitrack.server import Address, MotiveServer
+from tetractl.emulate.optitrack.server_wire import pack_answer, pack_modeldef, parse_request
 from tetractl.emulate.optitrack.streaming import ServerCounts, Streaming, Trouble
 from tetractl.lab.cameras.optitrack.messages import (
     NEWEST,
+    OLDEST,
     BodyName,
     Message,
     MessageKind,
@@ -24,8 +25,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     Ticks,
     Version,
 )
-from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef
-from tetractl.lab.cameras.optitrack.wire import datagram, pack, parse
+from tetractl.lab.cameras.optitrack.wire import datagram
 from tetractl.lab.errors import WireError
 
 MODELS_CHANGED, EDIT_MODE = 2, 4
@@ -91,7 +91,9 @@ class Motive:
             interface = socket.inet_aton(s.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
         if not (multicast and s.data_port):
-            self.server.data_port = _port(self.data)  # in multicast too: nobody else has that one
+            self.server.data_port = _port(
+                self.data
+            )  # in multicast too: no other server has that one
         self._start_ns = self._timeline.now_ns
         self._plan()
         return self.command.fileno()
@@ -114,9 +116,9 @@ class Motive:
                 continue
             if self.trouble.silent:
                 continue
-            catch_up()  # else an echo could tell a time before it was asked for
+            catch_up()  # else an echo could report a time before it was asked for
             try:
-                message = parse(asked, self.streaming.version)
+                message = parse_request(asked)
             except WireError:
                 self.counts.refused += 1
                 continue
@@ -139,7 +141,6 @@ class Motive:
         if jitter.random() < 1 / 250:
             delay += jitter.uniform(0, 0.45 / s.rate_hz)
         leaves = now + round(delay * SECOND)
-        seconds = (now - self._start_ns) / SECOND
         exposed = now
         if self.trouble.outdated:
             self.trouble.outdated -= 1
@@ -149,10 +150,7 @@ class Motive:
             number,
             self._expose(),
             params=MODELS_CHANGED * s.models_changed | EDIT_MODE * self.trouble.edit_mode,
-            latency=delay,
-            timestamp_s=seconds,
             ticks=Ticks(ticks(exposed), ticks(now + round(0.6 * delay * SECOND)), 0),
-            precision=(int(seconds), int(seconds % 1 * 2**32)),
         )
         self._timeline.at(leaves, partial(self._transmit, self._exposures, frame))
         self._plan()
@@ -188,11 +186,26 @@ class Motive:
             self.counts.datagrams += 1
 
 
+def mangle(datagram: bytes, chance: random.Random) -> bytes:
+    """Return a datagram cut short, grown, with another size in its header, or of noise."""
+    match chance.randrange(5):
+        case 0:
+            return datagram[: chance.randrange(len(datagram))]
+        case 1:
+            return datagram + bytes(chance.randrange(1, 20))
+        case 2:
+            return datagram[:2] + (len(datagram) + 7).to_bytes(2, "little") + datagram[4:]
+        case 3:  # a count of bodies that cannot be
+            return datagram[:8] + b"\xff\xff\xff\x7f" + datagram[12:]
+        case _:
+            return chance.randbytes(chance.randrange(1, 1400))
+
+
 def _packed(message: Message, version: Version) -> bytes:
-    """Pack as a server of this version does; of versions above 4.3 only this much is known."""
+    """Pack as a server of this version does; of others than 2.6 to 4.3 only this much is known."""
     if version > NEWEST and isinstance(message, ModelDef):
         return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
-    return pack(message, min(version, NEWEST))
+    return pack_answer(message, max(OLDEST, min(version, NEWEST)))
 
 
 def _port(of: socket.socket) -> int:

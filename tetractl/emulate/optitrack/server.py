@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import EMULATED_NAME
 from tetractl.emulate.optitrack.streaming import Client, ServerCounts, Streaming
-from tetractl.lab.announcement import EMULATED
 from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     BodyName,
@@ -132,7 +132,7 @@ class MotiveServer:
         a, b, c, d = (int(part) for part in self.streaming.group.split("."))
         major, minor = self.streaming.version
         return ServerInfo(
-            f"Motive ({EMULATED})",
+            f"Motive ({EMULATED_NAME})",
             (3, 0, 0, 0),
             (major, minor, 0, 0),
             CLOCK_HZ,

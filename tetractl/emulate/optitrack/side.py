@@ -1,21 +1,23 @@
 """The emulated camera of type `optitrack`: settings, faults, and a Motive that sees bodies."""
 
 from collections.abc import Sequence
+from operator import attrgetter
 from random import Random
-from typing import ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
-from tetractl.emulate.faults import Fault
+from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
-from tetractl.emulate.optitrack.faults import FAULTS
 from tetractl.emulate.optitrack.motive import Motive
-from tetractl.emulate.optitrack.streaming import Streaming
+from tetractl.emulate.optitrack.server import ServerClock
+from tetractl.emulate.optitrack.streaming import Streaming, Trouble
 from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
 from tetractl.emulate.sides import Body, Facts, Stage
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
-from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, Version
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
+from tetractl.lab.cameras.optitrack.messages import BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
 
@@ -37,16 +39,16 @@ class OptitrackSettings(Model):
     """How the cameras differ from what the spec says."""
 
     version: VersionText = "4.1"
-    """The camera server's protocol version, 2.5 or later. Above 4.3 frames are laid out as in 4.3,
-    and descriptions of rigid bodies are longer."""
+    """The camera server's protocol version, 2.5 or later; frames of 2.5 are laid out as in 2.6.
+    Above 4.3 they are laid out as in 4.3, and descriptions of rigid bodies are longer."""
     keeps_version: bool = False
     """Whether it streams in its own version to clients that ask for another."""
     frames_from: Ipv4 | None = None
     """Address that frames come from, as of a second network card; the server's by default."""
     answers_models: bool = True
-    """Whether it tells the names of its rigid bodies."""
+    """Whether it reports the names of its rigid bodies."""
     models_changed: bool = False
-    """Whether every frame tells that the rigid bodies have changed."""
+    """Whether every frame says that the rigid bodies have changed."""
     rate: float = Field(default=120.0, ge=1, le=500)
     """Camera frames a second [Hz]."""
     latency: float = Field(default=0.0054, ge=0, le=1)
@@ -63,6 +65,158 @@ class OptitrackSettings(Model):
     """Whether the server answers `UpAxis`."""
     robots: tuple[TrueBody, ...] = ()
     """The robots whose bodies lie otherwise than the spec says."""
+
+
+def _trouble(device: Any, fault: Any) -> Trouble:
+    return device.motive.trouble
+
+
+def _body(device: Any, fault: Any) -> TrackedBody:
+    return device.tracked_body(fault.robot)
+
+
+def _clock(device: Any, fault: Any) -> ServerClock:
+    return device.motive.server.clock
+
+
+def _version_of(fault: Any) -> Version:
+    major, minor = fault.version.split(".")
+    return Version(int(major), int(minor))
+
+
+def _walk(fault: Any, device: Any) -> Undo:
+    own, start = fault.axes == "robot", (0.0, 0.0)
+    body = _body(device, fault)
+    return setting(body, step=fault.by, shift=start, own=own, turn=fault.turn, turned=0.0)
+
+
+def _repeat(fault: Any, device: Any) -> Undo:
+    chosen = [b for b in device.tracked if fault.robot in (None, b.robot.name)]
+    undos = [setting(body, repeats=True) for body in chosen]
+
+    def undo() -> None:
+        for each in undos:
+            each()
+
+    return undo
+
+
+def _swap(fault: Any, device: Any) -> Undo:
+    return setting(device, swapped={device.place_of(fault.robot), device.place_of(fault.other)})
+
+
+def _set_clock(fault: Any, device: Any) -> Undo:
+    clock = _clock(device, fault)
+    return setting(clock, ahead_ns=clock.ahead_ns + round(fault.by * SECOND))
+
+
+def _run_clock(fault: Any, device: Any) -> Undo:
+    return setting(_clock(device, fault), rate=fault.rate, since_ns=device.motive.now_ns)
+
+
+def _twin(fault: Any, device: Any) -> Undo:
+    return setting(_body(device, fault), id=device.tracked_body(fault.other).id)
+
+
+SENT, EXPOSED = Visible.SENT, Visible.EXPOSED
+Frames = Annotated[int, Field(ge=1, le=1_000_000)]
+Axes = Literal["floor", "robot"]
+FAULTS = (
+    fault("no_server", "Nothing answers or sends.", settings(_trouble, silent=True), SENT),
+    fault("no_frames", "No frames are sent.", settings(_trouble, no_frames=True), SENT),
+    fault("freeze", "One frame is sent again and again.", settings(_trouble, frozen=True), SENT),
+    fault(
+        "counter_back",
+        "The frame number goes back by so many.",
+        settings(_trouble, counter=attrgetter("frames")),
+        EXPOSED,
+        frames=Frames,
+    ),
+    fault("edit_mode", "Motive is in edit mode.", settings(_trouble, edit_mode=True), EXPOSED),
+    fault(
+        "bad_datagrams",
+        "A share of the frames is damaged.",
+        settings(_trouble, damaged=attrgetter("share")),
+        SENT,
+        share=Share,
+    ),
+    fault(
+        "other_version",
+        "Frames are of another version than the server says.",
+        settings(_trouble, version=_version_of),
+        SENT,
+        version=VersionText,
+    ),
+    fault(
+        "untracked",
+        "A body is not tracked; its last pose is held.",
+        settings(_body, tracked=False),
+        EXPOSED,
+        robot=Name,
+    ),
+    fault(
+        "jump",
+        "A body's pose jumps by so much [mm].",
+        settings(_body, shift=attrgetter("by")),
+        EXPOSED,
+        robot=Name,
+        by=Point,
+    ),
+    fault(
+        "ghost",
+        "A body's pose walks away from its robot: so far [mm] and turned so much [rad] in each "
+        "frame, along the spec's axes or along the robot's heading and left of it.",
+        _walk,
+        EXPOSED,
+        robot=Name,
+        by=Point,
+        axes=(Axes, "floor"),
+        turn=(Finite, 0.0),
+    ),
+    fault(
+        "repeat",
+        "The pose of a body, or of all, is repeated in new frames.",
+        _repeat,
+        EXPOSED,
+        robot=(Name | None, None),
+    ),
+    fault(
+        "lifted",
+        "A body is seen at this height above the floor [mm].",
+        settings(_body, height=attrgetter("height")),
+        EXPOSED,
+        robot=Name,
+        height=Finite,
+    ),
+    fault(
+        "tipped",
+        "A body is seen rolled about its own x axis by this angle [rad].",
+        settings(_body, roll=attrgetter("angle")),
+        EXPOSED,
+        robot=Name,
+        angle=Finite,
+    ),
+    fault(
+        "outdated",
+        "So many frames are stamped with an exposure that is so much older [s].",
+        settings(_trouble, outdated=attrgetter("frames"), outdated_s=attrgetter("by")),
+        EXPOSED,
+        by=Positive,
+        frames=(Frames, 1),
+    ),
+    fault("swap", "Two bodies swap identities.", _swap, EXPOSED, robot=Name, other=Name),
+    fault("nan", "A body's position is no number.", settings(_body, nan=True), EXPOSED, robot=Name),
+    fault(
+        "bad_quaternion",
+        "A body's quaternion is not of norm 1.",
+        settings(_body, norm=0.5),
+        EXPOSED,
+        robot=Name,
+    ),
+    fault("clock_jump", "The server's clock is set forward [s].", _set_clock, by=Finite),
+    fault("clock_rate", "The server's clock gains so much each second.", _run_clock, rate=Positive),
+    fault("twin_id", "A body has the id of another.", _twin, EXPOSED, robot=Name, other=Name),
+)
 
 
 class EmulatedOptitrack:
@@ -177,6 +331,6 @@ def _streaming(
 def _version(text: str) -> Version:
     major, minor = text.split(".")
     version = Version(int(major), int(minor))
-    if version < OLDEST:
-        raise SpecError(f"cannot emulate NatNet {version}", hint=f"take {OLDEST} or a later one")
+    if version < (2, 5):
+        raise SpecError(f"cannot emulate NatNet {version}", hint="take 2.5 or a later one")
     return version

@@ -16,7 +16,7 @@ class Streaming:
     Exposure to transmit is `latency` on the mean with a deviation of `jitter`; one frame in 250
     is late by up to nearly half a frame. A version above 4.3 is packed as 4.3, with longer
     descriptions of rigid bodies. `keeps_version`: clients cannot have another; `answers_models`:
-    MODELDEF is answered; `models_changed`: every frame tells of changed models; `unit_mm`: the
+    MODELDEF is answered; `models_changed`: every frame reports changed models; `unit_mm`: the
     answer to `UnitsToMillimeters`, though frames are in metres.
     """
 

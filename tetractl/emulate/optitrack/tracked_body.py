@@ -31,7 +31,7 @@ class View:
         else:
             position = (along, height / 1000, -across)
             quaternion = (0.0, math.sin(half), 0.0, math.cos(half))
-        return RigidBody(number, position, quaternion, 0.0002, True)
+        return RigidBody(number, position, quaternion, True)
 
 
 @dataclass(slots=True)
@@ -67,7 +67,7 @@ class TrackedBody:
     def expose(self, view: View) -> RigidBody:
         """Return the body as the cameras give it now; an untracked one keeps its last pose."""
         if not self.tracked and self.seen is not None:
-            return replace(self.seen, mean_error=0.0, tracking_valid=False)
+            return replace(self.seen, tracking_valid=False)
         if self.repeats and self.seen is not None:
             return self.seen
         robot, draw = self.robot, self.random.gauss
@@ -82,7 +82,7 @@ class TrackedBody:
             body = replace(body, quaternion=_rolled(body.quaternion, self.roll))
         self.seen = body
         if not self.tracked:
-            return replace(body, mean_error=0.0, tracking_valid=False)
+            return replace(body, tracking_valid=False)
         if self.nan:
             return replace(body, position=(math.nan, math.nan, math.nan))
         if self.norm != 1.0:

@@ -63,11 +63,27 @@ class Document:
         """All problems so far."""
         return [*self.problems, *self.refused.values()]
 
+    @property
+    def notes(self) -> tuple[dict[Loc, Any], ...]:
+        """What is kept by the place in the data: the values', the keys', and what was refused."""
+        return self.values, self.keys, self.refused
+
+    def key(self, loc: Loc) -> Place:
+        """Return the place of a key, or of its value, or of what is around it."""
+        return self.keys.get(loc) or self.place(loc)
+
     def place(self, loc: Loc) -> Place:
         """Return the place of a value, or of the nearest thing written around it."""
         while loc and loc not in self.values:
             loc = loc[:-1]
         return self.values.get(loc) or Place(self.origin)
+
+
+def frozen(value: Any) -> Any:
+    """Return a document's data with tuples for lists, which is what strict validation wants."""
+    if isinstance(value, dict):
+        return {key: frozen(item) for key, item in value.items()}
+    return tuple(map(frozen, value)) if isinstance(value, list) else value
 
 
 def read_text(path: Path) -> str:

@@ -1,14 +1,22 @@
 """What pydantic found wrong with a spec, in plain words and at its place in the YAML."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from tetractl.experiment.yaml.document import Document
-from tetractl.experiment.yaml.problems import Loc, SpecProblem, did_you_mean
-from tetractl.experiment.yaml.schema import alternatives, child, describe, homes, tag
+from tetractl.experiment.registry_fields import STRICT
+from tetractl.experiment.yaml.document import Document, frozen
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, did_you_mean
+from tetractl.experiment.yaml.schema import (
+    alternatives,
+    child,
+    describe,
+    homes,
+    schema_of,
+    tag,
+)
 
 Schema = dict[str, Any]
 
@@ -40,6 +48,21 @@ LIMITS = {
     "literal_error": "must be {expected}",
     "string_pattern_mismatch": "must match {pattern}",
 }
+
+
+Section = TypeVar("Section", bound=BaseModel)
+
+
+def validated(model: type[Section], document: Document) -> Section:
+    """Return a document as what a file of its kind holds; InvalidSpecError lists its problems."""
+    try:
+        found = model.model_validate(frozen(document.data), strict=True, context=STRICT)
+    except ValidationError as error:
+        problems = explain(error, document, schema_of(model))
+        raise InvalidSpecError([*document.found, *problems]) from None
+    if document.found:
+        raise InvalidSpecError(document.found)
+    return found
 
 
 def explain(
@@ -86,7 +109,7 @@ def _problem(
 ) -> SpecProblem:
     kind, context = details["type"], details.get("ctx", {})
     if kind == "extra_forbidden":
-        place = document.keys.get(loc) or document.place(loc)
+        place = document.key(loc)
         return place.problem(loc, _unknown_key(str(loc[-1]), loc[:-1], document.data, schema))
     if kind == "missing":
         place = document.place(loc)

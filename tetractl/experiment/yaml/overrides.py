@@ -32,7 +32,7 @@ def override(document: Document, setting: str) -> None:
         document.problems.extend(error.problems)
         return
     holder[loc[-1]] = value
-    for notes in (document.values, document.keys, document.refused):
+    for notes in document.notes:
         for stale in [key for key in notes if key[: len(loc)] == loc]:
             del notes[stale]
     document.values[loc] = document.keys[loc] = Place(origin, text=printable(text, 60) or None)

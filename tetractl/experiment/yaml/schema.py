@@ -105,7 +105,7 @@ def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any] | None) -> d
 
 
 def dereferenced(node: dict[str, Any], root: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the schema a `$ref` stands for, with what is written beside it."""
+    """Return the schema a `$ref` stands for, with what is written next to it."""
     if "$ref" not in node:
         return node
     target = (root or experiment_schema())["$defs"][node["$ref"].rpartition("/")[2]]

@@ -13,6 +13,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 
 from tetractl.log.format.tetractl_pb2 import (
+    CameraFrames,
     ControllerStep,
     Estimate,
     MocapSample,
@@ -21,16 +22,14 @@ from tetractl.log.format.tetractl_pb2 import (
     WheelCommand,
 )
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 TEXT = 2000
 """Characters of a text for people that are read back, control characters as escapes."""
 
-MOCAP = "/mocap"
-TRUTH = "/truth"
+FRAMES = "/frames"
 TRANSFORMS = "/tf"
 STEP = "/controller/step"
-PLAN = "/controller/plan"
 COMMANDS = "/commands"
 SCENE = "/scene/static"
 SCENE_PLAN = "/scene/plan"
@@ -38,7 +37,23 @@ LOG = "/log"
 HOST_TIMING = "/host/timing"
 ESTIMATE = "/controller/estimate"
 
+MOCAP, TRUTH, PLAN = "/mocap", "/truth", "/controller/plan"  # of format 1 alone
+
 CHANNELS: dict[str, type[Message]] = {
+    FRAMES: CameraFrames,
+    TRANSFORMS: FrameTransforms,
+    STEP: ControllerStep,
+    COMMANDS: WheelCommand,
+    SCENE: SceneUpdate,
+    SCENE_PLAN: SceneUpdate,
+    LOG: Log,
+    HOST_TIMING: StepTiming,
+    ESTIMATE: Estimate,
+}
+"""Topic and message of each channel. The order is part of the format version: it makes the channel
+ids 1, 2, ..., which identify the messages of a log that has lost its channel records."""
+
+CHANNELS_1: dict[str, type[Message]] = {
     MOCAP: MocapSample,
     TRUTH: Truth,
     TRANSFORMS: FrameTransforms,
@@ -51,8 +66,7 @@ CHANNELS: dict[str, type[Message]] = {
     HOST_TIMING: StepTiming,
     ESTIMATE: Estimate,
 }
-"""Topic and message of each channel. The order is part of format version 1: it makes the channel
-ids 1, 2, ..., which identify the messages of a log that has lost its channel records."""
+"""The channels of format 1, which had a message a camera frame, in their order."""
 
 RUN = "tetractl.run"
 HOST = "tetractl.host"

@@ -1,34 +1,144 @@
 """tetractl's own messages: from the records of a trial to protobuf and back, bit for bit."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, Sample
 from tetractl.core.plan import Estimate, Plan, Search, StopReason
-from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.text import printable
-from tetractl.core.trial import Step
+from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 
 STOPPED = 60  # characters of why a search ended that are read back
 
 
-def encode_observation(
-    observation: Observation, into: pb.MocapSample | None = None
-) -> pb.MocapSample:
-    """Encode one camera frame; in a message that is there already, which takes half the time."""
-    message, poses = into or pb.MocapSample(), observation.poses
-    message.frame = observation.frame
-    message.sampled_ns, message.received_ns = observation.sampled_ns, observation.received_ns
-    _fill(message, poses)
-    message.valid[:] = observation.valid.tolist()
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """M camera frames of N robots in columns.
+
+    `numbers`, `sampled_ns` and `received_ns` are (M,), `poses` and `truth` (M, N, 3) and `valid`
+    (M, N); `truth` is None where no true poses are known.
+    """
+
+    numbers: Integers
+    sampled_ns: Integers
+    received_ns: Integers
+    poses: Floats
+    valid: Bools
+    truth: Floats | None
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample], robots: int) -> "Frames":
+        """Return samples as columns; without truth unless each has it."""
+        seen = [sample.observation for sample in samples]
+        times = [(one.frame, one.sampled_ns, one.received_ns) for one in seen]
+        truth = [sample.truth for sample in samples if sample.truth is not None]
+        numbers, sampled_ns, received_ns = np.array(times, dtype=np.int64).reshape(-1, 3).T
+        return cls(
+            numbers,
+            sampled_ns,
+            received_ns,
+            _columns([one.poses for one in seen], robots),
+            np.array([one.valid for one in seen], dtype=np.bool_).reshape(-1, robots),
+            _columns(truth, robots) if len(truth) == len(seen) else None,
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence["Frames"]) -> "Frames":
+        """Return frames one after the other; true poses are NaN in a part that alone has none."""
+        known = [one.truth for one in parts if one.truth is not None]
+        if 0 < len(known) < len(parts):
+            lost = [np.full_like(one.poses, np.nan) for one in parts]
+            pairs = zip(parts, lost, strict=True)
+            known = [nan if one.truth is None else one.truth for one, nan in pairs]
+        return cls(
+            np.concatenate([one.numbers for one in parts]),
+            np.concatenate([one.sampled_ns for one in parts]),
+            np.concatenate([one.received_ns for one in parts]),
+            np.concatenate([one.poses for one in parts]),
+            np.concatenate([one.valid for one in parts]),
+            np.concatenate(known) if known else None,
+        )
+
+    def part(self, rows: slice | Integers) -> "Frames":
+        """Return the frames in some rows."""
+        return Frames(
+            self.numbers[rows],
+            self.sampled_ns[rows],
+            self.received_ns[rows],
+            self.poses[rows],
+            self.valid[rows],
+            None if self.truth is None else self.truth[rows],
+        )
+
+
+def _columns(poses: Sequence[Poses], robots: int) -> Floats:
+    """Return poses at M times as (M, N, 3)."""
+    rows = [(one.x, one.y, one.heading) for one in poses]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3, robots).transpose(0, 2, 1)
+
+
+def encode_frames(frames: Frames) -> pb.CameraFrames:
+    """Encode camera frames."""
+    x, y, heading = frames.poses.reshape(-1, 3).T.tolist()
+    message = pb.CameraFrames(
+        frame=frames.numbers.tolist(),
+        sampled_ns=frames.sampled_ns.tolist(),
+        received_ns=frames.received_ns.tolist(),
+        x=x,
+        y=y,
+        heading=heading,
+        valid=frames.valid.ravel().tolist(),
+    )
+    if frames.truth is not None:
+        columns = frames.truth.reshape(-1, 3).T.tolist()
+        message.true_x[:], message.true_y[:], message.true_heading[:] = columns
     return message
 
 
-def decode_observation(message: pb.MocapSample, robots: int | None = None) -> Observation:
+def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
+    """Decode camera frames; ValueError for another number of robots than `robots`."""
+    m = message
+    measured, true = (m.x, m.y, m.heading), (m.true_x, m.true_y, m.true_heading)
+    count = len(m.frame)
+    sizes = {len(column) for column in (*measured, m.valid)}
+    times = {len(m.sampled_ns), len(m.received_ns)}
+    known = {len(column) for column in true}
+    if times != {count} or sizes != {count * robots} or known not in ({0}, sizes):
+        raise ValueError(f"camera frames whose columns are not of {count} times {robots} robots")
+    poses, truth = (
+        np.array(part, dtype=np.float64).T.reshape(-1, robots, 3) for part in (measured, true)
+    )
+    return Frames(
+        np.array(m.frame, dtype=np.int64),
+        np.array(m.sampled_ns, dtype=np.int64),
+        np.array(m.received_ns, dtype=np.int64),
+        poses,
+        np.array(m.valid, dtype=np.bool_).reshape(count, robots),
+        truth if len(truth) == count else None,
+    )
+
+
+def encode_observation(observation: Observation) -> pb.MocapSample:
+    """Encode the frame that a decision was taken on."""
+    poses = observation.poses
+    return pb.MocapSample(
+        frame=observation.frame,
+        sampled_ns=observation.sampled_ns,
+        received_ns=observation.received_ns,
+        x=poses.x.tolist(),
+        y=poses.y.tolist(),
+        heading=poses.heading.tolist(),
+        valid=observation.valid.tolist(),
+    )
+
+
+def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
     """Decode one camera frame; ValueError for another number of robots than `robots`."""
-    if robots is not None and len(message.valid) != robots:
+    if len(message.valid) != robots:
         raise ValueError(f"a frame of {len(message.valid)} robots, not {robots}")
     return Observation(
         frame=message.frame,
@@ -39,24 +149,10 @@ def decode_observation(message: pb.MocapSample, robots: int | None = None) -> Ob
     )
 
 
-def encode_truth(observation: Observation, truth: Poses, into: pb.Truth | None = None) -> pb.Truth:
-    """Encode the true poses at a camera frame; as `encode_observation`."""
-    message = into or pb.Truth()
-    message.frame, message.sampled_ns = observation.frame, observation.sampled_ns
-    _fill(message, truth)
-    return message
-
-
-def _fill(message: pb.MocapSample | pb.Truth, poses: Poses) -> None:
-    message.x[:] = poses.x.tolist()
-    message.y[:] = poses.y.tolist()
-    message.heading[:] = poses.heading.tolist()
-
-
-def decode_poses(message: pb.MocapSample | pb.Truth, robots: int | None = None) -> Poses:
-    """Decode measured or true poses; ValueError for another number of robots than `robots`."""
+def decode_poses(message: pb.MocapSample | pb.Truth, robots: int) -> Poses:
+    """Decode the poses of one frame; ValueError for another number of robots than `robots`."""
     found = {len(message.x), len(message.y), len(message.heading)}
-    if len(found) > 1 or (robots is not None and found != {robots}):
+    if found != {robots}:
         raise ValueError(f"poses of {sorted(found)} robots, not {robots}")
     return Poses(_floats(message.x), _floats(message.y), _floats(message.heading))
 
@@ -109,15 +205,14 @@ def encode_step(step: Step) -> pb.ControllerStep:
 def decode_step(
     message: pb.ControllerStep,
     timing: pb.StepTiming | None,
-    estimate: pb.Estimate | None = None,
-    robots: int | None = None,
+    estimate: pb.Estimate | None,
+    robots: int,
 ) -> Step:
     """Decode one control step; without its timing, solve_ns is 0.
 
     Raises ValueError for arrays of unequal lengths and for another number of robots than `robots`.
     """
     observation = decode_observation(message.observation, robots)
-    robots = len(observation.poses.x)
     if not 0 <= message.chosen < len(message.searches) or not message.signals:
         raise ValueError(f"step {message.k} chooses a search that is not there")
     flat = [_floats(column) for column in (message.path_x, message.path_y, message.path_heading)]

@@ -27,11 +27,11 @@ type Output = { total: number; robots: number[] };
 // The targets, in the unit of the spec.
 const targets = %TARGETS%;
 
-export const inputs = ["%MOCAP%"];
+export const inputs = ["%STEP%"];
 export const output = "%ERROR%";
 
-export default function script(event: Input<"%MOCAP%">): Output {
-  const seen = event.message as unknown as { x: number[]; y: number[] };
+export default function script(event: Input<"%STEP%">): Output {
+  const seen = event.message.observation as unknown as { x: number[]; y: number[] };
   const robots = targets.map(([x, y], i) => Math.hypot(seen.x[i] - x, seen.y[i] - y));
   return { total: robots.reduce((sum, error) => sum + error, 0), robots };
 }
@@ -74,7 +74,7 @@ def layout(setup: Setup) -> str:
     plots = [name for name in panels if name.startswith("Plot")]
     script = (
         _SCRIPT.replace("%TARGETS%", json.dumps(setup.targets.tolist()))
-        .replace("%MOCAP%", channels.MOCAP)
+        .replace("%STEP%", channels.STEP)
         .replace("%ERROR%", ERROR)
     )
     whole = {
@@ -89,7 +89,7 @@ def layout(setup: Setup) -> str:
             "splitPercentage": 60,
         },
     }
-    return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
+    return json.dumps(whole, ensure_ascii=False) + "\n"
 
 
 def _view(setup: Setup) -> dict[str, Any]:
@@ -123,7 +123,6 @@ def _view(setup: Setup) -> dict[str, Any]:
         "topics": {
             channels.SCENE: {"visible": True},
             channels.SCENE_PLAN: {"visible": True},
-            channels.PLAN: {"visible": False},
         },
         "layers": {},
         "publish": {},

@@ -70,6 +70,7 @@ class RunRecord:
     """The metadata record of a run, decoded; `items` as written, its checksum left out."""
 
     items: dict[str, str]
+    version: int  # of the log format
     robots: tuple[str, ...]  # names
     spec_name: str
     seed: int
@@ -91,6 +92,7 @@ def read_run(items: Mapping[str, str]) -> RunRecord:
     )
     return RunRecord(
         items={key: value for key, value in items.items() if key != CHECKSUM},
+        version=int(items[FORMAT]),
         robots=tuple(map(str, json.loads(items["robots"]))),
         spec_name=items["spec_name"],
         seed=int(items["seed"]),

@@ -4,39 +4,39 @@ Positions go from the spec's unit to metres here and nowhere else. Nothing that 
 drawn: viewers drop a whole message for one NaN.
 """
 
-import itertools
-import math
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
-from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.commands import Note
-from tetractl.core.poses import Floats, Observation
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup, Shape
-from tetractl.log.format.prism import prism
+from tetractl.log.format.codec import Frames
 
 WORLD = "world"
 GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
 
 _LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
-Parts = tuple[Timestamp, Vector3, Quaternion]
 _UPRIGHT = Quaternion(w=1.0)  # must be given: without it viewers see a zero quaternion
 
 
@@ -63,20 +63,60 @@ def decode_note(message: Log, start_ns: int) -> Note:
     return Note(unix_ns - start_ns, level, message.message)
 
 
-class _Refilled:
-    """The parts of a repeated field, which are made once and filled anew for each message: making
-    one takes longer than all else. `part` returns what is to be filled in of one."""
+class _Rows:
+    """The bytes of a repeated message whose elements differ in some numbers alone.
 
-    def __init__(self, field: Any, part: Callable[[Any], Any]) -> None:
-        self._field, self._part = field, part
-        self._parts: list[Any] = []
+    Making a message for each pose of a trial takes longer than all else in its log. So one element
+    is encoded with a mark in place of each double and time stamp; `fill` copies it, and writes
+    columns of numbers over the marks. A reader finds nothing special: an integer in a varint of
+    five bytes is as good as in a shorter one.
+    """
 
-    def first(self, count: int) -> list[Any]:
-        """Return so many parts; the field has no others then."""
-        del self._field[count:], self._parts[count:]
-        while len(self._parts) < count:
-            self._parts.append(self._part(self._field.add()))
-        return self._parts
+    _SECONDS, _NANOS = 1 << 34, (1 << 30) - 1  # varints of five bytes
+
+    def __init__(self, field: int, make: Callable[[Iterator[float], Timestamp], Message]) -> None:
+        """Take the number of the field, and what makes an element of marks and a time stamp."""
+        marks = [bytes([255, i, *b"marked"]) for i in range(4)]  # 255 is in no UTF-8 text
+        stamped = Timestamp(seconds=self._SECONDS, nanos=self._NANOS)
+        doubles = (value for (value,) in map(struct.Struct("<d").unpack, marks))
+        self._one = _field(field, make(doubles, stamped).SerializeToString())
+        at = [self._one.index(data) for data in marks if data in self._one]
+        form = ["<f8"] * len(at)
+        if (time := self._one.find(stamped.SerializeToString())) >= 0:
+            at, form = [*at, time + 1, time + 7], [*form, "5u1", "5u1"]
+        self._kind = np.dtype(
+            {
+                "names": [f"f{i}" for i in range(len(at))],
+                "formats": form,
+                "offsets": at,
+                "itemsize": len(self._one),
+            }
+        )
+
+    def fill(
+        self, columns: Sequence[Floats], times: NDArray[np.int64] | None = None
+    ) -> NDArray[Any]:
+        """Return as many elements as the columns are long; `times` are Unix ns."""
+        rows = np.frombuffer(bytearray(self._one * len(columns[0])), dtype=self._kind)
+        values = [*columns, *(() if times is None else map(_varints, np.divmod(times, SECOND)))]
+        for i, column in enumerate(values):
+            rows[f"f{i}"] = column
+        return rows.view(f"V{len(self._one)}")  # else copies leave out what is no number
+
+
+def _varints(values: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return integers below 2^35 as varints of five bytes, (M, 5)."""
+    parts = values[:, None] >> np.array([0, 7, 14, 21, 28]) & 0x7F
+    return (parts | [0x80, 0x80, 0x80, 0x80, 0]).astype(np.uint8)
+
+
+def _field(number: int, data: bytes) -> bytes:
+    """Return a field of bytes or of a message, with its number and length."""
+    size, head = len(data), bytearray([number << 3 | 2])
+    while size > 0x7F:
+        head.append(size & 0x7F | 0x80)
+        size >>= 7
+    return bytes([*head, size]) + data
 
 
 class Scene:
@@ -85,88 +125,51 @@ class Scene:
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self._metres = setup.metres
-        self._frames = [frame_of(name) for name in setup.names]
         self._colors = [_color(text) for text in robot_colors(setup.names, setup.colors)]
         radius, arena = setup.wheel_radius, setup.arena
         body = 2 * radius if radius else 0.03 * min(arena.width, arena.height)
         self._body = body * self._metres
-        self._shown: list[bool] | None = None  # which robots the last transforms were of
-        self._plan_poses = PosesInFrame(frame_id=WORLD)
-        self._poses = _Refilled(
-            self._plan_poses.poses, lambda pose: (pose.position, pose.orientation)
+        self._transforms = [_transforms(name) for name in setup.names]
+        self._points = _Rows(
+            LinePrimitive.POINTS_FIELD_NUMBER, lambda mark, _: Point3(x=next(mark), y=next(mark))
         )
-        self._plan_lines = SceneUpdate(
-            entities=[
-                self._entity(
-                    f"plan/{name}",
-                    0,
-                    lines=[self._line(np.empty((0, 2)), color, LinePrimitive.LINE_STRIP)],
-                )
-                for name, color in zip(setup.names, self._colors, strict=True)
-            ]
-        )
-        self._points = [
-            _Refilled(entity.lines[0].points, lambda point: point)
-            for entity in self._plan_lines.entities
+        drawn = LinePrimitive.LINE_STRIP
+        self._plans = [
+            (
+                self._entity(f"plan/{name}", 0).SerializeToString(),
+                self._line(np.empty((0, 2)), color, drawn).SerializeToString(),
+            )
+            for name, color in zip(setup.names, self._colors, strict=True)
         ]
 
-    def transforms(self, observation: Observation, unix_ns: int) -> FrameTransforms:
-        """Return world to each robot; a robot that is not tracked is left out.
+    def transforms(self, frames: Frames, start_ns: int) -> bytes:
+        """Return the poses in camera frames of a trial that starts at a time [Unix ns].
 
-        The message is good until the next call, which fills it anew where all robots are tracked:
-        making one takes longer than all else of a camera frame's record.
+        Robot by robot; frames in which a robot is not tracked are left out.
         """
-        poses = observation.poses
-        seconds, nanos = divmod(unix_ns, SECOND)
-        rows = list(zip(poses.x.tolist(), poses.y.tolist(), poses.heading.tolist(), strict=True))
-        shown = [
-            valid and math.isfinite(x + y + heading)
-            for (x, y, heading), valid in zip(rows, observation.valid.tolist(), strict=True)
-        ]
-        if shown != self._shown:
-            self._shown = shown
-            self._message, self._parts = self._blank(shown)
-        kept = itertools.compress(rows, shown)
-        for (stamped, moved, turned), (x, y, heading) in zip(self._parts, kept, strict=True):
-            stamped.seconds, stamped.nanos = seconds, nanos
-            moved.x, moved.y = x * self._metres, y * self._metres
-            turned.z, turned.w = math.sin(heading / 2), math.cos(heading / 2)
-        return self._message
+        shown = frames.valid & np.isfinite(frames.poses).all(axis=2)
+        times, parts = frames.sampled_ns + start_ns, []
+        for i, rows in enumerate(self._transforms):
+            x, y, heading = frames.poses[shown[:, i], i].T
+            columns = (x * self._metres, y * self._metres, np.sin(heading / 2), np.cos(heading / 2))
+            parts.append(rows.fill(columns, times[shown[:, i]]).tobytes())
+        return b"".join(parts)
 
-    def _blank(self, shown: list[bool]) -> tuple[FrameTransforms, list[Parts]]:
-        """Return transforms of the robots shown, and what is to be filled in for each."""
-        message = FrameTransforms()
-        for frame in itertools.compress(self._frames, shown):
-            message.transforms.add(parent_frame_id=WORLD, child_frame_id=frame)
-        return message, [
-            (one.timestamp, one.translation, one.rotation) for one in message.transforms
-        ]
+    def plan(self, path: Floats, unix_ns: int) -> bytes:
+        """Return one line a robot along its predicted path (length + 1, N, 3).
 
-    def plan_poses(self, path: Floats, unix_ns: int) -> PosesInFrame:
-        """Return the predicted poses, (length + 1, N, 3), robot after robot.
-
-        The message is good until the next call, as that of `transforms`.
+        The next message replaces it.
         """
-        message = self._plan_poses
-        message.timestamp.CopyFrom(stamp(unix_ns))
-        rows = _finite(path.swapaxes(0, 1).reshape(-1, 3))
-        for pose, (x, y, heading) in zip(self._poses.first(len(rows)), rows, strict=True):
-            pose[0].x, pose[0].y = x * self._metres, y * self._metres
-            pose[1].z, pose[1].w = math.sin(heading / 2), math.cos(heading / 2)
-        return message
-
-    def plan_lines(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Return one line a robot along its predicted path; the next one replaces it.
-
-        The message is good until the next call, as that of `transforms`.
-        """
-        message, at = self._plan_lines, stamp(unix_ns)
-        for i, (entity, points) in enumerate(zip(message.entities, self._points, strict=True)):
-            entity.timestamp.CopyFrom(at)
-            rows = _finite(path[:, i, :2])
-            for point, (x, y) in zip(points.first(len(rows)), rows, strict=True):
-                point.x, point.y = x * self._metres, y * self._metres
-        return message
+        x, y = path[..., 0].T * self._metres, path[..., 1].T * self._metres
+        known = np.isfinite(x + y)
+        points = self._points.fill((x.ravel(), y.ravel())).reshape(x.shape)
+        at = _field(SceneEntity.TIMESTAMP_FIELD_NUMBER, stamp(unix_ns).SerializeToString())
+        parts = []
+        for i, (entity, line) in enumerate(self._plans):
+            line += points[i, known[i]].tobytes()
+            entity += at + _field(SceneEntity.LINES_FIELD_NUMBER, line)
+            parts.append(_field(SceneUpdate.ENTITIES_FIELD_NUMBER, entity))
+        return b"".join(parts)
 
     def static(self, unix_ns: int) -> SceneUpdate:
         """Return what never changes: arena, obstacles, targets, a body in each robot's frame."""
@@ -234,7 +237,7 @@ class Scene:
 
     def _line(self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType) -> LinePrimitive:
         """A line 2 pixels wide through xy (M, 2)."""
-        points = [Point3(x=x * self._metres, y=y * self._metres) for x, y in _finite(xy)]
+        points = [Point3(x=x * self._metres, y=y * self._metres) for x, y in _finite(xy).tolist()]
         return LinePrimitive(
             type=kind,
             pose=Pose(orientation=_UPRIGHT),
@@ -245,11 +248,72 @@ class Scene:
         )
 
 
-def _finite(rows: Floats) -> list[list[float]]:
+def _transforms(name: str) -> _Rows:
+    return _Rows(
+        FrameTransforms.TRANSFORMS_FIELD_NUMBER,
+        lambda mark, stamped: FrameTransform(
+            timestamp=stamped,
+            parent_frame_id=WORLD,
+            child_frame_id=frame_of(name),
+            translation=Vector3(x=next(mark), y=next(mark)),
+            rotation=Quaternion(z=next(mark), w=next(mark)),
+        ),
+    )
+
+
+def _finite(rows: Floats) -> Floats:
     """Return the rows (M, K) without a number that is not finite."""
-    return rows[np.isfinite(rows).all(axis=1)].tolist()
+    return rows[np.isfinite(rows).all(axis=1)]
 
 
 def _color(text: str) -> Color:
     r, g, b = (int(text[i : i + 2], 16) / 255 for i in (1, 3, 5))
     return Color(r=r, g=g, b=b, a=1.0)
+
+
+def prism(outline: Floats, height: float) -> tuple[Floats, NDArray[np.int64]]:
+    """Return corners (2 M, 3) and triangles (T, 3) of the walls and top over an outline (M, 2).
+
+    The outline is simple and anticlockwise; the triangles are anticlockwise seen from outside.
+    """
+    count = len(outline)
+    low, high = np.zeros((count, 1)), np.full((count, 1), height)
+    corners = np.vstack([np.hstack([outline, low]), np.hstack([outline, high])])
+    at, after = np.arange(count), np.roll(np.arange(count), -1)
+    walls = np.vstack(
+        [
+            np.column_stack([at, after, after + count]),
+            np.column_stack([at, after + count, at + count]),
+        ]
+    )
+    return corners, np.vstack([walls, triangulate(outline) + count])
+
+
+def triangulate(outline: Floats) -> NDArray[np.int64]:
+    """Return triangles (M - 2, 3) of a simple anticlockwise polygon (M, 2), by ear clipping.
+
+    An ear is a corner that turns left and whose triangle holds no other corner.
+    """
+    left = list(range(len(outline)))
+    triangles = []
+    while len(left) > 3:
+        ears = (i for i in range(len(left)) if _is_ear(outline, left, i))
+        i = next(ears, 0)  # none only where rounding blurs nearly collinear corners: any may go
+        triangles.append((left[i - 1], left[i], left[i + 1 - len(left)]))
+        del left[i]
+    return np.array([*triangles, left], dtype=np.int64)
+
+
+def _is_ear(outline: Floats, left: list[int], i: int) -> bool:
+    corner = [left[i - 1], left[i], left[i + 1 - len(left)]]
+    a, b, c = outline[corner]
+    if _turn(a, b, c) <= 0:
+        return False
+    others = outline[[k for k in left if k not in corner]]
+    inside = (_turn(a, b, others) >= 0) & (_turn(b, c, others) >= 0) & (_turn(c, a, others) >= 0)
+    return not inside.any()
+
+
+def _turn(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Return twice the signed area of triangles a, b, c (..., 2): positive if anticlockwise."""
+    return (b[0] - a[0]) * (c[..., 1] - a[1]) - (b[1] - a[1]) * (c[..., 0] - a[0])

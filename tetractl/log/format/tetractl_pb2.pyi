@@ -5,6 +5,30 @@ from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Map
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
+class CameraFrames(_message.Message):
+    __slots__ = ("frame", "sampled_ns", "received_ns", "x", "y", "heading", "valid", "true_x", "true_y", "true_heading")
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    SAMPLED_NS_FIELD_NUMBER: _ClassVar[int]
+    RECEIVED_NS_FIELD_NUMBER: _ClassVar[int]
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    HEADING_FIELD_NUMBER: _ClassVar[int]
+    VALID_FIELD_NUMBER: _ClassVar[int]
+    TRUE_X_FIELD_NUMBER: _ClassVar[int]
+    TRUE_Y_FIELD_NUMBER: _ClassVar[int]
+    TRUE_HEADING_FIELD_NUMBER: _ClassVar[int]
+    frame: _containers.RepeatedScalarFieldContainer[int]
+    sampled_ns: _containers.RepeatedScalarFieldContainer[int]
+    received_ns: _containers.RepeatedScalarFieldContainer[int]
+    x: _containers.RepeatedScalarFieldContainer[float]
+    y: _containers.RepeatedScalarFieldContainer[float]
+    heading: _containers.RepeatedScalarFieldContainer[float]
+    valid: _containers.RepeatedScalarFieldContainer[bool]
+    true_x: _containers.RepeatedScalarFieldContainer[float]
+    true_y: _containers.RepeatedScalarFieldContainer[float]
+    true_heading: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, frame: _Optional[_Iterable[int]] = ..., sampled_ns: _Optional[_Iterable[int]] = ..., received_ns: _Optional[_Iterable[int]] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ..., valid: _Optional[_Iterable[bool]] = ..., true_x: _Optional[_Iterable[float]] = ..., true_y: _Optional[_Iterable[float]] = ..., true_heading: _Optional[_Iterable[float]] = ...) -> None: ...
+
 class MocapSample(_message.Message):
     __slots__ = ("frame", "sampled_ns", "received_ns", "x", "y", "heading", "valid")
     FRAME_FIELD_NUMBER: _ClassVar[int]

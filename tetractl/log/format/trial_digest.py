@@ -106,7 +106,7 @@ def _by_axis(poses: Floats) -> Floats:
 
 
 def _plan(plan: Plan) -> bytes:
-    """Return a plan; that the field is off is told by the command."""
+    """Return a plan; whether the field is off is part of the command."""
     costs = (plan.cost, plan.target_cost, plan.obstacle_cost)
     parts = [
         pack("<qqQ", len(plan.searches), plan.chosen, plan.generator),

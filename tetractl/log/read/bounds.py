@@ -3,8 +3,8 @@
 A few bytes of a file can stand for very much: compressed zeros, empty messages, a spec that asks
 for a million particles. Each log therefore has a `Budget`; what its bytes become is charged to it
 in bytes of memory before it is made. With these bounds no command takes more than 30 s and 1 GB on
-one log, and an honest one may hold about an hour of a trial at 120 Hz. Whoever has a longer one
-raises all of them with the variable FACTOR.
+one log, and an honest one may hold about an hour of a trial at 120 Hz. For a
+longer one the variable FACTOR raises all of them.
 """
 
 import math
@@ -40,7 +40,7 @@ MESSAGE_COST = 400
 """Bytes charged for a message before it is decoded; an empty one takes as long as others."""
 STEP_COST = 4000
 SEARCH_COST = 1200
-"""Bytes charged for a control step and for each of its searches, beside their numbers."""
+"""Bytes charged for a control step and for each of its searches, without their numbers."""
 NUMBER_COST = 16
 """Bytes charged for a decoded number."""
 

@@ -12,6 +12,7 @@ PART = ".mcap.part"
 ROWS = "trials.jsonl"
 """What a study keeps of its trials, in the folder of each arm."""
 RECOVERED_SUFFIX = ".recovered.mcap"
+_OTHERS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
 _LOG = re.compile(r"\.mcap(\.part)?$")
 _SET_ASIDE = re.compile(
     r"\.attempt-\d+\.(recovered\.)?mcap(\.part)?$|\.mcap(\.part)?\.unfinished-\d+$"
@@ -36,16 +37,32 @@ def find_logs(
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
     in it and in its sub-folders, sorted by name with numbers in their order. A .part counts as a
-    log, since a trial that crashed is part of its batch, unless the finished log lies beside it. A
+    log, since a trial that crashed is part of its batch, unless the finished log is there too. A
     recovered log is left out where its source is among the paths. Logs that `--resume` set aside
     are found in folders and by patterns only where `attempts` are asked for. Raises UsageError for
     a path that does not exist, and for a folder or a pattern without logs that is not in `bare`.
     """
     found: dict[Path, Path] = {}
-    for path in map(Path, paths):
+    for path in without_others(paths):
         for log in _expand(path, attempts, path in bare):
             found.setdefault(log.resolve(), log)
     return [log for real, log in found.items() if not _sources(real) & found.keys()]
+
+
+def without_others(paths: Iterable[Path | str]) -> list[Path]:
+    """Return paths without the files that are plainly no logs, by their ending.
+
+    A shell's pattern such as `logs/slip/*` catches the tables and figures of a study next to the
+    folders of its arms. Raises UsageError where nothing else is named.
+    """
+    places = [Path(path) for path in paths]
+    kept = [path for path in places if not _OTHERS.search(path.name) or not path.is_file()]
+    if places and not kept:
+        first = places[0]
+        spec = first.suffix.lower() in (".yaml", ".yml")
+        hint = f"run it with: tetractl run {first}" if spec else f"name the folder: {first.parent}"
+        raise UsageError(f"{first}: is no log (*{SUFFIX})", hint)
+    return kept
 
 
 def find_rows(path: Path) -> list[Path]:
@@ -113,7 +130,12 @@ def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
     ]
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """Return a sorting key that puts trial-2 before trial-10."""
-    pieces = re.split(r"(\d+)", str(path))
-    return [(int(piece), 1, "") if piece.isdecimal() else (0, 0, piece) for piece in pieces]
+def _natural(path: Path) -> list[list[tuple[int, int, str]]]:
+    """Return a sorting key that puts trial-2 before trial-10, and x=0/t before x=0.1/t."""
+    return [
+        [
+            (int(piece), 1, "") if piece.isdecimal() else (0, 0, piece)
+            for piece in re.split(r"(\d+)", part)
+        ]
+        for part in path.parts
+    ]

@@ -1,13 +1,11 @@
 """What is in a log: its metadata, and the counts and sizes of its records."""
 
-import json
-import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Estimate
+from tetractl.core.table.data import json_text
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.format.trial_digest import trial_digest
@@ -59,7 +57,7 @@ class Overview:
 
     def as_json(self) -> str:
         """Return the overview as a JSON object; a number that is not finite is null."""
-        return json.dumps(_plain(asdict(self)), indent=2)
+        return json_text(self)
 
 
 def overview(path: Path) -> Overview:
@@ -108,13 +106,3 @@ def _channels(contents: RawLog) -> tuple[ChannelCount, ...]:
 def _rate(times: list[int]) -> float | None:
     span = max(times) - min(times)
     return (len(times) - 1) * SECOND / span if span else None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value

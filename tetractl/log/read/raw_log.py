@@ -1,5 +1,7 @@
 """The records found in a log file, and its metadata decoded once."""
 
+import os
+import stat
 from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,9 +23,12 @@ from tetractl.log.format.metadata import (
     read_damage,
     read_run,
 )
-from tetractl.log.read.bounds import Budget
+from tetractl.log.read.bounds import FACTOR, Budget, file_limit
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
+
+_NO_WAIT, _BYTES = getattr(os, "O_NONBLOCK", 0), getattr(os, "O_BINARY", 0)  # not everywhere
+_END = 4096  # zeros kept of those at the end: a record may end with some
 
 
 @dataclass
@@ -185,3 +190,36 @@ def _reason(error: Exception) -> str:
     """Return what is wrong with a record, in at most a line."""
     text = f"{error} is missing" if isinstance(error, KeyError) else str(error)
     return printable(text or type(error).__name__, 200)
+
+
+def read_file(path: Path) -> tuple[bytes, int, str | None]:
+    """Return the first bytes of a file, its size, and what is wrong where not all were read.
+
+    The file is not mapped: somebody may shorten it meanwhile, and reading a mapped page that is
+    gone kills the process.
+
+    Of zeros at the end, which a power cut leaves, few are returned. Raises LogError for what is no
+    file, is empty, or cannot be read.
+    """
+    try:
+        # A pipe without a writer would wait for ever, were it not for O_NONBLOCK.
+        handle = os.open(path, os.O_RDONLY | _NO_WAIT | _BYTES)
+        with os.fdopen(handle, "rb") as file:
+            found, limit = os.fstat(handle), file_limit()
+            if not stat.S_ISREG(found.st_mode):
+                raise LogError(f"{path}: is not a file")
+            data = file.read(min(limit, found.st_size))
+            size = found.st_size
+    except IsADirectoryError:
+        raise LogError(f"{path}: is a folder, not a log") from None
+    except (OSError, ValueError) as error:
+        raise LogError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    if not data:
+        raise LogError(f"{path}: the file is empty")
+    problem = None
+    if size > len(data) == limit:
+        problem = (
+            f"only the first {limit} of its {size} bytes are read; {FACTOR}=2 reads twice that"
+        )
+    used = len(data.rstrip(b"\0")) + _END
+    return data[:used] if used < len(data) else data, size, problem

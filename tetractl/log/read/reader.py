@@ -1,29 +1,40 @@
 """Trials read from their logs: whole, or as much as a damaged file still holds."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
-from tetractl.core.commands import Verdict
+from tetractl.core.commands import Command, Note, Sample, Verdict
 from tetractl.core.errors import LogError, SpecError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
-from tetractl.core.trial import OWN_FILES, Result, Start
+from tetractl.core.text import printable
+from tetractl.core.trial import OWN_FILES, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec, spec_hash
 from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
-from tetractl.log.format import channels
-from tetractl.log.read import bounds, decode
+from tetractl.log.format import channels, codec
+from tetractl.log.format import tetractl_pb2 as pb
+from tetractl.log.format.codec import Frames
+from tetractl.log.format.scene import decode_note
+from tetractl.log.read import bounds
 from tetractl.log.read.bounds import TooMuchError
-from tetractl.log.read.origin import Origin
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import peek, scan
-from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
-from tetractl.log.read.validate import check_run
+from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
+from tetractl.log.read.validate import (
+    check_command,
+    check_frames,
+    check_note,
+    check_run,
+    check_step,
+)
 from tetractl.model.path_check import check_path
 
 
@@ -51,8 +62,8 @@ def trial_of(contents: RawLog) -> TrialLog:
 
 def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
     robots = len(start.setup.names)
-    frames = decode.frames(contents, robots)
-    commands = tuple(decode.commands(contents, robots))
+    frames = _frames(contents, robots)
+    commands = tuple(_commands(contents, robots))
     stops = [command for command in commands if command.stops]
     simulated = start.plant.simulated
     log = TrialLog(
@@ -62,8 +73,8 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
         mocap_ns=frames.sampled_ns,
         mocap=frames.poses,
         valid=frames.valid,
-        truth=decode.truth(contents, frames.numbers, robots) if simulated else None,
-        steps=tuple(decode.steps(contents, robots)),
+        truth=frames.truth if simulated else None,
+        steps=tuple(_steps(contents, robots)),
         stop=stops[-1] if stops else None,
         result=contents.result,
         damage=None,
@@ -72,7 +83,7 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
         frames=frames.numbers,
         received_ns=frames.received_ns,
         commands=commands,
-        notes=tuple(decode.notes(contents, start.start_unix_ns)),
+        notes=tuple(_notes(contents, start.start_unix_ns)),
         digest=contents.stated_digest,
         content_digest=contents.digest,
         host_altered=contents.host_altered,
@@ -118,6 +129,7 @@ def read_result(path: Path) -> ResultSummary:
         recovered=recovered,
         digest=digest,
         warnings=contents.warnings,
+        processor=provenance.processor(contents.host),
     )
 
 
@@ -218,3 +230,78 @@ def _resolved(text: str) -> tuple[Experiment, str | None]:
     """
     spec = parse_spec(text, channels.RESOLVED_SPEC)
     return spec.experiment, None if spec.notices else spec_hash(spec.experiment)
+
+
+def _frames(contents: RawLog, robots: int) -> Frames:
+    """Decode the camera frames of N robots; true poses are NaN where a damaged log lost them."""
+    if contents.run.version == 1:
+        if contents.by_topic[channels.FRAMES]:
+            raise ValueError(f"format 1 has no {channels.FRAMES}")
+        found = _frames_1(contents, robots)
+    else:
+        parts = [Frames.of((), robots)]
+        for message in map(pb.CameraFrames.FromString, _messages(contents, channels.FRAMES)):
+            _spend_frames(contents, robots, len(message.frame))
+            parts.append(codec.decode_frames(message, robots))
+        found = Frames.joined(parts)
+    check_frames(found)
+    return found
+
+
+def _frames_1(contents: RawLog, robots: int) -> Frames:
+    """Decode the camera frames of format 1, which has a message a frame."""
+    truth = {
+        message.frame: codec.decode_poses(message, robots)
+        for message in map(pb.Truth.FromString, _messages(contents, channels.TRUTH))
+    }
+    lost = Poses.of(np.full((robots, 3), np.nan))
+    data = _messages(contents, channels.MOCAP)
+    _spend_frames(contents, robots, len(data))
+    seen = (codec.decode_observation(pb.MocapSample.FromString(one), robots) for one in data)
+    return Frames.of([Sample(one, truth.get(one.frame, lost)) for one in seen], robots)
+
+
+def _spend_frames(contents: RawLog, robots: int, count: int) -> None:
+    contents.budget.spend(bounds.NUMBER_COST * (7 * robots + 3) * count, "very many camera frames")
+
+
+def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
+    """Decode the commands to N robots."""
+    for message in map(pb.WheelCommand.FromString, _messages(contents, channels.COMMANDS)):
+        command = codec.decode_command(message)
+        check_command(command, robots)
+        yield command
+
+
+def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
+    """Decode the control steps of N robots, with their times of solving and estimates."""
+    data = _messages(contents, channels.HOST_TIMING)
+    timings = {m.k: m for m in map(pb.StepTiming.FromString, data)}
+    data = _messages(contents, channels.ESTIMATE)
+    estimates = {m.k: m for m in map(pb.Estimate.FromString, data)}
+    for message in map(pb.ControllerStep.FromString, _messages(contents, channels.STEP)):
+        searches = message.searches
+        numbers = sum(len(search.signals) + len(search.history) for search in searches)
+        numbers += len(message.signals) + 3 * len(message.path_x)
+        cost = bounds.STEP_COST + bounds.SEARCH_COST * len(searches) + bounds.NUMBER_COST * numbers
+        contents.budget.spend(cost, "very many searches")
+        k = message.k
+        step = codec.decode_step(message, timings.get(k), estimates.get(k), robots)
+        check_step(step)
+        yield step
+
+
+def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:
+    """Decode the operator messages, as text that a terminal can show."""
+    for data in _messages(contents, channels.LOG):
+        note = decode_note(Log.FromString(data), start_unix_ns)
+        check_note(note)
+        yield replace(note, text=printable(note.text, channels.TEXT))
+
+
+def _messages(contents: RawLog, topic: str) -> list[bytes]:
+    found = [entry.data for entry in contents.by_topic[topic]]
+    longest = max(map(len, found), default=0)
+    if longest > bounds.MESSAGE:
+        raise TooMuchError(f"a message on {topic} has {longest} bytes")
+    return found

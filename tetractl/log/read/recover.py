@@ -43,7 +43,7 @@ class Recovery:
 
 
 def recovered_path(log: Path) -> Path:
-    """Return the default file of a recovered log, beside its source."""
+    """Return the default file of a recovered log, in the folder of its source."""
     for suffix in (PART, SUFFIX):
         if log.name.endswith(suffix):
             return log.with_name(log.name.removesuffix(suffix) + RECOVERED_SUFFIX)

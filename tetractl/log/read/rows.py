@@ -1,82 +1,176 @@
-"""Results of trials from the rows that a study keeps, with or without logs.
+"""The rows of a study: what it keeps of each trial, with or without its log.
 
-The folder of an arm has its spec in one file and in another a line of JSON a trial, in which
+The folder of an arm has its spec in one file and in another a line of JSON for each trial, in which
 `result` and `timing` are the records of those names in a log.
 """
 
 import json
-from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, SpecError
-from tetractl.experiment.load import LoadedSpec, arm_hash, parse_spec
+from tetractl.core.trial import Result
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import arm_hash, parse_spec
 from tetractl.experiment.yaml.document import read_text
-from tetractl.log.format.metadata import WARNINGS
-from tetractl.log.read.origin import Origin
-from tetractl.log.read.trial_log import ResultSummary
-from tetractl.log.read.validate import COUNT_MAX, stated_result
+from tetractl.log.format.metadata import WARNINGS, result_metadata, timing_metadata
+from tetractl.log.read.trial_log import Origin, ResultSummary
+from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, stated_result
 
 SPEC = "spec.resolved.yaml"
 SIMULATED = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})
 """The plant of every study is a simulation; nothing else of it is needed for a result."""
+TEXT_MAX = 200  # characters of a text in a row that is no reason
 
 
-def row_results(path: Path) -> dict[int, ResultSummary | None]:
-    """Return the results in a file of rows by trial, None where its row holds none.
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One trial of an arm.
 
-    Rows of older code hold none. Of two lines of a trial the later counts. What is no row is passed
-    over, since the study runs its trial again: the last line where it does not end, for instance,
-    is what a killed process left. Raises LogError where the file or its spec cannot be read, or
-    where a row is of another spec.
+    `arm_hash` names the experiment, `code` and `processor` the code and the type of processor that
+    ran it. `trial_digest` is that of `log.format.trial_digest`, `count` the number of trials that
+    its log states, and `logged` whether the log was kept. `wall_s` and `cpu_s` are what the trial
+    took on the clock and of the processor. `place`, the file and line, is not part of the line.
+    """
+
+    trial: int
+    arm_hash: str
+    code: str
+    processor: str
+    trial_digest: str
+    count: int
+    logged: bool
+    wall_s: float
+    cpu_s: float
+    warnings: int
+    result: Result
+    place: str = field(default="", compare=False)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the trial ran to its own end."""
+        return self.result.outcome.complete
+
+    def line(self, experiment: Experiment) -> str:
+        """Return the row as a line of JSON."""
+        stated = {one.name: getattr(self, one.name) for one in fields(self)}
+        del stated["place"], stated[WARNINGS]
+        unit = experiment.units.length
+        stated["result"] = result_metadata(self.result, unit, self.warnings)
+        stated["timing"] = timing_metadata(self.result)
+        return json.dumps(stated, allow_nan=False) + "\n"
+
+    @classmethod
+    def read(cls, stated: Any, experiment: Experiment, place: str) -> Self:
+        """Return the row of a decoded line, every value checked.
+
+        Raises an error of `UNREADABLE` for a line that tetractl does not write.
+        """
+        texts = {name: _text(stated[name]) for name in ("arm_hash", "code", "processor")}
+        result, timing = _texts(stated["result"]), _texts(stated["timing"])
+        if type(stated["logged"]) is not bool or not timing:
+            raise TypeError("no row")
+        return cls(
+            **texts,
+            trial=_count(stated["trial"]),
+            trial_digest=f"{int(_text(stated['trial_digest']), 16):064x}",
+            count=_count(stated["count"]),
+            logged=stated["logged"],
+            wall_s=_seconds(stated["wall_s"]),
+            cpu_s=_seconds(stated["cpu_s"]),
+            warnings=_count(int(result[WARNINGS])),
+            result=stated_result(result, timing, len(experiment.robots), experiment.units.length),
+            place=place,
+        )
+
+    def summary(self, experiment: Experiment) -> ResultSummary:
+        """Return the trial's result as a log of it would give it."""
+        return ResultSummary(
+            path=self.place,
+            experiment=experiment,
+            seed=experiment.trials.seed,
+            trial=self.trial,
+            origin=Origin.of(experiment, SIMULATED),
+            result=self.result,
+            recovered=False,
+            digest=None,
+            warnings=self.warnings,
+            processor=self.processor,
+        )
+
+
+UNREADABLE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
+"""What the decoding of a line that tetractl did not write may raise."""
+
+
+def _count(value: Any) -> int:
+    if type(value) is not int or not 0 <= value <= COUNT_MAX:
+        raise ValueError("no count")
+    return value
+
+
+def _seconds(value: Any) -> float:
+    if type(value) not in (int, float) or not 0 <= value <= TIME_MAX_NS / 1e9:
+        raise ValueError("no time")
+    return float(value)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError("no text")
+    if len(value) > TEXT_MAX or not value.isprintable():
+        raise ValueError("no name")
+    return value
+
+
+def _texts(record: Any) -> dict[str, str]:
+    """Return the items of a record, all of them texts as in a log."""
+    if not all(isinstance(value, str) for value in record.values()):
+        raise TypeError("an item is no text")
+    return record
+
+
+def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
+    """Return the rows in a file by trial, None for a trial whose row tetractl did not write.
+
+    Of two lines of a trial the later counts. Lines that do not even name a trial are passed over,
+    as is a last line without its end, which a killed process left. Raises LogError where the file
+    cannot be read.
     """
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]
-        beside = path.with_name(SPEC)
-        spec = parse_spec(read_text(beside), str(beside))
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    except SpecError as error:
-        raise LogError(str(error)) from None
-    known_by = None if spec.notices else arm_hash(spec.experiment)  # of older names it is another
-    found: dict[int, ResultSummary | None] = {}
+    found: dict[int, Row | None] = {}
     for number, line in enumerate(lines, start=1):
         try:
-            row = json.loads(line)
-            trial, stated = row["trial"], row["arm_hash"]
-        except (KeyError, TypeError, ValueError, RecursionError):
+            stated = json.loads(line)
+            trial = _count(stated["trial"])
+        except UNREADABLE:
             continue
-        if type(trial) is not int or not 0 <= trial <= COUNT_MAX:
-            continue
-        if stated != (known_by or stated):
-            raise LogError(f"{path}:{number}: is not of the spec in {beside}")
         try:
-            found[trial] = _result(f"{path}:{number}", trial, row, spec)
-        except (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError):
+            found[trial] = Row.read(stated, experiment, f"{path}:{number}")
+        except UNREADABLE:
             found[trial] = None
     return dict(sorted(found.items()))
 
 
-def _result(place: str, trial: int, row: Mapping[str, Any], spec: LoadedSpec) -> ResultSummary:
-    experiment = spec.experiment
-    stated, timing = _texts(row["result"]), _texts(row["timing"])
-    result = stated_result(stated, timing, len(experiment.robots), experiment.units.length)
-    return ResultSummary(
-        path=place,
-        experiment=experiment,
-        seed=experiment.trials.seed,
-        trial=trial,
-        origin=Origin.of(experiment, SIMULATED),
-        result=result,
-        recovered=False,
-        digest=None,
-        warnings=int(stated[WARNINGS]),
-    )
+def row_results(path: Path) -> dict[int, ResultSummary | None]:
+    """Return the results in a file of rows by trial, None where a row is damaged.
 
-
-def _texts(items: Any) -> Mapping[str, str]:
-    """Return the items of a record; TypeError where one is no text, as all are in a log."""
-    if not all(isinstance(value, str) for value in items.values()):
-        raise TypeError("an item is no text")
-    return items
+    The experiment is that of the spec next to the file. Raises LogError where the file or its spec
+    cannot be read, or where a row is of another spec.
+    """
+    beside = path.with_name(SPEC)
+    try:
+        spec = parse_spec(read_text(beside), str(beside))
+    except SpecError as error:
+        raise LogError(str(error)) from None
+    known_by = None if spec.notices else arm_hash(spec.experiment)  # of older names it is another
+    found = read_rows(path, spec.experiment)
+    for row in found.values():
+        if row is not None and row.arm_hash != (known_by or row.arm_hash):
+            raise LogError(f"{row.place}: is not of the spec in {beside}")
+    return {trial: row and row.summary(spec.experiment) for trial, row in found.items()}

@@ -32,12 +32,11 @@ from mcap.records import (
 )
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import CHANNELS, METADATA, RUN, TIMING, Entry
-from tetractl.log.format.metadata import checksum_ok
+from tetractl.log.format.channels import CHANNELS, CHANNELS_1, METADATA, RUN, TIMING, Entry
+from tetractl.log.format.metadata import FORMAT, checksum_ok
 from tetractl.log.read import bounds
 from tetractl.log.read.bounds import TooMuchError
-from tetractl.log.read.file import read_file
-from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.raw_log import RawLog, read_file
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -297,9 +296,10 @@ class _Scan:
     def _collect(self) -> None:
         """Sort the records found into file order, and count the messages that are missing."""
         result = self._result
-        names = {item.name for item in self._found.values() if isinstance(item, Metadata)}
-        if not self._topics and RUN in names:  # the first chunk and the index are lost
-            self._topics = dict(enumerate(CHANNELS, start=1))
+        found = {one.name: one for one in self._found.values() if isinstance(one, Metadata)}
+        if not self._topics and RUN in found:  # the first chunk and the index are lost
+            first = found[RUN].metadata.get(FORMAT) == "1"
+            self._topics = dict(enumerate(CHANNELS_1 if first else CHANNELS, start=1))
         for offset, record in sorted(self._found.items()):
             if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
                 continue  # it may be damaged: another program's, without a checksum

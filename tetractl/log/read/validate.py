@@ -10,14 +10,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tetractl.core.commands import Command, Note
+from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.plan import Estimate
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.poses import Floats
 from tetractl.core.text import printable
 from tetractl.core.trial import Result, Step
 from tetractl.log.format.channels import TEXT
+from tetractl.log.format.codec import Frames
 from tetractl.log.format.metadata import RunRecord, read_result
 
 LENGTH_MAX = 1e9
@@ -45,17 +45,15 @@ def check_run(run: RunRecord, robots: int) -> None:
         raise ValueError(f"the trial starts at {_shown(run.start_unix_ns)} ns of Unix time")
 
 
-def check_frames(poses: Floats, valid: Bools, times: NDArray[np.int64]) -> None:
-    """Check poses (M, N, 3), which are known where `valid` (M, N), and times and numbers."""
-    _poses("a pose", poses[valid])
-    if np.isinf(poses).any():
+def check_frames(frames: Frames) -> None:
+    """Check camera frames, whose poses are known where `valid`, and true ones where not NaN."""
+    _poses("a pose", frames.poses[frames.valid])
+    if np.isinf(frames.poses).any():
         raise ValueError("a pose is infinite")
-    _times(times)
-
-
-def check_truth(poses: Floats) -> None:
-    """Check true poses (M, N, 3), NaN where they are lost."""
-    _poses("a true pose", poses[~np.isnan(poses).all(axis=2)])
+    if frames.truth is not None:
+        _poses("a true pose", frames.truth[~np.isnan(frames.truth).all(axis=2)])
+    for times in (frames.numbers, frames.sampled_ns, frames.received_ns):
+        _times(times)
 
 
 def check_command(command: Command, robots: int) -> None:
@@ -76,11 +74,7 @@ def check_step(step: Step) -> None:
     """Check a control step of N robots."""
     seen, plan = step.observation, step.plan
     robots = len(seen.valid)
-    check_frames(
-        seen.poses.array()[None],
-        seen.valid[None],
-        np.array([seen.frame, seen.sampled_ns, seen.received_ns]),
-    )
+    check_frames(Frames.of([Sample(seen, None)], robots))
     check_command(step.command, robots)
     _counts("k", [step.k])
     _counts("a time of solving", [step.solve_ns])

@@ -1,14 +1,79 @@
 """The messages of a trial: its records, encoded, with topics and times."""
 
+from collections.abc import Sequence
+
+import numpy as np
 from google.protobuf.message import Message
 
 from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.plan import Outcome
 from tetractl.core.trial import Result, Start, Step
 from tetractl.log.format import channels, codec
 from tetractl.log.format.channels import Entry
+from tetractl.log.format.codec import Frames
 from tetractl.log.format.scene import Scene, encode_note
-from tetractl.log.format.tetractl_pb2 import MocapSample, Truth
-from tetractl.log.write.notes import Notes
+
+POSES_MAX = 20_000
+"""Poses in a message: of more, it would be larger than a reader takes."""
+SHOWN_HZ = 30
+"""Simulated camera frames a second of which viewers are given transforms, and interpolate."""
+
+
+class Notes:
+    """Makes the operator messages of one trial, in the order of its records.
+
+    `warnings` counts the warnings and errors; the end of the trial, which its
+    outcome states, does not count.
+    """
+
+    def __init__(self, start: Start) -> None:
+        self._start, self._names = start, start.setup.names
+        self._tracked = np.ones(len(self._names), dtype=np.bool_)  # in the last frame
+        self.warnings = 0
+
+    def started(self) -> Note:
+        """Return that the trial starts."""
+        return Note(0, "info", f"trial {self._start.trial} of {self._start.setup.name} starts")
+
+    def told(self, note: Note) -> Note:
+        """Return a message of the plant, counted."""
+        self.warnings += note.level in ("warning", "error")
+        return note
+
+    def tracking(self, frames: Frames) -> Sequence[Note]:
+        """Return a message for each robot that was lost or found again in camera frames."""
+        valid, made = frames.valid, list[Note]()
+        if valid.all() and self._tracked.all():
+            return made
+        for i in np.flatnonzero((valid != np.vstack([self._tracked, valid])[:-1]).any(axis=1)):
+            t_ns = int(frames.received_ns[i])
+            for name, was, now in zip(self._names, self._tracked, valid[i], strict=True):
+                if was != now:
+                    level, word = ("info", "tracked again") if now else ("warning", "lost")
+                    made.append(self.told(Note(t_ns, level, f"{name} is {word}")))
+            self._tracked = valid[i]
+        return made
+
+    def undelivered(self, step: Step) -> Sequence[Note]:
+        """Return a message for each robot that did not get the command of a control step."""
+        if all(step.command.delivered):
+            return ()
+        return [
+            self.told(
+                Note(
+                    step.command.sent_ns,
+                    "warning",
+                    f"{name} did not get the command of step {step.k}",
+                )
+            )
+            for name, delivered in zip(self._names, step.command.delivered, strict=True)
+            if not delivered
+        ]
+
+    def ended(self, stop: Command, result: Result) -> Note:
+        """Return how the trial ended."""
+        level = "error" if result.outcome is Outcome.ABORTED else "info"
+        return Note(stop.sent_ns, level, result.summary)
 
 
 class Messages:
@@ -20,8 +85,11 @@ class Messages:
 
     def __init__(self, start: Start) -> None:
         self._start_ns, self._notes = start.start_unix_ns, Notes(start)
-        self._scene = Scene(start.setup)
-        self._mocap, self._truth = MocapSample(), Truth()  # filled anew for each frame
+        self._scene, self._robots = Scene(start.setup), len(start.setup.names)
+        self._every, self._most = 1, 1
+        if start.plant.simulated:
+            self._every = max(1, round(start.plant.camera_rate_hz / SHOWN_HZ))
+            self._most = max(1, POSES_MAX // self._robots)
 
     @property
     def warnings(self) -> int:
@@ -35,21 +103,41 @@ class Messages:
             self._said(self._notes.started()),
         ]
 
-    def samples(self, samples: list[Sample]) -> list[Entry]:
-        """Return camera frames: measured, as transforms, and true where known."""
-        made = []
-        for sample in samples:
-            seen = sample.observation
-            log_ns, sampled_ns = self._start_ns + seen.received_ns, self._start_ns + seen.sampled_ns
-            mocap = codec.encode_observation(seen, self._mocap).SerializeToString()
-            made.append(Entry(channels.MOCAP, log_ns, sampled_ns, mocap))
-            if sample.truth is not None:
-                truth = codec.encode_truth(seen, sample.truth, self._truth).SerializeToString()
-                made.append(Entry(channels.TRUTH, log_ns, sampled_ns, truth))
-            transforms = self._scene.transforms(seen, sampled_ns).SerializeToString()
-            made.append(Entry(channels.TRANSFORMS, log_ns, sampled_ns, transforms))
-            made += map(self._said, self._notes.tracking(seen))
+    def samples(self, samples: Sequence[Sample]) -> list[Entry]:
+        """Return camera frames, and what is to be said of them."""
+        frames = Frames.of(samples, self._robots)
+        return [*self.tracking(frames), *self.frames(frames)]
+
+    def tracking(self, frames: Frames) -> list[Entry]:
+        """Return which robots were lost and found again in camera frames."""
+        return [*map(self._said, self._notes.tracking(frames))]
+
+    def frames(self, frames: Frames) -> list[Entry]:
+        """Return camera frames: of a simulation as few messages, of a lab two for each frame.
+
+        What a lab has seen nothing can repeat. There each frame is stated twice, with its times, so
+        that a change of one is noticed.
+        """
+        made = list[Entry]()
+        for begin in range(0, len(frames.numbers), self._most):
+            made += self.block(frames.part(slice(begin, begin + self._most)))
         return made
+
+    def block(self, frames: Frames) -> list[Entry]:
+        """Return camera frames, at least one, as one message, and what a viewer shows of them.
+
+        The transforms have the times of their first frame, so that a viewer that comes to a time
+        has those before and after it.
+        """
+        shown = frames.part(slice((len(frames.numbers) - 1) % self._every, None, self._every))
+        last, first = (
+            (int(one.received_ns[i]), int(one.sampled_ns[i]))
+            for one, i in ((frames, -1), (shown, 0))
+        )
+        return [
+            self._entry(channels.FRAMES, codec.encode_frames(frames), *last),
+            self._entry(channels.TRANSFORMS, self._scene.transforms(shown, self._start_ns), *first),
+        ]
 
     def command(self, command: Command) -> Entry:
         """Return a command."""
@@ -63,12 +151,11 @@ class Messages:
         """Return a control step: decision, command, planned path, time of solving and estimate."""
         path, sent_ns = step.plan.path, step.command.sent_ns
         sampled_ns, unix_ns = step.observation.sampled_ns, self._start_ns + sent_ns
-        poses, lines = self._scene.plan_poses(path, unix_ns), self._scene.plan_lines(path, unix_ns)
+        plan = self._scene.plan(path, unix_ns)
         made = [
             self._entry(channels.STEP, codec.encode_step(step), sent_ns, sampled_ns),
             self.command(step.command),
-            self._entry(channels.PLAN, poses, sent_ns, sampled_ns),
-            self._entry(channels.SCENE_PLAN, lines, sent_ns, sampled_ns),
+            self._entry(channels.SCENE_PLAN, plan, sent_ns, sampled_ns),
             self._entry(channels.HOST_TIMING, codec.encode_timing(step), sent_ns),
         ]
         if step.plan.estimate is not None:
@@ -85,8 +172,9 @@ class Messages:
         return self._entry(channels.LOG, encode_note(note, self._start_ns), note.t_ns)
 
     def _entry(
-        self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
+        self, topic: str, message: Message | bytes, log_ns: int, publish_ns: int | None = None
     ) -> Entry:
         log_unix = self._start_ns + log_ns
         publish_unix = log_unix if publish_ns is None else self._start_ns + publish_ns
-        return Entry(topic, log_unix, publish_unix, message.SerializeToString())
+        data = message if isinstance(message, bytes) else message.SerializeToString()
+        return Entry(topic, log_unix, publish_unix, data)

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
-import numpy as np
-
 from tetractl.core.commands import Command, Note, Sample
-from tetractl.core.poses import Floats, Poses
 from tetractl.core.text import printable
 from tetractl.core.trial import Result, Start, Step, TrialRecords
 from tetractl.log.format.channels import TEXT
+from tetractl.log.format.codec import Frames
 from tetractl.log.format.trial_digest import trial_digest
-from tetractl.log.write.notes import Notes
+from tetractl.log.write.messages import Notes
 
 
 class Recorder:
@@ -31,8 +29,8 @@ class Recorder:
     def on_samples(self, samples: Sequence[Sample]) -> None:
         """Keep camera frames."""
         self._samples += samples
-        for sample in samples:
-            self._notes += self._messages.tracking(sample.observation)
+        frames = Frames.of(samples, len(self.start.setup.names))
+        self._notes += self._messages.tracking(frames)
 
     def on_command(self, command: Command) -> None:
         """Keep a command sent outside the control steps."""
@@ -57,19 +55,15 @@ class Recorder:
     @cached_property
     def trial(self) -> TrialRecords:
         """The whole trial, once it has ended."""
-        seen = [sample.observation for sample in self._samples]
-        times = [(one.frame, one.sampled_ns, one.received_ns) for one in seen]
-        frames, mocap_ns, received_ns = np.array(times, dtype=np.int64).reshape(-1, 3).T
-        robots = len(self.start.setup.names)
-        true = [sample.truth for sample in self._samples if sample.truth is not None]
+        frames = Frames.of(self._samples, len(self.start.setup.names))
         return TrialRecords(
             start=self.start,
-            frames=frames,
-            mocap_ns=mocap_ns,
-            received_ns=received_ns,
-            mocap=_array([one.poses for one in seen], robots),
-            valid=np.array([one.valid for one in seen], dtype=np.bool_).reshape(-1, robots),
-            truth=_array(true, robots) if len(true) == len(seen) else None,
+            frames=frames.numbers,
+            mocap_ns=frames.sampled_ns,
+            received_ns=frames.received_ns,
+            mocap=frames.poses,
+            valid=frames.valid,
+            truth=frames.truth,
             commands=tuple(self._commands),
             steps=tuple(self._steps),
             notes=tuple(replace(one, text=printable(one.text, TEXT)) for one in self._notes),
@@ -85,9 +79,3 @@ class Recorder:
     def warnings(self) -> int:
         """The number of operator messages that are warnings or errors."""
         return self._messages.warnings
-
-
-def _array(poses: Sequence[Poses], robots: int) -> Floats:
-    """Return poses at M times as (M, N, 3)."""
-    columns = [(one.x, one.y, one.heading) for one in poses]
-    return np.array(columns, dtype=np.float64).reshape(-1, 3, robots).transpose(0, 2, 1)

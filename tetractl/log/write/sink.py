@@ -13,18 +13,17 @@ from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
 
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding
-from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import register_schema
 
-from tetractl import __version__
 from tetractl.core.errors import LogError
+from tetractl.core.version import __version__
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import add_checksum
+from tetractl.log.write.mcap_file import McapFile, protobuf_schema
 
 CHUNK_S = 0.7
 """The longest time a message waits in memory [s of wall time]. With a control period of 0.2 s, in
-which the loop gathers camera frames, a killed process then loses less than 1.2 s of its trial."""
+which the loop collects camera frames, a killed process then loses less than 1.2 s of its trial."""
 SYNC_S = 1.0
 """The longest time written bytes may be lost by a power cut [s of wall time]."""
 
@@ -75,13 +74,12 @@ class Sink:
         try:
             self._file = _owned(self._part) if copied else self._part.open("x+b")
             _sync_folder(path.parent)
-            self._mcap = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
-            self._mcap.start(library=f"tetractl {__version__}")
+            self._mcap = McapFile(self._file, f"tetractl {__version__}")
         except OSError as error:
             self._fail(error)
         self._channels = {
-            topic: self._mcap.register_channel(
-                topic, MessageEncoding.Protobuf, register_schema(self._mcap, message)
+            topic: self._mcap.channel(
+                topic, MessageEncoding.Protobuf, self._mcap.schema(*protobuf_schema(message)), {}
             )
             for topic, message in CHANNELS.items()
         }
@@ -89,8 +87,8 @@ class Sink:
     def channel(self, channel: Channel, schema: Schema | None) -> None:
         """Add a channel of another log, unless there is one of that topic."""
         if channel.topic not in self._channels:
-            known = schema and self._mcap.register_schema(schema.name, schema.encoding, schema.data)
-            self._channels[channel.topic] = self._mcap.register_channel(
+            known = schema and self._mcap.schema(schema.name, schema.encoding, schema.data)
+            self._channels[channel.topic] = self._mcap.channel(
                 channel.topic, channel.message_encoding, known or 0, channel.metadata
             )
 
@@ -101,41 +99,38 @@ class Sink:
         for entry in entries:
             self._digest.message(entry)
             self._host_digest.message(entry)
-            channel = self._channels[entry.topic]
-            self._mcap.add_message(channel, entry.log_ns, entry.data, entry.publish_ns)
+            topic, log_ns, publish_ns, data = entry
+            self._mcap.message(self._channels[topic], log_ns, publish_ns, data)
 
     @_while_open
     def metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add a metadata record with its checksum, after all messages so far."""
-        self.flush()
-        self._digest.metadata(name, items)
-        self._host_digest.metadata(name, items)
-        self._mcap.add_metadata(name, add_checksum(items))
+        self._metadata(name, items, {})
 
     @_while_open
     def last_host_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add the host record that states the digest of all host records with this one."""
-        self.flush()
-        self._host_digest.metadata(name, items)
-        self._mcap.add_metadata(
-            name, add_checksum({**items, HOST_DIGEST: self._host_digest.hexdigest()})
-        )
+        self._metadata(name, items, {HOST_DIGEST: self._host_digest})
 
     @_while_open
     def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add the metadata record that states the content digest of the log with this record."""
-        self.flush()
-        self._digest.metadata(name, items)
-        self._host_digest.metadata(name, items)
-        self._mcap.add_metadata(name, add_checksum({**items, DIGEST: self._digest.hexdigest()}))
+        self._metadata(name, items, {DIGEST: self._digest})
 
     @_while_open
     def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add a metadata record of another log unchanged, with its checksum and digest."""
+        self._metadata(name, items, None)
+
+    def _metadata(
+        self, name: str, items: Mapping[str, str], stated: Mapping[str, ContentDigest] | None
+    ) -> None:
         self.flush()
         self._digest.metadata(name, items)
         self._host_digest.metadata(name, items)
-        self._mcap.add_metadata(name, dict(items))
+        if stated is not None:
+            items = add_checksum({**items, **{key: it.hexdigest() for key, it in stated.items()}})
+        self._mcap.metadata(name, dict(items))
 
     @_while_open
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
@@ -143,7 +138,7 @@ class Sink:
         self.flush()
         self._digest.attachment(name, media_type, data)
         self._host_digest.attachment(name, media_type, data)
-        self._mcap.add_attachment(0, unix_ns, name, media_type, data)
+        self._mcap.attachment(name, media_type, unix_ns, data)
 
     @_while_open
     def flush(self) -> None:
@@ -161,7 +156,7 @@ class Sink:
         self._dirty_since = None
         self._check_exists()
 
-    def tend(self) -> float | None:
+    def flush_if_due(self) -> float | None:
         """Flush and sync after CHUNK_S and SYNC_S; return the time until the next is due [s]."""
         now, times = time.monotonic(), []
         if self._chunk_since is not None:
@@ -173,7 +168,7 @@ class Sink:
         if min(times) > now:
             return min(times) - now
         if self._chunk_since is not None and self._chunk_since + CHUNK_S > now:
-            # A simulation runs faster than the clock: its chunks end with the seconds of the
+            # A simulation runs faster than the clock: its chunks end with the clock of the
             # trial, so that they are the same in every run.
             self._sync_written()
             return self._chunk_since + CHUNK_S - now

@@ -4,16 +4,99 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.errors import LogError
 from tetractl.core.trial import Result, Start, Step
 from tetractl.core.worker import Worker
-from tetractl.log.write.encoder import Encoder
+from tetractl.log import provenance
+from tetractl.log.format import channels, layout
+from tetractl.log.format.codec import Frames
+from tetractl.log.format.metadata import result_metadata, run_metadata, timing_metadata
+from tetractl.log.write.messages import Messages
 from tetractl.log.write.sink import Sink
 
 SIZE = 1000  # calls that may wait for the disk: over a minute of a trial in the lab
 PATIENCE_S = 30.0  # for a disk that stands still
-GATHER_S = 0.5  # in which calls gather in a simulation
+BATCH_S = 0.5  # for which calls wait in a simulation, to be done together
+
+CHUNK_NS = 2 * SECOND
+"""A chunk ends after this much trial time, so that a simulation that runs faster than the wall
+clock gives the same chunks again. A slower trial is flushed by the wall clock, `sink.CHUNK_S`."""
+
+
+class Encoder:
+    """Adds the records of one trial to a `Sink`."""
+
+    def __init__(self, sink: Sink, start: Start, real_time: bool) -> None:
+        self._sink, self._real_time = sink, real_time
+        self._start_ns = start.start_unix_ns
+        self._unit = start.setup.unit
+        self._messages = Messages(start)
+        self._robots = len(start.setup.names)
+        self._waiting: list[Frames] = []  # in a simulation, for others of their chunk
+        self._flushed_ns = 0
+
+    def start(self, start: Start) -> None:
+        """Add metadata, specs and scene, and sync the file."""
+        self._sink.metadata(channels.RUN, run_metadata(start))
+        self._sink.metadata(channels.HOST, provenance.host_metadata(start.packages))
+        for name, media_type, text in (
+            (channels.SPEC, "application/yaml", start.spec_text),
+            (channels.RESOLVED_SPEC, "application/yaml", start.resolved),
+            (channels.ENVIRONMENT, "application/json", provenance.environment()),
+            (channels.LAYOUT, layout.MEDIA_TYPE, layout.layout(start.setup)),
+            *((name, "application/yaml", text) for name, text in start.attached),
+        ):
+            self._sink.attachment(name, media_type, self._start_ns, text.encode())
+        self._sink.messages(self._messages.start())
+        self._sink.sync()
+
+    def samples(self, samples: list[Sample]) -> None:
+        """Add camera frames; in a simulation those of a chunk together."""
+        if samples:
+            frames = Frames.of(samples, self._robots)
+            self._sink.messages(self._messages.tracking(frames))
+            self._waiting.append(frames)
+            if self._real_time:
+                self.flush_frames()
+            self._end_chunk(samples[-1].observation.received_ns)
+
+    def flush_frames(self) -> None:
+        """Write the camera frames that wait."""
+        if self._waiting:
+            self._sink.messages(self._messages.frames(Frames.joined(self._waiting)))
+            self._waiting = []
+
+    def command(self, command: Command) -> None:
+        """Add a command sent outside the control steps."""
+        self._sink.messages([self._messages.command(command)])
+
+    def note(self, note: Note) -> None:
+        """Add a message for people."""
+        self._sink.messages([self._messages.note(note)])
+
+    def step(self, step: Step) -> None:
+        """Add a control step."""
+        self._sink.messages(self._messages.step(step))
+        self._end_chunk(step.command.sent_ns)
+
+    def stop(self, stop: Command, result: Result) -> None:
+        """Add the stop and the result."""
+        self.flush_frames()
+        self._sink.messages(self._messages.stop(stop, result))
+        timing = timing_metadata(result) | {"ended": provenance.now()}
+        self._sink.last_host_metadata(channels.TIMING, timing)
+        self._sink.last_metadata(
+            channels.RESULT, result_metadata(result, self._unit, self._messages.warnings)
+        )
+
+    def _end_chunk(self, trial_ns: int) -> None:
+        """End the chunk after each CHUNK_NS of the trial."""
+        if trial_ns - self._flushed_ns >= CHUNK_NS:
+            self.flush_frames()
+            self._sink.flush()
+            self._flushed_ns = trial_ns
 
 
 class LogWriter:
@@ -37,7 +120,7 @@ class LogWriter:
     def on_start(self, start: Start) -> None:
         """Create the file; store metadata, specs and scene, and wait until the disk has them."""
         self._sink = Sink(self._path)
-        self._encoder = Encoder(self._sink, start)
+        self._encoder = Encoder(self._sink, start, self._real_time)
         self._worker = Worker(
             f"log {self._path.name}",
             size=SIZE,
@@ -47,8 +130,8 @@ class LogWriter:
                 f"{self._path}: the disk is too slow for the log",
                 f"what was written until then is in {self._path}.part",
             ),
-            tend=self._sink.tend,
-            gather_s=0.0 if self._real_time else GATHER_S,
+            idle=self._sink.flush_if_due,
+            batch_s=0.0 if self._real_time else BATCH_S,
         )
         self._worker.put(self._encoder.start, start)
         self._worker.drain()  # nothing moves before the log is known to be written
@@ -103,4 +186,8 @@ class LogWriter:
     def _close(self, complete: bool) -> None:
         """Do what waits, finish the file and end the thread."""
         if self._worker:
-            self._worker.close(lambda: self._sink.close(complete and self.failure is None))
+            self._worker.close(lambda: self._finish(complete and self.failure is None))
+
+    def _finish(self, complete: bool) -> None:
+        self._encoder.flush_frames()
+        self._sink.close(complete)

@@ -32,7 +32,7 @@ class Flow(Disturbance):
     def __init__(self, velocity: Floats) -> None:
         self._velocity = velocity
 
-    def moved(self, poses: Poses, moving: Floats, seconds: float) -> Poses:
+    def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         """Return the poses carried by `seconds` of the flow."""
         along = moving * seconds
         x, y = self._velocity

@@ -28,6 +28,6 @@ class HeadingDrift(Disturbance):
     def __init__(self, rates: Floats) -> None:
         self._rates = rates
 
-    def moved(self, poses: Poses, moving: Floats, seconds: float) -> Poses:
+    def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         """Return the poses turned by `seconds` of the drift."""
         return Poses(poses.x, poses.y, poses.heading + self._rates * moving * seconds)

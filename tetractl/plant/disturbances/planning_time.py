@@ -34,6 +34,6 @@ class PlanningTime(Disturbance):
     def __init__(self, section: PlanningTimeSection, rng: np.random.Generator) -> None:
         self._section, self._rng = section, rng
 
-    def planning_s(self) -> float:
+    def planning_s(self, time_s: float) -> float:
         """Return the time of one control step [s]."""
         return self._section.least + self._section.spread * self._rng.random()

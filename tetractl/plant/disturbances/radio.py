@@ -9,7 +9,7 @@ from pydantic import Field
 from tetractl.core.clock import SECOND
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection, Order
+from tetractl.experiment.disturbance import DelayedCommand, Disturbance, DisturbanceSection
 
 
 class RadioSection(DisturbanceSection):
@@ -20,23 +20,33 @@ class RadioSection(DisturbanceSection):
     """From sending until the robots have received it [s]."""
     jitter: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """A transmission takes up to this much longer, uniformly distributed [s]."""
+    spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
+    """Each robot acts up to this much later than the first could, uniformly distributed, drawn once
+    a trial [s]."""
     loss: Fraction = 0.0
     """Probability that a robot does not hear a transmission."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Radio":
         """Return the radio of one trial."""
-        return Radio(self, rng)
+        return Radio(self, len(setup.names), rng)
 
 
 class Radio(Disturbance):
     """Delays each transmission, and takes robots out of those that it reaches."""
 
-    def __init__(self, section: RadioSection, rng: np.random.Generator) -> None:
+    def __init__(self, section: RadioSection, robots: int, rng: np.random.Generator) -> None:
         self._section, self._rng = section, rng
+        self._late_ns = None  # no draw without a spread
+        if section.spread > 0:
+            self._late_ns = np.rint(section.spread * SECOND * rng.random(robots)).astype(np.int64)
 
-    def sent(self, order: Order) -> Order:
+    def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return the transmission as it is received."""
         section, rng = self._section, self._rng
         delay_ns = round((section.delay + section.jitter * rng.random()) * SECOND)
-        heard = rng.random(order.reached.size) >= section.loss
-        return replace(order, due_ns=order.due_ns + delay_ns, reached=order.reached & heard)
+        heard = rng.random(command.reached.size) >= section.loss
+        late_ns = command.late_ns
+        if self._late_ns is not None:
+            late_ns = self._late_ns if late_ns is None else late_ns + self._late_ns
+        due_ns, reached = command.due_ns + delay_ns, command.reached & heard
+        return replace(command, due_ns=due_ns, reached=reached, late_ns=late_ns)

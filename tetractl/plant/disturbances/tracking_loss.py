@@ -8,6 +8,7 @@ from tetractl.core.poses import Bools, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Positive
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.plant.disturbances.spells import ByTurns
 
 
 class TrackingLossSection(DisturbanceSection):
@@ -28,15 +29,12 @@ class TrackingLoss(Disturbance):
     """Each robot is tracked and lost by turns; it is tracked at first."""
 
     def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
-        self._means_s = (section.duration, section.every)  # by whether it is tracked
-        self._rng = rng
-        self._tracked = np.ones(robots, dtype=np.bool_)
-        self._until_s = rng.exponential(section.every, robots)
+        self._tracked = ByTurns(
+            robots,
+            lambda: rng.exponential(section.every),
+            lambda: rng.exponential(section.duration),
+        )
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
         """Return the poses as they are, the robots lost at this time as not tracked."""
-        for i in np.flatnonzero(self._until_s <= time_s):
-            while self._until_s[i] <= time_s:
-                self._tracked[i] = not self._tracked[i]
-                self._until_s[i] += self._rng.exponential(self._means_s[int(self._tracked[i])])
-        return poses, valid & self._tracked
+        return poses, valid & self._tracked.well(time_s)

@@ -38,7 +38,7 @@ class Wobble(Disturbance):
         self._speed, self._phase = speed, phase
         self._moving = np.zeros_like(phase)
 
-    def moved(self, poses: Poses, moving: Floats, seconds: float) -> Poses:
+    def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         """Return the poses after the helices of the cells that swim turned on."""
         before, self._moving = self._phase, moving
         self._phase = before + self._rate * seconds * moving

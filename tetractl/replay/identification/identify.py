@@ -74,7 +74,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
         if count < LEAST:
             raise UsageError(
                 f"robot {name}: it is seen to drive in {count} intervals between frames only",
-                f"{LEAST} are needed; `tetractl identify --design` proposes a motion",
+                f"{LEAST} are needed; `tetractl design` proposes a motion",
             )
     fitted = fit(drives, _prior(drives, a, dead_time))
     radii = track_radii(drives, fitted)

@@ -98,11 +98,12 @@ class Chart {
     const levels = this.options.log
       ? ticks(this.bottom, this.top, 4).filter(Number.isInteger).map((power) => 10 ** power)
       : ticks(this.bottom, this.top, 4);
+    const plain = levels[0] >= 0.009 && levels.at(-1) < 1.1e4; // all of an axis are written alike
     for (const y of levels) {
       context.fillStyle = color("grid");
       context.fillRect(MARGIN.left, Math.round(py(y)), inner.width, 1);
       context.fillStyle = color("quiet");
-      context.fillText(this.options.log ? power(y) : digits(y, 4), MARGIN.left - 6, py(y));
+      context.fillText(this.options.log ? power(y, plain) : digits(y, 4), MARGIN.left - 6, py(y));
     }
     context.textAlign = "center";
     context.textBaseline = "top";
@@ -143,8 +144,8 @@ class Chart {
   }
 }
 
-function power(value) {
-  const exponent = Math.round(Math.log10(value));
-  if (exponent >= -2 && exponent <= 4) return String(10 ** exponent > 1 ? Math.round(value) : value);
-  return `1e${exponent}`;
+function power(value, plain) {
+  if (plain) return digits(value, 5);
+  const raised = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+  return `10${[...String(Math.round(Math.log10(value)))].map((digit) => raised[digit]).join("")}`;
 }

@@ -1,4 +1,4 @@
-// The player: time, keys, buttons; it tells the scene, the charts and the table what to show.
+// The player: time, keys, buttons; it has the scene, the charts and the table show an instant.
 
 const byId = (id) => document.getElementById(id);
 
@@ -11,7 +11,7 @@ class Player {
       distance: new Chart(byId("chart-distance"), { xLabel: "time [s]", log: true, onSeek: seek }),
       cost: new Chart(byId("chart-cost"), { xLabel: "time [s]", log: true, onSeek: seek }),
       solve: new Chart(byId("chart-solve"), { xLabel: "time [s]", onSeek: seek }),
-      history: new Chart(byId("chart-history"), { xLabel: "share of the search [%]", log: true }),
+      history: new Chart(byId("chart-history"), { xLabel: "iteration", log: true }),
     };
     this.rate = 1;
     this.frames = 0;
@@ -229,10 +229,10 @@ class Player {
   search(k) {
     if (!this.trial.history || k === this.searched) return;
     this.searched = k;
-    const { at, values } = this.trial.history;
-    const y = k < 0 ? [] : Array.from(values.subarray(at[k], at[k + 1]));
-    const x = y.map((_, i) => (100 * i) / Math.max(y.length - 1, 1));
-    this.charts.history.show([{ name: "J", color: color("accent"), x, y }], 0, 100);
+    const { at, iterations, values } = this.trial.history;
+    const part = (numbers) => (k < 0 ? [] : Array.from(numbers.subarray(at[k], at[k + 1])));
+    const x = part(iterations);
+    this.charts.history.show([{ name: "J", color: color("accent"), x, y: part(values) }], 0, x.at(-1) ?? 1);
     this.charts.history.draw();
   }
 

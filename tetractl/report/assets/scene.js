@@ -19,7 +19,8 @@ function prepare(canvas) {
   return { context, width, height };
 }
 
-const EDGE = { left: 46, right: 12, top: 12, bottom: 26 }; // around the arena, for its ticks
+const EDGE = { left: 46, right: 20, top: 46, bottom: 26 }; // around the arena: ticks, and u above it
+const PLACES = [[1, -1], [1, 1], [-1, -1], [-1, 1]]; // of a name: right or left, above or below
 
 class Scene {
   constructor(canvas) {
@@ -29,8 +30,14 @@ class Scene {
 
   show(trial) {
     this.trial = trial;
-    const [left, bottom, right, top] = trial.arena;
-    this.canvas.style.aspectRatio = `${right - left} / ${top - bottom}`;
+  }
+
+  // Make the canvas as high as the arena needs at the page's width.
+  fit() {
+    const [left, bottom, right, top] = this.trial.arena;
+    const wide = this.canvas.clientWidth - EDGE.left - EDGE.right;
+    const high = (wide * (top - bottom)) / (right - left);
+    this.canvas.style.height = `${Math.round(high) + EDGE.top + EDGE.bottom}px`;
   }
 
   // The part of the plane in view: [left, bottom, right, top].
@@ -47,6 +54,7 @@ class Scene {
   }
 
   draw(t) {
+    this.fit();
     const { context, width, height } = prepare(this.canvas);
     const poses = posesAt(this.trial, t);
     const [left, bottom, right, top] = this.view(poses);
@@ -56,7 +64,7 @@ class Scene {
     const dy = EDGE.bottom + (high - scale * (top - bottom)) / 2;
     this.place = (x, y) => [dx + (x - left) * scale, height - dy - (y - bottom) * scale];
     this.scale = scale;
-    this.ground(context);
+    this.ground(context, width);
     if (this.options.trail) this.trails(context, t);
     this.targets(context);
     if (this.options.plan && this.trial.plan) this.plan(context, t);
@@ -76,7 +84,7 @@ class Scene {
     if (closed) context.closePath();
   }
 
-  ground(context) {
+  ground(context, width) {
     const [left, bottom, right, top] = this.trial.arena;
     this.line(context, [[left, bottom], [right, bottom], [right, top], [left, top]], true);
     context.fillStyle = color("arena");
@@ -91,7 +99,8 @@ class Scene {
     for (const x of ticks(left, right, 5)) {
       const [px, py] = this.place(x, bottom);
       context.fillRect(px, py, 1, 4);
-      context.fillText(digits(x, 6), px, py + 6);
+      const half = context.measureText(digits(x, 6)).width / 2;
+      context.fillText(digits(x, 6), Math.min(px, width - half - 2), py + 6);
     }
     context.textAlign = "right";
     context.textBaseline = "middle";
@@ -182,16 +191,45 @@ class Scene {
       context.stroke();
       context.fill();
       context.restore();
+    });
+    this.names(context, poses);
+  }
+
+  // Write each robot's name where it hides nothing, to its upper right if that is as good.
+  names(context, poses) {
+    const { obstacles, robots, arena: [left, bottom, right, top] } = this.trial;
+    const corner = [this.place(left, top), this.place(right, bottom)];
+    const solid = obstacles.map((outline) => box(outline.map(([x, y]) => this.place(x, y)), 2));
+    const marks = [...poses, ...robots.map((robot) => robot.target)]
+      .map(([x, y]) => box([this.place(x, y)], 9));
+    const taken = this.labels = [];
+    context.textAlign = "left";
+    poses.forEach(([x, y], r) => {
+      if (!Number.isFinite(x + y)) return;
+      const [px, py] = this.place(x, y), wide = context.measureText(robots[r].name).width;
+      const around = PLACES.map(([right, down]) => {
+        const from = px + (right > 0 ? 13 : -13 - wide);
+        return { left: from, right: from + wide, top: py + down * 15 - 7, bottom: py + down * 15 + 7 };
+      });
+      const hides = around.map((one, i) =>
+        [...solid, ...marks, ...taken].filter((other) => meet(one, other)).length
+        + (one.left < corner[0][0] || one.right > corner[1][0] || one.top < corner[0][1] || one.bottom > corner[1][1])
+        + 0.1 * i);
+      const best = around[hides.indexOf(Math.min(...hides))];
+      taken.push(best);
+      context.strokeStyle = color("arena");
+      context.lineWidth = 3;
+      context.strokeText(robots[r].name, best.left, (best.top + best.bottom) / 2);
       context.fillStyle = color("ink");
-      context.fillText(robot.name, px + size * 1.7, py - size * 1.3);
+      context.fillText(robots[r].name, best.left, (best.top + best.bottom) / 2);
     });
   }
 
-  // The common direction u as an arrow in the corner.
+  // The common direction u as an arrow above the arena.
   direction(context, t, width) {
     const k = indexAt(this.trial.steps.t, t);
     if (k < 0) return;
-    const u = this.trial.steps.u[k], x = width - 34, y = 34, reach = 20;
+    const u = this.trial.steps.u[k], x = width - EDGE.right - 20, y = EDGE.top / 2, reach = 20;
     if (Number.isNaN(u)) return;  // the field is off
     context.strokeStyle = context.fillStyle = color("ink");
     context.lineWidth = 2;
@@ -209,6 +247,19 @@ class Scene {
     context.font = "italic 13px serif";
     context.textAlign = "center";
     context.textBaseline = "middle";
-    context.fillText("u", x - 26, y - 18);
+    context.fillText("u", x - 32, y);
   }
+}
+
+// The rectangle round some points, larger by a margin.
+function box(points, margin) {
+  const xs = points.map(([x]) => x), ys = points.map(([, y]) => y);
+  return {
+    left: Math.min(...xs) - margin, right: Math.max(...xs) + margin,
+    top: Math.min(...ys) - margin, bottom: Math.max(...ys) + margin,
+  };
+}
+
+function meet(one, other) {
+  return one.left < other.right && other.left < one.right && one.top < other.bottom && other.top < one.bottom;
 }

@@ -10,6 +10,7 @@ from matplotlib.patches import Ellipse
 from tetractl.analysis.analyze import Analysis
 from tetractl.analysis.text import ellipse
 from tetractl.core.colors import robot_colors
+from tetractl.core.text import unit_of
 from tetractl.view import style
 from tetractl.view.figures.axes import robot_labels
 
@@ -35,7 +36,7 @@ def analysis_figure(found: Analysis) -> Figure:
 
 
 def _ends(axes: Axes, found: Analysis) -> None:
-    setup, unit = found.setup, style.unit_of(found.setup.unit)
+    setup, unit = found.setup, unit_of(found.setup.unit)
     colors, reach = robot_colors(setup.names, setup.colors), 0.0
     for i, (name, color) in enumerate(zip(robot_labels(setup.names), colors, strict=True)):
         long, short, angle = ellipse(found.steering.covariance[i])
@@ -61,7 +62,7 @@ def _singular(axes: Axes, found: Analysis) -> None:
         axes.set_yscale("log")
     axes.set_xticks(np.arange(1, len(values) + 1))
     axes.set_xlabel("singular value")
-    axes.set_ylabel(f"of the ends by the signals [{style.unit_of(found.setup.unit)}/rad]")
+    axes.set_ylabel(f"of the ends by the signals [{unit_of(found.setup.unit)}/rad]")
     style.panel(axes, "b", "how far signals move the ends")
 
 
@@ -69,7 +70,7 @@ def _map(axes: Axes, found: Analysis) -> None:
     gaps, errors = zip(*found.by_gap, strict=True)
     axes.plot(100 * np.array(gaps), errors, color=style.INK, marker="o", ms=3)
     axes.plot([100 * found.gap], [found.steering.error], "D", color=style.ALARM, ms=5, ls="none",
-              label="the spec's robots")  # fmt: skip
+              label="robots in the spec")  # fmt: skip
     _error_axis(axes, found, [*errors, found.steering.error])
     axes.set_xlabel("smallest relative difference of a [%]")
     axes.legend()
@@ -88,4 +89,4 @@ def _crowd(axes: Axes, found: Analysis) -> None:
 def _error_axis(axes: Axes, found: Analysis, errors: "list[float] | tuple[float, ...]") -> None:
     if min(errors) > 0:
         axes.set_yscale("log")
-    axes.set_ylabel(f"mean total error [{style.unit_of(found.setup.unit)}]")
+    axes.set_ylabel(f"mean total error [{unit_of(found.setup.unit)}]")

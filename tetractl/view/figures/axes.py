@@ -4,13 +4,19 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogFormatterMathtext,
+    LogLocator,
+    MaxNLocator,
+    NullFormatter,
+)
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 
-NUMBERED = 8  # from so many robots on they are told apart by numbers: there are no more colours
+NUMBERED = 8  # from so many robots on numbers distinguish them: there are no more colours
 NAME_LENGTH = 16  # of a robot in a figure [characters]
 
 
@@ -113,7 +119,7 @@ def positive(values: Floats) -> Floats:
 
 
 def span(values: Floats) -> tuple[float, float]:
-    """Return the least and largest of positive values, at least 10 % apart."""
+    """Return the least and largest of positive values, the latter at least 10 % above."""
     seen = values[np.isfinite(values)]
     if not len(seen):
         return 0.1, 10.0
@@ -122,9 +128,9 @@ def span(values: Floats) -> tuple[float, float]:
 
 
 def plain_log(axes: Axes) -> None:
-    """Write 100 rather than 10^2, and mark 1, 2 and 5 of each decade where there are few.
+    """Mark 1, 2 and 5 of each decade where there are few, less than half a decade evenly.
 
-    Less than half a decade gets evenly spaced marks.
+    All marks of an axis are written alike: as 100 from 0.01 to 10,000, else as powers of ten.
     """
     low, high = axes.get_ylim()
     if high / low < 5:
@@ -132,5 +138,8 @@ def plain_log(axes: Axes) -> None:
     else:
         marks = (1.0, 2.0, 5.0) if high / low < 1000 else (1.0,)
         axes.yaxis.set_major_locator(LogLocator(subs=marks))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    if (low >= 1e-3 and high <= 1e5) or high / low < 5:
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    else:
+        axes.yaxis.set_major_formatter(LogFormatterMathtext(labelOnlyBase=False))
     axes.yaxis.set_minor_formatter(NullFormatter())

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from tetractl.core.colors import BLUE, PALETTE, RED
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
+from tetractl.core.text import unit_of
 from tetractl.results.batch import counts
 from tetractl.results.describe import Group
 from tetractl.results.estimate import Distribution, published_distribution
@@ -45,7 +46,7 @@ def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None
 def _drawn(groups: Sequence[Group], links: Mapping[str, str]) -> Figure:
     figure = style.figure(style.PAGE_IN, 3.3)
     first = groups[0]
-    unit = style.unit_of(first.unit)
+    unit = unit_of(first.unit)
     left, right = figure.subplots(1, 2, width_ratios=[1, 1.25], gridspec_kw={"wspace": 0.05})
     _finish(left, _totals(left, groups, links))
     left.set_ylabel(f"total error [{unit}]")

@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from tetractl.core.colors import BLUE, RED
+from tetractl.core.text import unit_of
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
@@ -25,7 +26,7 @@ def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw J(u_gb) over the iterations at step 0 (Figure 3), and its fall in later searches."""
     log = one_trial(logs)
     need_steps(log)
-    unit = style.unit_of(log.start.setup.unit)
+    unit = unit_of(log.start.setup.unit)
     with style.styled():
         figure = style.figure(style.PAGE_IN, 2.75)
         grid = figure.add_gridspec(2, 2, width_ratios=[1.15, 1], height_ratios=[1.6, 1])

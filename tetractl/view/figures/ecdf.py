@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.results.describe import Group
 from tetractl.results.estimate import CONFIDENCE
@@ -62,7 +63,7 @@ def _drawn(labels: Sequence[str], errors: Sequence[Floats], unit: str) -> Figure
             _curve(axes, f"{label}, n = {len(values)}", values, color, end, len(drawn) <= _BANDS)
         axes.set_xlim(0, 1.02 * end or 1.0)
         axes.set_ylim(0, 1.02)
-        axes.set_xlabel(f"total error [{style.unit_of(unit)}]")
+        axes.set_xlabel(f"total error [{unit_of(unit)}]")
         axes.set_ylabel("fraction of trials")
         handles, _ = axes.get_legend_handles_labels()
         handles.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="95 % band of a whole curve"))

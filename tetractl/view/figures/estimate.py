@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,21 +11,23 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tetractl.core.clock import MILLISECOND, SECOND
-from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.axes import (
-    NUMBERED,
-    one_trial,
-    robot_labels,
+from tetractl.view.figures.axes import NUMBERED, one_trial
+from tetractl.view.figures.curves import (
+    LINE_IN,
+    SINCE,
+    Curve,
+    draw_curves,
+    name_curves,
+    robot_curves,
 )
-from tetractl.view.figures.labels import end_labels
 
 TO_MS = SECOND / MILLISECOND
-LINE_IN = 0.1  # height of a robot's label
 
 
 def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
@@ -43,100 +46,93 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
             "the controller estimates with --set controller.estimate=true",
         )
     setup = log.start.setup
+    unit = unit_of(setup.unit)
     time_s = np.array([log.elapsed_s(step.command.sent_ns) for step in steps])
-    biased, delayed = known[-1].heading_bias is not None, known[-1].dead_time is not None
+    shown = [(_relative, "a", "turning rate a, at the end in rad/s")]
+    shown += [(_relative, "speed", f"speed, at the end in {unit}/s")]
+    shown += [(_bias, "heading_bias", "heading bias")] * (known[-1].heading_bias is not None)
+    shown += [(_dead_time, "dead_time", "dead time")] * (known[-1].dead_time is not None)
     with style.styled():
-        rows = 1 + (biased or delayed)
+        rows = -(-len(shown) // 2)
         row_in = max(2.3, 0.7 + LINE_IN * len(setup.names))
         figure = style.figure(style.PAGE_IN, rows * row_in)
-        grid = figure.subplots(rows, 2, squeeze=False, sharex=True)
-        panels = [*grid.ravel()]
-        _relative(panels[0], "a", time_s, log, known)
-        _relative(panels[1], "speed", time_s, log, known)
-        if biased:
-            values = _stack(known, "heading_bias"), _stack(known, "heading_bias_std")
-            panels[2].set_ylabel("heading bias [rad]")
-            _curves(panels[2], time_s, *values, log)
-        if delayed:
-            _dead_time(panels[2 + biased], time_s, known)
-        for spare in panels[2 + biased + delayed :]:
+        panels = [*figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()]
+        for spare in panels[len(shown) :]:
             spare.set_axis_off()
-        unit = style.unit_of(setup.unit)
-        titles = ["turning rate a, at the end in rad/s", f"speed, at the end in {unit}/s"]
-        titles += ["heading bias"] * biased + ["dead time"] * delayed
-        for axes, letter, title in zip(panels, "abcd", titles, strict=False):
+        named: list[tuple[Axes, list[Curve]]] = []
+        for axes, letter, (draw, what, title) in zip(panels, "abcd", shown, strict=False):
             style.panel(axes, letter, title)
-            axes.set_xlabel("time since the first command [s]")
+            axes.set_xlabel(SINCE)
             axes.set_xlim(0, max(float(time_s[-1]), 1e-9))
+            values, stds = _stack(known, what), _stack(known, f"{what}_std")
+            named.append((axes, draw(axes, what, time_s, values, stds, log)))
         figure.legend(handles=_key(log), loc="outside lower center", ncols=3)
-        names = robot_labels(setup.names)
-        for axes, values in ((panels[0], known[-1].a), (panels[1], known[-1].speed)):
-            texts = [f"{name} {value:.3g}" for name, value in zip(names, values, strict=True)]
-            _name(axes, texts, log)
-        if biased:
-            _name(panels[2], names, log)
+        for axes, curves in named:
+            if curves:
+                name_curves(axes, curves)
     return figure
 
 
 def _relative(
-    axes: Axes, what: str, time_s: Floats, log: TrialLog, known: Sequence[Estimate]
-) -> None:
-    """Draw a or speed as its difference from the spec's value [%]."""
+    axes: Axes, what: str, time_s: Floats, values: Floats, stds: Floats, log: TrialLog
+) -> list[Curve]:
+    """Draw a or speed as its difference from the spec's value [%], named with its last value."""
     spec = getattr(log.start.setup, what)
     percent = 100 / spec
-    values, stds = _stack(known, what), _stack(known, f"{what}_std")
     axes.axhline(0, color=style.GREY, lw=0.6)
     axes.set_ylabel("difference from the spec [%]")
-    _curves(axes, time_s, (values - spec) * percent, stds * percent, log)
-    if (true := _true(log, what)) is None:
-        return
-    true = (true - spec) * percent
-    for value, color in zip(true, _colors(log), strict=True):
-        axes.plot(
-            1, value, "x", color=color, ms=4, mew=1.0, clip_on=False, zorder=5,
-            transform=axes.get_yaxis_transform(),
-        )  # fmt: skip
-    low, high = axes.get_ylim()
-    axes.set_ylim(min(low, true.min() - 1), max(high, true.max() + 1))
+    curves = _robots(axes, time_s, (values - spec) * percent, stds * percent, log)
+    if (true := _true(log, what)) is not None:
+        true = (true - spec) * percent
+        for value, curve in zip(true, curves, strict=True):
+            axes.plot(
+                1, value, "x", color=curve.color, ms=4, mew=1.0, clip_on=False, zorder=5,
+                transform=axes.get_yaxis_transform(),
+            )  # fmt: skip
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, true.min() - 1), max(high, true.max() + 1))
+    return [
+        replace(curve, name=f"{curve.name} {value:.3g}")
+        for curve, value in zip(curves, values[-1], strict=True)
+    ]
+
+
+def _bias(
+    axes: Axes, what: str, time_s: Floats, values: Floats, stds: Floats, log: TrialLog
+) -> list[Curve]:
+    axes.set_ylabel("heading bias [rad]")
+    return _robots(axes, time_s, values, stds, log)
+
+
+def _dead_time(
+    axes: Axes, what: str, time_s: Floats, values: Floats, stds: Floats, log: TrialLog
+) -> list[Curve]:
+    low, high = TO_MS * (values - stds), TO_MS * (values + stds)
+    draw_curves(axes, time_s, [Curve(TO_MS * values, style.INK, "", what, low, high, width=1.2)])
+    axes.set_ylabel("dead time [ms]")
+    return []
+
+
+def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: TrialLog) -> list[Curve]:
+    """Draw values (K, N) of the robots with their bands, and return the curves.
+
+    The axis shows what lies between the 1st and the 99th percentile: one wild value would squash
+    the rest.
+    """
+    curves = robot_curves(log.start.setup, values, values - stds, values + stds, "")
+    draw_curves(axes, time_s, curves)
+    spread = stds if len(curves) < NUMBERED else np.zeros_like(stds)
+    shown = np.percentile(np.concatenate([values - spread, values + spread]), [1, 99])
+    low, high = min(shown[0], values[-1].min()), max(shown[1], values[-1].max())
+    margin = max(0.08 * (high - low), 1e-6)
+    axes.set_ylim(low - margin, high + margin)
+    return curves
 
 
 def _true(log: TrialLog, what: str) -> Floats | None:
     """Return the true a or speed (N,) of a simulation, None where the log does not state it."""
     fact = log.start.plant.facts.get(f"true_{what}")
     return None if fact is None else np.array(json.loads(fact), dtype=np.float64)
-
-
-def _curves(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: TrialLog) -> None:
-    """Draw values (K, N) with their bands.
-
-    The axis shows what lies between the 1st and the 99th percentile: one wild value would squash
-    the rest.
-    """
-    banded = values.shape[1] < NUMBERED
-    for robot, color in enumerate(_colors(log)):
-        value, std = values[:, robot], stds[:, robot]
-        if banded:
-            axes.fill_between(time_s, value - std, value + std, color=color, alpha=0.15, lw=0)
-        axes.plot(time_s, value, color=color, lw=1.1, gid=f"robot-{robot}")
-    spread = stds if banded else np.zeros_like(stds)
-    shown = np.percentile(np.concatenate([values - spread, values + spread]), [1, 99])
-    low, high = min(shown[0], values[-1].min()), max(shown[1], values[-1].max())
-    room = max(0.08 * (high - low), 1e-6)
-    axes.set_ylim(low - room, high + room)
-
-
-def _dead_time(axes: Axes, time_s: Floats, known: Sequence[Estimate]) -> None:
-    value, std = (TO_MS * _stack(known, name) for name in ("dead_time", "dead_time_std"))
-    axes.fill_between(time_s, value - std, value + std, color=style.INK, alpha=0.15, lw=0)
-    axes.plot(time_s, value, color=style.INK, lw=1.2)
-    axes.set_ylabel("dead time [ms]")
-
-
-def _name(axes: Axes, texts: Sequence[str], log: TrialLog) -> None:
-    """Name the robots' curves at their ends."""
-    curves = [line for line in axes.get_lines() if str(line.get_gid()).startswith("robot-")]
-    ends = [float(np.asarray(line.get_ydata())[-1]) for line in curves]
-    end_labels(axes, ends, texts, _colors(log))
 
 
 def _key(log: TrialLog) -> list[Line2D | Patch]:
@@ -152,8 +148,3 @@ def _key(log: TrialLog) -> list[Line2D | Patch]:
 
 def _stack(known: Sequence[Estimate], name: str) -> Floats:
     return np.array([getattr(estimate, name) for estimate in known], dtype=np.float64)
-
-
-def _colors(log: TrialLog) -> list[str]:
-    setup = log.start.setup
-    return robot_colors(setup.names, setup.colors)

@@ -1,4 +1,4 @@
-"""Text beside trails and curves, placed where nothing else is drawn."""
+"""Text next to trails and curves, placed where nothing else is drawn."""
 
 from collections.abc import Sequence
 
@@ -16,9 +16,9 @@ HALO = [withStroke(linewidth=1.6, foreground="white")]
 def end_labels(
     axes: Axes, ends: Sequence[float], texts: Sequence[str], colors: Sequence[str]
 ) -> None:
-    """Write each curve's name at the right of the axes, at the height of its end or beside it.
+    """Write each curve's name at the right of the axes, at the height of its end or near it.
 
-    Labels keep a line apart, in the order of the ends, so that none hides another.
+    Labels are at least a line from each other, in the order of the ends: none hides another.
     """
     size = 6.5 if len(texts) < 8 else 5.5
     figure = axes.get_figure(root=True)
@@ -28,7 +28,7 @@ def end_labels(
     line = 1.3 * size / (72 * axes.get_window_extent().height / figure.dpi)
     order = np.argsort(ends, kind="stable")
     wanted = np.clip((np.asarray(ends)[order] - low) / (high - low), 0.0, 1.0)
-    for label, height, place in zip(order, wanted, apart(wanted, line), strict=True):
+    for label, height, place in zip(order, wanted, separated(wanted, line), strict=True):
         axes.annotate(
             texts[int(label)], (1.0, float(height)), (1.025, float(place)),
             xycoords="axes fraction", textcoords="axes fraction", va="center", fontsize=size,
@@ -40,8 +40,8 @@ def end_labels(
         )  # fmt: skip
 
 
-def apart(wanted: Floats, gap: float) -> Floats:
-    """Return rising heights at least `gap` apart within 0 to 1, near the rising `wanted` ones.
+def separated(wanted: Floats, gap: float) -> Floats:
+    """Return rising heights in 0 to 1, at least `gap` from each other, near the rising `wanted`.
 
     Neighbours that would touch move together about their mean, which is the least squares
     solution; then all are brought within the range as far as it has space for them.
@@ -69,7 +69,7 @@ def edge(arena: Bounds) -> Floats:
 
 
 class Labels:
-    """Writes times beside the trails, each where the distance to other marks is largest."""
+    """Writes times next to the trails, each where the distance to other marks is largest."""
 
     def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
         """Keep clear of `trails` (M, 2); `point` is a typographic point in length units."""
@@ -77,7 +77,7 @@ class Labels:
         self._taken = trails[np.isfinite(trails).all(axis=1)]
 
     def write(self, xy: Floats, tip: Floats, text: str) -> None:
-        """Write text beside the mark at `xy`, whose tick ends at `tip`."""
+        """Write text next to the mark at `xy`, whose tick ends at `tip`."""
         self._taken = np.concatenate([self._taken, [tip, (xy + tip) / 2]])
         angles = np.arange(0, 2 * np.pi, np.pi / 6)
         aside = np.column_stack([9 * np.cos(angles), 6.5 * np.sin(angles)])

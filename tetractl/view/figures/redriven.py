@@ -1,9 +1,10 @@
-"""Paths of a recorded trial and of its commands driven again, and how far apart they go."""
+"""Paths of a recorded trial and of its commands driven again, and the distances between them."""
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from tetractl.core.colors import robot_colors
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
 from tetractl.replay.redrive import Apart
@@ -13,7 +14,7 @@ from tetractl.view import style
 def redriven_figure(recorded: TrialLog, again: TrialLog, apart: Apart) -> Figure:
     """Draw both paths of each robot, recorded ones solid, and their distances over time."""
     setup = recorded.start.setup
-    unit = style.unit_of(setup.unit)
+    unit = unit_of(setup.unit)
     colors = robot_colors(setup.names, setup.colors)
     with style.styled():
         figure = style.figure(style.PAGE_IN, 3.4)

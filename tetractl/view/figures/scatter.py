@@ -12,6 +12,7 @@ from matplotlib.patches import Ellipse
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.axes import (
@@ -38,7 +39,7 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
         if log.result is None and not len(log.mocap_ns):
             raise LogError(f"{log.path}: holds no camera frames to plot")
     setup = logs[0].start.setup
-    unit = style.unit_of(setup.unit)
+    unit = unit_of(setup.unit)
     gaps = np.array([final_poses(log)[:, :2] for log in logs]) - setup.targets
     whole = np.array([not unfinished(log) for log in logs])
     counted = gaps[whole] if whole.any() else gaps
@@ -65,9 +66,9 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
         for column in range(columns):  # the lowest panel of each
             axes = panels[(len(colors) - 1 - column) // columns, column]
             axes.tick_params(labelbottom=True)
-            axes.set_xlabel(f"x less the target's [{unit}]")
+            axes.set_xlabel(f"x error [{unit}]")
         for axes in panels[:, 0]:
-            axes.set_ylabel(f"y less the target's [{unit}]")
+            axes.set_ylabel(f"y error [{unit}]")
         figure.legend(handles=_key(len(counted), bool((~whole).any())), loc="outside lower center",
                       ncols=5)  # fmt: skip
     return figure

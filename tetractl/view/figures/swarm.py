@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tetractl.core.colors import BLUE, GREEN
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.swarm import Frame, SwarmHistory, first_swarm
 from tetractl.view import style
@@ -30,7 +31,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
     log = one_trial(logs)
     need_steps(log)
     history = first_swarm(log, SHARES)
-    unit = style.unit_of(log.start.setup.unit)
+    unit = unit_of(log.start.setup.unit)
     with style.styled():
         figure = style.figure(style.PAGE_IN, 3.1)
         panels = figure.subplots(1, len(history.frames), sharex=True, sharey=True, squeeze=False)

@@ -20,7 +20,7 @@ from tetractl.view.figures.axes import (
     positive,
     span,
 )
-from tetractl.view.figures.labels import apart
+from tetractl.view.figures.labels import separated
 
 BINS = 40
 PERCENTILES = (50, 99)
@@ -77,7 +77,7 @@ def _distribution(axes: Axes, solve_ms: Floats, period_ms: float) -> None:
     places = [float(np.percentile(solve_ms, q, method="inverted_cdf")) for q in PERCENTILES]
     texts = [f"p{q} {value:.3g} ms" for q, value in zip(PERCENTILES, places, strict=True)]
     heights = np.log(np.array(places) / low) / math.log(high / low)
-    for text, value, height in zip(texts, places, apart(heights, 0.06), strict=True):
+    for text, value, height in zip(texts, places, separated(heights, 0.06), strict=True):
         axes.plot([0, 1.04 * most], [value, value], color=style.INK, lw=0.6, zorder=3)
         axes.annotate(
             text, (1.04 * most, value), (0.98, float(height)), textcoords="axes fraction",

@@ -16,6 +16,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
+from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
 from tetractl.view import style
@@ -66,7 +67,7 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
 
 def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
     """Draw what does not move: obstacles, starts and targets, with numbers for many robots."""
-    unit = style.unit_of(setup.unit)
+    unit = unit_of(setup.unit)
     axes.set_aspect("equal")
     axes.set_xlabel(f"x [{unit}]")
     axes.set_ylabel(f"y [{unit}]")
@@ -204,7 +205,7 @@ def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key
     Of several trials the means are over those that ran to their own end.
     """
     setup = logs[0].start.setup
-    unit = style.unit_of(setup.unit)
+    unit = unit_of(setup.unit)
     if len(logs) == 1:
         words = [f"{error:.1f}" for error in errors[0]]
         title = f"error at the end [{unit}], total {errors.sum():.1f}"

@@ -168,7 +168,7 @@ def _filling(shape: Shape, view: Projection) -> Floats:
 
 
 def _ticks(low: float, high: float, step: float) -> Floats:
-    """Return points from low to high at most a step apart; none where high < low."""
+    """Return points from low to high at most a step from each other; none where high < low."""
     return (
         np.linspace(low, high, math.ceil((high - low) / step) + 1) if high >= low else np.empty(0)
     )

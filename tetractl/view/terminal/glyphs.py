@@ -71,7 +71,7 @@ ASCII = Glyphs(
 def glyphs_for(console: Console) -> Glyphs:
     """Return Unicode, but ASCII for a terminal that is dumb, not UTF-8, or without colour.
 
-    Without colour the robots' dots look alike: the ASCII view tells them apart by number.
+    Without colour the robots' dots look alike: the ASCII view distinguishes them by number.
     """
     plain = console.is_dumb_terminal or console.options.ascii_only or console.no_color
     return ASCII if plain else UNICODE

@@ -13,8 +13,8 @@ from tetractl.view.terminal.live import LiveView
 from tetractl.view.terminal.progress import trial_line
 
 
-class TerminalAttendant:
-    """An `Attendant` at the terminal: is shown where robots must go, and presses Enter."""
+class TerminalPrompt:
+    """A `PlacementPrompt` at the terminal: is shown where robots must go, and presses Enter."""
 
     def __init__(self, console: Console, entered: threading.Event) -> None:
         self._console, self._entered = console, entered

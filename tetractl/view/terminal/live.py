@@ -25,8 +25,8 @@ FRAME_S = 1 / 12  # least wall time between two pictures
 
 
 class LiveView:
-    """Shows one trial after another on the terminal's other screen: an `Observer` of each trial and
-    a `RunObserver`; a context manager.
+    """Shows one trial after another on the alternate screen: an `Observer` of each trial and a
+    `RunObserver`; a context manager.
 
     It draws at most 12 pictures a second of `wall` time [s].
     """

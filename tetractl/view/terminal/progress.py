@@ -77,7 +77,7 @@ class _TrialsBar:
 
 
 class BatchProgress(_TrialsBar):
-    """A `RunObserver` of a batch: the errors so far beside the bar, else a line for each trial.
+    """A `RunObserver` of a batch: the errors so far next to the bar, else a line for each trial.
 
     `unit` is the experiment's length unit.
     """

@@ -4,7 +4,7 @@ import math
 
 from tetractl.core.clock import Clock
 from tetractl.log.read.trial_log import Event
-from tetractl.replay.clock import PlayerClock
+from tetractl.replay.player import PlayerClock
 from tetractl.replay.recording import Recording
 
 
@@ -39,8 +39,8 @@ def print_lines(
 def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int, str]]:
     """Return times [ns] and lines; a step comes before the events of its time."""
     steps = [(int(ns), step_line(recording, i)) for i, ns in enumerate(recording.step_ns)]
-    told = map(event_line, recording.events)
-    events = list(zip(map(int, recording.event_ns), told, strict=True))
+    lines = map(event_line, recording.events)
+    events = list(zip(map(int, recording.event_ns), lines, strict=True))
     found = sorted([*steps, *events], key=lambda item: item[0])
     return [(ns, line) for ns, line in found if start_ns <= ns <= until_ns]
 

@@ -79,7 +79,7 @@ def test_the_script_computes_the_error():
     )
     source = re.sub(r"\(event: .*?\): Output", "(event)", source)
     source += "\nconst seen = {x: [1700, 1703, 1700], y: [500, 1504, 2000]};"
-    source += "\nconsole.log(JSON.stringify(script({message: seen})));"
+    source += "\nconsole.log(JSON.stringify(script({message: {observation: seen}})));"
     done = subprocess.run(
         ["node", "--input-type=module", "-e", source], capture_output=True, text=True, check=False
     )

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from support.shapes import L_SHAPE, SHAPES
 
-from tetractl.log.format.prism import prism, triangulate
+from tetractl.log.format.scene import prism, triangulate
 
 
 def doubled_areas(a, b, c):

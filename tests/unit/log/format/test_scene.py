@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from support.random_trials import Made, experiment, trial, write
 
-from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import EPOCH_NS
+from tetractl.log.format.codec import Frames
 from tetractl.log.format.scene import Scene
 
 
@@ -47,31 +49,17 @@ def corners_of(entity: Any) -> np.ndarray:
     return np.array([(point.x, point.y, point.z) for point in entity.triangles[0].points])
 
 
-def test_every_channel_has_its_schema(messages: dict[str, list[Any]]) -> None:
-    kinds = {topic: found[0].DESCRIPTOR.full_name for topic, found in messages.items()}
-    assert kinds == {
-        "/mocap": "tetractl.MocapSample",
-        "/truth": "tetractl.Truth",
-        "/tf": "foxglove.FrameTransforms",
-        "/controller/step": "tetractl.ControllerStep",
-        "/controller/plan": "foxglove.PosesInFrame",
-        "/commands": "tetractl.WheelCommand",
-        "/scene/static": "foxglove.SceneUpdate",
-        "/scene/plan": "foxglove.SceneUpdate",
-        "/log": "foxglove.Log",
-        "/host/timing": "tetractl.StepTiming",
-        "/controller/estimate": "tetractl.Estimate",
-    }
-
-
-def test_transforms_are_the_measured_poses_in_metres(
+def test_transforms_are_the_measured_poses_in_metres_at_their_times(
     made: Made, messages: dict[str, list[Any]]
 ) -> None:
-    for sample, message in zip(made.samples, messages["/tf"], strict=True):
+    """Of 120 Hz every fourth frame is shown; the newest of each message is."""
+    names, shown = ["robot/robot 0", "robot/robot 1", "robot/robot 2"], made.samples[1::4]
+    (message,) = messages["/tf"]
+    items = sorted(message.transforms, key=lambda item: (_stamp(item), item.child_frame_id))
+    for sample, at in zip(shown, range(0, len(items), 3), strict=True):
         poses = sample.observation.poses
-        names = [item.child_frame_id for item in message.transforms]
-        assert names == ["robot/robot 0", "robot/robot 1", "robot/robot 2"]
-        for i, item in enumerate(message.transforms):
+        assert [item.child_frame_id for item in items[at : at + 3]] == names
+        for i, item in enumerate(items[at : at + 3]):
             assert item.parent_frame_id == "world"
             assert item.translation.x == pytest.approx(poses.x[i] / 1000)
             assert item.translation.y == pytest.approx(poses.y[i] / 1000)
@@ -79,24 +67,23 @@ def test_transforms_are_the_measured_poses_in_metres(
             assert q.x**2 + q.y**2 + q.z**2 + q.w**2 == pytest.approx(1)
             yaw = math.atan2(2 * q.w * q.z, 1 - 2 * q.z**2)
             assert math.cos(yaw - poses.heading[i]) == pytest.approx(1)
-            at = item.timestamp.seconds * 10**9 + item.timestamp.nanos
-            assert at == EPOCH_NS + sample.observation.sampled_ns
+            assert _stamp(item) == EPOCH_NS + sample.observation.sampled_ns
+
+
+def _stamp(item: Any) -> int:
+    return item.timestamp.seconds * 10**9 + item.timestamp.nanos
 
 
 def test_plans_are_drawn_per_robot_in_metres_under_fixed_ids(
     made: Made, messages: dict[str, list[Any]]
 ) -> None:
-    for step, poses, lines in zip(
-        made.steps, messages["/controller/plan"], messages["/scene/plan"], strict=True
-    ):
-        by_robot = step.plan.path.swapaxes(0, 1)
-        drawn = [(pose.position.x, pose.position.y) for pose in poses.poses]
-        assert np.allclose(drawn, by_robot[..., :2].reshape(-1, 2) / 1000)
+    for step, lines in zip(made.steps, messages["/scene/plan"], strict=True):
         assert [item.id for item in lines.entities] == [f"plan/robot {i}" for i in range(3)]
         for i, entity in enumerate(lines.entities):
             assert entity.frame_id == "world"
+            assert _stamp(entity) == EPOCH_NS + step.command.sent_ns
             points = [(point.x, point.y) for point in entity.lines[0].points]
-            assert np.allclose(points, by_robot[i, :, :2] / 1000)
+            assert np.allclose(points, step.plan.path[:, i, :2] / 1000)
 
 
 def test_the_scene_stands_where_the_spec_says(made: Made, messages: dict[str, list[Any]]) -> None:
@@ -118,25 +105,6 @@ def test_the_scene_stands_where_the_spec_says(made: Made, messages: dict[str, li
     assert body.texts[0].text == "robot 2"
 
 
-def test_everything_stays_in_its_frame_and_can_be_placed(messages: dict[str, list[Any]]) -> None:
-    drawn = [e for topic in ("/scene/static", "/scene/plan") for m in messages[topic]
-             for e in m.entities]  # fmt: skip
-    for entity in drawn:
-        assert entity.frame_locked
-        assert not entity.HasField("lifetime")  # stays until it is replaced
-        primitives = [
-            *entity.lines,
-            *entity.cubes,
-            *entity.cylinders,
-            *entity.triangles,
-            *entity.texts,
-        ]
-        assert primitives
-        for primitive in primitives:
-            assert primitive.pose.orientation.w == 1.0
-            assert primitive.color.a == 1.0
-
-
 def test_colors_are_the_specs_or_the_lists(messages: dict[str, list[Any]]) -> None:
     entities = {item.id: item for item in messages["/scene/static"][0].entities}
     colors = [entities[f"robot/robot {i}"].triangles[0].color for i in range(3)]
@@ -147,38 +115,18 @@ def test_colors_are_the_specs_or_the_lists(messages: dict[str, list[Any]]) -> No
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_nothing_that_is_not_finite_is_drawn(bad: float) -> None:
     scene = Scene(experiment(2).setup)
-    poses = Poses(np.array([bad, 1.0]), np.array([1.0, 2.0]), np.array([0.0, 0.5]))
-    seen = Observation(0, 0, 0, poses, np.array([True, True]))
-    transforms = scene.transforms(seen, EPOCH_NS)
-    assert [item.child_frame_id for item in transforms.transforms] == ["robot/robot 1"]
+    poses = np.ones((3, 2, 3))
+    poses[0, 0, 0] = poses[2, 1, 2] = bad
+    numbers, valid = np.arange(3), np.array([[True, True], [True, False], [True, True]])
+    frames = Frames(numbers, numbers, numbers, poses, valid, None)
+    transforms = FrameTransforms.FromString(scene.transforms(frames, EPOCH_NS))
+    found = [(item.child_frame_id, _stamp(item) - EPOCH_NS) for item in transforms.transforms]
+    assert found == [("robot/robot 0", 1), ("robot/robot 0", 2), ("robot/robot 1", 0)]
     path = np.ones((4, 2, 3))
     path[2, 0] = bad
-    plan, lines = scene.plan_poses(path, EPOCH_NS), scene.plan_lines(path, EPOCH_NS)
-    assert len(plan.poses) == 7
+    lines = SceneUpdate.FromString(scene.plan(path, EPOCH_NS))
     assert [len(entity.lines[0].points) for entity in lines.entities] == [3, 4]
-    for message in (transforms, plan, lines):
-        assert all(map(math.isfinite, _numbers(message)))
-
-
-def test_a_message_filled_anew_is_as_one_made_anew() -> None:
-    """Plans get shorter and longer; nothing of the one before is left."""
-    setup, rng = experiment(2).setup, np.random.default_rng(1)
-    kept = Scene(setup)
-    for now, length in enumerate((6, 3, 9, 1, 9)):
-        path = rng.uniform(-1, 1, (length + 1, 2, 3))
-        path[0, :, 2] = 0.0
-        path[length // 2, 1] = np.nan
-        for name in ("plan_poses", "plan_lines"):
-            filled, fresh = (
-                getattr(one, name)(path, EPOCH_NS + now) for one in (kept, Scene(setup))
-            )
-            assert filled.SerializeToString() == fresh.SerializeToString()
-
-
-def test_a_robot_that_is_not_tracked_has_no_transform() -> None:
-    seen = Observation(0, 0, 0, Poses.of(np.ones((2, 3))), np.array([False, True]))
-    transforms = Scene(experiment(2).setup).transforms(seen, EPOCH_NS).transforms
-    assert [item.child_frame_id for item in transforms] == ["robot/robot 1"]
+    assert all(map(math.isfinite, (*_numbers(transforms), *_numbers(lines))))
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("um", 1e-6), ("mm", 1e-3), ("cm", 1e-2), ("m", 1)])
@@ -186,9 +134,3 @@ def test_every_unit_comes_to_metres(unit: str, metres: float) -> None:
     scene = Scene(experiment(1, units={"length": unit}).setup).static(EPOCH_NS)
     box = corners_of(next(item for item in scene.entities if item.id == "obstacle/0"))
     assert np.ptp(box[:, 0]) == pytest.approx(200 * metres)
-
-
-def test_a_robot_with_wheels_is_drawn_as_wide_as_it_is() -> None:
-    scene = Scene(experiment(1, wheels={"radius": 45.0}).setup).static(EPOCH_NS)
-    body = next(item for item in scene.entities if item.id == "robot/robot 0").triangles[0]
-    assert max(point.y for point in body.points) == pytest.approx(0.045)

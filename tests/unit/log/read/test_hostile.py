@@ -19,21 +19,20 @@ from support.random_trials import trial, write
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.log.format.channels import (
     COMMANDS,
+    FRAMES,
     HOST_TIMING,
-    MOCAP,
     RECOVERED,
     RESULT,
     RUN,
     STEP,
     TIMING,
-    TRUTH,
 )
 from tetractl.log.format.tetractl_pb2 import (
+    CameraFrames,
     ControllerStep,
     MocapSample,
     Search,
     StepTiming,
-    Truth,
     WheelCommand,
 )
 from tetractl.log.read import bounds
@@ -197,12 +196,33 @@ def test_a_report_that_is_not_ours_still_says_recovered(tmp_path: Path, contents
         assert read_result(again).recovered
 
 
+NAN, INF = float("nan"), float("inf")
+
+
+def spoilt_frames(**changes: object) -> CameraFrames:
+    """A frame of one robot that could be ours, but for the changes."""
+    whole = {"x": [1.0], "y": [1.0], "heading": [1.0], "valid": [True]}
+    times = {"frame": [0], "sampled_ns": [0], "received_ns": [0]}
+    return CameraFrames(**{**whole, **times, **changes})
+
+
+def spoilt_step(**changes: object) -> ControllerStep:
+    """A step of one robot that could be ours, but for the changes."""
+    seen = MocapSample(x=[1.0], y=[1.0], heading=[1.0], valid=[True])
+    one = Search(length=1, signals=[0.5], cost=1.0, history=[1.0], evaluations=1)
+    command = WheelCommand(direction=0.5, delivered=[True])
+    path = {"path_x": [1.0] * 2, "path_y": [1.0] * 2, "path_heading": [1.0] * 2}
+    whole = {"observation": seen, "searches": [one], "command": command, "signals": [0.5], **path}
+    return ControllerStep(**{**whole, **changes})
+
+
 @pytest.mark.parametrize(
     ("topic", "message"),
     [
-        (MOCAP, MocapSample(x=[1.0] * 3, y=[1.0] * 3, heading=[1.0] * 3, valid=[True] * 3)),
-        (MOCAP, MocapSample(x=[1.0], y=[], heading=[1.0], valid=[True])),
-        (TRUTH, Truth(x=[1.0, 2.0], y=[1.0, 2.0], heading=[1.0, 2.0])),
+        (FRAMES, spoilt_frames(x=[1.0] * 3, y=[1.0] * 3, heading=[1.0] * 3, valid=[True] * 3)),
+        (FRAMES, spoilt_frames(y=[])),
+        (FRAMES, spoilt_frames(sampled_ns=[1, 2])),
+        (FRAMES, spoilt_frames(true_x=[1.0] * 2, true_y=[1.0] * 2, true_heading=[1.0] * 2)),
         (STEP, ControllerStep(chosen=5)),
         (STEP, ControllerStep(chosen=-1, signals=[1.0])),
     ],
@@ -273,27 +293,14 @@ def test_a_bad_run_costs_its_own_trial_only(
     assert [Path(log.path).name for log in batch.damaged] == ["bad.mcap"]
 
 
-NAN, INF = float("nan"), float("inf")
-
-
-def spoilt_step(**changes: object) -> ControllerStep:
-    """A step of one robot that could be ours, but for the changes."""
-    seen = MocapSample(x=[1.0], y=[1.0], heading=[1.0], valid=[True])
-    one = Search(length=1, signals=[0.5], cost=1.0, history=[1.0], evaluations=1)
-    command = WheelCommand(direction=0.5, delivered=[True])
-    path = {"path_x": [1.0] * 2, "path_y": [1.0] * 2, "path_heading": [1.0] * 2}
-    whole = {"observation": seen, "searches": [one], "command": command, "signals": [0.5], **path}
-    return ControllerStep(**{**whole, **changes})
-
-
 @pytest.mark.parametrize(
     ("topic", "message"),
     [
-        (MOCAP, MocapSample(x=[NAN], y=[1.0], heading=[1.0], valid=[True])),
-        (MOCAP, MocapSample(x=[INF], y=[1.0], heading=[1.0], valid=[False])),
-        (MOCAP, MocapSample(x=[1.0], y=[1.0], heading=[1e300], valid=[True])),
-        (MOCAP, MocapSample(x=[1.0], y=[1.0], heading=[1], valid=[True], sampled_ns=2**62)),
-        (TRUTH, Truth(x=[INF], y=[1.0], heading=[1.0])),
+        (FRAMES, spoilt_frames(x=[NAN])),
+        (FRAMES, spoilt_frames(x=[INF], valid=[False])),
+        (FRAMES, spoilt_frames(heading=[1e300])),
+        (FRAMES, spoilt_frames(sampled_ns=[2**62])),
+        (FRAMES, spoilt_frames(true_x=[INF], true_y=[1.0], true_heading=[1.0])),
         (COMMANDS, WheelCommand(direction=NAN, delivered=[True])),
         (COMMANDS, WheelCommand(direction=1.0, delivered=[True], sent_ns=-(2**63))),
         (COMMANDS, WheelCommand(direction=1.0)),

@@ -1,4 +1,5 @@
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -8,15 +9,23 @@ from support.studies import SMALL, run
 from tetractl.core.errors import LogError
 from tetractl.log.read.find import ROWS
 from tetractl.log.read.reader import read_result
-from tetractl.log.read.rows import SPEC, row_results
+from tetractl.log.read.rows import SPEC, Row, row_results
+from tetractl.results.batch import Batch
+from tetractl.results.items import trials_table
 from tetractl.study.options import Logs
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    run(folder, SMALL, logs=Logs(float("inf"), True))
+    return folder / "out" / "dead_time=0.1"
+
+
 @pytest.fixture
-def arm(tmp_path):
+def arm(finished, tmp_path):
     """The folder of an arm of three trials, with their logs."""
-    run(tmp_path, SMALL, logs=Logs(float("inf"), True))
-    return tmp_path / "out" / "dead_time=0.1"
+    return shutil.copytree(finished, tmp_path / "arm")
 
 
 def lines(arm):
@@ -48,7 +57,7 @@ def test_the_later_of_two_lines_counts_and_a_torn_one_is_no_row(arm):
     before = rows[1]["result"]["steps"]
     again = json.loads(json.dumps(rows[1]))
     again["result"]["steps"] = str(int(before) - 1)
-    older = {key: value for key, value in rows[0].items() if key not in ("result", "timing")}
+    older = {key: value for key, value in rows[0].items() if key != "result"}
     rewrite(arm, [older, *rows, again])
     with (arm / ROWS).open("a") as file:
         file.write(json.dumps(older)[:100])
@@ -56,20 +65,50 @@ def test_the_later_of_two_lines_counts_and_a_torn_one_is_no_row(arm):
     assert [str(found[trial].result.steps) == before for trial in range(3)] == [True, False, True]
 
 
+HOSTILE = [
+    *(None, True, -1, 0.5, 1e400, float("nan"), 10**30, 2**60, "", "x", "\x1b[2J", "9" * 5000),
+    *([], [1], {}, {"a": 1}, {"trial": 0}, [[[]]]),
+]
+
+
+FINE = [
+    *((name, value) for name in ("code", "processor") for value in ("", "x")),
+    *((name, 0.5) for name in ("wall_s", "cpu_s")),
+    ("logged", True),
+]
+
+
+@pytest.mark.parametrize("name", [*Row.__slots__[:-1], "timing"])
+def test_a_value_that_tetractl_does_not_write_spoils_its_row_alone(arm, name):
+    """Each value is checked once, here: whatever is in a row can be computed with and shown."""
+    rows = lines(arm)
+    for value in HOSTILE:
+        spoiled = json.loads(json.dumps(rows[1]))
+        (spoiled["result"] if name == "warnings" else spoiled)[name] = value
+        (arm / ROWS).write_text("\n".join([*map(json.dumps, (rows[0], spoiled, rows[2])), ""]))
+        try:
+            found = row_results(arm / ROWS)
+        except LogError as error:  # another hash than that of the spec
+            assert (name, type(value)) == ("arm_hash", str), error
+            continue
+        assert found[0] and found[2]
+        if found.get(1) is not None:
+            assert (name, value) in FINE
+            trials_table(Batch.of([found[1]]))
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
-        lambda row: row.pop("result"),
-        lambda row: row.pop("timing"),
         lambda row: row["result"].update(total_error="1e300"),
         lambda row: row["result"].update(robot_errors="[1, 2, 3, 4]"),
         lambda row: row["result"].update(unit="furlong"),
         lambda row: row["result"].update(reason=5),
+        lambda row: row["result"].update(warnings="-1"),
         lambda row: row["result"].update(final_x=f"[{10**400}]"),
+        lambda row: row["result"].update(final_x="[" * 100_000),
         lambda row: row["timing"].update(solve_ns="x"),
         lambda row: row["timing"].update(solve_ns="[Infinity]"),
-        lambda row: row.update(result=[1]),
-        lambda row: row.update(result=None),
     ],
 )
 def test_a_row_may_hold_no_result(arm, spoil):
@@ -81,10 +120,8 @@ def test_a_row_may_hold_no_result(arm, spoil):
 
 
 NO_ROWS = [
-    *("", "none", "[1]", "5", '{"trial": 0}', "[" * 100_000),
-    '{"trial": -1, "arm_hash": "x"}',
-    '{"trial": true, "arm_hash": "x"}',
-    '{"trial": Infinity, "arm_hash": "x"}',
+    *("", "none", "[1]", "5", "{}", "[" * 100_000, '{"trial": ' * 100_000, "1" * 5000),
+    *(f'{{"trial": {value}}}' for value in ("-1", "true", "Infinity", '"0"', "[0]", "1.0")),
 ]
 
 

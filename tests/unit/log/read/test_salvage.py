@@ -1,13 +1,11 @@
-"""However a file is damaged, what is read is what was written, and the damage is told."""
+"""However a file is damaged, what is read is what was written, and the damage is reported."""
 
 import random
-import struct
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import zstandard
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
@@ -18,7 +16,6 @@ from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.log.format.digest import CHECKSUM
 from tetractl.log.format.metadata import add_checksum
-from tetractl.log.read import bounds
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, scan
 from tetractl.log.read.trial_log import TrialLog
@@ -27,7 +24,7 @@ from tetractl.log.read.trial_log import TrialLog
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small log of a few chunks."""
-    return write(trial(steps=16), tmp_path_factory.mktemp("log") / "trial.mcap")
+    return write(trial(steps=34), tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
 @pytest.fixture(scope="module")
@@ -71,66 +68,6 @@ def _damaged(tmp_path: Path, data: bytes) -> Path:
     path = tmp_path / "damaged.mcap"
     path.write_bytes(data)
     return path
-
-
-def test_every_complete_chunk_before_a_tear_is_read(
-    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]]
-) -> None:
-    data = log.read_bytes()
-    rng = random.Random(1)
-    cuts = [rng.randrange(len(data)) for _ in range(80)]
-    cuts += [end + d for _, end, _ in chunks for d in (-1, 0, 1)]
-    read = 0
-    for cut in cuts:
-        path = _damaged(tmp_path, data[:cut])
-        try:
-            found = read_trial(path)
-        except LogError:
-            assert cut < chunks[0][0]  # the spec stands before the first chunk
-            continue
-        read += 1
-        assert len(scan(path).entries) == sum(n for _, end, n in chunks if end <= cut)
-        assert found.damage is not None
-        assert found.damage.lost
-        assert_part_of(found, whole)
-    assert read > 60
-
-
-def test_no_flipped_byte_goes_unseen_or_changes_a_number(
-    tmp_path: Path, log: Path, whole: TrialLog
-) -> None:
-    data = log.read_bytes()
-    rng = random.Random(2)
-    head, tail = range(50), range(len(data) - 50, len(data))
-    for position in [*head, *tail, *(rng.randrange(len(data)) for _ in range(80))]:
-        flipped = bytearray(data)
-        flipped[position] ^= rng.randrange(1, 256)
-        path = _damaged(tmp_path, bytes(flipped))
-        try:
-            found = read_trial(path)
-        except LogError as error:
-            assert "\n" not in str(error)
-            continue
-        assert found.damage is not None, position
-        assert_part_of(found, whole)
-        summary = read_result(path)
-        assert summary.recovered or same(summary.result, whole.result)
-
-
-def test_one_bad_chunk_costs_only_itself(
-    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]]
-) -> None:
-    total = len(scan(log).entries)
-    for begin, end, messages in chunks:
-        data = bytearray(log.read_bytes())
-        data[(begin + end) // 2] ^= 0xFF
-        path = _damaged(tmp_path, bytes(data))
-        assert len(scan(path).entries) == total - messages
-        found = read_trial(path)
-        assert found.damage is not None
-        assert f"{messages} of {total} messages" in found.damage.lost
-        assert same(found.result, whole.result)
-        assert_part_of(found, whole)
 
 
 @pytest.mark.parametrize("field", range(1, 9))
@@ -179,16 +116,6 @@ def test_what_a_crash_leaves_behind_the_last_chunk_does_no_harm(
     assert found.result is None
     assert_part_of(found, whole)
     assert len(found.steps) >= 10
-
-
-def test_an_unfinished_log_is_read(tmp_path: Path, log: Path, whole: TrialLog) -> None:
-    data = log.read_bytes()
-    path = tmp_path / "trial.mcap.part"
-    path.write_bytes(data[: len(data) // 2])
-    found = read_trial(path)
-    assert found.result is None
-    assert found.damage is not None
-    assert any("no result" in problem for problem in found.damage.problems)
 
 
 def test_a_lost_result_is_computed_from_the_last_true_poses(
@@ -291,9 +218,9 @@ def _with_run(path: Path, facts: dict[str, str]) -> Path:
 
 
 def test_a_log_of_a_newer_format_is_refused(tmp_path: Path, log: Path) -> None:
-    facts = {**(scan(log).metadata["tetractl.run"]), "format_version": "2"}
+    facts = {**(scan(log).metadata["tetractl.run"]), "format_version": "3"}
     del facts[CHECKSUM]
-    with pytest.raises(LogError, match="of log format 2; this tetractl reads up to 1") as caught:
+    with pytest.raises(LogError, match="of log format 3; this tetractl reads up to 2") as caught:
         read_trial(_with_run(tmp_path / "new.mcap", facts))
     assert caught.value.hint == "update tetractl"
 
@@ -302,23 +229,6 @@ def test_a_log_of_a_newer_format_is_refused(tmp_path: Path, log: Path) -> None:
 def test_a_run_record_that_makes_no_sense_is_refused(tmp_path: Path, facts: dict) -> None:
     with pytest.raises(LogError, match="the record of the run cannot be read"):
         read_trial(_with_run(tmp_path / "odd.mcap", facts))
-
-
-def test_a_chunk_that_would_fill_the_memory_is_left_out(
-    tmp_path: Path,
-    log: Path,
-    chunks: list[tuple[int, int, int]],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(bounds, "CHUNK", 1 << 20)
-    bomb = zstandard.ZstdCompressor().compress(b"\0" * ((1 << 20) + 1))
-    head = struct.pack("<QQQI", 0, 0, 10, 1) + b"\x04\0\0\0zstd" + struct.pack("<Q", len(bomb))
-    record = b"\x06" + struct.pack("<Q", len(head) + len(bomb)) + head + bomb
-    begin = chunks[2][0]
-    data = log.read_bytes()
-    found = scan(_damaged(tmp_path, data[:begin] + record + data[begin:]))
-    assert any("claims to unpack to" in problem for problem in found.problems)
-    assert len(found.entries) == len(scan(log).entries)
 
 
 def test_a_flipped_bit_is_seen_without_reading_the_trial(log: Path, tmp_path: Path) -> None:

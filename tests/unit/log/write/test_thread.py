@@ -80,7 +80,7 @@ def test_a_disk_that_stays_still_ends_the_trial(
         for samples, step in made.rounds:
             writer.on_samples(samples)
             writer.on_step(step)
-    writer.on_stop(made.stop, made.result)  # told once
+    writer.on_stop(made.stop, made.result)  # reported once
     writer.close()
     disk.free.set()
     for thread in log_threads():

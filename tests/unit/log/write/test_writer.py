@@ -11,7 +11,6 @@ from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.salvage import scan
 from tetractl.log.write.writer import LogWriter
 
 
@@ -45,17 +44,8 @@ def test_a_trial_without_an_end_stays_a_part(tmp_path: Path) -> None:
     assert found.damage is not None
 
 
-def test_a_writer_that_never_started_leaves_nothing(tmp_path: Path) -> None:
-    made = trial(steps=1)
-    with LogWriter(tmp_path / "trial.mcap") as writer:
-        writer.on_samples(made.samples)
-        writer.on_step(made.steps[0])
-        writer.on_stop(made.stop, made.result)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_second_of_trial_time_is_all_a_crash_can_cost(tmp_path: Path) -> None:
-    made = trial(steps=22)
+def test_two_seconds_of_trial_time_are_all_a_crash_can_cost(tmp_path: Path) -> None:
+    made = trial(steps=32)
     writer = LogWriter(tmp_path / "trial.mcap")
     writer.on_start(made.start)
     for samples, step in made.rounds:
@@ -64,7 +54,7 @@ def test_a_second_of_trial_time_is_all_a_crash_can_cost(tmp_path: Path) -> None:
         writer.drain()
         found = read_trial(tmp_path / "trial.mcap.part")  # as if killed here
         seen_ns = int(found.received_ns[-1]) if len(found.received_ns) else 0
-        assert samples[-1].observation.received_ns - seen_ns <= 1_200_000_000
+        assert samples[-1].observation.received_ns - seen_ns <= 2_200_000_000
     writer.close()
 
 
@@ -172,28 +162,3 @@ def test_a_full_disk_is_told_once_and_what_is_written_stays(tmp_path: Path, limi
         assert found.damage is not None
         made = trial(steps=40)
         assert [step.k for step in found.steps] == [s.k for s in made.steps[: len(found.steps)]]
-
-
-def test_lost_robots_and_commands_are_noted(tmp_path: Path) -> None:
-    made = trial(steps=2)
-    made.samples[1].observation.valid[0] = False
-    made.samples[3].observation.valid[2] = False
-    object.__setattr__(made.steps[0].command, "delivered", (True, False, True))
-    object.__setattr__(made.steps[1].command, "delivered", (True, True, True))
-    entries = scan(write(made, tmp_path / "trial.mcap")).entries
-    notes = [entry.data for entry in entries if entry.topic == "/log"]
-    assert len(notes) == 7
-    for note, text in zip(
-        notes,
-        (
-            b"trial 0 of made-up starts",
-            b"robot 0 is lost",
-            b"robot 0 is tracked again",
-            b"robot 2 is lost",
-            b"robot 2 is tracked again",
-            b"robot 1 did not get the command of step 0",
-            b"sequence completed (no signal left) after 2 control steps",
-        ),
-        strict=True,
-    ):
-        assert text in note

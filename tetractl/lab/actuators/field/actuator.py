@@ -7,7 +7,6 @@ spec's a is the rate at `strength_mt`, so the turning rate is a (B / strength_mt
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -16,7 +15,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
-from tetractl.core.wire_tap import NO_TAP, Tap
+from tetractl.core.setup import Setup
 from tetractl.lab.actuators.field.check import inspect
 from tetractl.lab.actuators.field.coils import Pair, approach
 from tetractl.lab.actuators.field.driver import HINT, Driver
@@ -38,12 +37,10 @@ class FieldActuator:
     individual = False
     halts = False
 
-    def __init__(
-        self, section: FieldSection, a: Floats, speed: Floats, clock: Clock, tap: Tap = NO_TAP
-    ) -> None:
+    def __init__(self, section: FieldSection, setup: Setup, clock: Clock) -> None:
         self.section, self.coils = section, section.calibrated_coils()
-        self.driver = Driver(section.port, section.baud, clock, tap)
-        self._a, self._speed, self._clock = np.array(a, float), np.array(speed, float), clock
+        self.driver = Driver(section.port, section.baud, clock)
+        self._a, self._speed, self._clock = setup.a, setup.speed, clock
         self._lock = threading.Lock()
         self._currents = OFF  # asked of the driver [A], held from `_sent_ns` ...
         self._sent_ns = clock.now() - self.period_ns
@@ -57,12 +54,7 @@ class FieldActuator:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(AbortError):
             self.stop()
         self.driver.close()

@@ -42,8 +42,8 @@ def _limits(reply: FieldReply, section: FieldSection) -> list[str]:
         allowed = f"{reply.slew_ma_s / 1000:g} A/s, the spec {section.slew_max_a_s:g} A/s"
         found.append(f"the current driver allows {allowed}: lower slew_max_a_s")
     if reply.watchdog_ms != round(1000 * section.watchdog):
-        told = f"{reply.watchdog_ms / 1000:g} s, the spec's {section.watchdog:g} s"
-        found.append(f"the current driver's watchdog is {told}")
+        has = f"{reply.watchdog_ms / 1000:g} s, the spec's {section.watchdog:g} s"
+        found.append(f"the current driver's watchdog is {has}")
     return found
 
 

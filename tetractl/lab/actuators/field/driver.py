@@ -3,8 +3,7 @@
 import threading
 from contextlib import suppress
 
-from tetractl.core.clock import SECOND, Clock
-from tetractl.core.wire_tap import NO_TAP, Tap
+from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.lab.actuators.field.protocol import (
     DriverStatus,
     FieldCommand,
@@ -31,15 +30,12 @@ class Driver:
     `failure` then says so.
     """
 
-    def __init__(self, port: str, baud: int, clock: Clock, tap: Tap = NO_TAP) -> None:
-        self.sent = self.replies = 0
+    def __init__(self, port: str, baud: int, clock: Clock) -> None:
         self.newest: FieldReply | None = None
         self._clock = clock
-        self._port = SerialPort(
-            port, baud, "the current driver", clock, self._hear, HINT, tap, "field"
-        )
+        self._port = SerialPort(port, baud, "the current driver", clock, self._hear, HINT)
         self._splitter = Splitter()
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
         self._sequence = 0
         self._unanswered = 0  # frames since the last reply, and when the first of them left
         self._unanswered_ns = 0
@@ -64,11 +60,10 @@ class Driver:
 
     def send(self, flags: FieldFlag, x_ma: int = 0, y_ma: int = 0) -> int:
         """Send a command that polls; return when it left. AbortError where the port has failed."""
-        with self._changed:
+        with self._lock:
             self._sequence = (self._sequence + 1) % 256
             command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)
             sent_ns = self._port.write(encode_command(command))
-            self.sent += 1
             if self._unanswered == 0:
                 self._unanswered_ns = sent_ns
             self._unanswered += 1
@@ -83,10 +78,11 @@ class Driver:
         for _ in range(TRIES):
             self.send(FieldFlag(0))
             wanted = self._sequence
-            with self._changed:
-                self._changed.wait_for(
-                    lambda w=wanted: self._port.failure is not None or self._answered(w), ANSWER_S
-                )
+            wait_for(
+                self._clock,
+                lambda w=wanted: self._port.failure is not None or self._answered(w),
+                ANSWER_S,
+            )
             if self._answered(wanted):
                 return self.newest
         return None
@@ -99,10 +95,8 @@ class Driver:
         return self.newest is not None and self.newest.sequence == sequence
 
     def _hear(self, data: bytes, now_ns: int) -> None:
-        with self._changed:
+        with self._lock:
             for frame in self._splitter.feed(data):
                 with suppress(WireError):  # a damaged reply is one that did not come
                     self.newest = decode_reply(frame)
-                    self.replies += 1
                     self._unanswered = 0
-            self._changed.notify_all()

@@ -3,14 +3,14 @@
 Command: 53 sequence flags, i16 x, i16 y [mA], CRC. Reply, only when polled: 54 sequence status
 version, i16 measured x, y [mA], u16 supply [mV], i16 temperature [0.1 degrees Celsius], u16 frames
 received, u16 frames rejected, u16 greatest current [mA], u32 slew [mA/s], u16 watchdog [ms], CRC.
-All little-endian, sealed by `cobs.seal`. `firmware/field_core.c` is the driver's side.
+All little-endian, sealed by `cobs.frame_with_crc`. `firmware/field_core.c` is the driver's side.
 """
 
 import struct
 from dataclasses import dataclass
 from enum import IntFlag
 
-from tetractl.lab.cobs import seal, unseal
+from tetractl.lab.cobs import checked_payload, frame_with_crc
 from tetractl.lab.errors import WireError
 
 COMMAND, REPLY = 0x53, 0x54
@@ -77,7 +77,7 @@ def encode_command(command: FieldCommand) -> bytes:
     if command.flags & ~7:
         raise WireError(f"unknown flags 0x{int(command.flags):02X}")
     fields = command.sequence, command.flags, command.x_ma, command.y_ma
-    return seal(_pack(_COMMAND, COMMAND, *fields))
+    return frame_with_crc(_pack(_COMMAND, COMMAND, *fields))
 
 
 def decode_command(frame: bytes) -> FieldCommand:
@@ -93,7 +93,7 @@ def encode_reply(reply: FieldReply) -> bytes:
     r = reply
     measured = r.x_ma, r.y_ma, r.supply_mv, r.temperature_dc, r.received, r.rejected
     limits = r.current_max_ma, r.slew_ma_s, r.watchdog_ms
-    return seal(_pack(_REPLY, REPLY, r.sequence, r.status, r.version, *measured, *limits))
+    return frame_with_crc(_pack(_REPLY, REPLY, r.sequence, r.status, r.version, *measured, *limits))
 
 
 def decode_reply(frame: bytes) -> FieldReply:
@@ -110,7 +110,7 @@ def _pack(layout: struct.Struct, *fields: int) -> bytes:
 
 
 def _unpack(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, ...]:
-    payload = unseal(frame)
+    payload = checked_payload(frame)
     if len(payload) != layout.size or payload[0] != kind:
         raise WireError(f"no frame of type 0x{kind:02X}")
     return layout.unpack(payload)[1:]

@@ -1,18 +1,12 @@
 """The section of the spec for a field of two coil pairs: `actuator: {type: field, ...}`."""
 
-from typing import TYPE_CHECKING, Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from tetractl.core.clock import Clock
-from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import Tap
 from tetractl.experiment.base import Finite, Model, NonNegative, Positive, inconsistent
 from tetractl.experiment.lab import ActuatorSection
 from tetractl.lab.actuators.field.coils import Coils
-
-if TYPE_CHECKING:
-    from tetractl.lab.actuators.field.actuator import FieldActuator
 
 FRAMES_PER_WATCHDOG = 3
 
@@ -47,6 +41,7 @@ class CoilsSection(Model):
 class FieldSection(ActuatorSection):
     """A magnetic field steers all cells; a current driver on a serial port feeds the coils."""
 
+    device: ClassVar[str] = "tetractl.lab.actuators.field.actuator:FieldActuator"
     type: Literal["field"]
     port: str = Field(min_length=1, max_length=500)
     """The serial port, such as /dev/ttyACM0."""
@@ -86,12 +81,6 @@ class FieldSection(ActuatorSection):
             "current driver": f"{self.port}, {self.rate:g} commands a second",
             "coil currents": f"at most {self.current_max_a:g} A",
         }
-
-    def build(self, setup: Setup, clock: Clock, tap: Tap) -> "FieldActuator":
-        """Return the actuator of the setup's cells."""
-        from tetractl.lab.actuators.field.actuator import FieldActuator  # needs pyserial
-
-        return FieldActuator(self, setup.a, setup.speed, clock, tap)
 
     def calibrated_coils(self) -> Coils:
         """Return the coils as numbers."""

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -11,7 +10,6 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP, Tap
 from tetractl.lab.actuators.m3pi.broadcast import Counts
 from tetractl.lab.actuators.m3pi.command import (
     STOP,
@@ -38,10 +36,10 @@ class M3piActuator:
     individual = True
     halts = True
 
-    def __init__(self, section: M3piSection, setup: Setup, clock: Clock, tap: Tap = NO_TAP) -> None:
+    def __init__(self, section: M3piSection, setup: Setup, clock: Clock) -> None:
         self.section, self.names = section, setup.names
         self.robots = [section.robot(name) for name in setup.names]
-        self.link = Link(section, clock, tap)
+        self.link = Link(section, clock)
         self.drivetrains = [drivetrain(section, robot) for robot in self.robots]
         self._clock = clock
         self._protocol = build_protocol(section, setup.names, self.link, clock)
@@ -59,12 +57,7 @@ class M3piActuator:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.link.close()
 
     @property
@@ -78,7 +71,7 @@ class M3piActuator:
         return self.link.failure
 
     def check(self) -> Health:
-        """Warn of robots without a watchdog; tell what is wrong and not known of the radio."""
+        """Warn of robots without a watchdog; return what is wrong or unknown about the radio."""
         warnings: tuple[str, ...] = ()
         if isinstance(self.section.protocol, SlaveSection):
             warnings = ("the robots have no watchdog: one that loses the radio drives on",)

@@ -2,14 +2,14 @@
 
 Command: 51 sequence flags n {i8 left, i8 right} * n, CRC. Reply, only when polled:
 52 id sequence flags, u16 battery [mV], u16 frames received, u16 frames rejected, CRC; all
-little-endian, sealed by `cobs.seal`. `firmware/m3pi_core.c` is the robot's side.
+little-endian, sealed by `cobs.frame_with_crc`. `firmware/m3pi_core.c` is the robot's side.
 """
 
 import struct
 from dataclasses import dataclass
 from enum import IntFlag
 
-from tetractl.lab.cobs import seal, unseal
+from tetractl.lab.cobs import checked_payload, frame_with_crc
 from tetractl.lab.errors import WireError
 
 COMMAND, REPLY = 0x51, 0x52
@@ -72,12 +72,12 @@ def encode_command(command: BroadcastCommand) -> bytes:
     if len(counts) != 2 * len(command.wheels) or any(abs(count) > COUNT_MAX for count in counts):
         raise WireError(f"wheel counts outside -{COUNT_MAX}..{COUNT_MAX}: {command.wheels}")
     head = bytes([COMMAND, command.sequence, _flags(command.flags), len(command.wheels)])
-    return seal(head + struct.pack(f"{len(counts)}b", *counts))
+    return frame_with_crc(head + struct.pack(f"{len(counts)}b", *counts))
 
 
 def decode_command(frame: bytes) -> BroadcastCommand:
     """Read a command, given without its closing 00."""
-    payload = unseal(frame)
+    payload = checked_payload(frame)
     if len(payload) < 4 or payload[0] != COMMAND:
         raise WireError("not a command")
     sequence, flags, robots = payload[1:4]
@@ -94,7 +94,7 @@ def decode_command(frame: bytes) -> BroadcastCommand:
 def encode_reply(reply: Reply) -> bytes:
     """Pack a reply, with its closing 00."""
     try:
-        return seal(
+        return frame_with_crc(
             _REPLY.pack(
                 REPLY,
                 reply.id,
@@ -111,7 +111,7 @@ def encode_reply(reply: Reply) -> bytes:
 
 def decode_reply(frame: bytes) -> Reply:
     """Read a reply, given without its closing 00."""
-    payload = unseal(frame)
+    payload = checked_payload(frame)
     if len(payload) != _REPLY.size or payload[0] != REPLY:
         raise WireError("not a reply")
     _, robot, sequence, status, *counters = _REPLY.unpack(payload)

@@ -10,16 +10,15 @@ must point less than a right angle away from the robot's front, after the spec's
 import math
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from tetractl.core.clock import SECOND, MonotonicClock
+from tetractl.core.clock import SECOND, MonotonicClock, wait_for
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP
 from tetractl.experiment.lab import LabSection, Measured
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.actuators.m3pi.broadcast import Counts
@@ -124,13 +123,6 @@ class ManualActuator(M3piActuator):
         return list(self.held)
 
 
-@dataclass(slots=True)
-class _Trace:
-    """The poses of one burst, with their times [ns]."""
-
-    poses: list[tuple[int, Pose]] = field(default_factory=list)
-
-
 class _Bench:
     """One robot under measurement; the guard watches as in a run."""
 
@@ -144,14 +136,12 @@ class _Bench:
     ) -> None:
         self.clock = MonotonicClock()
         (self.name,) = setup.names
-        self._trace = _Trace()
         self._home: Pose | None = None
         self._offset = lab.camera.heading_offset(self.name)
         wake = threading.Event()
-        camera = lab.camera.build(setup, self.clock, NO_TAP, wake.set)
+        camera = lab.camera.build(setup, self.clock, wake.set)
         self.actuator = ManualActuator(section, setup, self.clock)
         self.rig = Rig(camera, self.actuator, lab.limits, setup, self.clock, emergency, wake)
-        self.rig.on_frame = self._see
         self.limit = min(limit, self.actuator.drivetrains[0].limit)
         guard = self.rig.guard
         guard.rules = replace(
@@ -178,7 +168,7 @@ class _Bench:
         """Stop the robot and release the devices."""
         try:
             self.rig.loop.stop()
-        except KeyboardInterrupt:  # comes once: the robot is stopped all the same
+        except KeyboardInterrupt:  # may be raised once: stop the robot regardless
             self.rig.loop.stop()
             raise
         finally:
@@ -208,7 +198,7 @@ class _Bench:
             raise AbortError(
                 f"{self.name}: its rigid body points {math.degrees(offset):.0f} degrees off its "
                 "front",
-                "give heading_offset roughly in the spec, or define the rigid body anew",
+                "give heading_offset roughly in the spec, or define the rigid body once more",
             )
         wheels = [
             WheelSection(gain_mm=round(2 * radius * c.k, 4), dead_zone=c.dead_zone, invert=sign < 0)
@@ -253,18 +243,19 @@ class _Bench:
         Again, where frames were missing: the guard may have stopped the robot meanwhile.
         """
         for _ in range(TRIES):
-            self._trace = trace = _Trace()
+            first = self.rig.frames.count
             began = self._hold(counts)
             end = began + round(seconds * SECOND)
-            self.clock.sleep_until(end)
+            wait_for(self.clock, self._strayed, (end - self.clock.now()) / SECOND)
             if self.rig.guard.reason:
                 raise AbortError(f"{self.name}: {self.rig.guard.reason}")
-            seen = [(t, pose) for t, pose in tuple(trace.poses) if t >= began]
+            frames = [f for f in self.rig.frames.since(first) if f.frame.sampled_ns >= began]
+            seen = [(f.frame.sampled_ns, pose) for f in frames if (pose := f.pose(0)) is not None]
             times = [began, *(t for t, _ in seen), end]
             if max(np.diff(times)) <= GAP_NS:
                 return _steady(seen, began + round(SETTLING_S * SECOND), self.rig.mm)
             self._hold(_pair((-1, -1), counts))  # back, so that it stays near
-            self.clock.sleep_until(self.clock.now() + end - began)
+            wait_for(self.clock, self._strayed, seconds)
         raise AbortError(f"{self.name}: frames are missing again and again")
 
     def _hold(self, counts: Counts) -> int:
@@ -276,16 +267,15 @@ class _Bench:
         self._hold((0, 0))
         self.clock.sleep_until(self.clock.now() + SECOND // 4)
 
-    def _see(self, frame: CameraFrame) -> None:
-        guard = self.rig.guard
-        ((pose, here),) = guard.believed(frame)
-        if pose is None or not here:
-            return
-        self._home = self._home or pose
-        away = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.rig.mm
-        if away > ROAM_MM:
-            guard.abort(f"{away:.0f} mm away from where it stood")
-        self._trace.poses.append((frame.sampled_ns, pose))
+    def _strayed(self) -> bool:
+        """Return whether the measurement was aborted, as it is where the robot is too far away."""
+        guard, newest = self.rig.guard, self.rig.frames.newest
+        if newest is not None and (pose := newest.poses[0]) is not None:
+            self._home = self._home or pose
+            away = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.rig.mm
+            if away > ROAM_MM:
+                guard.abort(f"{away:.0f} mm away from where it stood")
+        return bool(guard.reason)
 
 
 def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> DrivenPath:

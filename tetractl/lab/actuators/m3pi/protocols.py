@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.lab.actuators.m3pi import slave
@@ -30,34 +29,12 @@ class RobotAnswer:
 
     battery_mv: int
     emergency_stopped: bool = False
-    received: int = 0
-    rejected: int = 0
-
-
-class RobotProtocol(Protocol):
-    """Sends to N robots, in the order of their names; sending returns the time [ns]."""
-
-    def drive(self, counts: Sequence[Counts]) -> int:
-        """Send every robot its wheel counts."""
-        ...
-
-    def stop(self) -> int:
-        """Stop every robot."""
-        ...
-
-    def emergency(self) -> int:
-        """Stop every robot for good: until it is switched off, where its firmware can."""
-        ...
-
-    def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
-        """Ask every robot for an answer, None where none came."""
-        ...
 
 
 def build_protocol(
     section: M3piSection, names: Sequence[str], link: Link, clock: Clock
-) -> RobotProtocol:
-    """Return the protocol of a spec for the robots of these names."""
+) -> "BroadcastProtocol | SlaveProtocol":
+    """Return the protocol of a spec for the robots of these names, in which it sends and polls."""
     if isinstance(section.protocol, SlaveSection):
         addresses = [section.robot(name).address or 0 for name in names]
         return SlaveProtocol(link, clock, addresses)
@@ -169,4 +146,4 @@ def _keep_reply(frame: bytes, found: dict[int, RobotAnswer]) -> None:
     except WireError:
         return
     latched = bool(reply.status & Status.EMERGENCY_STOPPED)
-    found[reply.id] = RobotAnswer(reply.battery_mv, latched, reply.received, reply.rejected)
+    found[reply.id] = RobotAnswer(reply.battery_mv, latched)

@@ -1,21 +1,15 @@
 """The section of the spec for m3pi robots behind an XBee: `actuator: {type: m3pi-xbee, ...}`."""
 
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import Tap
 from tetractl.experiment.base import Model, NonNegative
-from tetractl.experiment.lab import ActuatorSection, LabSection, Measured, RobotPart, mismatches
+from tetractl.experiment.lab import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.actuators.xbee.section import XbeeSection
-
-if TYPE_CHECKING:
-    from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 
 
 class BroadcastSection(Model):
@@ -69,6 +63,8 @@ class M3piRobot(RobotPart):
 class M3piSection(XbeeSection, ActuatorSection):
     """m3pi robots with two wheels, steered over an XBee radio."""
 
+    device: ClassVar[str] = "tetractl.lab.actuators.m3pi.actuator:M3piActuator"
+    calibration: ClassVar[str] = "tetractl.lab.actuators.m3pi.calibrate:calibrate_robots"
     type: Literal["m3pi-xbee"]
     rate: float = Field(default=40.0, ge=20, le=120, allow_inf_nan=False)
     """Wheel commands a second [Hz]."""
@@ -127,29 +123,9 @@ class M3piSection(XbeeSection, ActuatorSection):
             return min(robot.limit, self.protocol.limit)
         return robot.limit
 
-    def build(self, setup: Setup, clock: Clock, tap: Tap) -> "M3piActuator":
-        """Return the actuator of the setup's robots; its port is not open yet."""
-        from tetractl.lab.actuators.m3pi.actuator import M3piActuator
-
-        return M3piActuator(self, setup, clock, tap)
-
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot in reach, whatever it runs: until it is switched off where it can."""
         from tetractl.lab.actuators.m3pi.stop import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]
         return stop_all(self, addresses, alone)
-
-    def calibrate(
-        self,
-        lab: LabSection,
-        setup: Setup,
-        names: Sequence[str],
-        limit: int,
-        emergency: threading.Event,
-        report: Callable[[str], None],
-    ) -> Measured:
-        """Measure wheels, wheel distance and heading offset; `limit` is the greatest count."""
-        from tetractl.lab.actuators.m3pi.calibrate import calibrate_robots
-
-        return calibrate_robots(self, lab, setup, names, limit, emergency, report)

@@ -30,12 +30,6 @@ class MotorCount:
     motor: Motor
     count: int
 
-    @property
-    def pwm(self) -> int:
-        """Duty cycle in -255..255."""
-        magnitude = 255 if abs(self.count) == COUNT_MAX else 2 * abs(self.count)
-        return magnitude if self.count >= 0 else -magnitude
-
 
 class Query(Enum):
     """A request that wants an answer."""

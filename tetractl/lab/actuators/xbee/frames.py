@@ -12,7 +12,6 @@ from tetractl.lab.errors import WireError
 
 EXPLICIT_RECEIVE = 0x91  # type of the frames that come in place of others with AO=1
 BROADCAST_16 = 0xFFFF
-BROADCAST_64 = 0x000000000000FFFF
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,18 +21,6 @@ class XbeeFrame:
     API: ClassVar[int]
     LAYOUT: ClassVar[struct.Struct]
     HAS_DATA: ClassVar[bool] = True
-
-
-@dataclass(frozen=True, slots=True)
-class Transmit64(XbeeFrame):
-    """0x00: send to a 64-bit address; a `frame_id` of 0 asks for no status."""
-
-    API = 0x00
-    LAYOUT = struct.Struct(">BQB")
-    frame_id: int
-    destination: int
-    options: int
-    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,34 +43,6 @@ class AtCommand(XbeeFrame):
     LAYOUT = struct.Struct(">B2s")
     frame_id: int
     command: bytes  # two letters
-    data: bytes = b""
-
-
-@dataclass(frozen=True, slots=True)
-class Transmit(XbeeFrame):
-    """0x10: send to a 64- and a 16-bit address (newer firmware)."""
-
-    API = 0x10
-    LAYOUT = struct.Struct(">BQHBB")
-    frame_id: int
-    destination: int
-    short: int
-    radius: int
-    options: int
-    data: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class RemoteAt(XbeeFrame):
-    """0x17: an AT command for another module."""
-
-    API = 0x17
-    LAYOUT = struct.Struct(">BQHB2s")
-    frame_id: int
-    destination: int
-    short: int
-    options: int
-    command: bytes
     data: bytes = b""
 
 
@@ -125,27 +84,13 @@ class AtResponse(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class TransmitStatus(XbeeFrame):
-    """0x89: what became of a 0x00 or 0x01; of a broadcast it proves nothing."""
+    """0x89: what became of a 0x01; of a broadcast it proves nothing."""
 
     API = 0x89
     LAYOUT = struct.Struct(">BB")
     HAS_DATA = False
     frame_id: int
     status: int
-
-
-@dataclass(frozen=True, slots=True)
-class TransmitStatusLong(XbeeFrame):
-    """0x8B: what became of a 0x10."""
-
-    API = 0x8B
-    LAYOUT = struct.Struct(">BHBBB")
-    HAS_DATA = False
-    frame_id: int
-    short: int
-    retries: int
-    delivery: int
-    discovery: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,20 +106,6 @@ class Receive(XbeeFrame):
 
 
 @dataclass(frozen=True, slots=True)
-class RemoteAtResponse(XbeeFrame):
-    """0x97: what became of a 0x17."""
-
-    API = 0x97
-    LAYOUT = struct.Struct(">BQH2sB")
-    frame_id: int
-    source: int
-    short: int
-    command: bytes
-    status: int
-    data: bytes = b""
-
-
-@dataclass(frozen=True, slots=True)
 class Other:
     """A frame of a type not named here, such as a modem status."""
 
@@ -185,18 +116,13 @@ class Other:
 FRAME_TYPES: dict[int, type[XbeeFrame]] = {
     kind.API: kind
     for kind in (
-        Transmit64,
         Transmit16,
         AtCommand,
-        Transmit,
-        RemoteAt,
         Receive64,
         Receive16,
         AtResponse,
         TransmitStatus,
-        TransmitStatusLong,
         Receive,
-        RemoteAtResponse,
     )
 }
 
@@ -209,9 +135,7 @@ def pack_content(frame: XbeeFrame | Other) -> bytes:
         return bytes([frame.api]) + frame.data
     values = astuple(frame)
     fields, data = (values[:-1], values[-1]) if frame.HAS_DATA else (values, b"")
-    if isinstance(frame, AtCommand | RemoteAt | AtResponse | RemoteAtResponse) and (
-        len(frame.command) != 2
-    ):
+    if isinstance(frame, AtCommand | AtResponse) and (len(frame.command) != 2):
         raise WireError(f"an AT command has two letters: {frame.command!r}")
     try:
         return bytes([frame.API]) + frame.LAYOUT.pack(*fields) + data

@@ -83,7 +83,7 @@ class Decoder:
     def _unescaped(self) -> tuple[bytearray, int, bool]:
         """Return the frame's bytes behind the delimiter, how many raw bytes they took, cut.
 
-        Reads no further than the length tells. `cut` says that another frame starts inside.
+        Reads no further than the length says. `cut` says that another frame starts inside.
         """
         raw = bytearray()
         wanted = 2

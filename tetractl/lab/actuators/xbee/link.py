@@ -8,8 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tetractl.core.clock import Clock, wait_for
-from tetractl.core.wire_tap import NO_TAP, Tap
-from tetractl.lab.actuators.xbee import check
+from tetractl.lab.actuators.xbee import hardware
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
     EXPLICIT_RECEIVE,
@@ -28,28 +27,17 @@ from tetractl.lab.actuators.xbee.section import XbeeSection
 from tetractl.lab.serial_port import SerialPort
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
-NO_ACK = 0x01  # transmit option: do not wait for the receiver's acknowledgement
 KEPT = 1024
 HINT = "the robots stop by their watchdog; plug it in, start again"
 
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Bytes from another module: its address, None where the mode does not tell, and when [ns]."""
+    """Bytes from another module: its address, None where the mode does not say, and when [ns]."""
 
     source: int | None
     t_ns: int
     data: bytes
-
-
-@dataclass(slots=True)
-class LinkCounts:
-    """What passed; every number only grows."""
-
-    frames_sent: int = 0
-    received: int = 0
-    undelivered: int = 0  # unicasts that no module acknowledged
-    explicit: int = 0  # frames of type 0x91, which are not read
 
 
 class Link:
@@ -58,9 +46,10 @@ class Link:
     `questions` are what only a person knows of the module on it.
     """
 
-    def __init__(self, radio: XbeeSection, clock: Clock, tap: Tap = NO_TAP) -> None:
+    def __init__(self, radio: XbeeSection, clock: Clock) -> None:
         self.radio = radio
-        self.counts = LinkCounts()
+        self.undelivered = 0  # unicasts that no module acknowledged
+        self.explicit = 0  # frames of type 0x91, which are not read
         self.questions: tuple[str, ...] = ()
         self.decoder = Decoder(escaped=radio.mode == "api2")
         self._api = radio.mode != "transparent"
@@ -68,9 +57,7 @@ class Link:
         self._answers: deque[AtResponse] = deque(maxlen=KEPT)
         self._frame_id = 0
         self._clock = clock
-        self._port = SerialPort(
-            radio.port, radio.baud, "the radio", clock, self._take, HINT, tap, "radio"
-        )
+        self._port = SerialPort(radio.port, radio.baud, "the radio", clock, self._take, HINT)
 
     @property
     def failure(self) -> str | None:
@@ -81,15 +68,15 @@ class Link:
         """Open the port, as a `SerialPort`, and, `checked` in an API mode, check the module."""
         self._port.open(alone)
         if checked and self._api:
-            self.questions = check.module(self, self.radio)
+            self.questions = hardware.check_module(self, self.radio)
 
     def send(self, data: bytes, address: int = BROADCAST_16) -> int:
         """Send to one module or to all; return when the bytes were handed over [ns]."""
         if not self._api:
-            return self._write(data)
+            return self._port.write(data)
         acknowledged = address != BROADCAST_16
         frame = Transmit16(self._next_id() if acknowledged else 0, address, 0, data)
-        return self._write(self.packed(frame))
+        return self._port.write(self.packed(frame))
 
     def packed(self, frame: XbeeFrame | Other) -> bytes:
         """Pack a frame as the module's mode wants it."""
@@ -99,7 +86,7 @@ class Link:
         """Ask the module for a parameter; return its value, None without an answer."""
         wanted = self._next_id()
         self._answers.clear()
-        self._write(self.packed(AtCommand(wanted, command)))
+        self._port.write(self.packed(AtCommand(wanted, command)))
 
         def answer() -> AtResponse | None:
             return next((a for a in self._answers if a.frame_id == wanted), None)
@@ -114,7 +101,7 @@ class Link:
 
     def problems(self) -> tuple[str, ...]:
         """Return why what other modules sent could not be read, a line for people."""
-        if not self.counts.explicit:
+        if not self.explicit:
             return ()
         return (
             f"{self.radio.port}: the module reports what it hears in frames of type 0x91, which "
@@ -143,15 +130,9 @@ class Link:
         self._frame_id = self._frame_id % 255 + 1
         return self._frame_id
 
-    def _write(self, data: bytes) -> int:
-        sent_ns = self._port.write(data)
-        self.counts.frames_sent += 1
-        return sent_ns
-
     def _take(self, data: bytes, now: int) -> None:
         if not self._api and data:
             self._fresh.append(Received(None, now, data))
-            self.counts.received += 1
         elif data:
             for frame in self.decoder.feed(data):
                 self._sort(frame, now)
@@ -162,13 +143,11 @@ class Link:
                 self._answers.append(frame)
             case Receive16(source, _, _, data) | Receive64(source, _, _, data):
                 self._fresh.append(Received(source, now, data))
-                self.counts.received += 1
             case Receive(_, short, _, data):
                 self._fresh.append(Received(short, now, data))
-                self.counts.received += 1
             case Other(api) if api == EXPLICIT_RECEIVE:
-                self.counts.explicit += 1
+                self.explicit += 1
             case TransmitStatus(_, status) if status:
-                self.counts.undelivered += 1
+                self.undelivered += 1
             case _:
                 pass

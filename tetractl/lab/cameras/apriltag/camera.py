@@ -3,10 +3,9 @@
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from types import TracebackType
 from typing import Self
 
 import cv2
@@ -15,6 +14,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
+from tetractl.core.setup import Setup
 from tetractl.lab.cameras.apriltag.health import LOOKS, Look, State, judged
 from tetractl.lab.cameras.apriltag.section import AprilTagSection
 from tetractl.lab.cameras.apriltag.source import (
@@ -34,24 +34,22 @@ CLOSE_S = 2.0
 class AprilTagCamera:
     """Tracks N robots by their tags; a `Camera`.
 
-    The robots are in the order of `names`, `metres` is the length of the spec's unit. `wake` is
-    called, in the finding thread, after every new frame. A frame is numbered by its picture: where
-    a live source outruns the finding, numbers are missing. A robot is not tracked (None) while its
-    tag is not seen, seen twice, or not of its size, and none is while the floor is not known.
-    Frames never carry a `fault`.
+    `wake` is called, in the finding thread, after every new frame. A frame is numbered by its
+    picture: where a live source outruns the finding, numbers are missing. A robot is not tracked
+    (None) while its tag is not seen, seen twice, or not of its size, and none is while the floor is
+    not known. Frames never carry a `fault`.
     """
 
     def __init__(
         self,
         section: AprilTagSection,
-        names: Sequence[str],
-        metres: float,
+        setup: Setup,
         clock: Clock,
-        wake: Callable[[], None],
+        wake: Callable[[], None] = lambda: None,
     ) -> None:
         self.section = section
         self._clock, self._wake = clock, wake
-        self._tracker = Tracker(section, names, metres)
+        self._tracker = Tracker(section, setup.names, setup.metres)
         self._newest: CameraFrame | None = None
         self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
         self._looks: deque[Look] = deque(maxlen=LOOKS)
@@ -93,7 +91,7 @@ class AprilTagCamera:
         for thread in self._threads:
             thread.start()
         if not self._wait(lambda: self._newest is not None, patience):
-            self.__exit__(None, None, None)
+            self.__exit__()
             damaged = f"{self.damaged} pictures were damaged" if self.damaged else None
             raise AbortError(
                 f"no picture comes from {self.section.source_name} ({patience:g} s)",
@@ -101,12 +99,7 @@ class AprilTagCamera:
             )
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End both threads and close the source."""
         self._closing.set()
         if self._feed is not None:

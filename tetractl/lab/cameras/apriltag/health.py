@@ -35,7 +35,7 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The camera beside its pictures; `ended` says why the source ended, "" where it has not.
+    """The camera, besides its pictures; `ended` says why the source ended, "" where it has not.
 
     `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the floor as
     calibrated, even where it does not fit the spec.
@@ -135,7 +135,7 @@ def _floor_placed(plane: Plane | None, estimated: bool) -> Lines:
         (warnings if plane.worst_mm <= MISFIT_MM else problems).append(line)
     if estimated and plane.doubt_mm > DOUBTFUL_MM:
         line = (
-            f"the floor tags tell too little of the lens: robots may be {plane.doubt_mm:.0f} mm "
+            f"the floor tags say too little about the lens: robots may be {plane.doubt_mm:.0f} mm "
             "off; tilt the camera more or set lab.camera.lens"
         )
         (problems if plane.doubt_mm > MISFIT_MM else warnings).append(line)

@@ -17,7 +17,7 @@ MM = 1e-3  # m
 # A tag's corners, in sides of the tag: top left first, clockwise; x is the direction of reading.
 SQUARE = np.array([(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)])
 
-ALIKE_PX = 0.1  # two fits that differ by less cannot be told apart
+ALIKE_PX = 0.1  # two fits that differ by less cannot be distinguished
 
 
 @dataclass(frozen=True, slots=True)

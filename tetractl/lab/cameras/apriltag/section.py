@@ -5,20 +5,17 @@ seconds. OpenCV is imported only where the camera is built.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError, SpecError
+from tetractl.core.protocols import Camera
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import Tap
 from tetractl.experiment.base import Finite, Model, NonNegative, Point, Positive, inconsistent
 from tetractl.experiment.lab import CameraSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
-
-if TYPE_CHECKING:
-    from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 
 TAGS = 587  # of the family 36h11, numbered from 0
 
@@ -108,6 +105,7 @@ class FloorTag(Model):
 class AprilTagSection(CameraSection):
     """A camera that looks down on robots with AprilTags."""
 
+    device: ClassVar[str] = "tetractl.lab.cameras.apriltag.camera:AprilTagCamera"
     type: Literal["apriltag"]
     source: Source
     """Where pictures come from."""
@@ -116,11 +114,11 @@ class AprilTagSection(CameraSection):
     robots: tuple[RobotTag, ...] = Field(min_length=1, max_length=32)
     """Every robot of the spec, once."""
     floor: tuple[FloorTag, ...] = Field(min_length=4, max_length=16)
-    """Tags round the arena that tell where the floor is; all must be seen at once."""
+    """Tags round the arena that show where the floor is; all must be seen at once."""
     lens: Lens | None = None
     """The calibrated lens; by default focal length and distortion are found from the floor tags."""
     latency: NonNegative = 0.05
-    """From exposure to arrival of a picture [s]; no source tells it."""
+    """From exposure to arrival of a picture [s]; no source reports it."""
     connect: Positive = 5.0
     """How long the source may take to open, and then to deliver [s]."""
 
@@ -164,15 +162,10 @@ class AprilTagSection(CameraSection):
         """Return what is added to the heading of a robot's tag [rad]."""
         return self.ordered([name])[0].heading_offset
 
-    def build(
-        self, setup: Setup, clock: Clock, tap: Tap, wake: Callable[[], None]
-    ) -> "AprilTagCamera":
-        """Return the camera of the setup's robots; AbortError without OpenCV.
-
-        Pictures are not recorded by `tap`: their source keeps none of their bytes.
-        """
+    def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
+        """Return the camera of the setup's robots; AbortError without OpenCV."""
         try:
-            from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
+            return super().build(setup, clock, wake)
         except ModuleNotFoundError as error:
             if error.name != "cv2":
                 raise
@@ -180,7 +173,6 @@ class AprilTagSection(CameraSection):
                 "the apriltag camera needs OpenCV, which is not installed",
                 "pip install 'tetractl[vision]'",
             ) from error
-        return AprilTagCamera(self, setup.names, setup.metres, clock, wake)
 
 
 def _twice(values: Sequence[str]) -> list[str]:

@@ -17,8 +17,8 @@ import numpy as np
 from PIL.JpegImagePlugin import JpegImageFile
 
 from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import AbortError
-from tetractl.lab.announcement import is_emulated
 from tetractl.lab.cameras.apriltag.detect import Grey
 from tetractl.lab.cameras.apriltag.multipart import Multipart
 from tetractl.lab.cameras.apriltag.section import (
@@ -36,7 +36,7 @@ NO_CODE = b"\xff\x00" * 8  # 64 bits set: no Huffman code, and more than a decod
 
 
 class SourceEndedError(Exception):
-    """No picture will come any more; the message is a clause that tells why."""
+    """No picture will come any more; the message is a clause that says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +169,7 @@ class FileFeed:
     """A video file, each picture at its time; without one to spare on a virtual clock."""
 
     live = False
-    emulated = True  # nobody can steer what was filmed
+    emulated = True  # what was filmed cannot be steered
     damaged = 0
 
     def __init__(self, source: FileSource, clock: Clock) -> None:
@@ -245,7 +245,7 @@ class MjpegFeed:
                 f"{source.url} is no MJPEG stream: it answers {self._answer.status}, {kind}",
                 "a stream is multipart/x-mixed-replace with a boundary",
             )
-        self.emulated = is_emulated(self._answer.getheader("Server", ""))
+        self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
         self._socket.settimeout(None)  # from here on, who reads is interrupted by closing
         self._parts = Multipart(boundary)
         self._waiting: list[bytes] = []

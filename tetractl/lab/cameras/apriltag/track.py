@@ -51,7 +51,7 @@ class Tracker:
     def see(self, picture: Grey) -> Seen:
         """Return what a grey picture (height, width) shows.
 
-        A number that is seen twice tells nothing: its robot is not tracked, its floor tag not used.
+        A number that is seen twice says nothing: its robot is not tracked, its floor tag not used.
         """
         sightings = self._detector.find(picture)
         counts = Counter(each.tag for each in sightings)

@@ -1,37 +1,101 @@
-"""OptiTrack cameras as a `Camera`: a NatNet connection, and what is checked before a run."""
+"""OptiTrack cameras as a `Camera`: a NatNet connection, and what is checked before a run.
 
+The thread outlives whatever the network sends: bad datagrams are counted, errors of the sockets
+are kept as `error`. It never waits for the reader of its frames.
+"""
+
+import select
+import socket
+import struct
+import sys
+import threading
+from collections import Counter, deque
 from collections.abc import Callable
-from types import TracebackType
+from functools import partial
 from typing import Self
 
-from tetractl.core.clock import Clock
-from tetractl.core.commands import Health
+from tetractl.core.clock import SECOND, Clock, wait_for
+from tetractl.core.commands import EMULATED_NAME, Health
+from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import NO_TAP, Tap
-from tetractl.lab.announcement import is_emulated
 from tetractl.lab.cameras.optitrack import diagnosis
-from tetractl.lab.cameras.optitrack.client import NatNetClient
+from tetractl.lab.cameras.optitrack.messages import (
+    NEWEST,
+    OLDEST,
+    Bare,
+    Connect,
+    EchoRequest,
+    Message,
+    MessageKind,
+    NatNetFrame,
+    Request,
+    ServerInfo,
+    Version,
+)
+from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
-from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
+from tetractl.lab.cameras.optitrack.senders import Senders
+from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream, Tracked
+from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
+
+ASK_NS = SECOND // 4  # an unanswered question is asked again after this long
+ASKED_MAX = 4  # what the run can do without is asked this often
+MODELS_MAX_NS = 8 * SECOND  # at most this long between asking for models that keep changing
+KEEPALIVE_NS = SECOND
+ECHO_NS = SECOND // 2
+FIRST_ECHOES = 20  # these follow each other at once, so that the clock is known early
+FIRST_ECHO_NS = SECOND // 50
+KEPT = 4096  # frames not fetched yet
+WAIT_S = 0.02
+BUFFER = 1 << 18
 
 
 class OptitrackCamera:
-    """Tracks the setup's robots by their rigid bodies; see `tetractl.core.protocols.Camera`."""
+    """Tracks the setup's robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
+
+    Times are ns on `clock`.
+    `wake` is called, in the receiver's thread, after every new frame.
+    """
 
     def __init__(
         self,
         section: OptitrackSection,
         setup: Setup,
         clock: Clock,
-        tap: Tap = NO_TAP,
         wake: Callable[[], None] = lambda: None,
     ) -> None:
-        robots = [section.robot(name) for name in setup.names]
         self.names = setup.names
-        tracked = [Tracked(robot.body, robot.heading_offset) for robot in robots]
+        parts = [section.robot(name) for name in setup.names]
+        robots = [Tracked(part.body, part.heading_offset) for part in parts]
         self.section = section
-        self.client = NatNetClient(section, tracked, setup.metres, clock, tap, wake)
+        self.error: OSError | None = None
+        self.senders = Senders(section.server, section.command_port)
+        self._clock, self._wake = clock, wake
+        self._unicast = section.transport == "unicast"
+        self._pinned = _version(section.version) if section.version and self._unicast else None
+        up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
+        placement = Placement.of(section, setup.metres)
+        self.stream = Stream(robots, placement, self._pinned, up, self._keep)
+        self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
+        self._closing = threading.Event()
+        self._sockets: list[socket.socket] = []
+        self._due: dict[str, int] = {}
+        self._asked: Counter[str] = Counter()
+        self._echoes = 0
+        self._models_asked_ns = -MODELS_MAX_NS
+        self._models_wait_ns = ASK_NS
+        self._thread = threading.Thread(target=self._receive, name="natnet", daemon=True)
+
+    @property
+    def newest(self) -> CameraFrame | None:
+        """The newest frame, None before the first."""
+        return self.stream.newest
+
+    @property
+    def damaged(self) -> int:
+        """Datagrams dropped so far because they could not be read."""
+        return self.stream.counts.bad
 
     def __enter__(self) -> Self:
         """Connect: return once frames stream and the clocks, axes and names are known.
@@ -39,50 +103,75 @@ class OptitrackCamera:
         AbortError says which of these did not come, what came in its place, and what to set.
         """
         try:
-            self.client.open()
-            self.client.wait_connected(self.section.connect)
+            self.open()
+            self.wait_connected(self.section.connect)
         except BaseException:
-            self.client.close()
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.client.close()
+    def open(self) -> None:
+        """Open the sockets and begin to ask and to read; AbortError where they cannot be had."""
+        try:
+            self._open_sockets()
+        except OSError as error:
+            raise AbortError(
+                f"cannot listen for cameras on {self.section.interface}: {error.strerror or error}",
+                "lab.camera.interface must be an address of this computer",
+            ) from error
+        self._thread.start()
 
-    @property
-    def stream(self) -> Stream:
-        """What is known of the server."""
-        return self.client.stream
+    def wait_connected(self, timeout_s: float) -> None:
+        """Wait until frames stream and clock, axes and names are known, each at most `timeout_s`.
 
-    @property
-    def newest(self) -> CameraFrame | None:
-        """The newest frame, None before the first."""
-        return self.client.newest
-
-    @property
-    def damaged(self) -> int:
-        """Datagrams dropped so far because they could not be read."""
-        return self.stream.counts.bad
+        AbortError says which of these did not come, and what came in its place.
+        """
+        stream = self.stream
+        if not self._wait(lambda: stream.info is not None, timeout_s):
+            raise diagnosis.no_server(self.section, self.senders, timeout_s)
+        if stream.version is not None and stream.version < OLDEST:
+            raise diagnosis.no_tracking_flag(stream.version)
+        if not self._wait(lambda: self.newest is not None, timeout_s):
+            raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
+        self._wait(lambda: stream.model is not None and stream.up is not None, timeout_s)
+        if stream.up is None:
+            raise diagnosis.no_up_axis(stream)
+        if stream.model is None and any(isinstance(robot.body, str) for robot in stream.robots):
+            raise diagnosis.no_names(stream, timeout_s)
+        if self.stream.sync is not None:
+            self._wait(lambda: self._echoes >= FIRST_ECHOES, timeout_s)
+        first = self.stream.counts.frames
+        if not self._wait(lambda: self.stream.counts.frames > first, timeout_s):
+            raise AbortError(f"the camera server sends no new frames any more ({timeout_s:g} s)")
 
     def frames(self) -> list[CameraFrame]:
         """Return, once, every frame since the last call, oldest first."""
-        return self.client.drain()
+        fresh: list[CameraFrame] = []
+        while self._fresh:
+            fresh.append(self._fresh.popleft())
+        return fresh
+
+    def __exit__(self, *_: object) -> None:
+        """Disconnect and end the thread; idempotent, never raises."""
+        if self._sockets and not self._closing.is_set():
+            self._send(Bare(MessageKind.DISCONNECT))
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+        for each in self._sockets:
+            each.close()
+        self._sockets = []
 
     def check(self) -> Health:
         """Return which rigid bodies are not streamed, and what is known of server and clock."""
         stream, sync = self.stream, self.stream.sync
         problems = diagnosis.not_streamed(stream, self.names)
-        warnings = diagnosis.not_taken(self.client.senders, stream)
+        warnings = diagnosis.not_taken(self.senders, stream)
         round_trip = "unknown"
         if sync is not None and sync.synced:
             round_trip = f"{sync.round_trip_ns / 1e6:.3f}"
         else:
-            warnings.append("the server does not tell its clock, so the frames' age is not known")
+            warnings.append("the server does not report its clock, so the frames' age is not known")
         if stream.unit_mm is None:
             warnings.append("the server does not report its unit of length: metres are assumed")
         version = stream.version
@@ -95,4 +184,128 @@ class OptitrackCamera:
             "rigid_bodies": diagnosis.bodies(stream),
             "clock_round_trip_ms": round_trip,
         }
-        return Health(tuple(problems), tuple(warnings), facts, emulated=is_emulated(server))
+        return Health(tuple(problems), tuple(warnings), facts, emulated=EMULATED_NAME in server)
+
+    def _open_sockets(self) -> None:
+        section = self.section
+        command = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sockets.append(command)
+        command.bind((section.interface, 0))
+        if not self._unicast:
+            data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._sockets.append(data)
+            data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            # bound to the group, Linux gives this socket nothing else; other systems refuse that
+            data.bind((section.group if sys.platform == "linux" else "", section.data_port))
+            membership = struct.pack(
+                "4s4s", socket.inet_aton(section.group), socket.inet_aton(section.interface)
+            )
+            data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+        for each in self._sockets:
+            each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+            each.setblocking(False)
+
+    def _receive(self) -> None:
+        while not self._closing.is_set():
+            try:
+                self._chores()
+                ready, _, _ = select.select(self._sockets, [], [], WAIT_S)
+                for each in ready:
+                    self._read(each)
+            except (OSError, ValueError) as error:
+                if self._closing.is_set():
+                    return
+                self.error = error if isinstance(error, OSError) else OSError(str(error))
+                self._closing.wait(WAIT_S)  # a card that went down may come back
+
+    def _read(self, ready: socket.socket) -> None:
+        while True:
+            try:
+                datagram, (host, port) = ready.recvfrom(DATAGRAM_MAX)
+            except BlockingIOError:
+                return
+            except ConnectionError:  # an ICMP "port unreachable" of an earlier send
+                continue
+            if not self.senders.admit(datagram, host, port):
+                continue
+            now = self._clock.now()
+            message = self.stream.feed(datagram, now)
+            if isinstance(message, NatNetFrame):
+                self.senders.pin(port)
+            elif isinstance(message, ServerInfo) and self._unicast:
+                self.senders.pin(message.data_port)
+
+    def _keep(self, frame: CameraFrame) -> None:
+        self._fresh.append(frame)
+        self.error = None
+        self._wake()
+
+    def _chores(self) -> None:
+        """Ask what is not known yet, ask the time, keep the stream alive."""
+        stream = self.stream
+        if stream.info is None:
+            self._every("connect", ASK_NS, lambda: self._connect())
+            return
+        if stream.up is None:
+            self._every("ask", ASK_NS, lambda: Request(UP_AXIS))
+        else:
+            for text, known in ((UNITS, stream.unit_mm), (FRAME_RATE, stream.camera_rate_hz)):
+                if known is None and self._asked[text] < ASKED_MAX:
+                    self._asked[text] += self._every("ask", ASK_NS, partial(Request, text))
+                    break
+        self._ask_models()
+        if self._unicast:
+            self._every("alive", KEEPALIVE_NS, lambda: Bare(MessageKind.KEEPALIVE))
+        if stream.sync is not None:
+            burst = self._echoes < FIRST_ECHOES
+            every = FIRST_ECHO_NS if burst else ECHO_NS
+            if self._every("echo", every, lambda: EchoRequest(self._clock.now())):
+                self._echoes += 1
+
+    def _ask_models(self) -> None:
+        """Ask for names that are not known, have changed, or are wanted and not streamed.
+
+        Once they are known, the time between questions doubles: a server may report a change in
+        every frame, for good.
+        """
+        stream, now = self.stream, self._clock.now()
+        known = stream.model is not None
+        if known and not (stream.models_changed or stream.changing or stream.missing()):
+            self._models_wait_ns = ASK_NS
+            return
+        if now - self._models_asked_ns >= self._models_wait_ns:
+            self._models_asked_ns = now
+            self._models_wait_ns = min(2 * self._models_wait_ns, MODELS_MAX_NS) if known else ASK_NS
+            self._ask(Bare(MessageKind.REQUEST_MODELDEF))
+
+    def _connect(self) -> Connect:
+        pinned = (self._pinned.major, self._pinned.minor, 0, 0) if self._pinned else None
+        natnet = pinned or (NEWEST.major, NEWEST.minor, 0, 0)
+        return Connect("tetractl", (0, 1, 0, 0), natnet, False, pinned)
+
+    def _every(self, what: str, period_ns: int, message: Callable[[], Message]) -> bool:
+        now = self._clock.now()
+        if now < self._due.get(what, -1):
+            return False
+        self._due[what] = now + period_ns
+        self._ask(message())
+        return True
+
+    def _ask(self, message: Message) -> None:
+        self.stream.asked(message)
+        self._send(message)
+
+    def _send(self, message: Message) -> None:
+        data = pack(message)
+        try:
+            self._sockets[0].sendto(data, (self.section.server, self.section.command_port))
+        except OSError as error:
+            self.error = error
+
+    def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        return wait_for(self._clock, done, timeout_s)
+
+
+def _version(text: str) -> Version:
+    major, minor = text.split(".")
+    return Version(int(major), int(minor))

@@ -3,14 +3,14 @@
 from tetractl.core.errors import AbortError
 from tetractl.core.text import printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
-from tetractl.lab.cameras.optitrack.messages import NEWEST, TELLS_TRACKING, ModelDef, Version
+from tetractl.lab.cameras.optitrack.messages import NEWEST, OLDEST, ModelDef, Version
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.lab.errors import WireError
 
-LAYOUTS = tuple(Version(*v) for v in ((2, 5), (2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
+LAYOUTS = tuple(Version(*v) for v in ((2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
 """The first version of each layout that frames have."""
 SHOWN = 12  # bodies
 
@@ -47,7 +47,7 @@ def no_frames(
                 f"{section.server}",
             )
         return AbortError(
-            f"{server}, but frames come from another port than the one it tells, "
+            f"{server}, but frames come from another port than the one it reports, "
             f"{senders.frames_port}: {came}",
             f"set Motive's data port to {sender.port}; does a second program stream there?",
         )
@@ -62,25 +62,25 @@ def no_frames(
 
 def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: float) -> AbortError:
     assert stream.info is not None and stream.version is not None, "it answers"
-    told, fits = stream.info.version, _reads_as(stream.unread_frame, stream)
+    own, fits = stream.info.version, _reads_as(stream.unread_frame, stream)
     came = f"{stream.counts.unread_frames} frames came in {timeout_s:g} s, which read as {fits}"
-    if stream.version != told:
+    if stream.version != own:
         return AbortError(
             f"{server}, but not in protocol {stream.version}, which lab.camera.version asks for: "
             f"{came}",
-            f"leave lab.camera.version out: the server keeps to its own, {told}",
+            f"leave lab.camera.version out: the server keeps to its own, {own}",
         )
-    if told > NEWEST:
+    if own > NEWEST:
         hint = f"set lab.camera.transport to unicast and lab.camera.version to {NEWEST}"
     else:
         hint = "in unicast, set lab.camera.version to the one they read as; else restart Motive"
-    return AbortError(f"{server} and tells protocol {told}, but is not understood: {came}", hint)
+    return AbortError(f"{server} and reports protocol {own}, but is not understood: {came}", hint)
 
 
 def _reads_as(frame: bytes, stream: Stream) -> str:
     """Return the protocol versions that a frame's layout fits, the server's own before others."""
-    told = [] if stream.info is None else [stream.info.version]
-    for version in (*told, *reversed(LAYOUTS)):
+    own = [] if stream.info is None else [stream.info.version]
+    for version in (*own, *reversed(LAYOUTS)):
         try:
             parse(frame, version)
         except WireError:
@@ -90,11 +90,11 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
 
 
 def no_tracking_flag(version: Version) -> AbortError:
-    """Return the error for a protocol whose frames do not tell which bodies are tracked."""
+    """Return the error for a protocol whose frames do not say which bodies are tracked."""
     return AbortError(
-        f"the camera server speaks protocol {version}, whose frames do not tell which bodies are "
+        f"the camera server speaks protocol {version}, whose frames do not say which bodies are "
         "tracked: a lost robot would look like one that stands",
-        f"update Motive to one that speaks NatNet {TELLS_TRACKING} or later (Motive 1.7)",
+        f"update Motive to one that speaks NatNet {OLDEST} or later (Motive 1.7)",
     )
 
 
@@ -102,7 +102,7 @@ def no_up_axis(stream: Stream) -> AbortError:
     """Return the error for a server whose up axis is not known, or is none that can be used."""
     if stream.up_answer is None:
         return AbortError(
-            "the camera server does not tell its up axis", "set lab.camera.up_axis to y or z"
+            "the camera server does not report its up axis", "set lab.camera.up_axis to y or z"
         )
     axis = {0: "x"}.get(stream.up_answer, f"of number {stream.up_answer}")
     return AbortError(
@@ -112,7 +112,7 @@ def no_up_axis(stream: Stream) -> AbortError:
 
 
 def no_names(stream: Stream, timeout_s: float) -> AbortError:
-    """Return the error for a server that does not tell names, where bodies are wanted by name."""
+    """Return the error for a server that does not report names, where bodies are wanted by name."""
     if stream.counts.unread_models:
         said = f"its list of rigid bodies cannot be read as protocol {stream.version}"
     else:
@@ -126,10 +126,10 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
 
 
 def bodies(stream: Stream) -> str:
-    """Return the rigid bodies that the server tells or streams, as a list for people."""
-    told = {} if stream.model is None else {body.id: body.name for body in stream.model.bodies}
-    every = tuple(dict.fromkeys((*told, *stream.seen)))
-    shown = [_body(number, told.get(number), number in stream.seen) for number in every[:SHOWN]]
+    """Return the rigid bodies that the server names or streams, as a list for people."""
+    named = {} if stream.model is None else {body.id: body.name for body in stream.model.bodies}
+    every = tuple(dict.fromkeys((*named, *stream.seen)))
+    shown = [_body(number, named.get(number), number in stream.seen) for number in every[:SHOWN]]
     more = [f"{len(every) - SHOWN} more"] if len(every) > SHOWN else []
     return "; ".join((*shown, *more)) or "none"
 
@@ -142,7 +142,7 @@ def _body(number: int, name: str | None, streamed: bool) -> str:
 def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     """Return a line for each robot whose rigid body is not in the frames, [] before MODELDEF.
 
-    `names` are those of the stream's robots. A line tells whether the body is known at all, the
+    `names` are those of the stream's robots. A line says whether the body is known at all, the
     name or id nearest to one that is not, and which bodies there are.
     """
     if stream.model is None or not (missing := stream.missing()):
@@ -173,7 +173,7 @@ def _lacking(stream: Stream, model: ModelDef, name: str, robot: Tracked) -> str:
 
 
 def not_taken(senders: Senders, stream: Stream) -> list[str]:
-    """Return a line for datagrams of other senders, and one for answers that nobody asked for."""
+    """Return a line for datagrams of other senders, and one for answers without a question."""
     lines: list[str] = []
     if senders.refused:
         sender, _ = senders.refused.most_common(1)[0]
@@ -182,7 +182,5 @@ def not_taken(senders: Senders, stream: Stream) -> list[str]:
             f"were dropped, most of them from {sender}"
         )
     if stream.counts.unasked:
-        lines.append(
-            f"{stream.counts.unasked} answers came that nobody had asked for and were dropped"
-        )
+        lines.append(f"{stream.counts.unasked} answers came without a question and were dropped")
     return lines

@@ -1,7 +1,7 @@
 """FRAMEOFDATA: read a frame's rigid bodies and its suffix, step over the rest.
 
 A frame is: its number, then sections of counted elements, then a suffix of fixed size. From 4.1
-every section also tells its size in bytes; before, elements are measured one by one. The suffix
+every section also states its size in bytes; before, elements are measured one by one. The suffix
 is read from the tail, and a frame whose sections do not end exactly where it begins is refused.
 """
 
@@ -13,18 +13,15 @@ from tetractl.lab.cameras.optitrack.cursor import Cursor
 from tetractl.lab.cameras.optitrack.messages import OLDEST, NatNetFrame, RigidBody, Ticks, Version
 from tetractl.lab.errors import WireError
 
-SIZED = Version(4, 1)  # from here on sections tell their size
+SIZED = Version(4, 1)  # from here on sections state their size
 POSE = Struct("<i7f")
 BODY = Struct("<i7ffH")  # a whole body from 3.0 on, 38 bytes
 ERROR_AND_PARAMS = Struct("<fH")
-ERROR = Struct("<f")
 MARKER_IN_BODY = 20  # position, id, size
 
 
 def suffix_layout(version: Version) -> Struct:
     """Return the layout of what follows the last section."""
-    if version < (2, 6):
-        return Struct("<fIIi")
     if version < (2, 7):
         return Struct("<fIIfHi")
     if version < (3, 0):
@@ -36,14 +33,12 @@ def suffix_layout(version: Version) -> Struct:
 
 def smallest_body(version: Version) -> int:
     """Return the size of a rigid body without markers."""
-    if version >= (3, 0):
-        return BODY.size
-    return POSE.size + 4 + (ERROR_AND_PARAMS.size if version >= (2, 6) else ERROR.size)
+    return BODY.size if version >= (3, 0) else POSE.size + 4 + ERROR_AND_PARAMS.size
 
 
 def labelled_size(version: Version) -> int:
     """Return the size of a labelled marker."""
-    return 20 + (2 if version >= (2, 6) else 0) + (4 if version >= (3, 0) else 0)
+    return 26 if version >= (3, 0) else 22
 
 
 def parse_frame(payload: bytes, version: Version) -> NatNetFrame:
@@ -61,24 +56,9 @@ def parse_frame(payload: bytes, version: Version) -> NatNetFrame:
             _skip(cursor, version, section)
     if cursor.left:
         raise WireError(f"{cursor.left} bytes between the last section and the suffix")
-    return _with_suffix(number, bodies, suffix.unpack_from(payload, cursor.end), version)
-
-
-def _with_suffix(
-    number: int, bodies: tuple[RigidBody, ...], suffix: tuple, version: Version
-) -> NatNetFrame:
-    if version < (2, 6):
-        latency, timecode, subframe, _ = suffix
-        return NatNetFrame(number, bodies, timecode, subframe, 0, latency)
-    params = suffix[-2]
-    if version < (3, 0):
-        latency, timecode, subframe, timestamp = suffix[:4]
-        return NatNetFrame(number, bodies, timecode, subframe, params, latency, timestamp)
-    timecode, subframe, timestamp, *ticks = suffix[:6]
-    precision = (suffix[6], suffix[7]) if version >= SIZED else None
-    return NatNetFrame(
-        number, bodies, timecode, subframe, params, None, timestamp, Ticks(*ticks), precision
-    )
+    fields = suffix.unpack_from(payload, cursor.end)  # params are the last but one
+    ticks = Ticks(*fields[3:6]) if version >= (3, 0) else None
+    return NatNetFrame(number, bodies, fields[-2], ticks)
 
 
 def _bodies(cursor: Cursor, version: Version) -> tuple[RigidBody, ...]:
@@ -91,15 +71,12 @@ def _bodies(cursor: Cursor, version: Version) -> tuple[RigidBody, ...]:
 
 def _body(cursor: Cursor, version: Version) -> RigidBody:
     if version >= (3, 0):
-        body, x, y, z, qx, qy, qz, qw, error, params = cursor.take(BODY)
+        body, x, y, z, qx, qy, qz, qw, _, params = cursor.take(BODY)
     else:
         body, x, y, z, qx, qy, qz, qw = cursor.take(POSE)
         cursor.skip(cursor.count(MARKER_IN_BODY) * MARKER_IN_BODY)
-        error, params = (
-            cursor.take(ERROR_AND_PARAMS) if version >= (2, 6) else (*cursor.take(ERROR), None)
-        )
-    valid = None if params is None else bool(params & 1)
-    return RigidBody(body, (x, y, z), (qx, qy, qz, qw), error, valid)
+        _, params = cursor.take(ERROR_AND_PARAMS)
+    return RigidBody(body, (x, y, z), (qx, qy, qz, qw), bool(params & 1))
 
 
 def _skip_marker_set(cursor: Cursor, version: Version) -> None:

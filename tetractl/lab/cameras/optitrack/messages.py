@@ -25,9 +25,8 @@ class Version(NamedTuple):
         return f"{self.major}.{self.minor}"
 
 
-OLDEST = Version(2, 5)
+OLDEST = Version(2, 6)  # before, frames do not say which bodies are tracked
 NEWEST = Version(4, 3)
-TELLS_TRACKING = Version(2, 6)  # before, a frame does not say which bodies are tracked
 
 
 class MessageKind(IntEnum):
@@ -53,21 +52,19 @@ class MessageKind(IntEnum):
 class RigidBody:
     """One rigid body of a frame.
 
-    `position` in m and `quaternion` (qx, qy, qz, qw) in the server's axes, `mean_error` of its
-    markers in m. An untracked body stays in the frame with its last pose: only `tracking_valid`
-    tells. It is None in 2.5, which does not say; such a body must not be taken for tracked.
+    `position` in m and `quaternion` (qx, qy, qz, qw) in the server's axes. An untracked body stays
+    in the frame with its last pose: only `tracking_valid` says so.
     """
 
     id: int
     position: Vec3
     quaternion: tuple[float, float, float, float]
-    mean_error: float
-    tracking_valid: bool | None
+    tracking_valid: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """Server clock ticks of a frame (3.0 on); `ServerInfo.clock_hz` tells their rate."""
+    """Server clock ticks of a frame (3.0 on); `ServerInfo.clock_hz` is their rate."""
 
     exposure: int  # middle of the exposure
     received: int  # the server had the camera data
@@ -76,22 +73,12 @@ class Ticks:
 
 @dataclass(frozen=True, slots=True)
 class NatNetFrame:
-    """One camera frame. None stands for what the protocol version does not have."""
+    """One camera frame; `ticks` are None before 3.0."""
 
     number: int
     bodies: tuple[RigidBody, ...]
-    timecode: int = 0
-    subframe: int = 0
     params: int = 0
-    latency: float | None = None  # before 3.0, as the server says it
-    timestamp_s: float | None = None  # from 2.6
-    ticks: Ticks | None = None  # from 3.0
-    precision: tuple[int, int] | None = None  # from 4.1: seconds, fraction
-
-    @property
-    def recording(self) -> bool:
-        """The server is recording."""
-        return bool(self.params & 1)
+    ticks: Ticks | None = None
 
     @property
     def models_changed(self) -> bool:
@@ -103,33 +90,6 @@ class NatNetFrame:
         """Motive is in edit mode: what it streams is a recording, not the robots."""
         return bool(self.params & 4)
 
-    @property
-    def bitstream_changed(self) -> bool:
-        """The server changed the protocol version."""
-        return bool(self.params & 8)
-
-
-@dataclass(frozen=True, slots=True)
-class Channels:
-    """A force plate or another device: some samples of each channel."""
-
-    id: int
-    samples: tuple[tuple[float, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Clutter:
-    """The rest of a frame, which parsing skips; only a server packs it."""
-
-    marker_sets: tuple[tuple[str, tuple[Vec3, ...]], ...] = ()
-    other_markers: tuple[Vec3, ...] = ()
-    body_markers: tuple[Vec3, ...] = ()  # of every rigid body, before 3.0
-    skeletons: tuple[tuple[int, tuple[RigidBody, ...]], ...] = ()
-    assets: tuple[tuple[int, tuple[RigidBody, ...], tuple[Vec3, ...]], ...] = ()
-    labelled_markers: tuple[tuple[int, Vec3], ...] = ()
-    force_plates: tuple[Channels, ...] = ()
-    devices: tuple[Channels, ...] = ()
-
 
 @dataclass(frozen=True, slots=True)
 class BodyName:
@@ -137,7 +97,6 @@ class BodyName:
 
     name: str
     id: int
-    parent: int = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +153,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The answer to a request: four bytes of number, or text; the request tells which."""
+    """The answer to a request: four bytes of number, or text; it depends on the request."""
 
     payload: bytes
 
@@ -215,15 +174,8 @@ class EchoResponse:
 
 
 @dataclass(frozen=True, slots=True)
-class Text:
-    """A message for people."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
 class Bare:
-    """A message whose id says all: KEEPALIVE, REQUEST_MODELDEF, UNRECOGNIZED and the like."""
+    """A message whose id says all that is read of it, such as KEEPALIVE, REQUEST_MODELDEF, TEXT."""
 
     kind: MessageKind
 
@@ -237,6 +189,5 @@ Message = (
     | Response
     | EchoRequest
     | EchoResponse
-    | Text
     | Bare
 )

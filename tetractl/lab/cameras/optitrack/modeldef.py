@@ -1,14 +1,12 @@
 """MODELDEF: which rigid body has which id; other data sets are stepped over.
 
-From 4.1 on a data set tells its size. Of a rigid body only name and id are read, and the rest is
+From 4.1 on a data set states its size. Of a rigid body only name and id are read, and the rest is
 skipped by that size: Motive 3.4 has descriptions longer than those of 4.3. Before 4.1 a data set
 has to be measured; one of a type whose layout is not known ends the reading, and
 `ModelDef.complete` says so.
 """
 
-from collections.abc import Sequence
-
-from tetractl.lab.cameras.optitrack.cursor import Cursor, packed, packed_name
+from tetractl.lab.cameras.optitrack.cursor import Cursor
 from tetractl.lab.cameras.optitrack.frame import SIZED
 from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, ModelDef, Version
 from tetractl.lab.errors import WireError
@@ -38,11 +36,14 @@ def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
 
 
 def _named(cursor: Cursor) -> BodyName:
-    return BodyName(cursor.name(), cursor.i32(), cursor.i32())
+    """Read name and id, and step over the parent's id."""
+    named = BodyName(cursor.name(), cursor.i32())
+    cursor.skip(4)
+    return named
 
 
 def _body(cursor: Cursor, version: Version) -> BodyName:
-    """Read a body's whole description, of a version that does not tell its size."""
+    """Read a body's whole description, of a version that does not state its size."""
     body = _named(cursor)
     cursor.skip(12)
     if version >= (3, 0):
@@ -81,37 +82,3 @@ def _step_over(cursor: Cursor, kind: int, version: Version) -> bool:
     for _ in range(cursor.count(1)):  # names of markers or channels
         cursor.name()
     return True
-
-
-def pack_modeldef(
-    model: ModelDef,
-    version: Version,
-    others: Sequence[tuple[int, bytes]] = (),
-    markers: int = 0,
-    grown: bytes = b"",
-) -> bytes:
-    """Pack the payload: `others` (type, bytes) first, then every body with `markers` markers.
-
-    `grown` closes each body's description: what a newer protocol has added to it.
-    """
-    if not version.known:
-        raise WireError(f"protocol {version} cannot be packed")
-    described = (_packed_body(body, version, markers) + grown for body in model.bodies)
-    sets = [*others, *((RIGID_BODY, data) for data in described)]
-    parts = [packed("i", len(sets))]
-    for kind, data in sets:
-        parts.append(packed("ii", kind, len(data)) if version >= SIZED else packed("i", kind))
-        parts.append(data)
-    return b"".join(parts)
-
-
-def _packed_body(body: BodyName, version: Version, markers: int) -> bytes:
-    parts = [packed_name(body.name), packed("ii3f", body.id, body.parent, 0.0, 0.0, 0.0)]
-    if version >= (4, 2):
-        parts.append(packed("4f", 0.0, 0.0, 0.0, 1.0))
-    if version >= (3, 0):
-        parts.append(packed(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
-        parts.append(packed(f"{markers}i", *range(1, markers + 1)))
-    if version >= (4, 0):
-        parts.extend(packed_name(f"Marker{index + 1}") for index in range(markers))
-    return b"".join(parts)

@@ -1,10 +1,13 @@
-"""From a rigid body to a robot's planar pose, or to nothing where it cannot be trusted."""
+"""From a rigid body to a robot's pose in the spec's coordinates, or to nothing where it cannot be
+trusted."""
 
 import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from tetractl.core.poses import Pose
 from tetractl.lab.cameras.optitrack.messages import RigidBody
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
 
 NORM_TOLERANCE = 1e-3
 
@@ -16,22 +19,11 @@ class UpAxis(IntEnum):
     Z = 2
 
 
-@dataclass(frozen=True, slots=True)
-class PlanarPose:
-    """x, y and height in m; heading in rad anticlockwise from +x, in [-pi, pi].
+def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
+    """Return a body's pose on the floor in the server's axes; lengths in m, angles in rad.
 
-    `tilt` is the angle between the body's own vertical axis and the server's [rad, 0 to pi].
-    """
-
-    x: float
-    y: float
-    heading: float
-    height: float
-    tilt: float
-
-
-def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> PlanarPose | None:
-    """Project a body onto the floor, its own +x axis as heading, plus the robot's offset [rad].
+    The heading is that of its own +x axis plus the robot's offset, in [-pi, pi]; the tilt is the
+    angle between its own vertical axis and the server's.
 
     With z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qy^2)).
     With y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qz^2)).
@@ -51,4 +43,33 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pla
         along, height, sine, lean = -z, y, qw * qy - qx * qz, qx * qx + qz * qz
     heading = math.atan2(2.0 * sine, 1.0 - 2.0 * (qy * qy + qz * qz))
     tilt = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * lean)))
-    return PlanarPose(x, along, math.remainder(heading + heading_offset, math.tau), height, tilt)
+    return Pose(x, along, math.remainder(heading + heading_offset, math.tau), height, tilt)
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where the cameras' axes lie in the spec's coordinates; `scale` length units to a metre."""
+
+    x: float
+    y: float
+    rotation: float
+    scale: float
+
+    @classmethod
+    def of(cls, section: OptitrackSection, metres: float) -> "Placement":
+        """Return the placement that a spec gives; `metres` in its length unit."""
+        return cls(*section.origin, section.rotation, 1.0 / metres)
+
+    def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
+        """Return a body's pose, None where it cannot be trusted."""
+        seen = planar_pose(body, up, heading_offset)
+        if seen is None:
+            return None
+        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        return Pose(
+            self.x + self.scale * (cos * seen.x - sin * seen.y),
+            self.y + self.scale * (sin * seen.x + cos * seen.y),
+            math.remainder(seen.heading + self.rotation, math.tau),
+            None if seen.height is None else self.scale * seen.height,
+            seen.tilt,
+        )

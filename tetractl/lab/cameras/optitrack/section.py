@@ -1,20 +1,15 @@
 """The section of the spec for OptiTrack cameras: `camera: {type: optitrack, ...}`."""
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
-from tetractl.core.wire_tap import Tap
 from tetractl.experiment.base import Finite, Point, Positive
 from tetractl.experiment.lab import CameraSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
-
-if TYPE_CHECKING:
-    from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
 
 Ipv4 = Annotated[
     str, Field(pattern=r"^(25[0-5]|2[0-4]\d|1?\d?\d)(\.(25[0-5]|2[0-4]\d|1?\d?\d)){3}$")
@@ -54,6 +49,7 @@ class TrackedRobot(RobotPart):
 class OptitrackSection(CameraSection):
     """OptiTrack cameras behind a Motive server that speaks NatNet."""
 
+    device: ClassVar[str] = "tetractl.lab.cameras.optitrack.camera:OptitrackCamera"
     type: Literal["optitrack"]
     server: Ipv4
     """The server's address: IPv4, such as 192.168.1.10."""
@@ -99,11 +95,3 @@ class OptitrackSection(CameraSection):
     def robot(self, name: str) -> TrackedRobot:
         """Return what a robot is to the cameras."""
         return next(robot for robot in self.robots if robot.name == name)
-
-    def build(
-        self, setup: Setup, clock: Clock, tap: Tap, wake: Callable[[], None]
-    ) -> "OptitrackCamera":
-        """Return the cameras of the setup's robots, not connected yet."""
-        from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
-
-        return OptitrackCamera(self, setup, clock, tap, wake)

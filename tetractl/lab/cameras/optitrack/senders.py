@@ -1,8 +1,8 @@
 """Which datagrams come from the camera server: its address, and one port for each kind.
 
 Answers come from the port that commands are sent to. Frames come from one other port: in unicast
-the one that SERVERINFO tells (from 3.0 on), else the one of the first frame that could be read.
-NatNet signs nothing, so whoever can send from the server's own address and port is believed.
+the one that SERVERINFO reports (from 3.0 on), else the one of the first frame that could be read.
+NatNet signs nothing: packets from the server's address and port are trusted.
 """
 
 from collections import Counter
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from tetractl.lab.cameras.optitrack.messages import MessageKind
 
-KINDS_KEPT = 64  # senders that refused datagrams are told apart by, at most
+KINDS_KEPT = 64  # senders that refused datagrams are distinguished by, at most
 
 
 @dataclass(frozen=True, slots=True)

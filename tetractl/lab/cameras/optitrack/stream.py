@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.cameras.optitrack.handshake import response_float, response_int
 from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     Connect,
@@ -24,10 +23,9 @@ from tetractl.lab.cameras.optitrack.messages import (
     ServerInfo,
     Version,
 )
-from tetractl.lab.cameras.optitrack.placement import Placement, fault_of
-from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.sync import ClockSync
-from tetractl.lab.cameras.optitrack.wire import parse
+from tetractl.lab.cameras.optitrack.wire import parse, response_float, response_int
 from tetractl.lab.errors import WireError
 
 AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
@@ -35,6 +33,7 @@ MISTIMED = 5  # impossible times of exposure in a row: no damage, but the clock
 REORDERED = 10  # a frame this little behind the newest was overtaken on its way
 UP_AXIS, UNITS, FRAME_RATE = "UpAxis", "UnitsToMillimeters", "FrameRate"
 METRE_MM = 1000.0
+EDIT_MODE = "Motive is in edit mode: it streams a recording"
 ECHOES = 64  # unanswered questions for the time that an answer is matched to
 
 
@@ -64,11 +63,11 @@ class Stream:
     """What is known of a server and its newest frame.
 
     `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis where the spec
-    tells it. `feed` never raises on data. Times are ns on the host's clock.
+    gives it. `feed` never raises on data. Times are ns on the host's clock.
 
     `up_answer` is the server's answer to `UpAxis`, `unit_mm` its unit of length [mm].
-    `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame tells
-    of a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` the newest
+    `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame reports
+    a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` the newest
     frame that could not be read.
     """
 
@@ -108,13 +107,6 @@ class Stream:
     def version(self) -> Version | None:
         """The protocol version frames come in, None before SERVERINFO."""
         return self._pinned if self._pinned and self.info else self.info and self.info.version
-
-    @property
-    def latency_ns(self) -> int | None:
-        """Age of the newest frame when it came, None where it cannot be told."""
-        if self.newest is None or self.sync is None or not self.sync.synced:
-            return None
-        return self.newest.received_ns - self.newest.sampled_ns
 
     def number(self, body: str | int) -> int | None:
         """Return the id that a body has in frames, None where its name is not known."""
@@ -283,5 +275,5 @@ class Stream:
             received_ns=received_ns,
             poses=tuple(poses),
             strangers=tuple(pose for pose in strangers if pose is not None),
-            fault=self._fault or fault_of(frame) or twins,
+            fault=self._fault or (EDIT_MODE if frame.edit_mode else "") or twins,
         )

@@ -1,6 +1,6 @@
 """The server's clock on the host's: offset, drift and round trip from echoes.
 
-An echo tells that the server's clock read `ticks` at some time between its sending and its
+An echo says that the server's clock read `ticks` at some time between its sending and its
 return; halfway is the best guess, wrong by half the round trip at most. So the echoes of shortest
 round trip decide, and the drift is fitted to those.
 
@@ -15,7 +15,7 @@ from tetractl.core.clock import SECOND
 
 KEPT = 120
 BEST = 0.25  # share of the echoes that decide
-DRIFT_SPAN = 5 * SECOND  # echoes must span this for a drift to be told from noise
+DRIFT_SPAN = 5 * SECOND  # echoes must span this for a drift to be distinguished from noise
 DRIFT_MAX = 1e-3
 
 
@@ -40,13 +40,8 @@ class ClockSync:
 
     @property
     def synced(self) -> bool:
-        """Whether `to_host` can tell anything."""
+        """Whether `to_host` can convert a time."""
         return bool(self._echoes)
-
-    @property
-    def offset_ns(self) -> int:
-        """Server minus host at the reference echo [ns]."""
-        return self._at.server_ns - self._at.host_ns
 
     @property
     def round_trip_ns(self) -> int:
@@ -99,7 +94,7 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Least squares slope of server minus host against host; 0 where it cannot be told."""
+    """Least squares slope of server minus host against host; 0 where it cannot be estimated."""
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
     if max(t) - min(t) < DRIFT_SPAN:

@@ -1,62 +1,87 @@
-"""NatNet datagrams to messages and back: the one place that knows the header."""
+"""NatNet datagrams of a server to messages, and a client's messages to datagrams."""
 
-from tetractl.lab.cameras.optitrack.cursor import packed
+import struct
+
+from tetractl.lab.cameras.optitrack.cursor import packed, packed_name
 from tetractl.lab.cameras.optitrack.frame import parse_frame
-from tetractl.lab.cameras.optitrack.handshake import pack_handshake, parse_handshake
 from tetractl.lab.cameras.optitrack.messages import (
-    Clutter,
+    Bare,
+    Connect,
+    EchoRequest,
+    EchoResponse,
     Message,
     MessageKind,
-    ModelDef,
-    NatNetFrame,
+    Quad,
+    Request,
+    Response,
+    ServerInfo,
     Version,
 )
-from tetractl.lab.cameras.optitrack.modeldef import pack_modeldef, parse_modeldef
-from tetractl.lab.cameras.optitrack.pack import pack_frame
+from tetractl.lab.cameras.optitrack.modeldef import parse_modeldef
 from tetractl.lab.errors import WireError
 
 HEADER = 4  # u16 message id, u16 payload bytes
 DATAGRAM_MAX = 65_507
+SENDER = 264  # name[256], application version[4], NatNet version[4]
+SERVER_INFO = SENDER + 15  # from 3.0: u64 clock, u16 data port, u8 multicast, group[4]
 
 
 def parse(datagram: bytes, version: Version | None = None) -> Message:
-    """Read one datagram.
+    """Read one datagram of a server.
 
-    Frames and models need the version that SERVERINFO told (or CONNECT pinned); handshake
+    Frames and models need the version that SERVERINFO reported (or CONNECT pinned); the other
     messages do not. Raises WireError, and nothing else, whatever the bytes are.
     """
+    kind, payload = split(datagram)
+    match kind:
+        case MessageKind.FRAME | MessageKind.MODELDEF:
+            if version is None:
+                raise WireError(f"{kind.name} before the protocol version is known")
+            read = parse_frame if kind is MessageKind.FRAME else parse_modeldef
+            return read(payload, version)
+        case MessageKind.SERVER_INFO:
+            return _server_info(payload)
+        case MessageKind.RESPONSE:
+            return Response(payload)
+        case MessageKind.ECHO_RESPONSE:
+            return EchoResponse(u64(payload, 0, 16), u64(payload, 8, 16))
+        case _:
+            return Bare(kind)
+
+
+def pack(message: Message) -> bytes:
+    """Pack one datagram of a client; WireError for what only a server sends."""
+    match message:
+        case Connect():
+            payload = sender(message.name, message.app_version, message.natnet_version)
+            if message.bitstream is not None:
+                payload += packed("?4B", message.subscribed_only, *message.bitstream)
+            return datagram(MessageKind.CONNECT, payload)
+        case Request(text):
+            return datagram(MessageKind.REQUEST, packed_name(text))
+        case EchoRequest(client):
+            return datagram(MessageKind.ECHO_REQUEST, packed("Q", client))
+        case Bare(MessageKind.KEEPALIVE):
+            return datagram(MessageKind.KEEPALIVE, bytes(SENDER))
+        case Bare(MessageKind.REQUEST_MODELDEF | MessageKind.DISCONNECT as kind):
+            return datagram(kind, b"\0")
+        case _:
+            raise WireError(f"no client sends this: {type(message).__name__}")
+
+
+def split(datagram: bytes) -> tuple[MessageKind, bytes]:
+    """Return a datagram's kind and payload; WireError unless its header is right."""
     if len(datagram) < HEADER:
         raise WireError(f"a datagram of {len(datagram)} bytes")
     code = int.from_bytes(datagram[:2], "little")
     size = int.from_bytes(datagram[2:4], "little")
     payload = bytes(datagram[HEADER:])
     if size != len(payload):
-        raise WireError(f"the header tells {size} bytes, {len(payload)} came")
+        raise WireError(f"the header says {size} bytes, {len(payload)} came")
     try:
-        kind = MessageKind(code)
+        return MessageKind(code), payload
     except ValueError:
         raise WireError(f"unknown message id {code}") from None
-    if kind not in (MessageKind.FRAME, MessageKind.MODELDEF):
-        return parse_handshake(kind, payload)
-    if version is None:
-        raise WireError(f"{kind.name} before the protocol version is known")
-    return (parse_frame if kind is MessageKind.FRAME else parse_modeldef)(payload, version)
-
-
-def pack(message: Message, version: Version | None = None) -> bytes:
-    """Pack one datagram; frames and models need a version from 2.5 to 4.3."""
-    if isinstance(message, NatNetFrame | ModelDef):
-        if version is None:
-            raise WireError("frames and models need a protocol version")
-        if isinstance(message, NatNetFrame):
-            return datagram(MessageKind.FRAME, pack_frame(message, version))
-        return datagram(MessageKind.MODELDEF, pack_modeldef(message, version))
-    return datagram(*pack_handshake(message))
-
-
-def pack_full_frame(frame: NatNetFrame, version: Version, clutter: Clutter) -> bytes:
-    """Pack a frame together with all that our parser skips."""
-    return datagram(MessageKind.FRAME, pack_frame(frame, version, clutter))
 
 
 def datagram(kind: MessageKind, payload: bytes) -> bytes:
@@ -64,3 +89,62 @@ def datagram(kind: MessageKind, payload: bytes) -> bytes:
     if len(payload) + HEADER > DATAGRAM_MAX:
         raise WireError(f"{len(payload)} bytes do not fit in a datagram")
     return packed("HH", kind, len(payload)) + payload
+
+
+def response_int(response: Response) -> int:
+    """Read a response of one i32, such as that to `UpAxis`."""
+    if len(response.payload) != 4:
+        raise WireError(f"a number has 4 bytes, not {len(response.payload)}")
+    return int.from_bytes(response.payload, "little", signed=True)
+
+
+def response_float(response: Response) -> float:
+    """Read a response of one f32, such as that to `FrameRate`."""
+    if len(response.payload) != 4:
+        raise WireError(f"a number has 4 bytes, not {len(response.payload)}")
+    return struct.unpack("<f", response.payload)[0]
+
+
+def _server_info(payload: bytes) -> ServerInfo:
+    name, app, natnet = read_sender(payload)
+    if natnet[0] < 3:
+        return ServerInfo(name, app, natnet)
+    if len(payload) < SERVER_INFO:
+        raise WireError(f"SERVERINFO {natnet[0]}.{natnet[1]} of {len(payload)} bytes")
+    clock = int.from_bytes(payload[SENDER : SENDER + 8], "little")
+    port = int.from_bytes(payload[SENDER + 8 : SENDER + 10], "little")
+    multicast = payload[SENDER + 10] != 0
+    return ServerInfo(name, app, natnet, clock, port, multicast, quad(payload, SENDER + 11))
+
+
+def sender(name: str, app: Quad, natnet: Quad) -> bytes:
+    """Pack what CONNECT and SERVERINFO begin with: name and versions."""
+    return packed_name(name).ljust(256, b"\0") + packed("4B4B", *app, *natnet)
+
+
+def read_sender(payload: bytes) -> tuple[str, Quad, Quad]:
+    """Read what CONNECT and SERVERINFO begin with."""
+    if len(payload) < SENDER:
+        raise WireError(f"name and versions in {len(payload)} bytes")
+    return read_text(payload[:256]), quad(payload, 256), quad(payload, 260)
+
+
+def quad(payload: bytes, at: int) -> Quad:
+    """Read four bytes, such as an address or a version."""
+    a, b, c, d = payload[at : at + 4]
+    return a, b, c, d
+
+
+def read_text(payload: bytes) -> str:
+    """Read text up to its NUL, or to the end; after the NUL there may be anything."""
+    raw = payload[:257].partition(b"\0")[0]
+    if len(raw) > 256:
+        raise WireError("text too long")
+    return raw.decode("utf-8", "replace")
+
+
+def u64(payload: bytes, at: int, size: int) -> int:
+    """Read a u64 of a payload that must have `size` bytes."""
+    if len(payload) != size:
+        raise WireError(f"{size} bytes expected, not {len(payload)}")
+    return int.from_bytes(payload[at : at + 8], "little")

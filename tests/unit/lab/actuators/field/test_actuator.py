@@ -1,35 +1,34 @@
-"""The field's actuator: what it commands, and its life on a real pseudo-terminal."""
+"""The field's actuator: what it commands, and its life before an emulated driver."""
 
 import math
-import os
-import pty
 import random
-import tty
 from contextlib import suppress
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.field_bench import LIMITS, Bench, Wire, eventually, section
+from support.field_bench import LIMITS, Bench, Wire, section
 
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
-from tetractl.lab import firmware
+from tetractl.emulate import firmware
+from tetractl.emulate.firmware import DriverLimits
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.core import DriverLimits
 from tetractl.lab.actuators.field.protocol import FieldFlag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A, SPEED = np.array([5.0, 3.5]), np.array([300.0, 330.0])
+SETUP = SimpleNamespace(a=A, speed=SPEED)
 POSES = (Pose(0, 0, 0.2), Pose(1, 1, -2.0))
 BOTH = (True, True)
 
 
 def virtual(**changes):
     clock = VirtualClock()
-    actuator = FieldActuator(section(**changes), A, SPEED, clock)
+    actuator = FieldActuator(section(**changes), SETUP, clock)
     actuator.driver = Wire(clock)
     return actuator, clock
 
@@ -144,24 +143,7 @@ def test_cells_cannot_be_polled():
     assert [status.answers for status in actuator.poll(1.0)] == [None, None]
 
 
-# from here on: a real pseudo-terminal
-
-
-@pytest.fixture
-def bench(tmp_path):
-    made = []
-
-    def make(limits=LIMITS, baud=115_200):
-        made.append(Bench(tmp_path, limits, baud))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
-
-
-def opened(bench, **changes):
-    return FieldActuator(section(port=str(bench.port.link), **changes), A, SPEED, MonotonicClock())
+# from here on: before an emulated driver
 
 
 def fails(actuator):
@@ -179,9 +161,9 @@ def stops(stage):
 
 
 @needs_compiler
-def test_a_driver_is_checked_steered_and_stopped(bench):
-    stage = bench()
-    with opened(stage) as actuator:
+def test_a_driver_is_checked_steered_and_stopped():
+    stage = Bench()
+    with stage.opened(SETUP) as actuator:
         health = actuator.check()
         assert (health.problems, health.warnings) == ((), ())
         assert health.facts["field_driver_current_max_a"] == "2"
@@ -192,22 +174,22 @@ def test_a_driver_is_checked_steered_and_stopped(bench):
             actuator.steer(1.0, POSES, BOTH, 0)
             return stage.driver.currents == pytest.approx(wished, abs=0.002)
 
-        assert eventually(flowing)
+        assert stage.clock.wait(flowing)
         assert actuator.failure is None
         actuator.stop()
-        assert eventually(lambda: max(map(abs, stage.driver.currents)) < 1e-6)
+        assert stage.clock.wait(lambda: max(map(abs, stage.driver.currents)) < 1e-6)
     kinds = {event for event, _ in stage.told}
     assert kinds == {"command"}
 
 
 @needs_compiler
-def test_leaving_switches_the_field_off_before_the_watchdog_would(bench):
-    stage = bench(DriverLimits(2000, 100_000, watchdog_ms=5000))
-    with opened(stage, watchdog=5.0) as actuator:
+def test_leaving_switches_the_field_off_before_the_watchdog_would():
+    stage = Bench(DriverLimits(2000, 100_000, watchdog_ms=5000))
+    with stage.opened(SETUP, watchdog=5.0) as actuator:
         actuator.steer(1.0, POSES, BOTH, 0)
-        assert eventually(lambda: max(map(abs, stage.driver.currents)) > 0.5)
+        assert stage.clock.wait(lambda: max(map(abs, stage.driver.currents)) > 0.5)
     actuator.__exit__(None, None, None)
-    assert eventually(lambda: max(map(abs, stage.driver.currents)) < 1e-6)
+    assert stage.clock.wait(lambda: max(map(abs, stage.driver.currents)) < 1e-6)
 
 
 @needs_compiler
@@ -221,15 +203,15 @@ def test_leaving_switches_the_field_off_before_the_watchdog_would(bench):
         (LIMITS, {"temperature_max_c": 20.0}, "the coils are at 25 °C"),
     ],
 )
-def test_a_driver_that_would_not_do_is_a_problem(bench, limits, changes, says):
-    with opened(bench(limits), **changes) as actuator:
+def test_a_driver_that_would_not_do_is_a_problem(limits, changes, says):
+    with Bench(limits).opened(SETUP, **changes) as actuator:
         (problem,) = actuator.check().problems
     assert says in problem
 
 
 @needs_compiler
-def test_weak_coils_and_a_strong_driver_are_warned_of(bench):
-    with opened(bench(DriverLimits(3000, 100_000)), strength_mt=5.0) as actuator:
+def test_weak_coils_and_a_strong_driver_are_warned_of():
+    with Bench(DriverLimits(3000, 100_000)).opened(SETUP, strength_mt=5.0) as actuator:
         health = actuator.check()
     assert health.problems == ()
     weak, strong = health.warnings
@@ -238,52 +220,55 @@ def test_weak_coils_and_a_strong_driver_are_warned_of(bench):
 
 
 @needs_compiler
-def test_an_emergency_stop_latches_until_the_driver_is_switched_off(bench):
-    stage = bench()
-    with opened(stage) as actuator:
+def test_an_emergency_stop_latches_until_the_driver_is_switched_off():
+    stage = Bench()
+    with stage.opened(SETUP) as actuator:
         actuator.stop(emergency=True)
-        assert eventually(lambda: actuator.failure == "the current driver is emergency-stopped")
+        assert stage.clock.wait(
+            lambda: actuator.failure == "the current driver is emergency-stopped"
+        )
         with pytest.raises(AbortError, match="emergency-stopped"):
             actuator.steer(1.0, POSES, BOTH, 0)
         (problem,) = actuator.check().problems
         assert "switch it off and on again" in problem
-        stage.do(lambda: (stage.driver.switch(False), stage.driver.switch(True)))
+        stage.driver.switch(False)
+        stage.driver.switch(True)
         assert actuator.check().problems == ()
         actuator.steer(1.0, POSES, BOTH, 0)
 
 
 @needs_compiler
-def test_heat_ends_a_run(bench):
-    stage = bench()
-    with opened(stage) as actuator:
-        stage.do(lambda: setattr(stage.driver, "temperature_dc", 850))
+def test_heat_ends_a_run():
+    stage = Bench()
+    with stage.opened(SETUP) as actuator:
+        stage.driver.temperature_dc = 850
 
-        assert eventually(lambda: fails(actuator))
+        assert stage.clock.wait(lambda: fails(actuator))
         assert actuator.failure == "the current driver stopped: it is 85 °C hot"
         assert len(actuator.check().problems) == 3  # hot before, latched, hot now
 
 
 @needs_compiler
-def test_a_driver_that_falls_silent_is_noticed(bench):
-    stage = bench()
-    with opened(stage) as actuator:
+def test_a_driver_that_falls_silent_is_noticed():
+    stage = Bench()
+    with stage.opened(SETUP) as actuator:
         assert actuator.check().problems == ()
-        stage.do(lambda: setattr(stage.driver, "mute", True))
+        stage.driver.mute = True
 
-        assert eventually(lambda: fails(actuator))
+        assert stage.clock.wait(lambda: fails(actuator))
         assert actuator.failure == "the current driver does not answer any more"
         with pytest.raises(AbortError, match="does not answer") as got:
             actuator.steer(1.0, POSES, BOTH, 0)
         assert "cells swim on" in got.value.hint
         before = stops(stage)
         actuator.stop()  # it may hear all the same
-        assert eventually(lambda: stops(stage) == before + 3)
+        assert stage.clock.wait(lambda: stops(stage) == before + 3)
 
 
 @needs_compiler
-def test_another_speed_or_no_driver_is_told(bench):
-    stage = bench(baud=9600)
-    with opened(stage) as actuator:
+def test_another_speed_or_no_driver_is_told():
+    stage = Bench(baud=9600)
+    with stage.opened(SETUP) as actuator:
         (problem,) = actuator.check().problems
     assert "no current driver answers on" in problem
     assert "at 115200 baud" in problem
@@ -291,22 +276,20 @@ def test_another_speed_or_no_driver_is_told(bench):
 
 
 @needs_compiler
-def test_garbage_on_the_line_is_dropped(bench):
-    stage = bench()
-    with opened(stage) as actuator:
-        stage.do(
-            lambda: stage.port.write(random.Random(1).randbytes(2000) + b"\0" + b"\x05noise\0")
-        )
+def test_garbage_on_the_line_is_dropped():
+    stage = Bench()
+    with stage.opened(SETUP) as actuator:
+        stage.port.write(random.Random(1).randbytes(2000) + b"\0" + b"\x05noise\0")
         assert actuator.check().problems == ()
 
 
 @needs_compiler
-def test_an_unplugged_driver_raises_and_says_so(bench):
-    stage = bench()
-    with opened(stage) as actuator:
+def test_an_unplugged_driver_raises_and_says_so():
+    stage = Bench()
+    with stage.opened(SETUP) as actuator:
         actuator.steer(1.0, POSES, BOTH, 0)
-        stage.unplug()
-        assert eventually(lambda: actuator.failure is not None)
+        stage.port.unplug()
+        assert stage.clock.wait(lambda: actuator.failure is not None)
         assert "the port" in actuator.failure
         assert "is gone" in actuator.failure
         for send in (lambda: actuator.steer(1.0, POSES, BOTH, 0), actuator.stop):
@@ -316,34 +299,8 @@ def test_an_unplugged_driver_raises_and_says_so(bench):
         assert "is gone" in problem
 
 
-def test_a_stuck_port_raises_and_never_hangs():
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    try:
-        actuator = FieldActuator(section(port=os.ttyname(slave)), A, SPEED, MonotonicClock())
-        with actuator:
-            with pytest.raises(AbortError, match="is stuck"):
-                for _ in range(10_000):
-                    actuator.stop()
-            assert "is stuck" in actuator.failure
-    finally:
-        os.close(master)
-        os.close(slave)
-
-
-@needs_compiler
-def test_a_second_program_cannot_open_the_port(bench):
-    stage = bench()
-    with (
-        opened(stage),
-        pytest.raises(AbortError, match="another program has this port open"),
-        opened(stage),
-    ):
-        pass
-
-
 def test_there_must_be_a_port(tmp_path):
-    actuator = FieldActuator(section(port=str(tmp_path / "none")), A, SPEED, MonotonicClock())
+    actuator = FieldActuator(section(port=str(tmp_path / "none")), SETUP, MonotonicClock())
     with pytest.raises(AbortError, match="there is no such port"), actuator:
         pass
     with pytest.raises(AbortError, match="is not open"):

@@ -5,8 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.field_twin import Twin
 
-from tetractl.lab import cobs, firmware
-from tetractl.lab.actuators.field.core import DriverCore, DriverEvent, DriverLimits
+from tetractl.emulate import firmware
+from tetractl.emulate.firmware import DriverCore, DriverLimits, Event
+from tetractl.lab import cobs
 from tetractl.lab.actuators.field.protocol import (
     DriverStatus,
     FieldCommand,
@@ -33,8 +34,8 @@ commands = st.builds(FieldCommand, near | u8, st.integers(0, 7).map(FieldFlag), 
 replies = st.builds(FieldReply, u8, st.integers(0, 31).map(DriverStatus), *([st.just(0)] * 10))
 foreign = (
     replies.map(encode_reply)
-    | st.binary(min_size=1, max_size=78).map(cobs.seal)
-    | st.tuples(u8, u8).map(lambda pair: cobs.seal(bytes([0x53, *pair, 1, 2, 3, 4])))
+    | st.binary(min_size=1, max_size=78).map(cobs.frame_with_crc)
+    | st.tuples(u8, u8).map(lambda pair: cobs.frame_with_crc(bytes([0x53, *pair, 1, 2, 3, 4])))
 )
 
 
@@ -113,7 +114,7 @@ def test_the_watchdog_ramps_the_field_down_after_its_time_and_not_before():
     assert core.status(250) == DriverStatus.SILENT
     assert core.currents_ua(255) == (50_000, 25_000)
     assert core.currents_ua(260) == (0, 0)
-    assert core.push(run(1, 100, 50), 300) == [DriverEvent.ACCEPTED]  # a restarted controller
+    assert core.push(run(1, 100, 50), 300) == [Event.ACCEPTED]  # a restarted controller
 
 
 def test_repeated_and_damaged_frames_do_not_feed_the_watchdog():
@@ -122,8 +123,8 @@ def test_repeated_and_damaged_frames_do_not_feed_the_watchdog():
     bad = bytearray(run(6, 100, 50))
     bad[4] ^= 2
     for now in range(1, 250):
-        assert core.push(bytes(bad), now) == [DriverEvent.REJECTED]
-        assert core.push(run(5, 900, 900), now) == [DriverEvent.STALE]
+        assert core.push(bytes(bad), now) == [Event.REJECTED]
+        assert core.push(run(5, 900, 900), now) == [Event.STALE]
     assert core.currents_ua(249) == (100_000, 50_000)
     assert core.status(250) == DriverStatus.SILENT
 
@@ -132,7 +133,7 @@ def test_a_stop_is_obeyed_even_when_old():
     core = DriverCore(LIMITS)
     core.push(run(9, 100, 50), 0)
     core.currents_ua(20)
-    assert core.push(run(8, 100, 50, FieldFlag(0)), 20) == [DriverEvent.STALE]
+    assert core.push(run(8, 100, 50, FieldFlag(0)), 20) == [Event.STALE]
     assert core.currents_ua(25) == (50_000, 25_000)
     assert core.currents_ua(30) == (0, 0)
 

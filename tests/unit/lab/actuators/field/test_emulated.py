@@ -1,6 +1,7 @@
 """The emulated driver and its cells in virtual time: the whole path from a direction to a cell."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,11 +9,11 @@ from support.field_bench import LIMITS, Wire, section
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.poses import Pose
+from tetractl.emulate import firmware
 from tetractl.emulate.cells import Cell, Dish
 from tetractl.emulate.field import CurrentDriver
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.port import PseudoPort
-from tetractl.lab import firmware
 from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.actuators.field.protocol import DriverStatus
 
@@ -26,13 +27,14 @@ class Stage:
 
     def __init__(self, tmp_path, heading=0.0, noise=0.0, seed=1, **changes):
         spec = section(**changes)
+        setup = SimpleNamespace(a=np.array([A]), speed=np.array([SPEED]))
         self.clock = VirtualClock()
         self.timeline = Timeline(lambda until: self.dish.advance(until))
         self.driver = CurrentDriver(self.timeline, PseudoPort(tmp_path / "unused"), LIMITS)
         self.cell = Cell("cell", 1.0, 2.0, heading, A, SPEED, noise)
         coils, reference = spec.calibrated_coils(), spec.strength_mt
         self.dish = Dish(self.driver, coils, reference, [self.cell], 0, seed)
-        self.actuator = FieldActuator(spec, np.array([A]), np.array([SPEED]), self.clock)
+        self.actuator = FieldActuator(spec, setup, self.clock)
         self.actuator.driver = Wire(self.clock, self.driver)
 
     def run(self, seconds, direction=None):

@@ -4,7 +4,6 @@ from support.field_bench import section
 from support.trials import experiment
 
 from tetractl.core.clock import VirtualClock
-from tetractl.core.wire_tap import NO_TAP
 from tetractl.lab.actuators.field.actuator import FieldActuator
 
 
@@ -35,6 +34,6 @@ def test_what_cannot_be_is_one_clear_line(changes, says):
 
 
 def test_a_section_builds_its_actuator():
-    actuator = section(rate=50).build(experiment().setup, VirtualClock(), NO_TAP)
+    actuator = section(rate=50).build(experiment().setup, VirtualClock())
     assert isinstance(actuator, FieldActuator)
     assert (actuator.period_ns, actuator.individual, actuator.failure) == (20_000_000, False, None)

@@ -9,8 +9,8 @@ import pytest
 from support.paths import ROOT
 
 from tetractl.core.errors import TetractlError
-from tetractl.lab import firmware
-from tetractl.lab.actuators.m3pi import core as m3pi
+from tetractl.emulate import firmware
+from tetractl.emulate.firmware import Event, RobotCore
 from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
     ROBOTS_MAX,
@@ -24,8 +24,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.actuators.m3pi.core import Core, Event
-from tetractl.lab.cobs import decode, encode, seal
+from tetractl.lab.cobs import decode, encode, frame_with_crc
 from tetractl.lab.errors import WireError
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
@@ -34,7 +33,7 @@ FOLDER = ROOT / "firmware"
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    return m3pi.load(tmp_path_factory.mktemp("firmware"))
+    return firmware.load("m3pi", tmp_path_factory.mktemp("firmware"))
 
 
 def run(sequence, *wheels, flags=Flag.RUN):
@@ -47,7 +46,7 @@ def test_every_robot_obeys_its_own_wheels(library):
     for robots in range(ROBOTS_MAX + 1):
         wheels = [(rng.randint(-127, 127), rng.randint(-127, 127)) for _ in range(robots)]
         for index in {0, max(0, robots - 1), robots, 255}:
-            core = Core(index, library)
+            core = RobotCore(index, library)
             assert core.push(run(robots, *wheels), 0) == [Event.ACCEPTED]
             assert core.wheels(0) == (wheels[index] if index < robots else (0, 0))
 
@@ -55,7 +54,7 @@ def test_every_robot_obeys_its_own_wheels(library):
 @needs_compiler
 def test_core_and_codec_agree_on_what_a_frame_is(library):
     rng = random.Random(2)
-    core = Core(0, library)
+    core = RobotCore(0, library)
     seen = dict.fromkeys(Event, 0)
     for _ in range(30_000):
         frame = damaged(rng)
@@ -79,7 +78,7 @@ def test_core_and_codec_agree_on_what_a_frame_is(library):
             else:
                 assert core.wheels(0) == before
             if Flag.EMERGENCY_STOP in expected.flags or rng.random() < 0.05:
-                core = Core(0, library)
+                core = RobotCore(0, library)
     assert min(count for event, count in seen.items() if event is not Event.NOTHING) > 200
 
 
@@ -97,7 +96,7 @@ def damaged(rng):
             frame[rng.randrange(len(frame) + 1) :] = rng.randbytes(rng.randint(1, 90))
         case 3:
             body = bytes([rng.choice([0x51, 0x51, 0x52]), 0, rng.randrange(16), rng.randrange(4)])
-            frame = bytearray(seal(body + rng.randbytes(rng.randrange(8)))[:-1])
+            frame = bytearray(frame_with_crc(body + rng.randbytes(rng.randrange(8)))[:-1])
         case 4:
             frame = bytearray(encode(rng.randbytes(rng.randrange(300)))[:-1])
     return bytes(frame.replace(b"\0", b"\x01"))
@@ -105,7 +104,7 @@ def damaged(rng):
 
 @needs_compiler
 def test_bytes_behind_the_longest_frame_spoil_it(library):
-    core = Core(0, library)
+    core = RobotCore(0, library)
     longest = run(1, *[(5, 5)] * ROBOTS_MAX)
     assert core.push(encode(decode(longest[:-1]) + b"x"), 0) == [Event.REJECTED]
     assert core.push(encode(decode(longest[:-1]) + b"\0"), 0) == [Event.REJECTED]
@@ -116,7 +115,7 @@ def test_bytes_behind_the_longest_frame_spoil_it(library):
 @needs_compiler
 @pytest.mark.parametrize("start", [0, 1_000_000, 2**32 - 100])
 def test_watchdog_stops_after_its_time_and_not_before(library, start):
-    core = Core(0, library)
+    core = RobotCore(0, library)
     assert core.status(start) == Status.SILENT
     core.push(run(1, (50, 60)), start)
     for late in range(WATCHDOG_MS):
@@ -130,7 +129,7 @@ def test_watchdog_stops_after_its_time_and_not_before(library, start):
 
 @needs_compiler
 def test_damaged_and_stale_frames_do_not_feed_the_watchdog(library):
-    core = Core(0, library)
+    core = RobotCore(0, library)
     core.push(run(5, (50, 60)), 0)
     bad = bytearray(run(6, (50, 60)))
     bad[3] ^= 2
@@ -145,7 +144,7 @@ def test_damaged_and_stale_frames_do_not_feed_the_watchdog(library):
 @pytest.mark.parametrize("last", [0, 1, 127, 128, 200, 255])
 def test_sequence_numbers_wrap_round(library, last):
     for ahead in range(256):
-        core = Core(0, library)
+        core = RobotCore(0, library)
         core.push(run(last, (1, 1)), 0)
         events = core.push(run((last + ahead) % 256, (2, 2)), 1)
         is_new = 1 <= ahead <= 127
@@ -155,7 +154,7 @@ def test_sequence_numbers_wrap_round(library, last):
 
 @needs_compiler
 def test_a_restarted_controller_is_taken_up_once_the_robot_stands(library):
-    core = Core(0, library)
+    core = RobotCore(0, library)
     core.push(run(100, (9, 9)), 0)
     taken_up = None
     for step, now in enumerate(range(20, 400, 20)):
@@ -168,7 +167,7 @@ def test_a_restarted_controller_is_taken_up_once_the_robot_stands(library):
 
 @needs_compiler
 def test_a_stop_is_obeyed_even_when_old(library):
-    core = Core(0, library)
+    core = RobotCore(0, library)
     core.push(run(100, (9, 9)), 0)
     assert core.push(run(99, (9, 9), flags=Flag(0)), 1) == [Event.STALE]
     assert core.wheels(1) == (0, 0)
@@ -177,21 +176,21 @@ def test_a_stop_is_obeyed_even_when_old(library):
 
 @needs_compiler
 def test_emergency_stop_holds_until_power_is_cycled(library):
-    core = Core(0, library)
+    core = RobotCore(0, library)
     core.push(run(1, (9, 9)), 0)
     core.push(run(2, (9, 9), flags=Flag.RUN | Flag.EMERGENCY_STOP), 1)
     for now in range(2, 2000, 20):
         core.push(run(now // 20 % 256, (9, 9)), now)
         assert core.wheels(now) == (0, 0)
         assert Status.EMERGENCY_STOPPED in core.status(now)
-    core = Core(0, library)
+    core = RobotCore(0, library)
     core.push(run(1, (9, 9)), 0)
     assert core.wheels(0) == (9, 9)
 
 
 @needs_compiler
 def test_polled_robots_answer_once_each_in_its_slot(library):
-    cores = [Core(index, library) for index in range(3)]
+    cores = [RobotCore(index, library) for index in range(3)]
     poll = run(0, flags=Flag.POLL)
     for index, core in enumerate(cores):
         core.set_battery(4900 + index)
@@ -212,7 +211,7 @@ def test_polled_robots_answer_once_each_in_its_slot(library):
 
 @needs_compiler
 def test_counters_count_modulo_65536(library):
-    core = Core(0, library)
+    core = RobotCore(0, library)
     frame = run(0, flags=Flag(0))
     for _ in range(65_536 // 64 + 1):
         core.push(frame * 64, 0)

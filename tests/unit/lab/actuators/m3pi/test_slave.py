@@ -36,16 +36,6 @@ def test_wheels_round_trip(left, right):
     assert decoder.ignored == 0
 
 
-def test_pwm_is_twice_the_count_and_full_at_127():
-    assert [MotorCount(Motor.M1, count).pwm for count in (0, 1, 126, 127, -127)] == [
-        0,
-        2,
-        252,
-        255,
-        -255,
-    ]
-
-
 def test_a_lost_data_byte_costs_that_command_only():
     decoder = SlaveDecoder()
     found = decoder.feed(b"\xc1" + encode_wheels(3, 4)[2:] + SIGNATURE_REQUEST + b"\x05\xba")

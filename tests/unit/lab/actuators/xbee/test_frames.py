@@ -12,13 +12,8 @@ from tetractl.lab.actuators.xbee.frames import (
     Receive,
     Receive16,
     Receive64,
-    RemoteAt,
-    RemoteAtResponse,
-    Transmit,
     Transmit16,
-    Transmit64,
     TransmitStatus,
-    TransmitStatusLong,
     pack_content,
     parse_content,
 )
@@ -26,18 +21,12 @@ from tetractl.lab.actuators.xbee.framing import CONTENT_MAX, Decoder, encode
 from tetractl.lab.errors import WireError
 
 FAR = 0x0013A20012345678
-NEAR = 0x0013A200400A0127
 VECTORS = [
     (Transmit16(0x87, 0x1234, 0, b"TxData"), False, "7E 00 0B 01 87 12 34 00 54 78 44 61 74 61 EB"),
     (
         Transmit16(0, 0xFFFF, 0, b"Broadcast"),
         False,
         "7E 00 0E 01 00 FF FF 00 42 72 6F 61 64 63 61 73 74 6D",
-    ),
-    (
-        Transmit64(0x52, FAR, 0, b"TxData"),
-        False,
-        "7E 00 11 00 52 00 13 A2 00 12 34 56 78 00 54 78 44 61 74 61 9E",
     ),
     (
         Receive16(0x1234, 0x5E, 1, b"TxData"),
@@ -50,12 +39,7 @@ VECTORS = [
         "7E 00 11 80 00 13 A2 00 12 34 56 78 5E 01 54 78 44 61 74 61 11",
     ),
     (
-        Transmit(1, NEAR, 0xFFFE, 0, 0, b"TxData0A"),
-        False,
-        "7E 00 16 10 01 00 13 A2 00 40 0A 01 27 FF FE 00 00 54 78 44 61 74 61 30 41 13",
-    ),
-    (
-        Transmit(1, NEAR, 0xFFFE, 0, 0, b"TxData0A"),
+        Other(0x10, bytes.fromhex("010013A200400A0127FFFE0000") + b"TxData0A"),
         True,
         "7E 00 16 10 01 00 7D 33 A2 00 40 0A 01 27 FF FE 00 00 54 78 44 61 74 61 30 41 7D 33",
     ),
@@ -71,18 +55,13 @@ data = st.binary(max_size=100) | st.lists(
 ).map(bytes)
 letters = st.binary(min_size=2, max_size=2)
 frames = st.one_of(
-    st.builds(Transmit64, u8, u64, u8, data),
     st.builds(Transmit16, u8, u16, u8, data),
     st.builds(AtCommand, u8, letters, data),
-    st.builds(Transmit, u8, u64, u16, u8, u8, data),
-    st.builds(RemoteAt, u8, u64, u16, u8, letters, data),
     st.builds(Receive64, u64, u8, u8, data),
     st.builds(Receive16, u16, u8, u8, data),
     st.builds(AtResponse, u8, letters, u8, data),
     st.builds(TransmitStatus, u8, u8),
-    st.builds(TransmitStatusLong, u8, u16, u8, u8, u8),
     st.builds(Receive, u64, u16, u8, data),
-    st.builds(RemoteAtResponse, u8, u64, u16, letters, u8, data),
     st.builds(Other, st.sampled_from([0x02, 0x23, 0x8A, 0x7E]), data),
 )
 quiet = st.binary(max_size=30).map(lambda raw: raw.replace(b"\x7e", b""))  # starts no frame

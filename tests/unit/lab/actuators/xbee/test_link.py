@@ -1,17 +1,17 @@
-"""The radio's port on a real pseudo-terminal, with a module at its other end played by the test."""
+"""The link to a module played by the test in memory, and the port on a real pseudo-terminal."""
 
 import os
 import pty
-import threading
 import tty
+from unittest import mock
 
 import pytest
+from support.virtual_wires import LabClock, MemoryPort, MemorySerial
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.m3pi.broadcast import Reply, Status, decode_command, encode_reply
 from tetractl.lab.actuators.m3pi.protocols import BroadcastProtocol, SlaveProtocol
-from tetractl.lab.actuators.xbee.check import BAUDS
 from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
     AtResponse,
@@ -21,7 +21,7 @@ from tetractl.lab.actuators.xbee.frames import (
     TransmitStatus,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
-from tetractl.lab.actuators.xbee.hardware import FAMILIES, protocol
+from tetractl.lab.actuators.xbee.hardware import BAUDS, FAMILIES, protocol
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.actuators.xbee.section import XbeeSection
 from tetractl.lab.cobs import Splitter
@@ -30,97 +30,57 @@ SERIES_1 = {b"HV": b"\x17\x44", b"VR": b"\x10\xed", b"BD": b"\x00\x00\x00\x06", 
 
 
 class Module:
-    """The other end of a pseudo-terminal: answers AT commands, keeps what is to be sent."""
+    """The other end of a port in memory: answers AT commands, keeps what is to be sent."""
 
     def __init__(self, answers=SERIES_1, respond=lambda frame: []):
-        self.master, self.slave = pty.openpty()
-        tty.setraw(self.slave)
-        self.name = os.ttyname(self.slave)
+        self.name, self.clock = "radio", LabClock()
+        self.port = MemoryPort(self.name)
+        self.port.plug()
+        self.port.written = self._hear
         self.answers, self.respond = answers, respond
         self.decoder = Decoder()
         self.sent = []
-        self.thread = threading.Thread(target=self._serve)
-        self.thread.start()
 
-    def _serve(self):
-        while True:
-            try:
-                data = os.read(self.master, 4096)
-            except OSError:
-                return
-            if not data or b"end of the test" in data:
-                return
-            for frame in self.decoder.feed(data):
-                if isinstance(frame, AtCommand):
-                    if frame.command in self.answers:
-                        value = self.answers[frame.command]
-                        self.say(AtResponse(frame.frame_id, frame.command, 0, value))
-                else:
-                    self.sent.append(frame)
-                    for answer in self.respond(frame):
-                        self.say(answer)
+    def opened(self, **radio):
+        with mock.patch("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial):
+            link = Link(XbeeSection(port=self.name, **radio), self.clock)
+        link.open()
+        return link
+
+    def _hear(self):
+        for frame in self.decoder.feed(self.port.read()):
+            if not isinstance(frame, AtCommand):
+                self.sent.append(frame)
+                for answer in self.respond(frame):
+                    self.say(answer)
+            elif frame.command in self.answers:
+                value = self.answers[frame.command]
+                self.say(AtResponse(frame.frame_id, frame.command, 0, value))
 
     def say(self, frame):
-        os.write(self.master, encode(frame))
-
-    def close(self):
-        os.write(self.slave, b"end of the test")
-        self.thread.join(10)
-        os.close(self.master)
-        os.close(self.slave)
+        self.port.write(encode(frame))
 
 
-@pytest.fixture
-def module():
-    made = []
-
-    def make(*args, **kwargs):
-        made.append(Module(*args, **kwargs))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
+def test_a_good_module_is_opened_and_sends():
+    radio = Module(respond=lambda frame: [Receive16(0x1234, 40, 0, b"hello")])
+    link = radio.opened()
+    link.send(b"data")
+    link.wait(10)
+    (received,) = link.fetch()
+    assert (received.source, received.data) == (0x1234, b"hello")
+    assert radio.sent == [Transmit16(0, 0xFFFF, 0, b"data")]
 
 
-def opened(module, **radio):
-    link = Link(XbeeSection(port=module.name, **radio), MonotonicClock())
-    try:
-        link.open()
-    except AbortError:
-        link.close()
-        raise
-    return link
-
-
-def test_a_good_module_is_opened_and_sends(module):
-    radio = module(respond=lambda frame: [Receive16(0x1234, 40, 0, b"hello")])
-    link = opened(radio)
-    try:
-        link.send(b"data")
-        link.wait(10)
-        (received,) = link.fetch()
-        assert (received.source, received.data) == (0x1234, b"hello")
-        assert radio.sent == [Transmit16(0, 0xFFFF, 0, b"data")]
-        assert link.counts.frames_sent == 4 + 1  # HV, VR, BD, AP before it
-    finally:
-        link.close()
-
-
-def test_a_unicast_that_nobody_acknowledged_is_counted(module):
-    done = threading.Event()
-
+def test_a_unicast_that_nobody_acknowledged_is_counted():
     def lose(frame):
-        done.set()
         return [TransmitStatus(frame.frame_id, 1), Receive16(1, 0, 0, b"x")]
 
-    link = opened(module(respond=lose))
-    try:
-        link.send(b"data", address=7)
-        link.wait(10)
-        assert link.counts.undelivered == 1
-    finally:
-        link.close()
+    radio = Module(respond=lose)
+    link = radio.opened()
+    link.send(b"data", address=7)
+    link.wait(10)
+    assert link.undelivered == 1
+    assert radio.sent[0].frame_id, "it asks for a status"
 
 
 @pytest.mark.parametrize(
@@ -135,16 +95,15 @@ def test_a_unicast_that_nobody_acknowledged_is_counted(module):
         ({b"BD": b"\x07"}, {"baud": 115200}, "loses API frames at 115200"),
     ],
 )
-def test_a_module_that_would_not_do_is_refused(module, answers, radio, says):
+def test_a_module_that_would_not_do_is_refused(answers, radio, says):
     with pytest.raises(AbortError, match=says) as caught:
-        opened(module(SERIES_1 | answers), **radio)
+        Module(SERIES_1 | answers).opened(**radio)
     assert caught.value.hint
 
 
-@pytest.mark.slow
-def test_a_port_without_a_module_is_told(module):
+def test_a_port_without_a_module_is_told():
     with pytest.raises(AbortError, match="no XBee module answers at 57600 baud or another"):
-        opened(module({}))
+        Module({}).opened()
 
 
 @pytest.mark.parametrize(
@@ -182,51 +141,35 @@ def test_no_hardware_is_of_two_families():
 
 
 @pytest.mark.parametrize(("hardware", "version"), [(b"\x7f\x44", b"\x20\x03"), (b"\x22\x44", b"")])
-def test_a_module_that_is_not_known_is_asked_about_and_used(module, hardware, version):
+def test_a_module_that_is_not_known_is_asked_about_and_used(hardware, version):
     """Regression: it was refused."""
-    radio = module(SERIES_1 | {b"HV": hardware, b"VR": version})
-    link = opened(radio)
-    try:
-        told = version.hex() or "not told"
-        assert link.questions == (
-            f"{radio.name}: the module (HV {hardware.hex().upper()}, VR {told}) is not known here: "
-            "does it run 802.15.4 firmware?",
-        )
-    finally:
-        link.close()
+    radio = Module(SERIES_1 | {b"HV": hardware, b"VR": version})
+    link = radio.opened()
+    told = version.hex() or "not reported"
+    assert link.questions == (
+        f"{radio.name}: the module (HV {hardware.hex().upper()}, VR {told}) is not known here: "
+        "does it run 802.15.4 firmware?",
+    )
 
 
-def test_frames_of_type_0x91_are_reported(module):
+def test_frames_of_type_0x91_are_reported():
     """Regression: they were passed over, and every robot was said not to answer."""
     said = bytes(10) + bytes.fromhex("E8E80011C10501") + b"hello"
-    radio = module(respond=lambda frame: [Other(0x91, said), Receive16(1, 40, 0, b"x")])
-    link = opened(radio)
-    try:
-        assert link.problems() == ()
-        link.send(b"data")
-        link.wait(10)
-        (problem,) = link.problems()
-        assert problem == (
-            f"{radio.name}: the module reports what it hears in frames of type 0x91, which are "
-            "not read: set AO in it to 0 or 2"
-        )
-    finally:
-        link.close()
+    radio = Module(respond=lambda frame: [Other(0x91, said), Receive16(1, 40, 0, b"x")])
+    link = radio.opened()
+    assert link.problems() == ()
+    link.send(b"data")
+    link.wait(10)
+    (problem,) = link.problems()
+    assert problem == (
+        f"{radio.name}: the module reports what it hears in frames of type 0x91, which are "
+        "not read: set AO in it to 0 or 2"
+    )
 
 
 def test_the_rates_are_the_modules_own():
     assert BAUDS[3] == 9600
     assert BAUDS[6] == 57600
-
-
-def test_a_second_program_cannot_open_the_port(module):
-    radio = module()
-    link = opened(radio)
-    try:
-        with pytest.raises(AbortError, match="another program has this port open"):
-            opened(radio)
-    finally:
-        link.close()
 
 
 def test_there_must_be_a_port(tmp_path):
@@ -286,49 +229,36 @@ def robot(index, battery_mv=4900):
     return respond
 
 
-@pytest.mark.slow
-def test_robots_that_answer_a_poll_are_told_from_those_that_do_not(module):
-    link = opened(module(respond=robot(2)))
-    try:
-        found = BroadcastProtocol(link, MonotonicClock(), [2, 5]).poll(0.3)
-        assert found[0].battery_mv == 4900
-        assert found[1] is None
-    finally:
-        link.close()
+def test_robots_that_answer_a_poll_are_told_from_those_that_do_not():
+    link = Module(respond=robot(2)).opened()
+    found = BroadcastProtocol(link, link._clock, [2, 5]).poll(0.3)
+    assert found[0].battery_mv == 4900
+    assert found[1] is None
 
 
-def test_a_broadcast_puts_every_robot_at_its_number(module):
-    seen = threading.Event()
-    radio = module(respond=lambda frame: seen.set() or [])
-    link = opened(radio)
-    try:
-        BroadcastProtocol(link, MonotonicClock(), [2, 0]).drive([(10, -20), (30, 40)])
-        assert seen.wait(10)
-        (frame,) = Splitter().feed(radio.sent[0].data)
-        assert decode_command(frame).wheels == ((30, 40), (0, 0), (10, -20))
-    finally:
-        link.close()
+def test_a_broadcast_puts_every_robot_at_its_number():
+    radio = Module()
+    link = radio.opened()
+    BroadcastProtocol(link, link._clock, [2, 0]).drive([(10, -20), (30, 40)])
+    (frame,) = Splitter().feed(radio.sent[0].data)
+    assert decode_command(frame).wheels == ((30, 40), (0, 0), (10, -20))
 
 
-@pytest.mark.slow
-def test_slaves_are_spoken_to_one_by_one(module):
+def test_slaves_are_spoken_to_one_by_one():
     def battery(frame):
         known = frame.destination == 5 and frame.data == b"\xb1"
         return [Receive16(5, 0, 0, b"\x88\x13")] if known else []
 
-    radio = module(respond=battery)
-    link = opened(radio)
-    try:
-        voice = SlaveProtocol(link, MonotonicClock(), [5, 6])
-        answers = voice.poll(0.3)
-        assert answers[0].battery_mv == 5000
-        assert answers[1] is None
-        radio.sent.clear()
-        voice.drive([(10, -20), (0, 0)])
-        voice.poll(0.01)
-        assert [(f.destination, f.data) for f in radio.sent[:2]] == [
-            (5, b"\xc1\x0a\xc6\x14"),
-            (6, b"\xc1\x00\xc5\x00"),
-        ]
-    finally:
-        link.close()
+    radio = Module(respond=battery)
+    link = radio.opened()
+    voice = SlaveProtocol(link, link._clock, [5, 6])
+    answers = voice.poll(0.3)
+    assert answers[0].battery_mv == 5000
+    assert answers[1] is None
+    radio.sent.clear()
+    voice.drive([(10, -20), (0, 0)])
+    voice.poll(0.01)
+    assert [(f.destination, f.data) for f in radio.sent[:2]] == [
+        (5, b"\xc1\x0a\xc6\x14"),
+        (6, b"\xc1\x00\xc5\x00"),
+    ]

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,9 @@ from tetractl.lab.guard import Guard
 from tetractl.lab.rig import guard_rules
 
 PATIENCE_S = 20.0  # how long a test waits for what should come at once
+
+
+SETUP = SimpleNamespace(names=NAMES, metres=MM)
 
 
 class Woken:
@@ -46,7 +50,7 @@ def standing(t_ns):
 def built(source, clock=None, **changes):
     woken = Woken()
     made = section(source, **{"connect": PATIENCE_S, **changes})
-    return AprilTagCamera(made, NAMES, MM, clock or VirtualClock(), woken), woken
+    return AprilTagCamera(made, SETUP, clock or VirtualClock(), woken), woken
 
 
 def pictures(renderer, count, poses_at=standing):
@@ -134,7 +138,7 @@ def test_floor_tags_that_are_not_where_the_spec_says_are_told(tmp_path):
 
 def test_looking_straight_down_asks_for_the_lens(tmp_path):
     problems, _ = checked(tmp_path, rendered(facing={"tilt": 0.0}))
-    assert problems[0].startswith("the floor tags tell too little of the lens: robots may be ")
+    assert problems[0].startswith("the floor tags say too little about the lens: robots may be ")
     focal = rendered(facing={"tilt": 0.0}).optics.focal_px
     problems, warnings = checked(tmp_path, rendered(facing={"tilt": 0.0}), lens={"focal_px": focal})
     assert (problems, warnings) == ([], [])

@@ -9,7 +9,6 @@ from support.trials import experiment
 
 from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import AbortError, SpecError
-from tetractl.core.wire_tap import NO_TAP
 from tetractl.lab.cameras.apriltag.section import AprilTagSection
 
 ROBOT = {"name": "green", "tag": 1, "size_mm": 80, "height_mm": 90}
@@ -73,5 +72,5 @@ def test_without_opencv_one_line_tells_what_to_install(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     section = AprilTagSection.model_validate(GOOD)
     with pytest.raises(AbortError, match="needs OpenCV") as caught:
-        section.build(experiment().setup, VirtualClock(), NO_TAP, lambda: None)
+        section.build(experiment().setup, VirtualClock(), lambda: None)
     assert caught.value.hint == "pip install 'tetractl[vision]'"

@@ -38,7 +38,7 @@ def test_a_film_plays_at_its_own_rate(tmp_path):
     clock.sleep_until(3 * SECOND)
     feed = open_feed(source, clock, 1.0)
     assert feed.rate_hz == pytest.approx(20.0)
-    assert feed.emulated  # a film shows nobody who could be steered
+    assert feed.emulated  # a film shows no robot that could be steered
     times = [feed.read().received_ns for _ in range(5)]
     assert times == [3 * SECOND + i * SECOND // 20 for i in range(5)]
     with pytest.raises(SourceEndedError, match="has ended"):

@@ -11,7 +11,7 @@ angles = st.floats(-math.pi, math.pi)
 
 
 def body(position=(1.0, 2.0, 3.0), quaternion=(0.0, 0.0, 0.0, 1.0), valid=True):
-    return RigidBody(1, position, quaternion, 0.0, valid)
+    return RigidBody(1, position, quaternion, valid)
 
 
 def turned_about(axis, angle):
@@ -69,7 +69,6 @@ def test_heading_is_where_the_bodys_x_axis_points_also_when_tilted(heading, tilt
     "untracked",
     [
         body(valid=False),
-        body(valid=None),  # protocol 2.5 does not say
         body(position=(math.nan, 0.0, 0.0)),
         body(position=(0.0, math.inf, 0.0)),
         body(quaternion=(0.0, 0.0, 0.0, math.nan)),

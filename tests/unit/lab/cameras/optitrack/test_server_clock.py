@@ -6,6 +6,7 @@ import re
 import pytest
 
 from tetractl.core.clock import SECOND
+from tetractl.emulate.optitrack.server_wire import pack_answer
 from tetractl.lab.cameras.optitrack.messages import (
     Connect,
     EchoRequest,
@@ -16,10 +17,8 @@ from tetractl.lab.cameras.optitrack.messages import (
     Ticks,
     Version,
 )
-from tetractl.lab.cameras.optitrack.placement import Placement
-from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
-from tetractl.lab.cameras.optitrack.wire import pack
 
 V41 = Version(4, 1)
 HZ = 10_000_000
@@ -36,7 +35,10 @@ class Server:
         self.stream = Stream((Tracked(7),), Placement(0, 0, 0, 1000.0), up=UpAxis.Z)
         self.stream.asked(Connect())
         self.stream.feed(
-            pack(ServerInfo("Motive", (3, 1, 0, 0), (4, 1, 0, 0), HZ, 1511, True, (0, 0, 0, 0))), 0
+            pack_answer(
+                ServerInfo("Motive", (3, 1, 0, 0), (4, 1, 0, 0), HZ, 1511, True, (0, 0, 0, 0))
+            ),
+            0,
         )
         self.ahead, self.rate, self.constant = 5 * 3600 * SECOND, 1.0, None
         self._chance, self._delay_ms = random.Random(seed), delay_ms
@@ -82,13 +84,13 @@ class Server:
     def _frame(self):
         self._frames += 1
         self._next_frame += CAMERA_NS
-        body = RigidBody(7, (1.0, 1.0, 0.1), (0.0, 0.0, 0.0, 1.0), 0.0, True)
+        body = RigidBody(7, (1.0, 1.0, 0.1), (0.0, 0.0, 0.0, 1.0), True)
         frame = NatNetFrame(self._frames, (body,), ticks=Ticks(self.clock(self.now), 0, 0))
         jitter_ms = self._chance.uniform(0.1, 1.5)  # frames keep their order, echoes need not
         self._send(self.now + round((5.0 + jitter_ms) * 1e6), frame)
 
     def _send(self, arrives, message):
-        self._coming.append((arrives, len(self._coming), pack(message, V41)))
+        self._coming.append((arrives, len(self._coming), pack_answer(message, V41)))
         self._coming.sort(key=lambda item: item[:1])
 
 

@@ -1,0 +1,129 @@
+"""What users type wrong, and what they are answered: one line, a hint where useful, a code."""
+
+import re
+
+import pytest
+from support.cli import tetractl
+from support.running import QUICK
+from support.studies import SMALL, write
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a spec, a study and what the study left in `out`, and a file that is no log."""
+    place = tmp_path_factory.mktemp("messages")
+    write(place, SMALL)
+    run = ("study", "study.yaml", "--out", "out", "--jobs", 1, "-q")
+    assert tetractl(place, *run).returncode == 0
+    (place / "noise.mcap").write_bytes(b"no log")
+    huge = "\nreference: {source: x, n: 20, mean: 600, std: 1.0e+308}\n"
+    (place / "huge.yaml").write_text(QUICK + huge)
+    return place
+
+
+@pytest.mark.parametrize(
+    ("command", "message", "hint"),
+    [
+        (
+            "run study.yaml",
+            "study.yaml: is a study, not a spec",
+            "run it with: tetractl study study.yaml",
+        ),
+        ("validate study.yaml", "study.yaml: is a study, not a spec", None),
+        (
+            "study spec.yaml",
+            "spec.yaml: is a spec, not a study",
+            "run it with: tetractl run spec.yaml; a study names it as its 'base:'",
+        ),
+        (
+            "replay spec.yaml",
+            "spec.yaml: is no log (*.mcap)",
+            "run it with: tetractl run spec.yaml",
+        ),
+        ("stats out/trials.csv", "out/trials.csv: is no log (*.mcap)", "name the folder: out"),
+        ("report out/times.csv", "out/times.csv: is no log (*.mcap)", "name the folder: out"),
+        ("run spec.yaml --trials 0", "--trials: must be at least 1", "try"),
+        ("run spec.yaml --seed -1", "--seed: must be at least 0", "try"),
+        ("run spec.yaml --seed x", "--seed: is no whole number", "try"),
+        ("run spec.yaml --jobs 0", "--jobs: must be at least 1", "try"),
+        ("replay noise.mcap --rate fast", "--rate: is no number", "try"),
+        ("stats out --format yaml", "--format: 'yaml' is not one of 'table', 'json'", "try"),
+        ("run huge.yaml", "huge.yaml:8:47: reference.std: 1.0e+308: must be at most 1e+09", None),
+        (
+            "run spec.yaml --set controller.period=1e-9",
+            "--set controller.period=1e-9: controller.period: 1e-9: must be at least 0.001",
+            None,
+        ),
+        (
+            "init Käse",
+            "'Käse' is no name of an experiment",
+            "use up to 64 of a to z, A to Z, 0 to 9, dot, underscore and hyphen",
+        ),
+        (
+            "run spec.yaml --set robots.0.name=Kä",
+            "--set robots.0.name=Kä: robots.0.name: Kä: must be letters without accents",
+            None,
+        ),
+        (
+            "plot out/dead_time=0 -o nowhere/a.png",
+            "nowhere/a.png: there is no folder nowhere",
+            None,
+        ),
+    ],
+)
+def test_bad_usage_is_one_line_with_a_hint(folder, command, message, hint):
+    before = sorted(folder.rglob("*"))
+    done = tetractl(folder, *command.split())
+    if command.startswith("validate"):
+        assert (done.returncode, done.stdout) == (2, f"{message}\n")
+        return
+    assert (done.returncode, done.stdout) == (2, "")
+    first, *rest = done.stderr.splitlines()
+    assert first.startswith(f"error: {message}")
+    assert [line.startswith(f"hint: {hint}") for line in rest] == [True] * bool(hint)
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_pattern_of_the_shell_may_catch_the_tables_of_a_study(folder, tmp_path):
+    """`report` takes what `stats` takes; a log that cannot be read is named with its cause."""
+    inside = sorted(f"out/{path.name}" for path in (folder / "out").iterdir())
+    assert "out/trials.csv" in inside
+    one, other = (tetractl(folder, "stats", *paths) for paths in (["out"], inside))
+    assert one == other
+    assert (one.returncode, one.stderr) == (0, "")
+    page = tmp_path / "page.html"
+    done = tetractl(folder, "report", "noise.mcap", "-o", page)
+    assert done.returncode == 1
+    assert done.stderr == "error: none of the logs can be read: noise.mcap: not an MCAP file\n"
+    done = tetractl(folder, "report", *inside, "noise.mcap", "-o", page)
+    assert (done.returncode, done.stderr) == (1, "warning: noise.mcap: not an MCAP file\n")
+    assert "dead_time=0.1" in page.read_text()
+
+
+def test_plotted_statistics_are_no_reason_for_a_warning(folder, tmp_path):
+    done = tetractl(folder, "stats", "out", "--plot", tmp_path / "out.png")
+    assert (done.returncode, done.stderr) == (0, f"wrote {tmp_path / 'out.png'}\n")
+
+
+def test_a_full_disk_leaves_the_picture_before(folder, tmp_path, monkeypatch):
+    """Half of a page or a picture stayed, under its final name."""
+    file = tmp_path / "a.png"
+    file.write_text("the one before")
+
+    def full(path, data):
+        path.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("pathlib.Path.write_bytes", full)
+        done = tetractl(folder, "plot", "out/dead_time=0", "-o", file)
+    assert done.returncode == 1
+    assert done.stderr == f"error: {file}: cannot be written: No space left on device\n"
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+    assert file.read_text() == "the one before"
+
+
+@pytest.mark.parametrize("words", [["run"], ["stats"], ["study"], ["lab", "check"], []])
+def test_help_names_no_types_of_python(folder, words):
+    shown = tetractl(folder, *words, "--help").stdout
+    assert not re.search("<(bool|int|str|float|path|list)", shown), shown

@@ -1,0 +1,30 @@
+"""`tetractl lab emulate` as a command: ready, ended by signals, nothing left behind."""
+
+import signal
+import subprocess
+
+import pytest
+from support.lab_processes import PATIENCE_S, SPEC, TETRACTL
+
+UNICAST = ("--set", "lab.camera.transport=unicast", "--command-port", "0", "--data-port", "0")
+
+
+def emulate(folder, *options, spec=SPEC):
+    command = [TETRACTL, "lab", "emulate", str(spec), *UNICAST, *options]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_it_says_ready_and_ends_cleanly(tmp_path, number):
+    with emulate(tmp_path, "--port-link", "radio") as process:
+        line = process.stdout.readline()
+        assert line.startswith("ready: cameras at 127.0.0.1:")
+        assert "EMULATION, no hardware" in line
+        assert (tmp_path / "radio").is_symlink()
+        process.send_signal(number)
+        out, errors = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, out) == (0, "")
+    assert errors == "the emulation has ended\n"
+    assert list(tmp_path.iterdir()) == []

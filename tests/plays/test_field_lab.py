@@ -1,0 +1,53 @@
+"""Cells under a field, end to end: camera, guard, inner loop, driver, coils; emulated."""
+
+import numpy as np
+import pytest
+from support.devices import running
+from support.emulated_lab import FIELD_SPEC
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.supervision import LabSupervision
+from tetractl.emulate import firmware
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.plants import on_plant
+
+pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
+
+
+def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_path):
+    with running(tmp_path, FIELD_SPEC) as (lab, experiment, clock):
+        plant = experiment.lab.build(
+            experiment.setup, clock, np.random.SeedSequence(1), LabSupervision()
+        )
+        try:
+            info = plant.open()
+            assert info.facts["field_driver_version"] == "1"
+            direction = 0.0
+            for _ in range(10):
+                plant.observe()
+                command = plant.steer(direction)
+                assert (command.left, command.delivered) == (None, (True, True))
+                clock.sleep_until(clock.now() + SECOND // 10)
+            headings = plant.observe().poses.heading
+            stop = plant.stop()
+            verdict = plant.settle()
+        finally:
+            plant.stop()
+            plant.close()
+        turned = [np.angle(np.exp(1j * (direction - heading))) for heading in headings]
+        assert np.abs(turned).max() < 0.3
+        assert stop.direction is None
+        assert verdict.not_at_rest == ""
+        others = [item for item in plant.news() if isinstance(item, Command)]
+        assert len(others) > 10
+        before = [(body.x, body.y) for body in lab.actuator.bodies]
+        clock.sleep_until(clock.now() + SECOND // 5)
+        after = [(body.x, body.y) for body in lab.actuator.bodies]
+        assert all(a != b for a, b in zip(before, after, strict=True))
+
+
+def test_the_spec_of_cells_has_no_wheels():
+    experiment = on_plant(parse_spec(FIELD_SPEC, "field"), "lab").experiment
+    assert experiment.wheels is None
+    assert "wheel" not in str(experiment.plant.bounds())

@@ -1,0 +1,35 @@
+"""Robots of an emulated lab driven open loop: a design to identify them, and recorded commands."""
+
+import json
+
+import pytest
+from support.cli import tetractl
+from support.lab_processes import SPEC, flags
+from support.virtual_play import virtual_lab
+
+from tetractl.log.read.reader import read_trial
+
+
+def test_a_design_is_driven_and_its_commands_are_driven_again(tmp_path):
+    def call(*words):
+        done = tetractl(tmp_path, *words)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    with virtual_lab(tmp_path, sets=("lab.limits.placing=30",), replace_after=0.2) as lab:
+        design = ("design", SPEC, "--seconds", "4", "--plant", "lab", "--yes")
+        said = call(*design, "--logs", "design", "--json", *flags(lab.settings))
+        found = json.loads(said)
+        assert found["origin"] == "emulated lab"
+        log = read_trial(next((tmp_path / "design").glob("*.mcap")))
+        assert log.result.outcome.complete
+        assert log.result.verdict.entered == (False,) * 3
+        for robot, a, speed in zip(found["robots"], (6, 4, 3), (180, 200, 150), strict=True):
+            assert robot["a"]["value"] == pytest.approx(a, rel=0.3)
+            assert robot["speed"]["value"] == pytest.approx(speed, rel=0.05)
+        said = call("redrive", "design", "--plant", "lab", "--yes", "-o", "again")
+        assert "open loop" in said
+        again = read_trial(next((tmp_path / "again").glob("*.mcap")))
+        assert again.origin.value == "emulated lab"
+        sent = [[step.command.direction for step in each.steps] for each in (log, again)]
+        assert sent[0] == sent[1]

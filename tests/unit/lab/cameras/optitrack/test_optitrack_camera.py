@@ -1,0 +1,263 @@
+"""The NatNet client against the emulated Motive, datagram by datagram, in virtual time."""
+
+from contextlib import contextmanager
+
+import pytest
+from support.emulated_lab import SPEC, emulated
+from support.virtual_wires import LabClock, Network, VirtualCamera, VirtualLoop, virtual_wires
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import AbortError
+from tetractl.emulate.optitrack.server_wire import pack_answer
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.plants import lab_of
+from tetractl.lab.cameras.optitrack.messages import (
+    BodyName,
+    EchoResponse,
+    ModelDef,
+    NatNetFrame,
+    RigidBody,
+    ServerInfo,
+    Ticks,
+    Version,
+)
+
+V41 = Version(4, 1)
+SHORT = 0.3  # s: what never comes is waited for in full
+ROBOTS = "robots: [{name: green, body: Green}, {name: blue, body: 7}]"
+
+
+@contextmanager
+def motive(folder, script="", *sets, connect=5.0, robots=ROBOTS):
+    """An emulated Motive, a camera for it that is not connected yet, and the clock of both."""
+    spec, clock = SPEC.replace(ROBOTS, robots), LabClock()
+    emulation = f"emulation: {{camera: {{{script}}}}}" if script else "row: ''"
+    with virtual_wires(Network(), clock):
+        lab = emulated(folder, *sets, spec=spec, script=emulation, make_loop=VirtualLoop)
+        clock.timeline = lab.timeline
+        with lab:
+            clock.steps.append(lab.loop.poll)
+            settings = (*sets, f"lab.camera.command_port={lab.camera.motive.command_port}")
+            settings += (f"lab.camera.data_port={lab.camera.motive.data_port}",)
+            loaded = parse_spec(spec, "spec", (*settings, f"lab.camera.connect={connect}"))
+            section = lab_of(loaded.experiment, "spec").camera
+            camera = section.build(loaded.experiment.setup, clock, lambda: None)
+            yield lab, camera, clock
+            camera.__exit__()
+
+
+def refusal(folder, script="", *sets):
+    """The error of a camera that cannot connect, and its hint."""
+    with (
+        motive(folder, script, *sets, connect=SHORT) as (_, camera, _),
+        pytest.raises(AbortError) as caught,
+        camera,
+    ):
+        pass
+    return str(caught.value), caught.value.hint
+
+
+def own_address(camera):
+    return camera._sockets[0].getsockname()
+
+
+def stranger_of(address="127.0.0.1"):
+    """A socket that is not the server's."""
+    return VirtualCamera.network.bound(address, 0)
+
+
+def stray(number, x=0.1, version=V41):
+    """A forged frame that shows green and blue elsewhere."""
+    bodies = tuple(RigidBody(i, (x, 0.06, -x), (0, 0, 0, 1), True) for i in (1, 7))
+    return pack_answer(NatNetFrame(number, bodies, ticks=Ticks(0, 0, 0)), version)
+
+
+def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
+    """Regression: any process on the server's address was trusted, and could walk a robot off."""
+    with motive(tmp_path) as (_, camera, clock), camera:
+        stranger = stranger_of()
+        assert clock.wait(lambda: camera.newest.poses[0] is not None)
+        camera.frames()  # the first may have come before the names of the bodies
+        for step in range(50):
+            ahead = camera.newest.number + 1
+            stranger.sendto(stray(ahead, 0.1 + 0.033 * step), own_address(camera))
+        refused = camera.senders.refused
+        assert clock.wait(lambda: refused.total() == 50)
+        came = camera.stream.counts.frames
+        assert clock.wait(lambda: camera.stream.counts.frames > came + 5)
+        for frame in camera.frames():
+            assert frame.poses[0].x == pytest.approx(500, abs=1)
+        assert camera.damaged == 0
+        (warning,) = camera.check().warnings
+        port = stranger.getsockname()[1]
+        assert warning == (
+            "50 datagrams came from elsewhere than the camera server and were dropped, most of "
+            f"them from 127.0.0.1:{port}"
+        )
+
+
+@pytest.mark.parametrize("which", ["command", "data"])
+def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(tmp_path, which):
+    with motive(tmp_path) as (lab, camera, clock), camera:
+        model, info = camera.stream.model, camera.stream.info
+        offset = camera.stream.sync.to_host(0)
+        sender = getattr(lab.camera.motive, which)
+        forged = (
+            ServerInfo("else", (1, 0, 0, 0), (3, 0, 0, 0), 10**7, 1511, False, (0, 0, 0, 0)),
+            ModelDef((BodyName("Green", 7),)),
+            EchoResponse(12345, 1),
+        )
+
+        for message in forged:
+            sender.sendto(pack_answer(message, V41), own_address(camera))
+        counted = (
+            (lambda: camera.stream.counts.unasked)
+            if which == "command"
+            else camera.senders.refused.total
+        )
+        assert clock.wait(lambda: counted() == 3)
+        assert (camera.stream.model, camera.stream.info) == (model, info)
+        assert camera.stream.sync.to_host(0) == pytest.approx(offset, abs=5_000_000)
+        assert camera.damaged == 0
+        assert len(camera.check().warnings) == 1
+
+
+def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
+    sets = (
+        "lab.camera.transport=multicast",
+        "lab.camera.group=239.255.42.97",
+        "lab.camera.interface=127.0.0.1",
+    )
+    with motive(tmp_path, "", *sets) as (lab, camera, clock), camera:
+        stranger = stranger_of()
+        assert camera.senders.frames_port == lab.camera.motive.data.getsockname()[1]
+        stranger.sendto(
+            stray(camera.newest.number + 1), ("239.255.42.97", lab.camera.motive.data_port)
+        )
+        assert clock.wait(lambda: camera.senders.refused.total() == 1)
+
+
+def test_a_server_that_keeps_its_own_version_is_told_from_one_that_does_not_stream(tmp_path):
+    """Regression: it said that no frames come, while 120 a second did."""
+    said, hint = refusal(tmp_path, "version: 4.2, keeps_version: true", "lab.camera.version=3.1")
+    assert "answers, but not in protocol 3.1, which lab.camera.version asks for: " in said
+    assert "frames came in 0.3 s, which read as protocol 4.2" in said
+    assert hint == "leave lab.camera.version out: the server keeps to its own, 4.2"
+
+
+def test_frames_of_the_servers_second_address_are_told_from_none(tmp_path):
+    said, hint = refusal(tmp_path, "frames_from: 127.0.0.2")
+    assert "answers, but its frames come from another address: " in said
+    assert "frames came from 127.0.0.2:" in said
+    assert said.endswith("in 0.3 s, which read as protocol 4.1")
+    assert hint == (
+        "set lab.camera.server to 127.0.0.2, or in Motive the local interface to 127.0.0.1"
+    )
+
+
+def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
+    with motive(tmp_path, connect=SHORT) as (lab, camera, _):
+        lab.camera.motive.trouble.version = Version(3, 0)
+        with pytest.raises(AbortError, match=r"reports protocol 4\.1, but is not underst") as e:
+            camera.__enter__()
+    assert str(e.value).endswith("which read as protocol 3.0")
+    assert "set lab.camera.version" in e.value.hint
+
+
+def test_no_frames_at_all_is_still_said(tmp_path):
+    with motive(tmp_path, connect=SHORT) as (lab, camera, _):
+        lab.camera.motive.trouble.no_frames = True
+        with pytest.raises(AbortError, match=r"answers, but no frames come \(0.3 s\)"):
+            camera.__enter__()
+
+
+def test_a_server_that_answers_from_another_address_is_named(tmp_path):
+    with motive(tmp_path, connect=SHORT) as (lab, camera, _):
+        second = stranger_of("127.0.0.3")
+        lab.camera.motive.trouble.silent = True
+        info = ServerInfo("Motive", (3, 0, 0, 0), (4, 1, 0, 0), 10**7, 1511, False, (0, 0, 0, 0))
+        camera.open()
+        second.sendto(pack_answer(info), own_address(camera))
+        with pytest.raises(AbortError, match=r"but one does from 127\.0\.0\.3:") as caught:
+            camera.wait_connected(SHORT)
+    assert caught.value.hint.startswith("set lab.camera.server to 127.0.0.3")
+
+
+def test_names_that_the_server_does_not_tell_have_their_own_message(tmp_path):
+    said, hint = refusal(tmp_path, "answers_models: false")
+    assert "the names 'Green' are not known" in said
+    assert "it does not answer when asked for its rigid bodies (0.3 s)" in said
+    assert hint.endswith("frames hold the ids 1, 7")
+
+
+def test_bodies_given_by_their_ids_need_no_names(tmp_path):
+    ids = "robots: [{name: green, body: 1}, {name: blue, body: 7}]"
+    quiet = motive(tmp_path, "answers_models: false", robots=ids, connect=SHORT)
+    with quiet as (_, camera, _), camera:
+        assert all(camera.newest.poses)
+        assert camera.check().problems == ()
+
+
+def test_a_protocol_without_tracking_flag_has_its_own_message(tmp_path):
+    said, hint = refusal(tmp_path, "version: 2.5")
+    assert said.startswith("the camera server speaks protocol 2.5, whose frames do not say which")
+    assert "NatNet 2.6 or later" in hint
+
+
+def test_a_name_that_is_not_known_comes_with_those_that_are(tmp_path):
+    with motive(tmp_path, "robots: [{name: green, body: Greeen}]") as (_, camera, _), camera:
+        (problem,) = camera.check().problems
+        assert problem == (
+            "the cameras know no rigid body 'Green', wanted for green; did you mean 'Greeen'?; "
+            "they have 'Greeen' (id 1); 'blue' (id 7)"
+        )
+        assert camera.check().facts["rigid_bodies"] == "'Greeen' (id 1); 'blue' (id 7)"
+
+
+def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
+    with motive(tmp_path) as (lab, camera, clock), camera:
+        lab.camera.hidden.add(7)
+        lab.camera.motive.server._names = (BodyName("Green", 1), BodyName("hand", 9))
+        assert clock.wait(lambda: camera.stream.missing() == [7] and len(camera.stream.seen) == 1)
+        assert clock.wait(lambda: "hand" in camera.stream.model.ids())
+        (problem,) = camera.check().problems
+        assert "know no rigid body of id 7, wanted for blue; the nearest id is 1;" in problem
+
+
+def test_a_body_that_is_known_but_not_streamed_is_told_as_that(tmp_path):
+    with motive(tmp_path, "robots: [{name: green, streamed: false}]") as (_, camera, _), camera:
+        (problem,) = camera.check().problems
+        assert problem == (
+            "the cameras do not stream the rigid body 'Green', wanted for green: switch it on in "
+            "Motive; they have 'Green' (id 1), not streamed; 'blue' (id 7)"
+        )
+
+
+@pytest.mark.parametrize("version", ["4.4", "4.5"])
+def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path, version):
+    """Regression: a description that grew threw the whole list of names away."""
+    with motive(tmp_path, f"version: {version}") as (_, camera, clock), camera:
+        assert camera.stream.model.ids() == {"Green": 1, "blue": 7}
+        assert clock.wait(lambda: all(camera.newest.poses))
+        found = camera.check()
+        assert found.problems == ()
+        assert f"protocol {version} is newer than those known here; it is read as 4.3" in (
+            found.warnings
+        )
+        assert camera.damaged == 0
+
+
+def test_models_that_keep_changing_are_asked_for_ever_less_often(tmp_path):
+    """Regression: four times a second, for as long as the bit lasted."""
+    with motive(tmp_path, "models_changed: true, rate: 20") as (lab, camera, clock), camera:
+        before = lab.camera.motive.counts.models_asked
+        clock.sleep_until(clock.now() + 60 * SECOND)
+        assert 5 <= lab.camera.motive.counts.models_asked - before <= 13
+
+
+def test_a_body_that_gets_its_name_is_found(tmp_path):
+    with motive(tmp_path, "robots: [{name: green, body: Greeen}]") as (lab, camera, clock), camera:
+        assert camera.newest.poses[0] is None
+        lab.camera.motive.server._names = (BodyName("Green", 1), BodyName("blue", 7))
+        assert clock.wait(lambda: camera.newest.poses[0] is not None)
+        assert camera.check().problems == ()

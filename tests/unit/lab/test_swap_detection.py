@@ -1,0 +1,159 @@
+"""Who answers whose commands: N robots commanded to turn by a common direction, seen at 120 Hz."""
+
+import numpy as np
+import pytest
+
+from tetractl.lab.swap_detection import SwapDetector
+
+NAMES = ("green", "blue", "red")
+A = np.array([6.0, 4.0, 3.0])
+SPEED = 0.18  # m/s
+BODY = 0.095  # m: the diameter of an m3pi
+FRAME = 8_000_000
+SEND = 25_000_000
+
+
+def drive(
+    answers,
+    delay=0.08,
+    seconds=2.0,
+    directions=(1.2, 1.2),
+    signs=(1, 1, 1),
+    noise=0.003,
+    lost=(),
+    blind=(9.0, 9.0),
+    silent=9.0,
+):
+    """Robot i does what robot answers[i] should, later by `delay`; None stands still, as do the
+    `lost` after 0.2 s. No frame comes between the two times `blind` [s]; 0.1 s into it all robots
+    are stopped. From `silent` on [s] no robot hears anything: each does what it heard last for
+    0.25 s, and then stands.
+
+    Returns the fault found and the metres driven until then. The direction changes every 0.2 s.
+    """
+    seen, random = SwapDetector(NAMES), np.random.default_rng(3)
+    heading, shown, told = np.zeros(3), np.zeros(3), np.zeros(3)
+    queue, next_ns, last = [], 0, 0
+    closed, opened = (round(second * 1e9) for second in blind)
+    for now in range(FRAME, round(seconds * 1e9), FRAME):
+        while next_ns <= now:
+            u = directions[next_ns // 200_000_000 % len(directions)]
+            told = A * np.sin(u - heading)
+            if closed + 100_000_000 < next_ns <= opened:
+                told = np.zeros(3)
+            seen.sent(next_ns, told)
+            queue.append((next_ns + round(delay * 1e9), told))
+            next_ns += SEND
+        deaf = round(silent * 1e9)
+        acted = [turning for t, turning in queue if t <= min(now, deaf)]
+        if now > deaf + 250_000_000:
+            acted = []
+        for i in range(3):
+            before = shown[i]
+            if acted and answers[i] is not None and not (i in lost and now > 200_000_000):
+                heading[i] += signs[i] * acted[-1][answers[i]] * FRAME / 1e9
+            if closed < now <= opened:
+                continue
+            shown[i] = heading[i] + random.normal(0, noise)
+            seen.turned(i, now, now - last, shown[i] - before)
+        last = last if closed < now <= opened else now
+        if fault := seen.fault():
+            return fault, SPEED * now / 1e9
+    return "", SPEED * seconds
+
+
+CHATTER = (1.2, -1.2)
+WIDE = (0.4, 2.5, -2.0, 1.0, 3.0)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+@pytest.mark.parametrize("stuck", [None, 0, 1])
+def test_robots_that_do_as_told_or_stand_still_are_no_others(delay, directions, stuck):
+    answers = [None if i == stuck else i for i in range(3)]
+    assert drive(answers, delay, 4.0, directions)[0] == ""
+
+
+@pytest.mark.parametrize("gains", [(0.8, 1.2, 1.0), (1.2, 0.8, 1.2), (1.0, 0.8, 1.25)])
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+@pytest.mark.parametrize("noise", [0.003, 0.01])
+def test_nor_are_robots_whose_wheels_are_not_calibrated(gains, directions, noise):
+    assert drive([0, 1, 2], 0.07, 4.0, directions, gains, noise)[0] == ""
+
+
+@pytest.mark.parametrize("lost", [(0,), (1,), (2,), (0, 1), (0, 1, 2)])
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+def test_nor_are_robots_that_stop_halfway(lost, directions):
+    assert drive([0, 1, 2], 0.05, 4.0, directions, lost=lost)[0] == ""
+
+
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+@pytest.mark.parametrize("delay", [0.02, 0.08, 0.2])
+@pytest.mark.parametrize("pause", [0.05, 0.15, 0.25, 0.45, 0.9])
+def test_nor_are_robots_that_are_not_seen_for_a_while(pause, delay, directions):
+    """Regression: a pause of the stream was counted with the turning commanded in its middle."""
+    for begin in (0.1, 0.22, 0.34, 0.4, 0.57):
+        blind = begin, begin + pause
+        assert drive([0, 1, 2], delay, 2.0, directions, blind=blind)[0] == ""
+
+
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE, (1.7, 2.9, 2.5, -1.0)])
+@pytest.mark.parametrize("delay", [0.02, 0.08])
+def test_nor_are_robots_that_hear_nothing_any_more(delay, directions):
+    """Regression: what a robot heard last looked like what was commanded to another."""
+    for silent in np.arange(0.1, 1.6, 0.1):
+        assert drive([0, 1, 2], delay, 3.0, directions, silent=silent)[0] == ""
+
+
+def test_nor_are_robots_that_all_stand_still():
+    assert drive([None] * 3, 0.05, 4.0, WIDE)[0] == ""
+
+
+@pytest.mark.parametrize("turned", [0, 1, 2])
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+def test_nor_is_one_whose_wheels_are_swapped(turned, directions):
+    signs = [-1 if i == turned else 1 for i in range(3)]
+    assert drive([0, 1, 2], 0.05, 2.0, directions, signs)[0] == ""
+
+
+@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
+@pytest.mark.parametrize("delay", [0.02, 0.05, 0.1])
+def test_two_that_are_swapped_are_noticed_within_little_more_than_a_body_length(delay, directions):
+    fault, driven = drive([1, 0, 2], delay, directions=directions)
+    assert (
+        fault
+        == "green and blue turn as one another is commanded: are their numbers or bodies swapped?"
+    )
+    assert driven < 1.2 * BODY
+
+
+def test_three_that_follow_one_another_are_noticed():
+    fault, driven = drive([1, 2, 0], directions=WIDE)
+    assert "turn as one another is commanded" in fault
+    assert driven < 2 * BODY
+
+
+def test_one_with_the_number_of_another_is_noticed():
+    fault, driven = drive([0, 1, 0], directions=WIDE)
+    assert fault == "red turns as green is commanded, not as red is: is its number wrong?"
+    assert driven < 3 * BODY
+
+
+def test_robots_that_are_told_the_same_cannot_be_told_apart():
+    seen = SwapDetector(NAMES[:2])
+    for now in range(FRAME, 10**9, FRAME):
+        seen.sent(now, (1.0, 1.0))
+        for i in range(2):
+            seen.turned(i, now, FRAME, FRAME / 1e9)
+    assert seen.fault() == ""
+
+
+def test_a_restart_forgets_what_was_seen():
+    seen = SwapDetector(NAMES[:2])
+    for now in range(FRAME, 400_000_000, FRAME):
+        seen.sent(now, (1.0, -1.0))
+        seen.turned(0, now, FRAME, -FRAME / 1e9)
+        seen.turned(1, now, FRAME, FRAME / 1e9)
+    assert "swapped" in seen.fault()
+    seen.restart()
+    assert seen.fault() == ""

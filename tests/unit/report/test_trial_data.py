@@ -1,0 +1,54 @@
+from base64 import b64decode
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from support import random_trials as made
+
+from tetractl.log.read.reader import read_trial
+from tetractl.report.trial_data import PLAN_ERROR, corners, trial_data
+
+
+@given(st.integers(0, 2**32), st.integers(1, 60), st.integers(1, 3), st.floats(1e-3, 1))
+def test_thinned_curves_stay_within_the_error(seed, count, robots, error):
+    points = np.cumsum(np.random.default_rng(seed).normal(size=(count, robots, 2)), axis=0)
+    kept = corners(points, error)
+    assert (kept[0], kept[-1]) == (0, count - 1)
+    assert (np.diff(kept) > 0).all()
+    for first, last in pairwise(kept):
+        share = np.linspace(0, 1, 2001)[:, None, None]
+        line = points[first] + share * (points[last] - points[first])
+        for inner in points[first + 1 : last]:
+            gaps = np.linalg.norm(line - inner, axis=2).min(axis=0)
+            assert gaps.max() <= error * 1.01
+
+
+def test_a_straight_line_is_its_ends_and_no_curve_is_nothing():
+    line = np.linspace((0, 0), (3, 4), 9)[:, None]
+    assert corners(line, 1e-6).tolist() == [0, 8]
+    assert corners(line[:0], 1e-6).tolist() == []
+
+
+def unpack(packed):
+    if "f4" in packed:
+        return np.frombuffer(b64decode(packed["f4"]), "<f4")
+    steps = np.frombuffer(b64decode(packed["i2"]), "<i2")
+    return packed["offset"] + packed["scale"] * steps
+
+
+def test_the_page_has_each_plan_to_a_thousandth_of_the_arena_and_each_search(tmp_path):
+    log = read_trial(made.write(made.trial(3, steps=4), tmp_path / "t.mcap"))
+    data = trial_data(log, "t")
+    arena, robots = log.start.setup.arena, len(log.start.setup.names)
+    at, plan = data["plan"]["at"], unpack(data["plan"]["values"]).reshape(-1, robots, 2)
+    for k, step in enumerate(log.steps):
+        shown = plan[at[k] : at[k + 1]]
+        size = PLAN_ERROR * max(arena.width, arena.height) + np.ptp(plan) / 1e4
+        for point in (step.plan.path[0, :, :2], step.plan.path[-1, :, :2]):
+            assert np.abs(shown - point).max(axis=(1, 2)).min() <= size
+        first, last = data["history"]["at"][k : k + 2]
+        kept = unpack(data["history"]["iterations"])[first:last].astype(int)
+        values = unpack(data["history"]["values"])[first:last]
+        assert np.allclose(values, step.plan.search.history[kept], rtol=1e-6)
+    assert trial_data(log, "t", plans=False)["plan"] is None

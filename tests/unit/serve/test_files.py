@@ -1,0 +1,107 @@
+import http.client
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tetractl.serve.server import LoopbackServer, byte_range
+
+DATA = bytes(range(256)) * 1000
+
+
+@pytest.fixture
+def server(tmp_path):
+    (tmp_path / "trial-000.mcap").write_bytes(DATA)
+    (tmp_path / "secret.txt").write_text("secret")
+    logs = {"trial-000.mcap": tmp_path / "trial-000.mcap"}
+    with LoopbackServer(page=b"<p>page", layout=b'{"layout": "a"}', logs=logs) as found:
+        yield found
+
+
+def ask(server, method="GET", path=None, **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
+    path = path or server.log_url("trial-000.mcap").removeprefix(f"http://127.0.0.1:{server.port}")
+    connection.request(method, path, headers=headers)
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer, body
+
+
+def test_the_page_and_the_log_are_served(server):
+    answer, body = ask(server, path=f"/{server.token}/")
+    assert (answer.status, body) == (200, b"<p>page")
+    answer, body = ask(server)
+    assert (answer.status, body) == (200, DATA)
+    assert answer.headers["Accept-Ranges"] == "bytes"
+    assert answer.headers["Access-Control-Allow-Origin"] == "*"
+    answer, body = ask(server, path=f"/{server.token}/layout.json")
+    assert (answer.status, body) == (200, b'{"layout": "a"}')
+    assert answer.headers["Content-Type"] == "application/json; charset=utf-8"
+    assert answer.headers["Content-Disposition"] == 'attachment; filename="layout.json"'
+
+
+@pytest.mark.parametrize(
+    ("asked", "first", "last"),
+    [("bytes=0-9", 0, 9), ("bytes=255990-", 255990, 255999), ("bytes=-5", 255995, 255999)],
+)
+def test_a_part_of_a_log_is_served(server, asked, first, last):
+    answer, body = ask(server, Range=asked)
+    assert (answer.status, body) == (206, DATA[first : last + 1])
+    assert answer.headers["Content-Range"] == f"bytes {first}-{last}/{len(DATA)}"
+
+
+@pytest.mark.parametrize("asked", ["bytes=256000-", "bytes=9-3", "lines=1-2", "bytes=1-2,4-5"])
+def test_a_part_that_is_not_there_is_refused(server, asked):
+    answer, body = ask(server, Range=asked)
+    assert (answer.status, body) == (416, b"")
+    assert answer.headers["Content-Range"] == f"bytes */{len(DATA)}"
+
+
+def test_a_viewer_of_another_origin_may_ask(server):
+    answer, _ = ask(
+        server, "OPTIONS", Origin="http://viewer", **{"Access-Control-Request-Method": "GET"}
+    )
+    assert answer.status == 204
+    assert answer.headers["Access-Control-Allow-Headers"] == "Range"
+    answer, body = ask(server, "HEAD")
+    assert (answer.status, body) == (200, b"")
+    assert answer.headers["Content-Length"] == str(len(DATA))
+
+
+def test_nothing_else_is_served(server):
+    token = server.token
+    for path in (
+        "/",
+        "/x/",
+        f"/{token}/logs/secret.txt",
+        f"/{token}/logs/..%2Fsecret.txt",
+        f"/{token}/logs/../secret.txt",
+        f"/{token}",
+        "/x/logs/trial-000.mcap",
+        f"/{token}/logs/trial-000.mcap/",
+        "/%ff%00",
+    ):
+        assert ask(server, path=path)[0].status == 404, path
+    assert ask(server, path=f"/{token}/", Host="evil.example")[0].status == 404
+    assert ask(server, "POST", path=f"/{token}/")[0].status == 501
+
+
+def test_only_this_machine_can_reach_it_and_each_server_has_its_own_token(server, tmp_path):
+    assert server.page_url.startswith("http://127.0.0.1:")
+    with LoopbackServer() as other:
+        assert other.token != server.token
+        assert len(other.token) >= 16
+
+
+def test_a_log_that_vanished_is_not_found(server, tmp_path):
+    Path(tmp_path / "trial-000.mcap").unlink()
+    assert ask(server)[0].status == 404
+
+
+@given(st.text(max_size=30), st.integers(0, 10**6))
+def test_any_header_gives_a_range_inside_the_file_or_none(text, size):
+    for asked in (text, f"bytes={text}"):
+        found = byte_range(asked, size)
+        assert found is None or 0 <= found[0] <= found[1] < size

@@ -1,0 +1,147 @@
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.studies import FAILING, STUDY, run
+
+from tetractl.results.estimate import distributions
+from tetractl.study.arm import arm_name, as_cell, as_yaml, shown
+from tetractl.study.figure import error_figure, write_figures
+from tetractl.study.options import Logs, Shard
+from tetractl.study.table import arms_table, error_of, field_values, write_tables
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    return run(tmp_path_factory.mktemp("study"), STUDY)
+
+
+def errors(ran, arm):
+    return [ran.rows[arm.name, trial].result.total_error for trial in range(5)]
+
+
+def test_the_error_of_one_arm_is_that_of_its_trials(ran):
+    arm = ran.loaded.arms[2]
+    assert error_of(ran.loaded, ran.store, [arm]) == distributions(np.array([errors(ran, arm)]))[0]
+
+
+def test_over_several_arms_trials_of_one_seed_count_once(ran):
+    few = [arm for arm in ran.loaded.arms if arm.controller == "few"]
+    found = field_values(ran.loaded, ran.store, "plant.dead_time", few)
+    assert [(group.value, group.arms, group.error.n) for group in found] == [(0, 2, 5), (0.1, 2, 5)]
+    mean = np.mean([errors(ran, arm) for arm in few if arm.values["plant.dead_time"] == 0], axis=0)
+    assert found[0].error == distributions(mean[None])[0]
+
+
+def test_a_trial_that_aborted_does_not_count(tmp_path):
+    ran = run(tmp_path, FAILING)
+    found = field_values(ran.loaded, ran.store, "robots.r.speed", ran.loaded.arms)
+    assert [(group.value, group.error.n) for group in found] == [(200, 4), (1e308, 0)]
+
+
+def test_the_table_has_one_tidy_row_a_trial(ran):
+    paths = write_tables(ran.loaded, ran.store)
+    with paths[0].open(newline="") as file:
+        found = list(csv.DictReader(file))
+    assert [(row["arm"], int(row["trial"])) for row in found] == list(ran.rows)
+    assert list(found[0])[:6] == [
+        "log",
+        "trial",
+        "arm",
+        "controller",
+        "plant.dead_time",
+        "robots.r.a",
+    ]
+    assert list(found[0])[-2:] == ["trial_digest", "code"]
+    assert "deadline_misses" not in found[0]
+    with paths[1].open(newline="") as file:
+        times = list(csv.DictReader(file))
+    assert float(times[0]["wall_s"]) > 0
+    assert len(times) == 40
+
+
+def test_the_errors_of_arms_are_a_table(ran):
+    found = arms_table(ran.loaded, ran.store)
+    assert found.header[:3] == ["arm", "n", "mean"]
+    assert found.header[-2:] == ["aborted", "plant"]
+    assert [row[0] for row in found.rows] == [arm.name for arm in ran.loaded.arms]
+    assert found.columns[2].values[0] == pytest.approx(np.mean(errors(ran, ran.loaded.arms[0])))
+    assert found.note == "disturbances are assumed in the spec, not measured"
+
+
+def test_rows_of_several_types_of_processor_are_marked(ran):
+    arm = ran.loaded.arms[0].name
+    own = ran.store.rows[arm][0]
+    ran.store.rows[arm][0] = replace(own, processor="other-123456")
+    try:
+        assert arms_table(ran.loaded, ran.store).note.startswith(
+            f"trials of 2 types of processor, which may differ slightly: {own.processor} (39),"
+            " other-123456 (1); "
+        )
+    finally:
+        ran.store.rows[arm][0] = own
+
+
+def test_there_is_a_figure_for_each_field_with_a_line_for_each_controller(ran):
+    paths = write_figures(ran.loaded, ran.store)
+    assert [path.name for path in paths] == ["error-plant.dead_time.png", "error-robots.r.a.png"]
+    before = [path.read_bytes() for path in paths]
+    assert [path.read_bytes() for path in write_figures(ran.loaded, ran.store)] == before
+    figure = error_figure(ran.loaded, ran.store, "plant.dead_time")
+    lines = figure.axes[0].get_lines()
+    assert [line.get_label() for line in lines] == ["many", "few"]
+    assert [list(line.get_xdata()) for line in lines] == [[0, 0.1]] * 2
+    (headline,) = (text.get_text() for text in figure.texts)
+    assert headline == (
+        "quick, disturbed simulation: mean over the other fields and its 95 % interval,"
+        " n = 5 trials"
+    )
+
+
+def test_values_that_are_no_numbers_have_places_in_their_order(tmp_path):
+    study = (
+        "name: q\nbase: spec.yaml\ntrials: {count: 3}\n"
+        "sweep:\n  type: list\n"
+        "  points: [{plant.motion: euler}, {plant.motion: arc}, {plant.dead_time: 0.1}]\n"
+    )
+    ran = run(tmp_path, study)
+    axes = error_figure(ran.loaded, ran.store, "plant.motion").axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["euler", "arc"]
+    cells = [ran.loaded.arms[2].values.get("plant.motion"), ran.loaded.paths]
+    assert cells == [None, ("plant.motion", "plant.dead_time")]
+
+
+@pytest.mark.parametrize(
+    ("controller", "values", "name"),
+    [
+        (
+            "ours",
+            {"plant.dead_time": 0.07, "plant.a_error": 0.1},
+            "ours-dead_time=0.07-a_error=0.1",
+        ),
+        ("", {"robots.r.a": 1, "robots.g.a": 2}, "robots.r.a=1-robots.g.a=2"),
+        ("", {"controller": {"type": "mpc"}}, "controller=_type_mpc_"),
+        ("two words", {}, "two_words"),
+        ("", {}, "base"),
+    ],
+)
+def test_arms_have_names_that_fit_a_file_system(controller, values, name):
+    assert arm_name(controller, values) == name
+
+
+def test_values_as_text_and_as_cells():
+    robots = ({"name": "green", "a": 6}, {"name": "red", "a": 3})
+    values = (0.1 + 0.2, 0.1234567, 3, "x", True, (1, 2), [], robots)
+    assert " ".join(map(shown, values)) == "0.3 0.123457 3 x true [1, 2] [] 2"
+    assert [as_cell(v) for v in (0.5, "x", None, (1, 2))] == [0.5, "x", None, "[1, 2]"]
+    assert as_yaml({"a": (1, "ä")}) == '{"a": [1, "ä"]}'
+    assert '"green"' in as_cell(robots)
+
+
+def test_options_are_parsed():
+    assert Logs.parse("sample:3") == Logs(3, False)
+    assert Logs.parse("all").each == float("inf")
+    assert (Logs.parse("failed"), Logs.parse("none")) == (Logs(0, True), Logs(0, False))
+    shares = [Shard.parse(f"{i}/3") for i in (1, 2, 3)]
+    assert [[share.has(n) for share in shares].count(True) for n in range(9)] == [1] * 9

@@ -1,0 +1,275 @@
+"""`tetractl kinds --check`: every kind there is passes, and each thing wrong with one is found."""
+
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+import numpy as np
+import pytest
+from support.cli import tetractl
+
+from tetractl.control.optimizers.mppi import Mppi
+from tetractl.core.protocols import Health
+from tetractl.experiment.base import Positive
+from tetractl.experiment.kinds import MOTIONS
+from tetractl.experiment.lab import ActuatorSection, CameraSection
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.templates import template
+from tetractl.kind_checks import (
+    check_actuator,
+    check_camera,
+    check_kind,
+    check_motion,
+    check_optimizer,
+    check_shape,
+)
+from tetractl.model.shapes.circle import Circle, PackedCircles
+from tetractl.model.shapes.polygon import Polygon
+from tetractl.model.shapes.rectangle import Rectangle
+
+SETUP = parse_spec(template("check", "check", False, False), "check").experiment.setup
+CIRCLE = Circle(type="circle", center=(3.0, -2.0), radius=40.0)
+SHAPES = [
+    CIRCLE,
+    Rectangle(type="rectangle", left=-5, bottom=2, width=30, height=12),
+    Polygon(type="polygon", vertices=((0, 0), (10, 0), (10, 10), (5, 3))),
+]
+EXACT = MOTIONS.load("exact")
+
+
+def wrong(findings):
+    return [finding.what for finding in findings if finding.problem]
+
+
+@pytest.mark.parametrize("name", MOTIONS.builtin)
+def test_every_motion_passes(name):
+    assert wrong(check_motion(MOTIONS.load(name))) == []
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
+def test_every_shape_passes(shape):
+    assert wrong(check_shape(shape, SETUP)) == []
+
+
+def compiled(**methods):
+    """The exact motion with some functions of its compiled class replaced."""
+
+    def lanes(a, longest):
+        known = EXACT.lanes(a, longest)
+        return type(
+            "Other", (known,), {name: staticmethod(f(known)) for name, f in methods.items()}
+        )
+
+    return replace(EXACT, lanes=lanes)
+
+
+def scaled(place, factor):
+    def change(known):
+        def differentiate(*args):
+            found = list(known.differentiate(*args))
+            found[place] *= factor
+            return tuple(found)
+
+        return differentiate
+
+    return change
+
+
+def drifting(*args):
+    x, y, heading = EXACT.step(*args)
+    return x + np.random.default_rng().normal(size=x.shape), y, heading
+
+
+def northward(x, y, heading, u, a, v, t):
+    moved = EXACT.step(x, y, heading, u, a, v, t)
+    return moved[0], y + 0.9 * (moved[1] - y), moved[2]
+
+
+@pytest.mark.parametrize(
+    ("motion", "what"),
+    [
+        (replace(EXACT, step=drifting), "step: the same twice"),
+        (replace(EXACT, step=northward), "step: turns with heading and u"),
+        (replace(EXACT, hold=lambda x, y, h, held, a, v, t: (x, y, h)), "hold: x of step"),
+        (replace(EXACT, turn=lambda h, u, a, t: h), "turn: the headings of step"),
+        (
+            compiled(advance=lambda known: lambda x, y, c, s, cu, su, k: (x, y, c, s)),
+            "advance: x of step",
+        ),
+        (compiled(differentiate=scaled(0, 1.01)), "differentiate: dx of step"),
+        (compiled(differentiate=scaled(3, 1.01)), "differentiate: d(dx)/dheading"),
+        (compiled(differentiate=scaled(6, -1)), "differentiate: d(dy)/du"),
+        (compiled(differentiate=scaled(7, 1.01)), "differentiate: d(heading')/du"),
+        (replace(EXACT, step=lambda *args: args[9]), "runs"),
+    ],
+)
+def test_what_is_wrong_with_a_motion_is_found(motion, what):
+    """The last one raises, and is reported at its line."""
+    module = type("module", (), {"MOTION": motion})
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(__import__("sys").modules, "mine", module)
+        assert what in wrong(check_kind("mine:MOTION", {}, SETUP))
+
+
+class Careless(Circle):
+    """Not grown by its margin in NumPy."""
+
+    def contain(self, x, y):
+        return (x - self.center[0]) ** 2 + (y - self.center[1]) ** 2 <= self.radius**2
+
+
+class Clockwise(Circle):
+    """Its outline runs the wrong way."""
+
+    def outline(self):
+        return super().outline()[::-1]
+
+
+class Smaller(PackedCircles):
+    """A compiled gap of another circle."""
+
+    @staticmethod
+    def gap(x, y, p):
+        return PackedCircles.gap(x, y, (p[0], p[1], 0.9 * p[2]))
+
+
+class Inward(PackedCircles):
+    """A direction that is no unit vector."""
+
+    @staticmethod
+    def outward(x, y, p):
+        return (2.0, 0.0)
+
+
+class Unlike(Circle):
+    """NumPy and compiled code differ."""
+
+    packed: ClassVar = Smaller
+
+
+class Crooked(Circle):
+    """Its outward direction is wrong."""
+
+    packed: ClassVar = Inward
+
+
+@pytest.mark.parametrize(
+    ("kind", "what"),
+    [
+        (Careless, "grown: contain: where distance <= 0"),
+        (Clockwise, "outline: anticlockwise"),
+        (Unlike, "packed gap: at most 0 inside"),
+        (Crooked, "packed outward: a unit vector"),
+    ],
+)
+def test_what_is_wrong_with_a_shape_is_found(kind, what):
+    assert what in wrong(check_shape(kind(**CIRCLE.model_dump()), SETUP))
+
+
+class Other(Mppi):
+    """An optimiser that is one with a fault."""
+
+    fault: str = ""
+
+    def search(self, problem, length, warm, key, limits):
+        if self.fault == "key":
+            key = int(np.random.default_rng().integers(2**32))
+        if self.fault == "warm" and warm is not None:
+            warm[0] = 0.5
+        if self.fault == "budget":
+            limits = replace(limits, evaluations=None)
+        found = super().search(problem, length, warm, key, limits)
+        return replace(found, cost=0.9 * found.cost) if self.fault == "cost" else found
+
+
+@pytest.mark.parametrize(
+    ("fault", "what"),
+    [
+        ("", None),
+        ("key", "12 signals: the same for the same key"),
+        ("warm", "12 signals, warm start: left as it was"),
+        ("budget", "12 signals: a budget is kept"),
+        ("cost", "12 signals: cost: J of the signals"),
+    ],
+)
+def test_what_is_wrong_with_an_optimiser_is_found(fault, what):
+    found = wrong(
+        check_optimizer(Other(type="mppi", iterations=6, particles=12, fault=fault), SETUP)
+    )
+    assert what in found if what else found == []
+
+
+class FakeCameraSection(CameraSection):
+    """A camera made for the test."""
+
+    type: Literal["fake"]
+    period: Positive = 1.0
+
+    def build(self, setup, clock, wake):
+        return FakeCamera()
+
+
+class FakeCamera:
+    """Without frames, and without `damaged`."""
+
+    newest = None
+
+    def __enter__(self):
+        raise __import__("tetractl").core.errors.AbortError("no camera answers")
+
+    def __exit__(self, *_):
+        pass
+
+    def check(self):
+        return Health((), {})
+
+    def frames(self):
+        return []
+
+
+class FakeActuatorSection(ActuatorSection):
+    """An actuator that lacks everything."""
+
+    type: Literal["fake"]
+
+    def build(self, setup, clock):
+        return type(
+            "Nothing", (), {"period_ns": 0, "individual": 1, "halts": True, "failure": None}
+        )()
+
+
+def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
+    found = list(check_camera(FakeCameraSection(type="fake"), SETUP))
+    assert found[0].problem == "lacks damaged"
+    assert found[1].what == "not opened, so its frames are not checked (no camera answers)"
+    found = list(check_actuator(FakeActuatorSection(type="fake"), SETUP))
+    assert found[0].problem == "lacks __enter__, __exit__, check, poll, steer, stop"
+    assert wrong(found)[1:] == ["period_ns: above 0", "individual: true or false"]
+
+
+def test_the_command_says_what_was_checked(tmp_path):
+    done = tetractl(tmp_path, "kinds", "--check", "tetractl.model.motion.arc:ARC")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "ok     advance: x of step" in done.stdout.splitlines()
+    assert done.stdout.endswith("tetractl.model.motion.arc:ARC: 0 of 23 checks failed\n")
+    (tmp_path / "mine.py").write_text(
+        "from dataclasses import replace\nfrom tetractl.model.motion.exact import EXACT\n"
+        "MINE = replace(EXACT, step=lambda x, y, h, u, a, v, t: (x + v * t, y, h + 0 * u))\n"
+    )
+    done = tetractl(tmp_path, "kinds", "--check", "mine:MINE")
+    assert done.returncode == 1
+    assert "WRONG  step: turns with heading and u" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nowhere:X"], "nowhere:X: cannot be imported: ModuleNotFoundError"),
+        (["json:dumps"], "json:dumps: is no Motion and no section of"),
+        (["tetractl.model.shapes.circle:Circle"], "Circle: center: is missing"),
+        (["tetractl.experiment.controller:Square"], "Square: there is no check for this kind"),
+    ],
+)
+def test_what_cannot_be_checked_is_bad_usage(tmp_path, words, message):
+    done = tetractl(tmp_path, "kinds", "--check", *words)
+    assert done.returncode == 2
+    assert message in done.stderr

@@ -1,0 +1,105 @@
+"""Films of a trial: their length, what moves in them, and what cannot be written."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.trials import cut_short, three_robots
+
+from tetractl.core.errors import LogError, UsageError
+from tetractl.view.film import FORMATS, HOLD_S, Frames, check_file, write_video
+
+WIDTH = 320
+LASTS_S = 1.0  # of the trial
+
+
+@pytest.fixture(scope="module")
+def log():
+    return cut_short(three_robots(), 5)
+
+
+def milliseconds(path) -> list[int]:
+    with Image.open(path) as film:
+        found = []
+        for frame in range(film.n_frames):
+            film.seek(frame)
+            film.load()
+            found.append(film.info["duration"])
+        return found
+
+
+@pytest.mark.parametrize("ending", ["gif", "webp"])
+def test_a_film_lasts_as_long_as_the_trial(tmp_path, log, ending):
+    said = []
+    path = tmp_path / f"film.{ending}"
+    assert write_video(log, path, lambda *done: said.append(done), WIDTH) == 1
+    total = sum(milliseconds(path)) / 1000
+    assert total == pytest.approx(LASTS_S + HOLD_S, abs=0.1)
+    with Image.open(path) as film:
+        assert film.size[0] == WIDTH
+        assert film.size[1] % 2 == 0
+    assert said[0][0] == 1
+    assert said[-1][0] == said[-1][1] == len(said)
+    again = tmp_path / f"again.{ending}"
+    write_video(log, again, width=WIDTH)
+    assert again.read_bytes() == path.read_bytes()
+
+
+@pytest.mark.skipif(shutil.which("ffprobe") is None, reason="there is no ffmpeg on this machine")
+def test_an_mp4_lasts_as_long_too(tmp_path, log):
+    path = tmp_path / "film.mp4"
+    write_video(log, path, width=WIDTH)
+    ask = ["ffprobe", "-v", "error", "-show_entries", "format=duration", "-of", "csv=p=0"]
+    said = subprocess.run([*ask, path], capture_output=True, text=True, check=True).stdout
+    assert float(said) == pytest.approx(LASTS_S + HOLD_S, abs=0.1)
+
+
+def test_each_picture_shows_its_instant(log):
+    frames = Frames(log, WIDTH)
+    start, later, start_again = (frames.at(t).copy() for t in (0.0, 0.9, 0.0))
+    assert start.shape[1:] == (WIDTH, 3)
+    assert np.array_equal(start, start_again)
+    assert (start != later).any()
+    still = Frames(replace(log, steps=log.steps[:1]), WIDTH)
+    assert still.at(0.0).any()
+
+
+def test_a_long_trial_plays_faster(tmp_path, log, monkeypatch):
+    monkeypatch.setattr("tetractl.view.film.LONGEST_S", 0.6)
+    path = tmp_path / "film.gif"
+    assert write_video(log, path, width=WIDTH) == 2
+    assert sum(milliseconds(path)) / 1000 == pytest.approx(LASTS_S / 2 + HOLD_S, abs=0.1)
+
+
+def test_a_log_without_steps_is_no_film(tmp_path, log):
+    with pytest.raises(LogError, match="holds no control steps"):
+        write_video(cut_short(log, 0), tmp_path / "film.gif")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("film.avi", r"cannot write '\.avi' films"),
+        ("film", "cannot write '' films"),
+        ("no/film.gif", "there is no folder"),
+        ("film.mp4", "written by ffmpeg, which is not installed"),
+    ],
+)
+def test_what_cannot_be_written_is_one_clear_line(tmp_path, monkeypatch, name, message):
+    monkeypatch.setattr(shutil, "which", lambda program: None)
+    with pytest.raises(UsageError, match=message):
+        check_file(tmp_path / name)
+
+
+def test_a_film_that_fails_leaves_no_file(tmp_path, log, monkeypatch):
+    def full(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Image.Image, "save", full)
+    with pytest.raises(LogError, match="No space left"):
+        write_video(log, tmp_path / "film.gif", width=WIDTH)
+    assert list(tmp_path.iterdir()) == []
+    assert set(FORMATS) == {"mp4", "gif", "webp"}

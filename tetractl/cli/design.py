@@ -1,0 +1,125 @@
+"""`tetractl design`: a motion from which much can be identified, and the driving of it."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tetractl.cli.caution import Yes, need_consent
+from tetractl.cli.identify import AsJson, refuse_existing, show_found, write
+from tetractl.cli.options import Sets
+from tetractl.cli.trials import PlantChoice
+from tetractl.core.errors import Exit, UsageError
+
+if TYPE_CHECKING:
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.replay.identification.design import Design
+
+
+def design(
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    sets: Sets = None,
+    seconds: Annotated[
+        float, typer.Option(min=1, max=120, metavar="S", help="How long the motion is to take.")
+    ] = 10.0,
+    plant: Annotated[
+        PlantChoice | None,
+        typer.Option(help="Drive the motion proposed, and identify the robots from it."),
+    ] = None,
+    logs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="With --plant: folder for the log.  \\[logs/<spec name>-design-<UTC time>]",
+        ),
+    ] = None,
+    yes: Yes = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="FILE",
+            help="YAML file to write: a spec of the motion; with --plant, what was identified, "
+            "which a spec names as `identified`.",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> int:
+    """Propose a motion from which the robots can be identified well.
+
+    It stays inside the arena and away from obstacles, by the spec's values. --plant sim or lab
+    drives it, in the lab with all checks of a run, and identifies the robots from its log.
+
+    Example: tetractl design experiments/three_m3pi.yaml --plant sim
+    """
+    from tetractl.cli.spec import load
+    from tetractl.experiment.plants import on_plant
+    from tetractl.replay.identification.design import propose
+    from tetractl.replay.redrive import sequence_spec
+
+    if plant is None and (logs is not None or yes):
+        raise UsageError("--logs and --yes belong to --plant")
+    refuse_existing(out)
+    loaded = load(spec, sets or [])
+    if plant is not None:
+        loaded = on_plant(loaded, plant.value)
+        if not loaded.experiment.plant.simulated:
+            need_consent(yes)
+    proposed = propose(loaded.experiment, seconds, loaded.experiment.trials.seed)
+    motion = sequence_spec(loaded, proposed.directions, 0.0)
+    if plant is None:
+        _show(loaded, proposed, as_json)
+        if out is not None:
+            write(out, motion.text)
+        return Exit.DONE
+    from tetractl.cli.drive import drive
+    from tetractl.log.read.reader import read_trial
+    from tetractl.replay.identification.identify import identify as found_in
+    from tetractl.replay.identification.tracks import track_of
+    from tetractl.run.store import default_folder
+
+    if not as_json:
+        _show(loaded, proposed, False)
+        print(flush=True)
+    default = default_folder(f"{loaded.experiment.name}-design", datetime.now(UTC))
+    log = read_trial(drive(motion, logs or default, 0, yes))
+    controller = loaded.experiment.controller
+    found = found_in([track_of(log)], loaded.experiment.setup.a, controller.dead_time)
+    show_found(found, out, as_json)
+    return Exit.DONE
+
+
+def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
+    """Print a motion: its directions, and the deviations that a fit to it is predicted to have."""
+    from tetractl.core.table.data import json_text
+
+    setup = loaded.experiment.setup
+    if as_json:
+        plain = {
+            "directions": design.directions,
+            "period": design.period_s,
+            "clearance": design.clearance,
+            "predicted": {
+                "dead_time_std": design.dead_time_std,
+                "a_std": dict(zip(setup.names, design.a_std, strict=True)),
+                "heading_bias_std": dict(zip(setup.names, design.heading_bias_std, strict=True)),
+            },
+        }
+        print(json_text(plain))
+        return
+    knots = [0, *(i for i in range(1, len(design.directions)) if _turns(design, i))]
+    print(
+        f"{len(knots)} directions in {design.seconds:g} s, {design.clearance:.1f} {setup.unit} "
+        "away from edges and obstacles at least, by the spec's values"
+    )
+    print("  " + ", ".join(f"{design.directions[i]:.3f}" for i in knots) + " rad")
+    print("predicted standard deviations of a fit to it:")
+    print(f"  dead time {design.dead_time_std:.5f} s")
+    for name, a, bias in zip(setup.names, design.a_std, design.heading_bias_std, strict=True):
+        print(f"  {name}: a {100 * a:.2f} %, heading bias {bias:.4f} rad")
+
+
+def _turns(design: "Design", i: int) -> bool:
+    return bool(design.directions[i] != design.directions[i - 1])

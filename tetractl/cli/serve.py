@@ -1,0 +1,113 @@
+"""`tetractl serve`: a trial in a log viewer."""
+
+import webbrowser
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tetractl.cli.serving import (
+    LICHTBLICK,
+    PORT,
+    Browser,
+    Viewer,
+    answers,
+    layout_of,
+    link,
+    print_forwarding,
+    websockets_needed,
+)
+from tetractl.core.errors import Exit, UsageError
+
+SPECS = (".yaml", ".yml")
+
+
+def serve(
+    what: Annotated[
+        Path, typer.Argument(metavar="LOG|SPEC", help="The log of a trial, or a spec to run.")
+    ],
+    rate: Annotated[
+        float, typer.Option(metavar="R", help="Of a LOG: seconds of the trial per second.")
+    ] = 1.0,
+    start: Annotated[
+        float, typer.Option(metavar="S", help="Of a LOG: begin at this second of the trial.")
+    ] = 0.0,
+    until: Annotated[
+        float | None, typer.Option(metavar="S", help="Of a LOG: end at this second of the trial.")
+    ] = None,
+    loop: Annotated[bool, typer.Option(help="Of a LOG: begin again at its end.")] = True,
+    paused: Annotated[
+        bool, typer.Option("--paused", help="Of a LOG: wait for the viewer or a key at first.")
+    ] = False,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, metavar="N", help="TCP port; 0 is any that is free.")
+    ] = PORT,
+    browser: Browser = True,
+    viewer: Viewer = LICHTBLICK,
+) -> int:
+    """Show a trial in Foxglove or Lichtblick by a live WebSocket, until Ctrl-C.
+
+    It is served on this machine's loopback address under a random path; nothing is uploaded. The
+    browser opens Lichtblick where it answers, else Foxglove. A layout for the viewer's menu
+    "Layouts", "Import from file" is served too.
+
+    A LOG is played over and over: the viewer plays, pauses, seeks and sets the rate, and on a
+    terminal the keys of `tetractl replay` do so too.
+
+    The trials of a SPEC are run as `tetractl run SPEC --serve` does, which has the options of a
+    run.
+
+    Example: tetractl serve trial-000.mcap
+    """
+    if what.suffix.lower() in SPECS:
+        from tetractl.cli.run import run
+
+        if (rate, start, until, loop, paused) != (1.0, 0.0, None, True, False):
+            raise UsageError("only a LOG is played back", "leave out the options of a LOG")
+        return run(what, serve=True, port=port)
+    if not 0 < rate < float("inf"):
+        raise UsageError(f"--rate must be above 0, and is {rate:g}")
+    from tetractl.log.read.find import find_log
+
+    with websockets_needed():
+        from tetractl.serve.recorded import ServedReplay
+    from tetractl.cli.replay import is_terminal
+    from tetractl.core.clock import MonotonicClock
+    from tetractl.log.read.reader import trial_of
+    from tetractl.log.read.salvage import scan
+    from tetractl.replay.player import Player, span
+    from tetractl.replay.recording import Recording
+    from tetractl.run.interrupt import interrupted_once
+    from tetractl.serve.server import FOXGLOVE, LoopbackServer
+    from tetractl.view.terminal.damage import warn_of_damage
+
+    path, wall = find_log(what), MonotonicClock()
+    contents = scan(path)
+    recording = Recording(trial_of(contents))
+    played = span(recording, start, until)
+    warn_of_damage(recording.log)
+    player = Player(recording, wall, played, rate=rate, loop=loop, paused=paused)
+    served = ServedReplay(contents, player)
+    server = LoopbackServer(port, layout=layout_of([path]), live=served.viewers, viewer=viewer)
+    with suppress(KeyboardInterrupt), interrupted_once(), server:
+        print_forwarding(server)
+        print(f"served at {server.live_url}", flush=True)
+        shown = link(FOXGLOVE, "foxglove-websocket", server.live_url)
+        print(f"in Foxglove: {shown}")
+        if answers(viewer):
+            shown = link(viewer, "foxglove-websocket", server.live_url)
+            print(f"in Lichtblick: {shown}")
+        print(f"  its layout: {server.layout_url}", flush=True)
+        if browser:
+            webbrowser.open(shown)
+        if is_terminal():
+            from rich.console import Console
+
+            from tetractl.view.terminal.replay_screen import play
+
+            note = f"served at {server.live_url}"
+            play(Console(), player, follow=served.follow, note=note)
+        else:
+            served.play(wall)
+    return Exit.FAILED if recording.log.damage else Exit.DONE

@@ -1,0 +1,157 @@
+"""The fields of model predictive control in a spec; `tetractl.control.mpc` builds from them."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, PositiveInt, model_validator
+
+from tetractl.control.identify import Prior
+from tetractl.core.poses import Poses
+from tetractl.core.problem import Problem
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent
+from tetractl.experiment.controller import ControllerSection, OptimizerSection
+from tetractl.experiment.kinds import MOTIONS, OPTIMIZERS
+from tetractl.experiment.registry_fields import KindName, KindSection
+from tetractl.model.obstacles import Obstacles
+
+_OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
+
+
+class Collision(Model):
+    """How the planner's potential (13) decides that a robot is inside an obstacle."""
+
+    check: Literal["samples", "swept"] = "samples"
+    """`samples` tests the predicted positions as (13) is printed; `swept` tests the whole segment
+    between two of them."""
+    margin: NonNegative = 0.0
+    """Obstacles are grown by this much for the planner [length unit]."""
+    walls: bool = False
+    """Whether leaving the arena counts as entering an obstacle."""
+    radius: NonNegative = 0.0
+    """Radius of a robot, by which obstacles are grown as well [length unit]; 0 for points."""
+    separation: NonNegative = 0.0
+    """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
+    meet. It is tested at the predicted positions."""
+    adaptive: bool = False
+    """Whether the margin grows by how far off course a robot may come before the next command acts,
+    by what is known of it, and shrinks to the room there is where a robot or a target is within
+    it."""
+    stop: bool = False
+    """Whether all robots stop, and the trial ends, where the best plan found touches an obstacle or
+    its margin and a robot is about to enter one. For robots that can stand still."""
+
+
+class PriorSection(Model):
+    """Standard deviations of what the spec says of the robots, before they are seen to move."""
+
+    a: Positive = 0.2
+    """Of each a, relative to it."""
+    speed: Positive = 0.15
+    """Of each speed, relative to it."""
+    dead_time: Positive = 0.1
+    """Of the dead time [s]."""
+    heading_bias: Positive = 0.05
+    """Of the angle between the direction sent and the one a robot turns towards [rad]."""
+
+    def of(self, problem: Problem, dead_time: float) -> Prior:
+        """Return the prior of the robots of a problem."""
+        return Prior(
+            a=problem.a,
+            speed=problem.speed,
+            dead_time=dead_time,
+            a_std=self.a,
+            speed_std=self.speed,
+            dead_time_std=self.dead_time,
+            heading_bias_std=self.heading_bias,
+        )
+
+
+class MpcFields(ControllerSection):
+    """What model predictive control is configured by."""
+
+    type: Literal["mpc"] = "mpc"
+    hold: PositiveInt = 1
+    """Control periods for which each signal of a sequence is meant to be held: the plan's grid is
+    `hold` times coarser than the control's, and a signal under way can still be changed."""
+    motion: Annotated[str, KindName(MOTIONS)] = "euler"
+    """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
+    `exact` is the closed form of (1)-(3) under a held direction."""
+    estimate: bool = False
+    """Whether a, speed and heading bias of each robot and the dead time of all are identified while
+    they drive, starting from the spec's values."""
+    prior: PriorSection = PriorSection()
+    """How far those may be off."""
+    losses: bool = False
+    """Whether the prediction takes into account which of the last two commands arrived at each
+    robot, by how it turned since."""
+    accept: NonNegative = 0.0
+    """Total error to accept [length unit]. Where no length H - 1, H, H + 1 ends within it, longer
+    sequences are searched, and the trial ends where stopping is within it and as good as any plan:
+    the less, the longer a trial takes. Each time the robots go round a tenth more is accepted. 0 is
+    Algorithm 2, which only ends with its sequence."""
+    stop_between: bool = False
+    """Whether the stop may come between two control steps, at the moment that leaves the least
+    error."""
+    horizon_max: int = Field(default=51, ge=1, le=2000)
+    """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
+    horizon h = length - 1."""
+    first_lengths: Literal["all", "spread"] = "all"
+    """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2, from the
+    shortest to the first that is good enough, where the optimiser tells; or `spread`, with such an
+    optimiser: ever wider apart from the shortest that could reach the targets, until one is good
+    enough, and then by halves."""
+    obstacle_weight: NonNegative = 1000.0
+    """Weight omega_p of the obstacle potential in (7) [length unit]."""
+    collision: Collision = Collision()
+    """How the planner tells that a robot is inside an obstacle."""
+    evaluations_max: int | None = Field(default=None, ge=1)
+    """Cost evaluations one control step may spend, shared equally by its horizons; then the best
+    sequence so far is used. No limit by default."""
+    optimizer: Annotated[OptimizerSection, _OPTIMIZER] = Field(default_factory=_OPTIMIZER.make)
+    """The optimiser of each search."""
+
+    @model_validator(mode="after")
+    def _a_limit_pays_for_a_search(self) -> Self:
+        least = self.optimizer.evaluations_min
+        if self.evaluations_max is not None and self.evaluations_max < least:
+            message = f"must be at least {least}, the least of a search by this optimiser"
+            raise inconsistent("evaluations_max", message)
+        return self
+
+    @property
+    def iterations_max(self) -> int:
+        """Largest number of iterations of one search."""
+        return self.optimizer.iterations_max
+
+    def bounds(self) -> dict[str, str]:
+        """Return the horizons of step 0 and the evaluations of a search."""
+        found = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
+        if most := self.optimizer.evaluations_max:
+            found["cost evaluations of a horizon"] = f"at most {most}"
+        return found
+
+    def numbers_held(self, setup: Setup) -> int:
+        """Return the numbers of the longest search: positions, velocities, bests and poses of its
+        particles, and the Jacobian of a polish with a row a residual."""
+        robots, length = len(setup.names), self.horizon_max
+        swarm = 4 * self.optimizer.evaluations_min * (length + robots)
+        residuals = robots * (2 + robots // 2 + len(setup.obstacles))
+        return swarm + residuals * length
+
+    def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
+        """Return the problem with the robots at `poses`, or at their starts."""
+        collision, walls = self.collision, setup.arena if self.collision.walls else None
+        margin = collision.margin + collision.radius
+        return Problem(
+            poses=setup.starts if poses is None else poses,
+            targets=setup.targets,
+            a=setup.a,
+            speed=setup.speed,
+            motion=self.motion,
+            period=self.hold * self.period,
+            first_period=self.hold * self.period,
+            obstacles=Obstacles.of(setup.obstacles, margin, walls),
+            obstacle_weight=self.obstacle_weight,
+            swept=collision.check == "swept",
+            separation=collision.separation,
+        )

@@ -1,0 +1,23 @@
+"""Files that are written whole or not at all."""
+
+from contextlib import suppress
+from pathlib import Path
+
+from tetractl.core.errors import LogError, UsageError
+
+
+def save_whole(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises UsageError where its folder is missing, LogError where it cannot be written.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except FileNotFoundError:
+        raise UsageError(f"{path}: there is no folder {path.parent}") from None
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink()
+        raise LogError(f"{path}: cannot be written: {error.strerror}") from error

@@ -1,0 +1,212 @@
+"""The firmware's own cores, compiled for this machine: emulated devices run what real ones run.
+
+`<name>_core.c` and `framing.c` of `firmware/` are built once into the user's cache folder, by the
+compiler in $CC or the first of cc, gcc and clang.
+"""
+
+import ctypes
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from dataclasses import astuple, dataclass
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+from tetractl.core.cache import cache_folder, digest
+from tetractl.core.errors import TetractlError
+from tetractl.lab.actuators.field.protocol import UNKNOWN_TEMPERATURE, DriverStatus
+from tetractl.lab.actuators.m3pi.broadcast import Counts, Status
+
+_P, _U8, _I16 = ctypes.c_void_p, ctypes.c_uint8, ctypes.c_int16
+_U16, _U32, _SIZE = ctypes.c_uint16, ctypes.c_uint32, ctypes.c_size_t
+_BOTH = {
+    "size": (_SIZE,),
+    "push": (ctypes.c_int, _P, _U8, _U32),
+    "status": (_U8, _P, _U32),
+    "take_reply": (_SIZE, _P, _U32, _P),
+}
+FUNCTIONS = {  # of each core: what they return and take
+    "m3pi": _BOTH
+    | {
+        "init": (None, _P, _U8),
+        "wheels": (None, _P, _U32, _P, _P),
+        "set_battery": (None, _P, _U16),
+    },
+    "field": _BOTH
+    | {
+        "init": (None, _P, _P, _U32),
+        "currents": (None, _P, _U32, _P, _P),
+        "measured": (None, _P, _I16, _I16, _U16, _I16),
+    },
+}
+FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared")
+
+
+def compiler() -> str | None:
+    """Return the path of a C compiler, or None."""
+    names = [os.environ.get("CC", ""), "cc", "gcc", "clang"]
+    return next(filter(None, (shutil.which(name) for name in names if name)), None)
+
+
+def source_folder() -> Path:
+    """Return the folder of the C sources: in the source tree, or shipped inside the package."""
+    here = Path(__file__).resolve()
+    for folder in (here.parents[1] / "firmware", here.parents[2] / "firmware"):
+        if (folder / "framing.c").is_file():
+            return folder
+    raise TetractlError("the firmware's C sources are missing from this installation")
+
+
+@cache
+def load(name: str, folder: Path | None = None) -> ctypes.CDLL:
+    """Return the compiled core `name`, built in `folder` (default: the cache) where needed.
+
+    TetractlError where there is no compiler, no source, or the source does not compile.
+    """
+    sources = source_folder()
+    codes = [sources / f"{name}_core.c", sources / "framing.c"]
+    parts = [part for code in codes for part in (code, code.with_suffix(".h"))]
+    state = digest(parts, " ".join(FLAGS))
+    path = (folder or cache_folder()) / f"{name}_core-{platform.machine()}-{state}.so"
+    if not path.is_file():
+        _build(codes, path)
+    library = ctypes.CDLL(str(path))
+    for function, (result, *arguments) in FUNCTIONS[name].items():
+        found = getattr(library, f"{name}_{function}")
+        found.restype, found.argtypes = result, arguments
+    return library
+
+
+def _build(codes: list[Path], path: Path) -> None:
+    name = compiler()
+    if name is None:
+        raise TetractlError(
+            "no C compiler found; emulated devices run the compiled firmware",
+            hint="install gcc or clang, or set CC",
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
+        built = Path(scratch) / path.name
+        done = subprocess.run(
+            [name, *FLAGS, *map(str, codes), "-o", str(built)], capture_output=True, text=True
+        )
+        if done.returncode:
+            line = (done.stderr.strip() or "no message").splitlines()[0]
+            raise TetractlError(f"{name} could not build the firmware's core: {line}")
+        built.replace(path)  # in one step: other processes see all of it or nothing
+
+
+class Event(IntEnum):
+    """What a byte completed."""
+
+    NOTHING = 0
+    ACCEPTED = 1
+    STALE = 2  # a good frame, old or a duplicate
+    REJECTED = 3  # wrong stuffing, length, CRC, flags or counts
+    FOREIGN = 4  # a good frame that is no command
+
+
+class _Core:
+    """A compiled core. Times are milliseconds on any clock, taken modulo 2^32."""
+
+    name: ClassVar[str]
+    reply_size: ClassVar[int]
+
+    def __init__(self, library: ctypes.CDLL | None) -> None:
+        self._library = library or load(self.name)
+        self._core = ctypes.create_string_buffer(self._call("size"))
+
+    def push(self, data: bytes, now_ms: int) -> list[Event]:
+        """Read bytes from radio or line; return what they completed."""
+        push = getattr(self._library, f"{self.name}_push")
+        events = [Event(push(self._core, byte, now_ms)) for byte in data]
+        return [event for event in events if event is not Event.NOTHING]
+
+    def take_reply(self, now_ms: int) -> bytes:
+        """Return the reply due now, once, or nothing."""
+        reply = ctypes.create_string_buffer(self.reply_size)
+        size = self._call("take_reply", self._core, now_ms, reply)
+        return reply.raw[:size]
+
+    def _call(self, function: str, *arguments: Any) -> int:
+        return getattr(self._library, f"{self.name}_{function}")(*arguments)
+
+
+class RobotCore(_Core):
+    """The firmware core of robot `index`."""
+
+    name, reply_size = "m3pi", 14
+
+    def __init__(self, index: int, library: ctypes.CDLL | None = None) -> None:
+        super().__init__(library)
+        self._call("init", self._core, index)
+
+    def wheels(self, now_ms: int) -> Counts:
+        """Return the counts to drive with now, which the watchdog may have set to 0."""
+        left, right = ctypes.c_int8(), ctypes.c_int8()
+        self._call("wheels", self._core, now_ms, ctypes.byref(left), ctypes.byref(right))
+        return left.value, right.value
+
+    def status(self, now_ms: int) -> Status:
+        """Return what a reply would say."""
+        return Status(self._call("status", self._core, now_ms))
+
+    def set_battery(self, battery_mv: int) -> None:
+        """Set the battery's voltage [mV]; 0 for unknown."""
+        self._call("set_battery", self._core, battery_mv)
+
+
+@dataclass(frozen=True, slots=True)
+class DriverLimits:
+    """What is built into a driver: greatest current [mA] of each coil pair and its slew [mA/s],
+    watchdog [ms], and the temperature that stops it [0.1 degrees Celsius]."""
+
+    current_max_ma: int
+    slew_ma_s: int
+    watchdog_ms: int = 250
+    temperature_max_dc: int = 800
+
+
+class _DriverLimits(ctypes.Structure):
+    _fields_ = (
+        ("current_max_ma", ctypes.c_uint16),
+        ("slew_ma_s", ctypes.c_uint32),
+        ("watchdog_ms", ctypes.c_uint16),
+        ("temperature_max_dc", ctypes.c_int16),
+    )
+
+
+class DriverCore(_Core):
+    """The firmware core of a current driver, switched on at `now_ms`."""
+
+    name, reply_size = "field", 28
+
+    def __init__(
+        self, limits: DriverLimits, now_ms: int = 0, library: ctypes.CDLL | None = None
+    ) -> None:
+        super().__init__(library)
+        self._call("init", self._core, ctypes.byref(_DriverLimits(*astuple(limits))), now_ms)
+
+    def currents_ua(self, now_ms: int) -> tuple[int, int]:
+        """Return the set points of both currents now [uA]; watchdog and slew are done here."""
+        x, y = ctypes.c_int32(), ctypes.c_int32()
+        self._call("currents", self._core, now_ms, ctypes.byref(x), ctypes.byref(y))
+        return x.value, y.value
+
+    def measured(
+        self,
+        x_ma: int,
+        y_ma: int,
+        supply_mv: int = 0,
+        temperature_dc: int = UNKNOWN_TEMPERATURE,
+    ) -> None:
+        """Set what the driver has measured; a temperature at its limit stops it for good."""
+        self._call("measured", self._core, x_ma, y_ma, supply_mv, temperature_dc)
+
+    def status(self, now_ms: int) -> DriverStatus:
+        """Return what a reply would say."""
+        return DriverStatus(self._call("status", self._core, now_ms))

@@ -1,0 +1,96 @@
+"""Fields of a spec whose values are found by name in a registry."""
+
+from typing import Any
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from tetractl.core.registry import Registry
+
+STRICT = {"strict": True}
+"""Validation context under which sections refuse values of another type, as specs are read."""
+
+
+class KindSection:
+    """Annotation of a field: its mapping is validated by the class that its `type` names.
+
+    `Annotated[Base, KindSection(REGISTRY)]` accepts an instance of Base, or a mapping whose `type`
+    is a name in the registry; `default` is the type of a mapping without one. Each class of the
+    registry is a `Model` with its own name as the `Literal` of its `type`; those not derived from
+    Base cannot be chosen here. A class is imported when it is first chosen; PluginError where
+    another package offers one that cannot be used.
+    """
+
+    def __init__(self, registry: Registry, default: str | None = None) -> None:
+        self.registry, self.default = registry, default
+        self._base: type[Any] = object
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        self._base = source
+
+        def validate(value: Any, info: core_schema.ValidationInfo) -> Any:
+            if isinstance(value, source):
+                return value
+            strict = bool(info.context and info.context.get("strict"))
+            return self._section(value).model_validate(value, strict=strict, context=info.context)
+
+        return core_schema.with_info_plain_validator_function(validate)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        usable = self.registry.usable()  # a broken package must not hide another mistake
+        sections = {name: kind for name, kind in usable.items() if issubclass(kind, self._base)}
+        options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
+        for name, option in options.items():
+            if name != self.default:  # without a type, only the default kind is meant
+                kind = handler.resolve_ref_schema(option)
+                kind["required"] = list(dict.fromkeys(["type", *kind.get("required", ())]))
+        mapping = {name: option["$ref"] for name, option in options.items() if "$ref" in option}
+        discriminator = {"mapping": mapping, "propertyName": "type"}
+        choice = {"discriminator": discriminator, "oneOf": list(options.values())}
+        return choice | ({"default": {"type": self.default}} if self.default else {})
+
+    def make(self) -> Any:
+        """Return the section of the default type with its own defaults, for a field's default."""
+        return self._section({}).model_validate({})
+
+    def _section(self, value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise PydanticCustomError("model_type", "must be a mapping of keys")
+        name = value.get("type", self.default)
+        known = {kind.name: str(kind) for kind in self.registry.kinds()}
+        if name is None:
+            raise PydanticCustomError("union_tag_not_found", "has no type", {"known": known})
+        if not isinstance(name, str) or name not in self.registry:
+            raise PydanticCustomError("union_tag_invalid", "has an unknown type", {"known": known})
+        section = self.registry.load(name)
+        if not issubclass(section, self._base):
+            fitting = {"known": {k: v for k, v in known.items() if k != name}}
+            raise PydanticCustomError("union_tag_invalid", "does not fit here", fitting)
+        return section
+
+
+class KindName:
+    """Annotation of a text field: one of the names in a registry. Nothing is imported for it."""
+
+    def __init__(self, registry: Registry) -> None:
+        self.registry = registry
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def check(value: str) -> str:
+            if value not in self.registry:
+                raise PydanticCustomError("literal_error", "is an unknown name")
+            return value
+
+        return core_schema.no_info_after_validator_function(check, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"type": "string", "enum": list(self.registry.names())}

@@ -1,0 +1,105 @@
+"""Which camera poses of a robot are accepted: those of a body that stands upright on the floor,
+where the robot can have driven since it was last seen.
+
+Lengths are in the spec's length unit, times ns on the run's clock.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Pose
+
+FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
+WINDOW_NS = SECOND  # a pose is compared with every accepted pose that is not older
+SPACING_NS = SECOND // 10  # between the poses kept for that, besides the last
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """How far a robot can come: `speed` [length unit/s] and `turning` [rad/s] at most.
+
+    `jump` and `jump_heading` are allowed beyond that, once in a window. `lowest` and `highest`
+    bound the height of its body [length unit], `tilt` its lean [rad]; `mm` are the millimetres in
+    a length unit.
+    """
+
+    speed: float
+    turning: float
+    jump: float
+    jump_heading: float
+    lowest: float = -math.inf
+    highest: float = math.inf
+    tilt: float = math.pi
+    mm: float = 1.0
+
+
+@dataclass(slots=True)
+class PoseFilter:
+    """The accepted poses of one robot: the last, and some of the last second.
+
+    `refused` says why the newest pose that came was refused, "" where it was not or none came.
+    """
+
+    limits: MotionLimits
+    pose: Pose | None = None
+    seen_ns: int = 0
+    refused: str = ""
+    _past: deque[tuple[int, Pose]] = field(default_factory=deque)
+
+    def forget(self) -> None:
+        """Forget every pose but the last, as at the start of a run: robots were carried before."""
+        self._past = deque([(self.seen_ns, self.pose)] if self.pose is not None else [])
+        self.refused = ""
+
+    def lost(self) -> None:
+        """Note a frame in which the robot is not tracked."""
+        self.refused = ""
+
+    def fault(self, pose: Pose, at_ns: int, driving: bool) -> str:
+        """Return how a pose exposed at `at_ns` cannot be the robot's, "" where it can.
+
+        Robots that are not `driving` may be carried about: only height and tilt are compared.
+        """
+        fault = self._off_the_floor(pose)
+        return "its pose jumped" if not fault and driving and self._jumps(pose, at_ns) else fault
+
+    def add(self, pose: Pose, at_ns: int, refused: str) -> bool:
+        """Note a pose exposed at `at_ns`; return whether it is accepted."""
+        self.refused = refused
+        if self.refused:
+            return False
+        self.pose, self.seen_ns = pose, at_ns
+        while self._past and at_ns - self._past[0][0] > WINDOW_NS:
+            self._past.popleft()
+        if not self._past or at_ns - self._past[-1][0] >= SPACING_NS:
+            self._past.append((at_ns, pose))
+        return True
+
+    def _jumps(self, pose: Pose, at_ns: int) -> bool:
+        """Whether the robot cannot have come here from where it was within the window."""
+        if self.pose is None:
+            return False
+        return any(
+            self._too_far(then, pose, (at_ns - then_ns) / SECOND)
+            for then_ns, then in (*self._past, (self.seen_ns, self.pose))
+        )
+
+    def _too_far(self, then: Pose, pose: Pose, dt: float) -> bool:
+        limits = self.limits
+        gone = math.hypot(pose.x - then.x, pose.y - then.y)
+        turned = abs(math.remainder(pose.heading - then.heading, math.tau))
+        return (
+            gone > FASTER * limits.speed * dt + limits.jump
+            or turned > FASTER * limits.turning * dt + limits.jump_heading
+        )
+
+    def _off_the_floor(self, pose: Pose) -> str:
+        """Return how a body cannot be that of a robot on the floor, "" where it can."""
+        limits = self.limits
+        if pose.height is not None and not limits.lowest <= pose.height <= limits.highest:
+            return f"its body is at a height of {pose.height * limits.mm:.0f} mm"
+        if pose.tilt is not None and not pose.tilt <= limits.tilt:
+            return f"its body is tilted by {pose.tilt:.2f} rad"
+        return ""

@@ -1,0 +1,94 @@
+"""Whether robots stand still, by the camera: a robot that is not seen to stand does not."""
+
+import math
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Pose
+from tetractl.lab.frames import AcceptedFrame
+from tetractl.lab.rig import Rig
+
+REST_NS = SECOND // 4  # robots must be seen to stand still for this long
+WATCHED = 0.6  # share of it that the frames of each robot must span
+TURNING = 0.3  # rad/s: turning slower than this is standing still
+LOOK_NS = SECOND // 20
+ROLLING_NS = SECOND // 2  # robots that have not come to rest by then are stopped again
+
+
+def moving_robots(rig: Rig) -> list[str]:
+    """Return who was not seen to stand still in the last frames, and how, a line each."""
+    window = rig.frames.last(REST_NS)
+    if not window:
+        return [f"{name} has not been watched long enough" for name in rig.setup.names]
+    lines = [_not_at_rest(rig, i, window) for i in range(len(rig.setup.names))]
+    return [line for line in lines if line]
+
+
+def wait_for_rest(rig: Rig) -> str:
+    """Wait until every robot is seen to stand still, and stop them again while one is not.
+
+    Returns who is not seen to stand within `limits.standstill`, and how, "" where all are.
+    """
+    limit_ns = round(rig.limits.standstill * SECOND)
+    began = rig.clock.now()
+    while True:
+        rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
+        now, newest = rig.clock.now(), rig.frames.newest
+        lines = _stream_lost(rig) or moving_robots(rig)
+        if not lines and newest is not None and newest.frame.received_ns - began >= REST_NS:
+            return ""
+        if now - began >= limit_ns:
+            return _late(rig, lines)
+        if lines and now - began >= ROLLING_NS:
+            rig.loop.stop()
+
+
+def wait_until_tracked(rig: Rig) -> str:
+    """Wait until every robot is tracked, of robots that cannot stand still.
+
+    Returns who is not within `limits.standstill`, "" where all are.
+    """
+    limit_ns = round(rig.limits.standstill * SECOND)
+    began = rig.clock.now()
+    while lines := _stream_lost(rig) or _lost(rig):
+        if rig.clock.now() - began >= limit_ns:
+            return _late(rig, lines)
+        rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
+    return ""
+
+
+def _late(rig: Rig, lines: list[str]) -> str:
+    return f"{rig.limits.standstill:g} s after the stop: {'; '.join(lines)}"
+
+
+def _stream_lost(rig: Rig) -> list[str]:
+    """Return a line where the cameras show nothing now."""
+    silent_ns = rig.silent_ns()
+    if rig.frames.newest is None or silent_ns > rig.limits.stream_lost * SECOND:
+        return [f"the cameras do not show that the robots stand: {rig.guard.no_frame(silent_ns)}"]
+    return []
+
+
+def _lost(rig: Rig) -> list[str]:
+    newest, count = rig.frames.newest, len(rig.setup.names)
+    fresh = newest.fresh if newest is not None else (False,) * count
+    return [rig.not_tracked(i) for i in range(count) if not fresh[i]]
+
+
+def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
+    """Return how robot i was not seen to stand within the frames, "" where it was."""
+    name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
+    seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]
+    if not seen or newest - seen[-1][0] > rig.limits.untracked_stop * SECOND:
+        return f"{rig.not_tracked(i)}, so it is not seen to stand"
+    if seen[-1][0] - seen[0][0] < WATCHED * REST_NS:
+        return f"{name} has not been watched long enough"
+    speed, turning = _speeds(*seen[0], *seen[-1])
+    moves = speed * rig.mm > rig.limits.standstill_mm or turning > TURNING
+    return f"{name} still moves" if moves else ""
+
+
+def _speeds(began: int, first: Pose, ended: int, last: Pose) -> tuple[float, float]:
+    """Return the mean speed [length unit/s] and turning rate [rad/s] between two poses."""
+    seconds = (ended - began) / SECOND
+    gone = math.hypot(last.x - first.x, last.y - first.y)
+    return gone / seconds, abs(math.remainder(last.heading - first.heading, math.tau)) / seconds

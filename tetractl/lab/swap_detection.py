@@ -1,0 +1,188 @@
+"""Whether robots turn as they are commanded, or as one another is: swapped or wrong robot numbers.
+
+For robot i, the turning seen s_i(t) [rad/s] is held against the turning w_j sent to each robot j,
+of a delay d and a gain g,
+
+    Q_ij = min over d, g of the integral of g^2 w_j(t - d)^2 - 2 g s_i(t) w_j(t - d) dt,
+
+which is the squared residual of j's commands less a term common to all j. The gain is 1 but for a
+robot's own commands: wheels that are not calibrated turn it by some more or less. Robot i follows j
+where Q_ii - Q_ij exceeds a share of the integral of (w_i - w_j)^2. Wheels that differ also turn it
+by a constant rate b besides, so its own commands are g w_i + b. A robot that does as commanded
+follows none, and robots that stand still cannot follow one another in a ring: so robots of a ring
+are swapped. One robot alone may have another fault, and is watched for longer. Robots that are
+commanded alike cannot be distinguished.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats
+
+DELAYS_NS = tuple(round(delay * SECOND) for delay in (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.3))
+KEPT_NS = SECOND  # of what was sent
+GAP_NS = 3 * SECOND // 20
+GAINS = (0.8, 1.25)  # of a robot's own commands, least and most
+BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: what wheels that are 10 % off turn it by besides
+CLEAR = 0.01  # rad^2/s: less is the noise of headings
+DISTINCT = 0.1  # rad^2/s: commands that differ less, over all, cannot be distinguished
+BETTER = 0.05  # share of that by which another robot's commands must fit each of a ring better
+ALONE_NS = SECOND // 2  # a robot alone must be seen to follow another twice in a row for so long
+ALONE_GAINS = (-1.25, 1.25)  # its own commands are tried with: a wheel may be stuck, or inverted
+ALONE_BETTER = 0.25  # share of that by which another's commands must fit it better,
+ALONE_CLEAR = 0.06  # share of those commands likewise: noise and wheels 10 % off reach 0.05,
+EXPLAINED = 0.8  # and share of them that must be seen
+TINY = 1e-12
+
+
+class SwapDetector:
+    """Compares how N robots are commanded to turn with how they turn."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self._times: list[int] = []  # of the turning rates sent, a row each
+        self._sent: list[Floats] = []
+        self._shared: tuple[tuple[int, int], Floats] | None = None  # the same for a frame's robots
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was seen, as when robots start from rest."""
+        n = len(self._names)
+        self._all, self._stretch = _TurnIntegrals(n), _TurnIntegrals(n)
+        self._followed = np.zeros((n, n), dtype=np.bool_)  # by robot i, in its last stretch
+        self._alone = np.zeros((n, n), dtype=np.bool_)  # in its last two
+        self._watched_ns = np.zeros(n, dtype=np.int64)  # of the stretch, while commanded to turn
+        self._found: str | None = None  # the fault, once sought
+
+    def sent(self, now_ns: int, turning: Sequence[float]) -> None:
+        """Note the turning rates of a transmission [rad/s], 0 for robots that stand."""
+        self._shared = None
+        self._times.append(now_ns)
+        self._sent.append(np.array(turning, dtype=np.float64))
+        old = bisect_right(self._times, now_ns - KEPT_NS)
+        if old > 64:  # now and then, in one go
+            del self._times[: old - 1], self._sent[: old - 1]
+
+    def turned(self, i: int, now_ns: int, dt_ns: int, angle: float) -> None:
+        """Note that robot i was seen to turn by `angle` [rad] within the last `dt_ns`.
+
+        The turning commanded is the mean over that time. A robot that was not seen for longer than
+        GAP_NS says nothing: it may have done several things.
+        """
+        if dt_ns > GAP_NS:
+            return
+        self._found = None
+        dt, key = dt_ns / SECOND, (now_ns, dt_ns)
+        if self._shared is None or self._shared[0] != key:
+            commanded = np.array([self._mean(now_ns - delay, dt_ns) for delay in DELAYS_NS])
+            self._shared = key, commanded
+        commanded = self._shared[1]  # (D, N)
+        self._all.add(i, commanded, angle, dt)
+        stretch = self._stretch
+        stretch.add(i, commanded, angle, dt)
+        self._watched_ns[i] += dt_ns if commanded[0].any() else 0
+        if self._watched_ns[i] >= ALONE_NS:
+            followed = stretch.follows_alone(i)
+            self._alone[i] = followed & self._followed[i]
+            self._followed[i] = followed
+            self._watched_ns[i] = 0
+            stretch.forget(i)
+
+    def fault(self) -> str:
+        """Return which robots answer the commands of others, "" where none does."""
+        if self._found is None:
+            self._found = self._fault()
+        return self._found
+
+    def _fault(self) -> str:
+        if ring := _ring(self._all.follows()):
+            names = " and ".join(self._names[i] for i in ring)
+            return f"{names} turn as one another is commanded: are their numbers or bodies swapped?"
+        for i, j in np.argwhere(self._alone):
+            one, other = self._names[i], self._names[j]
+            return f"{one} turns as {other} is commanded, not as {one} is: is its number wrong?"
+        return ""
+
+    def _mean(self, until_ns: int, dt_ns: int) -> Floats:
+        """Return the mean turning rates (N,) in force within the `dt_ns` until a time, 0 before
+        the first transmission."""
+        total, first = np.zeros(len(self._names)), until_ns - dt_ns
+        while True:
+            k = bisect_left(self._times, until_ns) - 1
+            if k < 0:
+                return total / dt_ns
+            since = max(self._times[k], first)
+            total = total + self._sent[k] * (until_ns - since)
+            if since == first:
+                return total / dt_ns
+            until_ns = since
+
+
+class _TurnIntegrals:
+    """The integrals of the module's Q over a stretch of time, for N robots and D delays."""
+
+    def __init__(self, n: int) -> None:
+        self._commanded = np.zeros((len(DELAYS_NS), n, n))  # of w_j(t - d)^2 while i was seen
+        self._common = np.zeros((len(DELAYS_NS), n, n))  # of s_i(t) w_j(t - d)
+        self._differ = np.zeros((n, n))  # of (w_i - w_j)^2
+        self._way = np.zeros((len(DELAYS_NS), n))  # of w_i(t - d)
+        self._turned, self._seconds = np.zeros(n), np.zeros(n)  # of s_i, and of 1
+
+    def add(self, i: int, commanded: Floats, angle: float, dt: float) -> None:
+        """Add that robot i turned by `angle` [rad] in `dt` [s], commanded (D, N) [rad/s]."""
+        self._commanded[:, i] += commanded**2 * dt
+        self._common[:, i] += angle * commanded
+        self._differ[i] += (commanded[0] - commanded[0, i]) ** 2 * dt
+        self._way[:, i] += commanded[:, i] * dt
+        self._turned[i] += angle
+        self._seconds[i] += dt
+
+    def forget(self, i: int) -> None:
+        """Forget what robot i did."""
+        self._commanded[:, i] = self._common[:, i] = 0.0
+        self._differ[i] = self._way[:, i] = self._turned[i] = self._seconds[i] = 0.0
+
+    def follows(self) -> np.ndarray:
+        """Return whether robot i follows j better than its own commands, (N, N)."""
+        misfit = (self._commanded - 2.0 * self._common).min(axis=0)
+        better = self._own(GAINS)[:, None] - misfit
+        return (self._differ > DISTINCT) & (better > BETTER * self._differ + CLEAR)
+
+    def follows_alone(self, i: int) -> np.ndarray:
+        """Return whom robot i follows, (N,), where it cannot have lost a wheel or swapped its
+        own."""
+        misfits = self._commanded[:, i] - 2.0 * self._common[:, i]
+        misfit = misfits.min(axis=0)
+        commanded = np.take_along_axis(self._commanded[:, i], misfits.argmin(axis=0)[None], axis=0)[
+            0
+        ]
+        better = self._own(ALONE_GAINS)[i] - misfit
+        return (
+            (self._differ[i] > DISTINCT)
+            & (commanded > DISTINCT)
+            & (better > ALONE_BETTER * self._differ[i])
+            & (better > ALONE_CLEAR * commanded)
+            & (misfit < -EXPLAINED * commanded)
+        )
+
+    def _own(self, gains: tuple[float, float]) -> Floats:
+        """Return Q_ii (N,) of each robot's own commands, for the best bias and gain between two."""
+        bias = np.array(BIASES)[:, None, None]
+        commanded = np.diagonal(self._commanded, axis1=1, axis2=2)
+        common = np.diagonal(self._common, axis1=1, axis2=2) - bias * self._way  # (B, D, N)
+        gain = np.clip(common / np.maximum(commanded, TINY), *gains)
+        misfit = gain**2 * commanded - 2.0 * gain * common
+        return (misfit + bias**2 * self._seconds - 2.0 * bias * self._turned).min(axis=(0, 1))
+
+
+def _ring(follows: np.ndarray) -> list[int]:
+    """Return robots each of whom follows the next and the last the first, [] where none do."""
+    reach = follows.copy()
+    for k in range(len(follows)):
+        reach |= np.outer(reach[:, k], reach[k])
+    for i in np.flatnonzero(np.diagonal(reach)):
+        return [int(j) for j in np.flatnonzero(reach[i] & reach[:, i])]
+    return []

@@ -1,0 +1,34 @@
+"""`{type: silent-radio}`: nothing that is sent reaches any robot for a while."""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.setup import Setup
+from tetractl.experiment.disturbance import DelayedCommand, Disturbance
+from tetractl.plant.disturbances.spells import Spells, SpellsSection
+
+
+class SilentRadioSection(SpellsSection):
+    """Spells in which no robot hears anything; robots go on with what they heard last."""
+
+    type: Literal["silent-radio"]
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "SilentRadio":
+        """Return the silences of one trial."""
+        return SilentRadio(self.draw(rng))
+
+
+class SilentRadio(Disturbance):
+    """Loses everything that is sent in a spell."""
+
+    def __init__(self, spells: Spells) -> None:
+        self._spells = spells
+
+    def sent(self, command: DelayedCommand) -> DelayedCommand:
+        """Return the command, which reaches no robot while the radio is silent."""
+        if not self._spells.at(command.sent_ns / SECOND):
+            return command
+        return replace(command, reached=np.zeros_like(command.reached))

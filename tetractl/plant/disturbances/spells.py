@@ -1,0 +1,60 @@
+"""Spells: times in which something goes wrong, shared by the disturbances that come and go."""
+
+from collections.abc import Callable
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.core.poses import Bools
+from tetractl.experiment.base import NonNegative, Positive
+from tetractl.experiment.disturbance import DisturbanceSection
+
+
+class SpellsSection(DisturbanceSection):
+    """A few spells a trial, each at a time of its own."""
+
+    times: Annotated[int, Field(ge=0, le=1000)] = 1
+    """Spells in a trial; they may overlap."""
+    duration: Positive
+    """Of each [s]."""
+    between: tuple[NonNegative, NonNegative] = (1.0, 14.0)
+    """Each begins between these two times of the trial, uniformly distributed [s]."""
+
+    def draw(self, rng: np.random.Generator) -> "Spells":
+        """Return the spells of one trial."""
+        return Spells(self, rng)
+
+
+class Spells:
+    """The spells of one trial."""
+
+    def __init__(self, section: SpellsSection, rng: np.random.Generator) -> None:
+        self._begin_s = rng.uniform(*section.between, section.times)
+        self._end_s = self._begin_s + section.duration
+
+    def at(self, time_s: float) -> bool:
+        """Return whether one of them is on."""
+        return bool(((self._begin_s <= time_s) & (time_s < self._end_s)).any())
+
+
+class ByTurns:
+    """N robots that are well and unwell by turns, each by itself, well at first.
+
+    `well_s` and `unwell_s` draw how long [s].
+    """
+
+    def __init__(
+        self, robots: int, well_s: Callable[[], float], unwell_s: Callable[[], float]
+    ) -> None:
+        self._durations_s = (unwell_s, well_s)  # by whether it is well
+        self._well = np.ones(robots, dtype=np.bool_)
+        self._until_s = np.array([well_s() for _ in range(robots)])
+
+    def well(self, time_s: float) -> Bools:
+        """Return which robots are well (N,); times must not fall."""
+        for i in np.flatnonzero(self._until_s <= time_s):
+            while self._until_s[i] <= time_s:
+                self._well[i] = not self._well[i]
+                self._until_s[i] += self._durations_s[int(self._well[i])]()
+        return self._well

@@ -1,0 +1,176 @@
+"""The true motion of simulated robots: commands on their way, disturbances, camera, path check."""
+
+from bisect import insort
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
+from tetractl.model.path_check import PathCheck
+from tetractl.plant.direct import DirectDrive
+from tetractl.plant.sim_camera import SimCamera, due_ns
+from tetractl.plant.wheels import WheelDrive
+
+UNCHECKED = 200  # stretches of the path that are checked together
+
+
+class TrueMotion:
+    """Moves N robots in continuous time, exposes the camera's frames and checks the true path.
+
+    `a` and `speed` (N,) are those of the trial, before disturbances vary them.
+    `heading_walk` [rad/sqrt(s)] is that of robots without wheels, drawn from `walking` at each
+    frame; the path is checked `truth_rate` times a second [Hz]. `repeat(now)` is called at each
+    time [ns] at which the drive has something sent again.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        a: Floats,
+        speed: Floats,
+        drive: DirectDrive | WheelDrive,
+        camera: SimCamera,
+        disturbances: Sequence[Disturbance],
+        heading_walk: float,
+        walking: np.random.Generator,
+        truth_rate: float,
+        repeat: Callable[[int], None],
+    ) -> None:
+        self.drive, self.path_check = drive, PathCheck.of(setup)
+        self._camera, self._disturbances, self._repeat = camera, disturbances, repeat
+        self._a, self._speed = a, speed
+        self.rates = a, speed  # as they are now
+        self._moving = overriding(disturbances, "moved")
+        self._varying = overriding(disturbances, "varied")
+        self._walk, self._walking = heading_walk / np.sqrt(camera.rate_hz), walking
+        self._disturbs = bool(self._moving or self._varying)
+        self._by_frame = self._disturbs or heading_walk > 0
+        self._truth_rate = truth_rate
+        self._under_way: deque[DelayedCommand] = deque()  # on their way, by `due_ns`
+        self._acting_ns = np.zeros(len(setup.names), dtype=np.int64)  # when the last one sent acts
+        self._time = 0
+        self._disturbed_ns = -1  # until when the disturbances have acted
+        self._ticks = 0  # true samples taken so far
+        self._path: list[tuple[Floats, Floats]] = []  # x, y of the samples not checked yet
+
+    @property
+    def settled_ns(self) -> int:
+        """When the last command sent so far acts on the last robot [ns]."""
+        return int(self._acting_ns.max(initial=0))
+
+    def dispatch(self, command: DelayedCommand) -> DelayedCommand:
+        """Put a command on its way, and return what becomes of it."""
+        for disturbance in self._disturbances:
+            command = disturbance.sent(command)
+        late = 0 if command.late_ns is None else command.late_ns
+        due = np.maximum(command.due_ns + late, np.maximum(self._acting_ns, self._time))
+        self._acting_ns = due
+        for when in np.unique(due).tolist():
+            part = replace(command, due_ns=when, reached=command.reached & (due == when))
+            insort(self._under_way, part, key=_due_ns)
+        return command
+
+    def advance(self, until: int) -> None:
+        """Move the robots on, block by block; nothing changes what is held inside a block."""
+        while True:
+            frame = self._camera.next_ns
+            end = min(until, frame) if self._by_frame else until
+            end = min(end, self.drive.repeats_ns)
+            command = (
+                self._under_way.popleft()
+                if self._under_way and self._under_way[0].due_ns <= end
+                else None
+            )
+            reached = command.due_ns if command else end
+            disturbed = self._disturbs and (reached == frame or command is not None)
+            repeats = command is None and reached == self.drive.repeats_ns
+            self._move(reached, command is not None or disturbed or repeats, disturbed)
+            self._camera.receive(reached)
+            if self._walk > 0 and reached == frame:
+                self._swerve()
+            if command:
+                self.drive.apply(command)
+            elif repeats:
+                self._repeat(reached)
+            elif reached == until:
+                return
+
+    def _swerve(self) -> None:
+        """Let the headings walk as far as they do between two frames."""
+        drive, p = self.drive, self.drive.poses
+        walk = self._walk * self._walking.standard_normal(p.x.size) * drive.moving
+        drive.poses = Poses(p.x, p.y, p.heading + walk)
+
+    def _disturb(self, now: int) -> None:
+        """Let the disturbances act on the true poses up to `now`, and on what follows [ns]."""
+        if now == self._disturbed_ns:
+            return
+        drive, time_s = self.drive, now / SECOND
+        seconds = (now - max(self._disturbed_ns, 0)) / SECOND
+        self._disturbed_ns = now
+        moving = drive.moving
+        for disturbance in self._moving:
+            drive.poses = disturbance.moved(drive.poses, moving, seconds, time_s)
+        if self._varying:
+            a, speed = self._a, self._speed
+            for disturbance in self._varying:
+                a, speed = disturbance.varied(a, speed, time_s)
+            self.rates = a, speed
+            drive.vary(a, speed)
+
+    def _move(self, end: int, event: bool, disturbed: bool) -> None:
+        """Move to `end` with everything held, exposing and checking what is due on the way.
+
+        Where it is `disturbed`, the disturbances act at `end`, before a frame is exposed there.
+        Wheels, whose path is a sum, stop at the last sample before `end` unless something happens
+        there: so it makes no difference how often they are read.
+        """
+        nothing_due = min(self._camera.next_ns, self._next_tick_ns) > end
+        if end == self._time and nothing_due and not self._by_frame:  # a frame may move the robots
+            return
+        frames = self._camera.due(end)
+        ticks = due_ns(self._ticks, self._truth_rate, end)
+        self._ticks += len(ticks)
+        ends = [end] if event or isinstance(self.drive, DirectDrive) else []
+        times = np.sort(np.concatenate([frames, ticks, np.array(ends, dtype=np.int64)]))
+        times = times[np.diff(times, prepend=-1) > 0]  # as np.unique, in half the time
+        if not len(times):
+            return
+        is_tick = np.zeros(len(times))
+        is_tick[np.searchsorted(times, ticks)] = 1.0
+        x, y, heading = self.drive.advance((times - self._time) / SECOND, is_tick)
+        self._time = int(times[-1])
+        if disturbed:
+            self._disturb(end)
+            p = self.drive.poses
+            x, y, heading = (
+                np.vstack([column[:-1], last])
+                for column, last in ((x, p.x), (y, p.y), (heading, p.heading))
+            )
+        self._path.append((x, y))
+        if len(self._path) > UNCHECKED:
+            self.check()
+        for due, i in zip(frames.tolist(), np.searchsorted(times, frames).tolist(), strict=True):
+            self._camera.expose(due, Poses(x[i], y[i], heading[i]))
+
+    @property
+    def _next_tick_ns(self) -> int:
+        """When the next true sample is taken [ns]."""
+        return round(self._ticks * SECOND / self._truth_rate)
+
+    def check(self) -> None:
+        """Check the true path since the last call."""
+        if self._path:
+            x, y = (np.vstack(column) for column in zip(*self._path, strict=True))
+            self.path_check.add(x, y)
+            self._path = []
+
+
+def _due_ns(command: DelayedCommand) -> int:
+    """Return when a command acts [ns], as the key of a sorted queue."""
+    return command.due_ns

@@ -1,0 +1,270 @@
+"""The log viewers that read a trial over WebSockets, Foxglove and Lichtblick.
+
+The protocol is spoken by `websockets` (the extra `serve`); each viewer has two threads. Nothing
+waits for a viewer: each has a queue of `BACKLOG` messages, of which the oldest are dropped. A
+viewer can publish nothing and call nothing; it can play a recording.
+"""
+
+import json
+import logging
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from time import monotonic
+from typing import Any
+
+from websockets.exceptions import InvalidState
+from websockets.frames import CloseCode, Frame, Opcode
+from websockets.http11 import Request as Upgrade
+from websockets.server import ServerProtocol
+from websockets.typing import Subprotocol
+
+from tetractl.log.format.channels import LOG, Entry
+from tetractl.serve import protocol
+from tetractl.serve.protocol import Request, State
+
+BACKLOG = 2048
+"""Messages that may wait for one viewer: three seconds of a trial with a camera of 120 Hz."""
+CLOSE_S = 0.25
+"""For the viewers to take their last messages, and again to end their connections."""
+REQUEST_BYTES = 1 << 16
+CONTROL = (Opcode.CLOSE, Opcode.PING, Opcode.PONG)  # which `websockets` answers
+
+_QUIET = logging.getLogger(__name__)
+_QUIET.addHandler(logging.NullHandler())  # or what viewers do wrong is printed to stderr
+_QUIET.propagate = False
+
+
+class Viewers:
+    """What viewers are sent of a trial called `name`, and what they ask for.
+
+    A recording has the span `span_ns` [Unix ns]; `asked` is called, in another thread, with each
+    request of a viewer and returns the state that follows from it.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        span_ns: tuple[int, int] | None = None,
+        asked: Callable[[Request], State] | None = None,
+    ) -> None:
+        self._asked = asked
+        self._greeting = protocol.greeting(name, span_ns)
+        self._lock = threading.Lock()  # of what is below; never held while a viewer is waited for
+        self._clients: set[_Client] = set()
+        self._newest: dict[str, Entry] = {}
+        self._time_ns = 0  # until there is any
+        self._state: State | None = None
+
+    @property
+    def watched(self) -> bool:
+        """Whether any viewer reads any topic."""
+        with self._lock:
+            return any(client.subscriptions for client in self._clients)
+
+    def publish(self, entries: Iterable[Entry]) -> None:
+        """Send messages, each after the time at which it was logged; never waits."""
+        with self._lock:
+            for entry in entries:
+                self._publish(entry)
+
+    def jump(self, time_ns: int, entries: Iterable[Entry]) -> None:
+        """Go to another time [Unix ns]; `entries` are the newest messages of all topics then."""
+        with self._lock:
+            self._newest.clear()
+            self._go_to(time_ns)
+            for entry in entries:
+                self._publish(entry)
+
+    def announce(self, state: State) -> None:
+        """Send the state of the playback."""
+        with self._lock:
+            self._state = state
+            self._put(protocol.playback_state(state))
+
+    def close(self) -> None:
+        """End the connections; waits for at most twice `CLOSE_S`."""
+        with self._lock:
+            clients = list(self._clients)
+        for client in clients:
+            client.end()
+        until = monotonic() + CLOSE_S
+        for client in clients:
+            client.sent.wait(max(until - monotonic(), 0))
+        until = monotonic() + CLOSE_S
+        for client in clients:
+            if client.sent.is_set():
+                client.gone.wait(max(until - monotonic(), 0))
+            client.link.cut()
+
+    def converse(self, connection: socket.socket, request: bytes) -> None:
+        """Serve a viewer whose HTTP request was read already, until its connection ends.
+
+        What it says wrong ends its connection and no other.
+        """
+        client = _Client(link := _Link(connection, request))
+        with self._lock:
+            for said in self._greeting:
+                client.put(said)
+            if self._time_ns:
+                client.put(protocol.time(self._time_ns))
+            if self._state:
+                now = replace(self._state, time_ns=self._time_ns, sought=False)
+                client.put(protocol.playback_state(now))
+            self._clients.add(client)
+        sender = threading.Thread(target=client.send, name="viewer", daemon=True)
+        sender.start()
+        try:
+            for said in link.messages():
+                self._obey(client, said)
+        except Exception:  # whatever a viewer says, and however it ends, must not end the run
+            link.close(CloseCode.INTERNAL_ERROR)
+        finally:
+            with self._lock:
+                self._clients.discard(client)
+            client.gone.set()
+            client.end()
+            link.cut()
+            sender.join()
+
+    def _obey(self, client: "_Client", said: str | bytes) -> None:
+        if isinstance(said, bytes):
+            found = protocol.control(said)
+            if found and self._asked:
+                request, name = found
+                client.put(protocol.playback_state(self._asked(request), name))
+            return
+        asked: dict[str, Any] = json.loads(said)
+        with self._lock:
+            if asked["op"] == "subscribe":
+                for one in asked["subscriptions"]:
+                    topic = protocol.TOPICS[one["channelId"]]
+                    client.subscriptions[topic] = protocol.subscription(one["id"])
+                    if topic in self._newest and topic != LOG:  # a text would be shown twice
+                        client.message(self._newest[topic])
+            elif asked["op"] == "unsubscribe":
+                ended = set(map(protocol.subscription, asked["subscriptionIds"]))
+                kept = client.subscriptions.items()
+                client.subscriptions = {topic: one for topic, one in kept if one not in ended}
+
+    def _publish(self, entry: Entry) -> None:
+        self._newest[entry.topic] = entry
+        if entry.log_ns > self._time_ns:
+            self._go_to(entry.log_ns)
+        for client in self._clients:
+            client.message(entry)
+
+    def _go_to(self, time_ns: int) -> None:
+        self._time_ns = time_ns
+        self._put(protocol.time(time_ns))
+
+    def _put(self, message: bytes) -> None:
+        for client in self._clients:
+            client.put(message)
+
+
+class _Client:
+    """The subscriptions of one viewer, an id by topic, and the messages that wait for it."""
+
+    def __init__(self, link: "_Link") -> None:
+        self.subscriptions: dict[str, bytes] = {}
+        self.link = link
+        self.sent, self.gone = threading.Event(), threading.Event()
+        self._some = threading.Condition()
+        self._waiting: deque[str | bytes] = deque(maxlen=BACKLOG)
+        self._ending = False
+
+    def message(self, entry: Entry) -> None:
+        """Have a message sent where its topic is subscribed to."""
+        if subscription := self.subscriptions.get(entry.topic):
+            self.put(protocol.message(subscription, entry))
+
+    def put(self, message: str | bytes) -> None:
+        """Have a message sent."""
+        with self._some:
+            self._waiting.append(message)
+            self._some.notify()
+
+    def end(self) -> None:
+        """Have the connection closed after what waits."""
+        with self._some:
+            self._ending = True
+            self._some.notify()
+
+    def send(self) -> None:
+        """Send what waits, until the end."""
+        with suppress(OSError, InvalidState):
+            while True:
+                with self._some:
+                    self._some.wait_for(lambda: self._waiting or self._ending)
+                    if not self._waiting:
+                        break
+                    message = self._waiting.popleft()
+                self.link.send(message)
+            self.link.close()
+            self.sent.set()
+
+
+class _Link:
+    """A WebSocket on a connection whose HTTP request was read already."""
+
+    def __init__(self, connection: socket.socket, request: bytes) -> None:
+        self._connection, self._lock = connection, threading.Lock()
+        self._websocket = ServerProtocol(
+            subprotocols=[Subprotocol(protocol.PROTOCOL)], max_size=REQUEST_BYTES, logger=_QUIET
+        )
+        self._websocket.receive_data(request)
+        for event in self._websocket.events_received():
+            if isinstance(event, Upgrade):
+                self._websocket.send_response(self._websocket.accept(event))
+        with suppress(OSError):
+            self._flush()
+
+    def send(self, message: str | bytes) -> None:
+        """Send a message; OSError or InvalidState where the connection has ended."""
+        with self._lock:
+            if isinstance(message, str):
+                self._websocket.send_text(message.encode())
+            else:
+                self._websocket.send_binary(message)
+            self._flush()
+
+    def close(self, code: CloseCode = CloseCode.NORMAL_CLOSURE) -> None:
+        """Say that nothing more comes."""
+        with self._lock, suppress(OSError, InvalidState):
+            self._websocket.send_close(code)
+            self._flush()
+
+    def cut(self) -> None:
+        """End the connection at once."""
+        with suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
+
+    def messages(self) -> Iterator[str | bytes]:
+        """Yield what the viewer says, until it ends the connection."""
+        parts, text = list[bytes](), False
+        data = b"first"
+        while data:
+            data = self._connection.recv(REQUEST_BYTES)
+            with self._lock:
+                self._websocket.receive_data(data) if data else self._websocket.receive_eof()
+                self._flush()
+            for frame in self._websocket.events_received():
+                if not isinstance(frame, Frame) or frame.opcode in CONTROL:
+                    continue
+                if frame.opcode is not Opcode.CONT:
+                    parts, text = [], frame.opcode is Opcode.TEXT
+                parts.append(bytes(frame.data))
+                if frame.fin:
+                    whole = b"".join(parts)
+                    yield whole.decode() if text else whole
+
+    def _flush(self) -> None:
+        for part in self._websocket.data_to_send():
+            if part:
+                self._connection.sendall(part)
+            else:
+                self._connection.shutdown(socket.SHUT_WR)

@@ -1,0 +1,266 @@
+"""Quantities over the time of trials: errors of a trial, of a batch, of several folders."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from tetractl.core.clock import SECOND
+from tetractl.core.colors import BLUE, PALETTE, RED, robot_colors
+from tetractl.core.errors import LogError
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
+from tetractl.core.text import unit_of
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.replay.recording import tracked
+from tetractl.view import style
+from tetractl.view.figures.axes import (
+    NUMBERED,
+    by_folder,
+    check_alike,
+    one_trial,
+    robot_labels,
+    unfinished,
+)
+from tetractl.view.figures.labels import end_labels
+
+POINTS = 400  # of the time axis of several trials
+QUARTILES = (25, 50, 75)
+LINE_IN = 0.1  # height of a robot's label
+SINCE = "time since the first command [s]"
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A quantity (M,) over time and a band round it from `low` to `high`, where there is one.
+
+    `name` is written at its end; `key` is its entry in a legend.
+    """
+
+    values: Floats
+    color: str
+    name: str
+    gid: str
+    low: Floats | None = None
+    high: Floats | None = None
+    key: str = ""
+    width: float = 1.1
+
+
+def draw_curves(axes: Axes, time_s: Floats, curves: Iterable[Curve]) -> None:
+    """Draw curves at times (M,)."""
+    for curve in curves:
+        if curve.low is not None and curve.high is not None:
+            axes.fill_between(time_s, curve.low, curve.high, color=curve.color, alpha=0.2, lw=0)
+        label = curve.key or f"_{curve.gid}"
+        look = {"color": curve.color, "lw": curve.width, "label": label, "gid": curve.gid}
+        axes.plot(time_s, curve.values, **look)
+
+
+def name_curves(axes: Axes, curves: Sequence[Curve], ends: Sequence[float] | None = None) -> None:
+    """Write the curves' names at their ends, once the axes have their limits.
+
+    `ends` are the heights to write them at, by default those of the last values.
+    """
+    ends = [float(curve.values[-1]) for curve in curves] if ends is None else ends
+    end_labels(axes, ends, [curve.name for curve in curves], [curve.color for curve in curves])
+
+
+def robot_curves(
+    setup: Setup, values: Floats, low: Floats | None, high: Floats | None, form: str
+) -> list[Curve]:
+    """Return a curve for each robot of values (M, N), which have no bands where robots are many.
+
+    It is named after the robot and, in the format `form`, its last value.
+    """
+    colors, names = robot_colors(setup.names, setup.colors), robot_labels(setup.names)
+    banded = low is not None and high is not None and len(names) < NUMBERED
+    return [
+        Curve(
+            values[:, i],
+            color,
+            f"{name} {values[-1, i]:{form}}" if form else name,
+            f"robot-{i}",
+            low[:, i] if banded and low is not None else None,
+            high[:, i] if banded and high is not None else None,
+        )
+        for i, (name, color) in enumerate(zip(names, colors, strict=True))
+    ]
+
+
+def errors_at(log: TrialLog, time_s: Floats) -> Floats:
+    """Return the robots' distances (M, N) at times (M,) since the first command [s].
+
+    Each is the last measured before its time; after the trial's end it is that of the result.
+    """
+    gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
+    rows = np.arange(len(gaps))[:, None] * np.isfinite(gaps)
+    held = np.take_along_axis(gaps, np.maximum.accumulate(rows, axis=0), axis=0)
+    sampled_s = (log.mocap_ns - log.began_ns) / SECOND
+    found = held[np.maximum(np.searchsorted(sampled_s, time_s, side="right") - 1, 0)]
+    if log.result is not None:  # the robots stand still from there on
+        found[time_s >= sampled_s[-1]] = log.result.robot_errors
+    return found
+
+
+def error_figure(logs: Sequence[TrialLog]) -> Figure:
+    """Draw the total error, and below it the distance of each robot to its target, over time."""
+    log = one_trial(logs)
+    _need_frames(logs)
+    setup = log.start.setup
+    unit = unit_of(setup.unit)
+    time_s = (log.mocap_ns - log.began_ns) / SECOND
+    gaps = setup.distances(tracked(log.mocap, log.valid))
+    ends = _last(gaps) if log.result is None else np.array(log.result.robot_errors)
+    with style.styled():
+        figure, total, each = _panels(setup, 1.9, 1.6, max(float(time_s[-1]), 1e-9))
+        whole = Curve(gaps.sum(axis=1), style.INK, f"{ends.sum():.1f} {unit}", "total", width=1.4)
+        robots = robot_curves(setup, np.vstack([gaps, ends]), None, None, ".1f")
+        draw_curves(total, time_s, [whole])
+        for curve in robots:  # the last value is that of the result
+            each.plot(time_s, curve.values[:-1], color=curve.color, lw=curve.width, gid=curve.gid)
+        if tolerance := log.experiment.controller.arrival_tolerance:
+            label = f"arrival within {tolerance:g} {unit}"
+            each.axhline(tolerance, color=style.GREY, lw=0.8, ls="--", label=label)
+        _mark_steps(each, log)
+        since = time_s >= 0
+        for axes, values in ((total, whole.values), (each, gaps)):
+            axes.set_ylim(0, float(np.nanmax(values[since], initial=1e-9)) * 1.04)
+        style.panel(total, "a", "total error, the sum over the robots")
+        style.panel(each, "b", "distance of each robot to its target")
+        figure.legend(loc="outside lower center", ncols=3)
+        name_curves(total, [whole], [float(ends.sum())])
+        name_curves(each, robots)
+    return figure
+
+
+def errors_figure(logs: Sequence[TrialLog]) -> Figure:
+    """Draw the total error of every trial over time, and the median of each robot's.
+
+    The band holds the middle half of the trials. A trial that has ended counts with its error at
+    the end. Trials that did not run to their own end are drawn and not counted.
+    """
+    check_alike(logs)
+    time_s = _common_times(logs)
+    setup = logs[0].start.setup
+    unit = unit_of(setup.unit)
+    errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, POINTS, N)
+    whole = np.array([not unfinished(log) for log in logs])
+    counted = errors[whole] if whole.any() else errors
+    with style.styled():
+        figure, total, each = _panels(setup, 2.4, 1.8, time_s[-1])
+        for values, complete in zip(errors.sum(axis=2), whole, strict=True):
+            color = style.GREY if complete else style.ALARM
+            total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
+        low, middle, high = np.nanpercentile(counted.sum(axis=2), QUARTILES, axis=0)
+        name = f"median {middle[-1]:.3g} {unit}"
+        median = Curve(middle, BLUE, name, "median", low, high, "median", 1.5)
+        draw_curves(total, time_s, [median])
+        low, middle, high = np.nanpercentile(counted, QUARTILES, axis=0)
+        robots = robot_curves(setup, middle, low, high, ".3g")
+        draw_curves(each, time_s, robots)
+        signs: list[Artist] = [
+            Line2D([], [], color=style.GREY, lw=0.5, label="one trial"),
+            *total.get_legend_handles_labels()[0],
+            _middle_half(BLUE),
+        ]
+        if not whole.all():
+            label = f"{(~whole).sum()} of {len(logs)} did not run to their end"
+            signs.append(Line2D([], [], color=style.ALARM, lw=0.5, label=label))
+        if reference := logs[0].experiment.reference:
+            label = "published mean at the end"
+            signs.append(total.axhline(reference.mean, color=RED, lw=0.8, ls="--", label=label))
+        for axes in (total, each):
+            axes.set_ylim(bottom=0)
+        trials = f"{len(logs)} trial{'s' * (len(logs) > 1)}"
+        style.panel(total, "a", f"total error of {trials}, the sum over the robots")
+        style.panel(each, "b", "distance of each robot to its target, median of the trials")
+        figure.legend(handles=signs, loc="outside lower center", ncols=5)
+        name_curves(total, [median])
+        name_curves(each, robots)
+    return figure
+
+
+def arms_figure(logs: Sequence[TrialLog]) -> Figure:
+    """Draw the median total error of each folder's trials over time, with their middle half.
+
+    A trial that has ended counts with its error at the end; only complete trials count. Batches
+    may differ in robots, arena and controller, but not in the length unit.
+    """
+    batches = by_folder(logs)
+    _need_frames(logs)
+    time_s = _common_times([log for found in batches.values() for log in found])
+    curves: list[Curve] = []
+    for i, (label, found) in enumerate(batches.items()):
+        totals = np.array([errors_at(log, time_s).sum(axis=1) for log in found])
+        low, middle, high = np.nanpercentile(totals, QUARTILES, axis=0)
+        key, color = f"{label}, n = {len(found)}", PALETTE[i % len(PALETTE)]
+        curves.append(Curve(middle, color, f"{middle[-1]:.3g}", f"arm-{i}", low, high, key, 1.3))
+    with style.styled():
+        figure = style.figure(style.PAGE_IN, 3.3)
+        axes = figure.subplots()
+        draw_curves(axes, time_s, curves)
+        axes.set_xlim(0, time_s[-1])
+        axes.set_ylim(bottom=0)
+        axes.set_xlabel(SINCE)
+        axes.set_ylabel(f"total error, median [{unit_of(logs[0].start.setup.unit)}]")
+        name_curves(axes, curves)
+        handles = [*axes.get_legend_handles_labels()[0], _middle_half(style.GREY)]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
+
+
+def _panels(
+    setup: Setup, top_in: float, least_in: float, end_s: float
+) -> tuple[Figure, Axes, Axes]:
+    """Return a figure with axes for a total and below it for each robot, over one time [s]."""
+    each_in = max(least_in, LINE_IN * len(setup.names))
+    figure = style.figure(style.PAGE_IN, top_in + each_in)
+    total, each = figure.subplots(2, 1, sharex=True, height_ratios=[0.7 * top_in, each_in])
+    for axes in (total, each):
+        axes.set_ylabel(f"error [{unit_of(setup.unit)}]")
+        axes.set_xlim(0, end_s)
+    each.set_xlabel(SINCE)
+    return figure, total, each
+
+
+def _need_frames(logs: Sequence[TrialLog]) -> None:
+    for log in logs:
+        if not len(log.mocap_ns):
+            raise LogError(f"{log.path}: holds no camera frames to plot")
+
+
+def _common_times(logs: Sequence[TrialLog]) -> Floats:
+    """Return times since the first command (POINTS,) until the end of the longest trial [s]."""
+    _need_frames(logs)
+    end_s = max(1e-9, *(float(log.mocap_ns[-1] - log.began_ns) / SECOND for log in logs))
+    return np.linspace(0, end_s, POINTS)
+
+
+def _middle_half(color: str) -> Patch:
+    return Patch(color=color, alpha=0.25, lw=0, label="middle half of the trials")
+
+
+def _mark_steps(axes: Axes, log: TrialLog) -> None:
+    """Mark the control steps at the lower edge, and the missed deadlines."""
+    sent_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
+    late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
+    rug = axes.get_xaxis_transform()
+    axes.vlines(sent_s, 0, 0.025, color=style.GREY, lw=0.6, transform=rug, label="control steps")
+    if late.any():
+        axes.plot(
+            sent_s[late], np.full(late.sum(), 0.04), "v", color=style.ALARM, ms=4, mew=0,
+            transform=rug, label="deadline missed",
+        )  # fmt: skip
+
+
+def _last(gaps: Floats) -> Floats:
+    """Return the last distance (N,) of each robot that was measured, 0 for none."""
+    known = np.isfinite(gaps)
+    last = len(gaps) - 1 - known[::-1].argmax(axis=0)
+    return np.nan_to_num(gaps[last, np.arange(gaps.shape[1])])

@@ -1,1 +1,0 @@
-"""A trial as a film: its pictures, and the files they become."""

@@ -36,6 +36,7 @@ from tetractl.cli import (
     track,
     validate,
     verify,
+    warm,
     what_if,
 )
 from tetractl.core.errors import Exit, TetractlError
@@ -97,7 +98,8 @@ def _root(
 ) -> None:
     """Steer several robots at once with one control signal.
 
-    Run an experiment from a YAML spec, show its trials, and compute their statistics.
+    Run an experiment from a YAML spec, show its trials, and compute their statistics. The files
+    that examples name are written by `tetractl init --example NAME`.
     """
 
 
@@ -106,6 +108,7 @@ COMMANDS = {
     "run": run.run,
     "rerun": rerun.rerun,
     "validate": validate.validate,
+    "warm": warm.warm,
     "schema": schema.schema,
     "kinds": kinds.kinds,
     "info": info.info,

@@ -54,13 +54,13 @@ def warm(
 
 def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
     """Yield what will be run: specs, one arm of each controller of studies, or the templates."""
+    from tetractl.cli.init import template
     from tetractl.experiment.load import parse_spec
-    from tetractl.experiment.templates import template
     from tetractl.study.load import is_study, load_study
 
     if not files:
-        for cells in (False, True):
-            yield parse_spec(template("warm", "warm", cells, False), "warm", sets).experiment
+        for kind in ("robots", "cells"):
+            yield parse_spec(template("warm", "warm", kind), "warm", sets).experiment
     for file in files:
         if is_study(file):
             arms = load_study(file).arms

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tetractl.lab.actuators.m3pi.command import (
+from tetractl.model.wheels import (
     STOP,
     Drivetrain,
     Residue,
@@ -12,7 +12,6 @@ from tetractl.lab.actuators.m3pi.command import (
     speeds_of_counts,
     wheel_counts,
 )
-from tetractl.lab.errors import WireError
 
 wheels = st.builds(Wheel, st.floats(4.0, 12.0), st.integers(0, 20), st.booleans())
 drivetrains = st.builds(Drivetrain, wheels, wheels, st.booleans(), st.integers(21, 127))
@@ -116,7 +115,7 @@ def test_swap_and_invert():
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_speeds_that_are_not_finite_are_refused(bad):
     for pair in ((bad, 1.0), (1.0, bad), (bad, bad), (bad, 0.0)):
-        with pytest.raises(WireError):
+        with pytest.raises(ValueError):
             wheel_counts(*pair, Drivetrain(), Residue())
 
 
@@ -133,5 +132,5 @@ def test_speeds_that_are_not_finite_are_refused(bad):
     ],
 )
 def test_settings_that_cannot_drive_are_refused(make):
-    with pytest.raises(WireError):
+    with pytest.raises(ValueError):
         make()

@@ -15,10 +15,9 @@ from tetractl.core.setup import Setup
 from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.guard import GuardState
-from tetractl.lab.preflight import Preflight, dropped
+from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked
 from tetractl.lab.rig import Rig, build_rig
-from tetractl.lab.start_gate import wait_until_ready
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000

@@ -59,7 +59,6 @@ NEAR_MM = 95.0  # between the centres of two m3pi that touch
 FAST = ("controller.period=0.05", "controller.hold=4", "controller.steps_max=1600")
 PLAIN = (
     "controller.estimate=false",
-    "controller.losses=false",
     "controller.accept=0",
     "controller.stop_between=false",
     "controller.collision.adaptive=false",
@@ -80,7 +79,6 @@ ABLATION: list[Row] = [
     ("whole", ()),
     ("without identification, dead time told", ("controller.estimate=false", TOLD)),
     ("without identification, dead time not told", ("controller.estimate=false",)),
-    ("without belief about lost commands", ("controller.losses=false",)),
     ("without going round", ("controller.accept=0",)),
     ("without a stop between steps", ("controller.stop_between=false",)),
     ("without margins that follow: 20 mm and the radius", NOT_KEPT),
@@ -145,14 +143,14 @@ class Knowing(Mpc):
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         if last_command is not None and last_command.direction is not None:
-            self.knowledge.sent(last_command.sent_ns, last_command.direction)
-            self.knowledge.predictor.recent[-1].arrived = np.array(last_command.delivered)
+            self.estimator.sent(last_command)
+            self.estimator.predictor.recent[-1].arrived = np.array(last_command.delivered)
         return super().plan(observation, None, earlier)
 
 
 def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
     """The same controller with the true a, speed and dead time, told of every lost command."""
-    true = {"estimate": False, "losses": False}
+    true = {"estimate": False}
     section = spec.controller.model_copy(update=true)
     setup = replace(spec.setup, a=plant.a, speed=plant.speed)
     return Knowing(section, setup, key, section.optimizer)

@@ -34,7 +34,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 COLUMNS = 90
 ALIKE = 0.9  # share of the words shown that must come where numbers are others
-ONCE = "compiling the solver, once on this machine ...\n"  # where the tests come before a run
+ONCE = re.compile(r"^compil(ing for|ed in) .*\n", re.M)  # where the tests come before a run
 _FENCE = re.compile(r"^```(\w*)[^\n]*?(?:title=(\S+))?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _COMMAND = re.compile(r"^\$ ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", re.MULTILINE)
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -90,7 +90,7 @@ def run(page: str) -> list[tuple[Example, str, int]]:
             stderr=subprocess.STDOUT,
             text=True,
         )
-    found = re.findall(rf"(.*?){_DONE} (\d+)\n", done.stdout.replace(ONCE, ""), re.DOTALL)
+    found = re.findall(rf"(.*?){_DONE} (\d+)\n", ONCE.sub("", done.stdout), re.DOTALL)
     assert len(found) == len(asked), done.stdout
     return [(e, printed, int(code)) for e, (printed, code) in zip(asked, found, strict=True)]
 

@@ -1,14 +1,18 @@
 """`tetractl init`, as a user starts it in an empty folder."""
 
 import json
+import re
 import sys
 from functools import partial
 from pathlib import Path
 
 import pytest
 from support import cli
+from support.paths import ROOT
 
+from tetractl.experiment.examples import example_names
 from tetractl.experiment.load import load_spec
+from tetractl.study.load import load_study
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 
@@ -96,3 +100,26 @@ def test_lab_and_cells_do_not_go_together(tetractl, tmp_path):
     assert result.returncode == 2
     assert result.stderr.startswith("error: --lab and --cells")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_example_is_written_with_what_it_names(tetractl, tmp_path):
+    done = tetractl("init", "--example", "studies/dead_time")
+    assert done.returncode == 0
+    assert done.stdout == "experiments/studies/dead_time.yaml\nexperiments/three_m3pi.yaml\n"
+    assert len(load_study(tmp_path / "experiments/studies/dead_time.yaml").arms) > 1
+    again = tetractl("init", "--example", "experiments/three_m3pi.yaml")
+    assert again.returncode == 2
+    assert "experiments/three_m3pi.yaml: is there already" in again.stderr
+    other = tetractl("init", "--example", "three_m3p")
+    assert other.returncode == 2
+    assert "there is no example 'three_m3p'; did you mean 'three_m3pi'?" in other.stderr
+    assert tetractl("init", "mine", "--example", "three_m3pi").returncode == 2
+
+
+def test_every_file_that_a_help_or_a_hint_names_is_an_example():
+    named = re.compile(r"experiments/([\w/]+)\.yaml|--example (\w+)`")
+    sources = "".join(path.read_text() for path in (ROOT / "tetractl").rglob("*.py"))
+    found = {one or other for one, other in named.findall(sources)}
+    assert (
+        {"three_m3pi", "three_m3pi_lab", "studies/dead_time"} <= found <= {*example_names(), "NAME"}
+    )

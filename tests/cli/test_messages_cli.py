@@ -7,6 +7,8 @@ from support.cli import tetractl
 from support.running import QUICK
 from support.studies import SMALL, write
 
+from tetractl.cli.options import announce_compiling
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -127,3 +129,21 @@ def test_a_full_disk_leaves_the_picture_before(folder, tmp_path, monkeypatch):
 def test_help_names_no_types_of_python(folder, words):
     shown = tetractl(folder, *words, "--help").stdout
     assert not re.search("<(bool|int|str|float|path|list)", shown), shown
+
+
+def test_warm_compiles_what_specs_and_studies_name(folder):
+    done = tetractl(folder, "warm", "spec.yaml", "study.yaml")
+    assert done.returncode == 0
+    kinds, seconds = done.stdout.split(": ")
+    assert kinds == "mpc, pso, euler"
+    assert float(seconds.removesuffix(" s\n")) >= 0
+    assert done.stderr.startswith("kept in /")
+    done = tetractl(folder, "warm", "spec.yaml", "--set", "controller.motion=exact")
+    assert done.stdout.startswith("mpc, pso, exact: ")
+
+
+def test_on_a_terminal_compiling_is_said_even_to_who_asked_for_quiet(capsys, monkeypatch):
+    for terminal, quiet, said in ((True, True, True), (False, True, False), (False, False, True)):
+        monkeypatch.setattr("sys.stderr.isatty", lambda terminal=terminal: terminal)
+        announce_compiling(quiet, "compiling")
+        assert capsys.readouterr().err == ("compiling\n" if said else "")

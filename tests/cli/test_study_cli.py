@@ -2,8 +2,12 @@
 
 import csv
 import json
+import os
+import re
+import shlex
 import shutil
 import signal
+import subprocess
 
 import pytest
 from support.studies import FAILING, LONGER, SMALL, Running, results, rows, tetractl, write
@@ -127,7 +131,8 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
         (["--merge", "nowhere"], "nowhere: holds no trial of this study"),
         (["--trial", "many"], "--trial many: must be ARM/N"),
         (["--trial", "few-dead_time=0.1-a=3/0"], "it has no row in"),
-        (["--shard", "1/2", "--trial", "a/0"], "give one of them"),
+        (["--shard", "1/2", "--trial", "a/0"], "exclude each other: give one"),
+        (["--slurm", "0"], "--slurm: must be at least 1"),
     ],
 )
 def test_bad_usage_is_told_in_a_line(args, says, tmp_path):
@@ -201,3 +206,32 @@ def test_shares_of_one_arm_are_one_batch(tmp_path):
         to = ("--out", f"parts/{share[0]}", "--shard", share, "--logs", "none")
         assert study("study.yaml", *to, cwd=tmp_path).returncode == 0
     assert "5 of 5 trials complete" in tetractl("stats", "parts", cwd=tmp_path).stdout
+
+
+def test_the_job_script_runs_every_share_and_says_how_to_merge(tmp_path):
+    """Its commands, as bash runs them for the jobs of an array, taken down and run here."""
+    write(tmp_path, SMALL)
+    script = study("study.yaml", "--slurm", 2, "--logs", "none", "--out", "my out", cwd=tmp_path)
+    assert script.returncode == 0
+    (tmp_path / "job.sh").write_text(script.stdout)
+    shim = 'tetractl() { for word; do printf "%s\\n" "$word"; done > ran; cat ran >> all; }\n'
+    (tmp_path / "env.sh").write_text(shim)
+    ran = []
+    for task in ("1", "2"):
+        environment = {
+            "SLURM_ARRAY_TASK_ID": task,
+            "BASH_ENV": "env.sh",
+            "PATH": os.environ["PATH"],
+        }
+        bash = subprocess.run(["bash", "job.sh"], cwd=tmp_path, env=environment, check=True)
+        assert bash.returncode == 0
+        ran.append((tmp_path / "ran").read_text().splitlines())
+    assert (tmp_path / "all").read_text().startswith("warm\nstudy.yaml\nstudy\n")
+    for words in ran:
+        assert tetractl(*words, cwd=tmp_path).returncode == 0
+    (merge,) = re.findall(r"#   tetractl (study .* --merge .*)", script.stdout)
+    shares = sorted(path.name for path in tmp_path.glob("my out-shard-*-of-2"))
+    words = shlex.split(merge)
+    assert words[-1] == "my out-shard-*-of-2"
+    assert tetractl(*words[:-1], *shares, cwd=tmp_path).returncode == 0
+    assert len(table(tmp_path / "my out")) == 6

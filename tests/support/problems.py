@@ -44,9 +44,10 @@ def world(
     return World(found, things, model, period, float(rng.uniform(10, 2000)), swept)
 
 
-def problem(world: World, separation: float = 0.0) -> Problem:
-    """The same as tetractl takes it."""
+def problem(world: World, separation: float = 0.0, drifts: bool = False) -> Problem:
+    """The same as tetractl takes it; robots that drift have heading biases and a flow."""
     robots = np.array(world.robots)
+    rng = np.random.default_rng(len(robots))
     return Problem(
         poses=Poses.of(robots[:, :3]),
         targets=robots[:, 3:5],
@@ -59,6 +60,8 @@ def problem(world: World, separation: float = 0.0) -> Problem:
         obstacle_weight=world.weight,
         swept=world.swept,
         separation=separation,
+        bias=rng.uniform(-0.3, 0.3, len(robots)) if drifts else None,
+        flow=rng.uniform(-20, 20, (len(robots), 2)) if drifts else None,
     )
 
 

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from tetractl.cli.options import Sets
-from tetractl.cli.spec import load
+from tetractl.cli.options import Sets, load
 from tetractl.core.errors import Exit
 
 

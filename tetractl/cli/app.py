@@ -33,8 +33,10 @@ from tetractl.cli import (
     serve,
     stats,
     study,
+    track,
     validate,
     verify,
+    warm,
     what_if,
 )
 from tetractl.core.errors import Exit, TetractlError
@@ -96,7 +98,8 @@ def _root(
 ) -> None:
     """Steer several robots at once with one control signal.
 
-    Run an experiment from a YAML spec, show its trials, and compute their statistics.
+    Run an experiment from a YAML spec, show its trials, and compute their statistics. The files
+    that examples name are written by `tetractl init --example NAME`.
     """
 
 
@@ -105,6 +108,7 @@ COMMANDS = {
     "run": run.run,
     "rerun": rerun.rerun,
     "validate": validate.validate,
+    "warm": warm.warm,
     "schema": schema.schema,
     "kinds": kinds.kinds,
     "info": info.info,
@@ -123,6 +127,7 @@ COMMANDS = {
     "study": study.study,
     "design": design.design,
     "identify": identify.identify,
+    "track": track.track,
 }
 for name, function in COMMANDS.items():
     app.command(name, cls=_Command)(function)

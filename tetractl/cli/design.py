@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.caution import Yes, need_consent
 from tetractl.cli.identify import AsJson, refuse_existing, show_found, write
-from tetractl.cli.options import Sets
+from tetractl.cli.options import Sets, Yes, require_confirmation
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit, UsageError
 
@@ -54,7 +53,7 @@ def design(
 
     Example: tetractl design experiments/three_m3pi.yaml --plant sim
     """
-    from tetractl.cli.spec import load
+    from tetractl.cli.options import load
     from tetractl.experiment.plants import on_plant
     from tetractl.replay.identification.design import propose
     from tetractl.replay.redrive import sequence_spec
@@ -66,7 +65,7 @@ def design(
     if plant is not None:
         loaded = on_plant(loaded, plant.value)
         if not loaded.experiment.plant.simulated:
-            need_consent(yes)
+            require_confirmation(yes)
     proposed = propose(loaded.experiment, seconds, loaded.experiment.trials.seed)
     motion = sequence_spec(loaded, proposed.directions, 0.0)
     if plant is None:
@@ -74,7 +73,7 @@ def design(
         if out is not None:
             write(out, motion.text)
         return Exit.DONE
-    from tetractl.cli.drive import drive
+    from tetractl.cli.trials import drive
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import track_of

@@ -1,4 +1,4 @@
-"""`tetractl init`: write a spec to start from."""
+"""`tetractl init`: write a spec to start from, or an example."""
 
 import re
 import sys
@@ -14,22 +14,41 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 def init(
     name: Annotated[
-        str, typer.Argument(metavar="NAME", help="Name of the experiment, and of its file.")
-    ] = "experiment",
+        str | None,
+        typer.Argument(
+            metavar="[NAME]", help="Name of the experiment, and of its file.  \\[experiment]"
+        ),
+    ] = None,
     lab: Annotated[
         bool, typer.Option("--lab", help="With the part of a lab of m3pi robots.")
     ] = False,
     cells: Annotated[
         bool, typer.Option("--cells", help="Cells, in um, in place of robots.")
     ] = False,
+    example: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Write an example instead, such as three_m3pi, to experiments/three_m3pi.yaml.",
+        ),
+    ] = None,
 ) -> int:
     """Write NAME.yaml, a commented spec that runs as it is. A file that is there is left alone.
 
-    Example: tetractl init first
-    """
-    from tetractl.core.text import printable
-    from tetractl.experiment.templates import template
+    With --example it writes a spec, study or fault script that is shipped, and the files it names,
+    below experiments/: the commands' examples then run as they stand. An unknown NAME lists them.
 
+    Example: tetractl init first
+
+    Example: tetractl init --example studies/dead_time
+    """
+    if example is not None:
+        if name is not None or lab or cells:
+            raise UsageError("--example writes a file as it is shipped", "give it alone")
+        return _example(example)
+    from tetractl.core.text import printable
+
+    name = "experiment" if name is None else name
     if lab and cells:
         raise UsageError("--lab and --cells: the lab is one of robots", "give one of the two")
     path = Path(re.sub(r"\.ya?ml$", "", name) + ".yaml")
@@ -38,14 +57,47 @@ def init(
             f"'{printable(name, 80)}' is no name of an experiment",
             "use up to 64 of a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
-    text = template(path.stem, path.name, cells, lab)
+    kind = "cells" if cells else "lab" if lab else "robots"
+    _write(path, template(path.stem, path.name, kind), "give another NAME")
+    print(f"run it with: tetractl run {path}", file=sys.stderr)
+    return Exit.DONE
+
+
+def _example(name: str) -> int:
+    from tetractl.experiment.examples import FOLDER, example_files
+
+    files = example_files(name)
+    for inner in files:
+        (Path(FOLDER) / inner).parent.mkdir(parents=True, exist_ok=True)
+    for number, (inner, text) in enumerate(files.items()):
+        path = Path(FOLDER) / inner
+        if number and path.exists():  # what another example brought
+            continue
+        _write(path, text, "move it away, or edit it as it is")
+    return Exit.DONE
+
+
+def _write(path: Path, text: str, hint: str) -> None:
+    """Write a file that is not there, and print its name."""
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise UsageError(f"{path}: is there already", "give another NAME") from None
+        raise UsageError(f"{path}: is there already", hint) from None
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
     print(path)
-    print(f"run it with: tetractl run {path}", file=sys.stderr)
-    return Exit.DONE
+
+
+def template(name: str, file: str, kind: str) -> str:
+    """Return a commented spec of an experiment called `name`, to be kept in `file`.
+
+    `kind` is a file in experiment/templates: two robots, two cells, or robots with a lab.
+    """
+    from importlib.resources import files
+
+    from tetractl.experiment.yaml.core_yaml import dump
+
+    text = (files("tetractl.experiment") / "templates" / f"{kind}.yaml").read_text("utf-8")
+    named = dump({"name": name}).strip("{}\n")  # in quotes where the name reads as a number
+    return text.replace("@NAME@", named).replace("@FILE@", file)

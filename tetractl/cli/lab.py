@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli import lab_emulate
-from tetractl.cli.caution import Yes, need_consent
-from tetractl.cli.options import Sets
+from tetractl.cli.options import Sets, Yes, require_confirmation
 from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ def calibrate(
     from datetime import UTC, datetime
     from threading import Event
 
-    from tetractl.cli.hangup import hung_up_unread
+    from tetractl.cli.streams import hung_up_unread
     from tetractl.experiment.plants import Calibration, calibration_yaml
     from tetractl.run.interrupt import interrupted_once
     from tetractl.view.terminal.stopkey import SAYS, StopKey
@@ -149,7 +148,7 @@ def calibrate(
     for name in names:
         if name not in setup.names:
             raise UsageError(f"--robot {name}: the spec has no such robot")
-    need_consent(yes)
+    require_confirmation(yes)
     if not yes:
         typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Go on?", abort=True)
     emergency = Event()
@@ -176,7 +175,7 @@ def calibrate(
 
 
 def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Setup]":
-    from tetractl.cli.spec import load
+    from tetractl.cli.options import load
     from tetractl.experiment.plants import lab_of, on_plant
 
     loaded = load(spec, sets or [])

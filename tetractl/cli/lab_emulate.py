@@ -61,7 +61,7 @@ def emulate(
     import gc
     import signal
 
-    from tetractl.cli.spec import load
+    from tetractl.cli.options import load
     from tetractl.emulate.lab import EmulatedLab
     from tetractl.emulate.script import NOTHING, load_script
     from tetractl.emulate.sides import Options

@@ -1,8 +1,17 @@
-"""Options that several commands take."""
+"""What several commands share: options, loading a spec, its warnings, asking before robots move."""
 
-from typing import Annotated
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from tetractl.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.run.plausibility.warnings import SpecWarning
 
 Sets = Annotated[
     list[str] | None,
@@ -10,3 +19,52 @@ Sets = Annotated[
         "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
     ),
 ]
+Yes = Annotated[
+    bool,
+    typer.Option("--yes", help="Move robots without asking; needed where there is no terminal."),
+]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Exit with code 2 where a spec has warnings.")
+]
+
+
+def load(path: Path, sets: Sequence[str]) -> "LoadedSpec":
+    """Return a spec, with one line on stderr for each name in it that has changed."""
+    from tetractl.experiment.load import load_spec
+
+    loaded = load_spec(path, sets)
+    for notice in loaded.notices:
+        print(f"notice: {notice}", file=sys.stderr)
+    return loaded
+
+
+def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[SpecWarning, ...]":
+    """Print the warnings of a spec that was loaded with `sets`, and return them."""
+    from tetractl.run.plausibility.warnings import find_warnings
+
+    found = find_warnings(loaded, sets)
+    for warning in found:
+        print(f"warning: {warning}", file=sys.stderr)
+    return found
+
+
+def refuse(found: "Sequence[SpecWarning]") -> None:
+    """Raise UsageError where there are warnings, as `--strict` asks."""
+    if found:
+        count = "a warning" if len(found) == 1 else f"{len(found)} warnings"
+        raise UsageError(f"the spec has {count}, and --strict allows none; nothing was run")
+
+
+def require_confirmation(yes: bool) -> None:
+    """Raise UsageError where robots would move, nobody can be asked, and `--yes` is not given."""
+    if not yes and (sys.stdin is None or not sys.stdin.isatty()):
+        raise UsageError(
+            "robots would move, and without a terminal nobody can be asked",
+            "add --yes to move them all the same",
+        )
+
+
+def announce_compiling(quiet: bool, text: str) -> None:
+    """Say on stderr that code is compiled; on a terminal even to who asked for quiet, who waits."""
+    if not quiet or sys.stderr.isatty():
+        print(text, file=sys.stderr, flush=True)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.caution import Yes
+from tetractl.cli.options import Yes
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit
 
@@ -38,7 +38,7 @@ def redrive(
 
     Example: tetractl redrive trial-000.mcap --plant sim --plot apart.svg
     """
-    from tetractl.cli.drive import drive
+    from tetractl.cli.trials import drive
     from tetractl.core.table.show import print_tables
     from tetractl.log.read.find import find_log
     from tetractl.log.read.reader import read_trial

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.caution import Yes
+from tetractl.cli.options import Yes
 from tetractl.cli.serving import Port, Serve, wanted_port
 from tetractl.cli.trials import (
     DryRun,

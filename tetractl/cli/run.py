@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.caution import Strict, Yes, refuse, warn
-from tetractl.cli.options import Sets
+from tetractl.cli.options import Sets, Strict, Yes, refuse, warn
 from tetractl.cli.serving import Port, Serve, wanted_port
 from tetractl.cli.trials import (
     DryRun,
@@ -62,7 +61,7 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.cli.spec import load
+    from tetractl.cli.options import load
     from tetractl.experiment.plants import on_plant
 
     if resume and out is None:

@@ -1,18 +1,21 @@
 """Standard output and error, written by threads, so that no terminal or pipe delays a run.
 
-A terminal that is gone or stands still, a pipe that nobody reads and a full disk are met by what is
-printed alone: it is lost, and the command goes on.
+A terminal that is gone or stands still, a pipe that is not read and a full disk cost only what is
+printed: it is lost, and the command goes on. A command that moves robots is ended, by
+`hung_up_unread`, once what it prints has no reader any more.
 """
 
 import io
 import os
 import queue
 import select
+import signal
+import stat
 import sys
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -22,6 +25,8 @@ MESSAGES_S = 1.0  # a stderr that takes nothing for so long gets nothing more un
 TERMINAL_S = 10.0  # the same for results on a terminal; a pipe's reader may take any time,
 INTERRUPTED_S = 2.0  # but not once the command is to end
 PIECE = 4096  # bytes written at a time, so that slow progress is seen as progress
+POLL_S = 0.2  # how often it is asked whether the readers are gone
+GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class PatientWriter(io.RawIOBase):
@@ -158,17 +163,59 @@ def settle() -> None:
             stream.flush()
 
 
-def hurrier(text: bytes) -> Callable[[], None]:
-    """Return what the handler of a first signal calls: print text, and then wait less for readers.
+def first_signal_callback(text: bytes) -> Callable[[], None]:
+    """Return the callback for the first signal: prints `text` and shortens the output timeout.
 
-    Neither takes a lock or waits.
+    It takes no lock and does not wait.
     """
     results, messages = sys.stdout, sys.stderr  # now: a live view puts others in their places
 
-    def hurry() -> None:
+    def shorten() -> None:
         if isinstance(results, Output):
             results.writer.patience_s = INTERRUPTED_S
         if isinstance(messages, Output):
             messages.writer.urge(text)
 
-    return hurry
+    return shorten
+
+
+@contextmanager
+def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[None]:
+    """Where `robots` move, send this process SIGHUP once neither stdout nor stderr has a reader.
+
+    Only a pipe, a socket or a terminal has one: where both are files, nothing is sent. Where
+    `unattended`, SIGHUP is ignored instead, as by `nohup`. Main thread only, before `watch`.
+    """
+    read = [] if unattended or not robots else [one for one in (1, 2) if _has_reader(one)]
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN) if unattended else None
+    main, closing = threading.get_ident(), threading.Event()
+
+    def watch() -> None:
+        poll = select.poll()
+        for one in read:
+            poll.register(one, 0)  # errors are always reported
+        left = len(read)
+        while left and not closing.is_set():
+            for one, event in poll.poll(1000 * POLL_S):
+                if event & GONE:
+                    poll.unregister(one)
+                    left -= 1
+        if not closing.is_set():
+            signal.pthread_kill(main, signal.SIGHUP)
+
+    thread = threading.Thread(target=watch, name="readers", daemon=True)
+    try:
+        if read:
+            thread.start()
+        yield
+    finally:
+        closing.set()
+        if read:
+            thread.join()
+        if before is not None:
+            signal.signal(signal.SIGHUP, before)
+
+
+def _has_reader(descriptor: int) -> bool:
+    mode = os.fstat(descriptor).st_mode
+    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(descriptor)

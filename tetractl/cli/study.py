@@ -1,4 +1,4 @@
-"""`tetractl study`: many arms of trials in the same worlds, here, in shares or on a cluster."""
+"""`tetractl study`: many arms of trials with the same seeds, here, in shares or on a cluster."""
 
 import os
 import sys
@@ -65,11 +65,17 @@ def study(
             metavar="ARM/N", help="Run one trial again, to its log, and check it against its row."
         ),
     ] = None,
+    slurm: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="Run nothing: print a job script for Slurm, of N shares."
+        ),
+    ] = None,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Print failures, but no progress.")
     ] = False,
 ) -> int:
-    """Run every arm of a study in the same worlds; write one table, and a figure a swept field.
+    """Run every arm of a study with the same seeds; write a table, and a figure per swept field.
 
     The same command goes on with what an interrupted study lacks. A trial that fails does not stop
     the others; the exit code then is 1.
@@ -78,18 +84,22 @@ def study(
     """
     from tetractl.study.load import load_study
     from tetractl.study.options import Logs, Shard, lacking
+    from tetractl.study.slurm import job_script
     from tetractl.study.store import Store
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
     if merge != bool(folders):
         raise UsageError("--merge and the folders to gather go together")
-    if sum([shard is not None, merge, trial is not None]) > 1:
-        raise UsageError("--shard, --merge and --trial do different things: give one of them")
+    if sum([shard is not None, merge, trial is not None, slurm is not None]) > 1:
+        raise UsageError("--shard, --merge, --trial and --slurm exclude each other: give one")
     rule, share = Logs.parse(logs), Shard.parse(shard) if shard else Shard()
     loaded = load_study(file)
     ending = f"-shard-{share.index}-of-{share.of}" if shard else ""
     folder = out or Path("logs") / f"{loaded.study.name}{ending}"
+    if slurm is not None:
+        print(job_script(file, loaded.study.name, slurm, folder, logs), end="")
+        return Exit.DONE
     store = Store(folder, loaded.arms)
     with store.opened():
         if trial is not None:
@@ -122,10 +132,12 @@ def _run(
 ) -> bool:
     """Run trials; return whether a signal stopped them."""
     from contextlib import nullcontext, suppress
+    from functools import partial
 
     from rich.console import Console
 
-    from tetractl.cli.streams import hurrier
+    from tetractl.cli.options import announce_compiling
+    from tetractl.cli.streams import first_signal_callback
     from tetractl.control.build import warm_up
     from tetractl.run.batch import run_batch
     from tetractl.run.cluster import Cluster
@@ -133,12 +145,12 @@ def _run(
     from tetractl.run.interrupt import Interrupt, leave_on_signals
     from tetractl.view.terminal.progress import StudyProgress
 
-    console, interrupt = Console(stderr=True), Interrupt(hurrier(STOPPING))
+    console, interrupt = Console(stderr=True), Interrupt(first_signal_callback(STOPPING))
     if cluster is None and tasks:
         named = {arm.controller: arm for arm in loaded.arms}
         for arm in named.values():
             with suppress(TetractlError):  # its trials say so themselves
-                warm_up(arm.spec.experiment, lambda text: console.print(text, highlight=False))
+                warm_up(arm.spec.experiment, partial(announce_compiling, quiet))
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     here = on_this_machine(jobs or available or 1, len(tasks), interrupt)
     leave_on_signals(Exit.INTERRUPTED)

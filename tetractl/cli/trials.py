@@ -5,14 +5,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.caution import need_consent
+from tetractl.cli.options import announce_compiling, require_confirmation
 from tetractl.cli.serving import served_run
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -96,7 +97,7 @@ def run_command(
         _describe(loaded, folder, todo if only is None else [only])
         return Exit.DONE, folder
     if in_lab:
-        need_consent(yes)
+        require_confirmation(yes)
     console = Console(stderr=True, quiet=quiet)
     with (
         served_run(experiment.name, port) as served,
@@ -108,6 +109,37 @@ def run_command(
         return _conclude(report, todo, folder, interrupt.requested, json), folder
 
 
+def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
+    """Run a trial, with its log in a folder, and return the log.
+
+    In the lab this needs consent and passes the same checks as a run; the space bar and Esc stop
+    the robots. Raises TetractlError for a trial that was aborted, KeyboardInterrupt for one that
+    was interrupted.
+    """
+    from rich.console import Console
+
+    from tetractl.core.plan import Outcome
+    from tetractl.run.limits import check
+    from tetractl.run.store import LogStore
+    from tetractl.run.task import log_path
+
+    check(loaded.experiment)
+    in_lab = not loaded.experiment.plant.simulated
+    if in_lab:
+        require_confirmation(yes)
+    console, store = Console(stderr=True, quiet=not in_lab), LogStore(folder, loaded.experiment)
+    with store.opened(False), stoppable(loaded.experiment, console) as interrupt:
+        report = run_trials(loaded, store, [trial], 1, console, interrupt, yes)
+    for error in report.errors.values():
+        raise error
+    result = next(iter(report.results.values()), None)
+    if result is None or result.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    if result.outcome is Outcome.ABORTED:
+        raise TetractlError(f"the robots were stopped: {result.reason}", f"log in {folder}")
+    return log_path(folder, trial)
+
+
 @contextmanager
 def stoppable(
     experiment: "Experiment", console: "Console", unattended: bool = False
@@ -116,13 +148,12 @@ def stoppable(
 
     In the lab a run that nobody can watch any more is one of them, unless `unattended`.
     """
-    from tetractl.cli.hangup import hung_up_unread
-    from tetractl.cli.streams import hurrier
+    from tetractl.cli.streams import first_signal_callback, hung_up_unread
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt, leave_on_signals
 
-    warm_up(experiment, lambda text: console.print(text, highlight=False))
-    interrupt = Interrupt(hurrier(STOPPING))
+    warm_up(experiment, partial(announce_compiling, console.quiet))
+    interrupt = Interrupt(first_signal_callback(STOPPING))
     leave_on_signals(Exit.INTERRUPTED)  # again, once all is said
     in_lab = not experiment.plant.simulated
     with hung_up_unread(in_lab, unattended), interrupt.watch(robots=in_lab):
@@ -189,7 +220,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
 
     Raises what kept a trial from an outcome.
     """
-    from tetractl.cli.streams import hurrier
+    from tetractl.cli.streams import first_signal_callback
     from tetractl.run.task import log_path
 
     error = next(iter(report.errors.values()), None)
@@ -200,7 +231,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
         if report.results or not lacking:
             _print_statistics(folder, json)
     except KeyboardInterrupt:
-        hurrier(b"")()
+        first_signal_callback(b"")()
         print("the statistics were left out", file=sys.stderr)
     except (BrokenPipeError, SystemExit):  # rich raises SystemExit on a closed pipe
         pass

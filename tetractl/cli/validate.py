@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tetractl.cli.caution import Strict, warn
-from tetractl.cli.spec import load
+from tetractl.cli.options import Strict, load, warn
 from tetractl.core.errors import Exit
 
 

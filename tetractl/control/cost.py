@@ -54,14 +54,29 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     path = np.empty((signals.shape[-1] + 1, *shape, 3))
     path[0] = problem.poses.array()
-    x, y, heading = path[..., 0], path[..., 1], path[..., 2]
+    x, y = path[..., 0], path[..., 1]
     every = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same for every robot
+    if problem.bias is not None:
+        every = every + problem.bias
+    _follow(problem, motion, every, path)
+    if problem.flow is not None:
+        periods = np.arange(len(every)).reshape(-1, *(1 for _ in shape))
+        times = problem.first_period + problem.period * periods
+        x[1:] += times * problem.flow[:, 0]
+        y[1:] += times * problem.flow[:, 1]
+    return path
+
+
+def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> None:
+    """Fill a path, whose first poses are known, under directions (L, ..., 1 or N)."""
+    x, y, heading = path[..., 0], path[..., 1], path[..., 2]
+    shape = path.shape[1:-1]
     if motion.turn is None or motion.strides is None:
         for j, u in enumerate(every):
             held = problem.first_period if j == 0 else problem.period
             start = x[j], y[j], heading[j]
             path[j + 1] = np.stack(motion.step(*start, u, problem.a, problem.speed, held), axis=-1)
-        return path
+        return
     for j, u in enumerate(every):
         held = problem.first_period if j == 0 else problem.period
         heading[j + 1] = motion.turn(heading[j], u, problem.a, held)
@@ -74,7 +89,6 @@ def predict(problem: Problem, signals: Floats) -> Floats:
         for i, term in enumerate(terms):
             sums[1 + i :: len(terms)] = term
         along[:] = np.add.accumulate(sums)[:: len(terms)]  # in the order in which steps add
-    return path
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:

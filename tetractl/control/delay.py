@@ -68,26 +68,29 @@ class Predictor:
             self.before = np.where(dropped.arrived, dropped.u, self.before)
 
 
-def turned(problem: Problem, heading: Floats, held: list[Held], bias: Floats | float) -> Floats:
-    """Return the headings (..., N) [rad] after the directions held (..., N); see `advance`."""
-    headings = MOTIONS.load(problem.motion).headings
-    for since, until, u in held:
-        stands = np.isnan(u)
-        seconds = np.where(stands, 0.0, (until - since) / SECOND)
-        heading = headings(heading, np.where(stands, 0.0, u) + bias, problem.a, seconds)
-    return heading
-
-
-def advance(problem: Problem, poses: Poses, held: list[Held], bias: Floats | float = 0.0) -> Poses:
-    """Return the poses after the directions held, by the problem's motion.
-
-    `bias` (N,) [rad] is added to the direction that each robot turns towards.
-    """
-    step = MOTIONS.load(problem.motion).step
+def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
+    """Return the poses after the directions held, by the problem's motion, bias and flow."""
     x, y, heading = poses.x, poses.y, poses.heading
     for since, until, u in held:
-        stands = np.isnan(u)
-        seconds = np.where(stands, 0.0, (until - since) / SECOND)
-        towards = np.where(stands, 0.0, u) + bias
-        x, y, heading = step(x, y, heading, towards, problem.a, problem.speed, seconds)
+        seconds = (until - since) / SECOND
+        x, y, heading = driven(problem, Poses(x, y, heading), u, seconds)
     return Poses(x, y, heading)
+
+
+def driven(
+    problem: Problem, start: Poses, direction: Floats, seconds: Floats | float
+) -> tuple[Floats, Floats, Floats]:
+    """Return x, y and heading (..., N) after times (..., 1) or one time [s] from `start`.
+
+    Robots follow `direction` (N,) [rad], NaN for one that stands.
+    """
+    stands = np.isnan(direction)
+    moving = np.where(stands, 0.0, seconds)
+    towards = np.where(stands, 0.0, direction)
+    if problem.bias is not None:
+        towards = towards + problem.bias
+    step = MOTIONS.load(problem.motion).step
+    x, y, heading = step(start.x, start.y, start.heading, towards, problem.a, problem.speed, moving)
+    if problem.flow is not None:
+        x, y = x + moving * problem.flow[:, 0], y + moving * problem.flow[:, 1]
+    return x, y, heading

@@ -37,7 +37,15 @@ def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     path = np.empty((signals.size + 1, problem.a.size, 3))
     path[0] = problem.poses.array()
     periods = problem.first_period, problem.period
-    predict(np.ascontiguousarray(signals), problem.a, problem.speed, *periods, rollout.rest, path)
+    predict(
+        np.ascontiguousarray(signals),
+        problem.a,
+        problem.speed,
+        problem.drift,
+        *periods,
+        rollout.rest,
+        path,
+    )
     costs(rollout, np.ascontiguousarray(signals[:, None]), total)
     require_finite(total)
     missed = path[-1, :, :2] - problem.targets

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.control.delay import driven
 from tetractl.control.lengths import GROWTH
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
-from tetractl.experiment.kinds import MOTIONS
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
 RELENTS = 0.1  # share by which the accepted error grows each time the robots go round
@@ -40,32 +40,15 @@ def longer(count: int, most: int) -> Iterator[int]:
         length = max(length + 1, round(GROWTH * length))
 
 
-def best_stop(
-    problem: Problem, direction: Floats, bias: Floats | float, period_s: float
-) -> Stopping:
+def best_stop(problem: Problem, direction: Floats, period_s: float) -> Stopping:
     """Return the best moment of the coming control period for a stop.
 
     The robots are at the problem's poses when a stop sent now acts, and follow `direction` (N,)
     [rad], NaN for a robot that stands, until a later one does.
     """
     delays = np.arange(MOMENTS, dtype=np.float64) * (period_s / MOMENTS)
-    x, y = driven(problem, direction, bias, delays[:, None])
+    x, y, _ = driven(problem, problem.poses, direction, delays[:, None])
     targets = problem.targets
     errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)
     best = int(np.argmin(errors))
     return Stopping(round(float(delays[best]) * SECOND), float(errors[best]))
-
-
-def driven(
-    problem: Problem, direction: Floats, bias: Floats | float, seconds: Floats | float
-) -> tuple[Floats, Floats]:
-    """Return where the robots are, x and y (..., N), after times (..., 1) or one time [s].
-
-    They start at the problem's poses and follow `direction` (N,) [rad], NaN for one that stands.
-    """
-    start, stands = problem.poses, np.isnan(direction)
-    moving = np.where(stands, 0.0, seconds)
-    towards = np.where(stands, 0.0, direction) + bias
-    step = MOTIONS.load(problem.motion).step
-    x, y, _ = step(start.x, start.y, start.heading, towards, problem.a, problem.speed, moving)
-    return x, y

@@ -32,10 +32,11 @@ from dataclasses import replace
 import numpy as np
 
 from tetractl.control.cost import Foreseen, evaluate, foresee
+from tetractl.control.delay import driven
+from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, driven, longer
-from tetractl.control.knowledge import Knowledge
-from tetractl.control.knowledge import warm_up as warm_up_knowledge
+from tetractl.control.filter import warm_up as warm_up_filter
+from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, longer
 from tetractl.control.lengths import (
     Candidate,
     Searcher,
@@ -54,7 +55,7 @@ from tetractl.core.poses import Floats, Observation
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import OptimizerSection, same
+from tetractl.experiment.controller import OptimizerSection, Square, same
 
 LATE = 2.0
 """Dead times that a stop may come late: it may be lost once."""
@@ -77,9 +78,8 @@ class Mpc:
         self.section = section
         problem = section.problem(setup)
         prior = section.prior.of(problem, section.dead_time) if section.estimate else None
-        self.knowledge = Knowledge(
-            problem, section.period, section.dead_time, prior, section.losses
-        )
+        square = isinstance(section.first_plan, Square)
+        self.estimator = StateEstimator(problem, section.period, section.dead_time, prior, square)
         walls = setup.arena if section.collision.walls else None
         self.margins = Margins(setup.obstacles, walls, setup.targets)
         self.key = key
@@ -102,7 +102,9 @@ class Mpc:
         if self.warm is not None and phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
         first_period = (self.section.hold - phase) * self.section.period
-        problem = self._problem(self.knowledge.seen(observation, last_command), first_period)
+        problem = self._problem(
+            self.estimator.seen(observation, last_command, earlier), first_period
+        )
         gaps = problem.poses.distances(problem.targets)
         if self.section.arrived(gaps):  # lines 13-15
             return Outcome.ARRIVED
@@ -121,8 +123,8 @@ class Mpc:
         problem = replace(known, first_period=first_period)
         if not collision.adaptive:
             return problem
-        dead_time = self.knowledge.predictor.dead_time_s
-        off = off_course(problem.speed, self.section.period, dead_time, self.knowledge.estimate)
+        dead_time = self.estimator.dead_time_s
+        off = off_course(problem.speed, self.section.period, dead_time, self.estimator.estimate)
         margin = collision.margin + collision.radius + off
         apart = collision.separation + 2 * off if collision.separation else 0.0
         return replace(
@@ -149,8 +151,7 @@ class Mpc:
         period = self.section.period if self.section.stop_between else 0.0
         if 0 < self.accept < float((gaps - problem.speed * period).sum()):
             return None  # at full speed no stop would be near enough
-        direction, bias = self.knowledge.held_at_action(observation)
-        stopping = best_stop(problem, direction, bias, period)
+        stopping = best_stop(problem, self.estimator.held_at_action(observation), period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
         if 0 < self.accept < stopping.error:
             return None
@@ -161,10 +162,11 @@ class Mpc:
     def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
         """Return whether a robot enters an obstacle before the next stop could act, under the plan
         under way or, where that is used up, the direction held."""
-        held, bias = self.knowledge.held_at_action(observation)
+        held = self.estimator.held_at_action(observation)
         ahead = np.full_like(held, warm[0]) if len(warm) else held
-        seconds = self.section.period + LATE * self.knowledge.predictor.dead_time_s
-        return self.margins.entered(problem.poses, *driven(problem, ahead, bias, seconds))
+        seconds = self.section.period + LATE * self.estimator.dead_time_s
+        x, y, _ = driven(problem, problem.poses, ahead, seconds)
+        return self.margins.entered(problem.poses, x, y)
 
     def _decide(self, problem: Problem) -> Plan:
         """Search every horizon that is a candidate now, longer ones where need be, and choose.
@@ -195,7 +197,7 @@ class Mpc:
         if self.warm is not None and searcher.found[chosen].length > count + 1:
             self.accept *= 1 + RELENTS
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
-        return replace(plan, estimate=self.knowledge.estimate)
+        return replace(plan, estimate=self.estimator.estimate)
 
     def _candidates(self) -> Iterable[Candidate]:
         return candidates(self.warm, self.section.horizon_max)
@@ -263,5 +265,5 @@ class MpcSection(MpcFields):
         problem = self.problem(setup)
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)
-        prior = self.prior.of(problem, self.dead_time) if self.estimate else None
-        warm_up_knowledge(problem, self.period, prior, self.losses)
+        if self.estimate:
+            warm_up_filter(self.prior.of(problem, self.dead_time), setup.starts)

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveInt, model_validator
 
-from tetractl.control.identify import Prior
+from tetractl.control.filter import Prior
 from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
 from tetractl.core.setup import Setup
@@ -52,6 +52,18 @@ class PriorSection(Model):
     """Of the dead time [s]."""
     heading_bias: Positive = 0.05
     """Of the angle between the direction sent and the one a robot turns towards [rad]."""
+    marker_bias: NonNegative = 0.05
+    """Of the angle between the heading that the camera measures and the course [rad]."""
+    flow: NonNegative = 0.0
+    """Of each component of what carries a robot over the ground [length unit/s]."""
+    position_noise: NonNegative = 0.0
+    """Of a measured position [length unit]; 0 where it is not known."""
+    heading_noise: NonNegative = 0.0
+    """Of a measured heading [rad]; 0 where it is not known."""
+    helix_frequency: NonNegative = 0.0
+    """Turns a second of cells that swim on a helix [Hz]."""
+    helix_radius: NonNegative = 0.0
+    """Of that helix [length unit]; 0 for none."""
 
     def of(self, problem: Problem, dead_time: float) -> Prior:
         """Return the prior of the robots of a problem."""
@@ -63,6 +75,12 @@ class PriorSection(Model):
             speed_std=self.speed,
             dead_time_std=self.dead_time,
             heading_bias_std=self.heading_bias,
+            marker_bias_std=self.marker_bias,
+            flow_std=self.flow,
+            position_noise=self.position_noise,
+            heading_noise=self.heading_noise,
+            helix_frequency=self.helix_frequency,
+            helix_radius=self.helix_radius,
         )
 
 
@@ -81,9 +99,6 @@ class MpcFields(ControllerSection):
     they drive, starting from the spec's values."""
     prior: PriorSection = PriorSection()
     """How far those may be off."""
-    losses: bool = False
-    """Whether the prediction takes into account which of the last two commands arrived at each
-    robot, by how it turned since."""
     accept: NonNegative = 0.0
     """Total error to accept [length unit]. Where no length H - 1, H, H + 1 ends within it, longer
     sequences are searched, and the trial ends where stopping is within it and as good as any plan:

@@ -17,9 +17,9 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import evaluate
+from tetractl.control.estimator import StateEstimator
 from tetractl.control.given import given_search, plain_problem
 from tetractl.control.go_around import best_stop
-from tetractl.control.knowledge import Knowledge
 from tetractl.control.mpc import make_plan
 from tetractl.control.rng import mix, uniform
 from tetractl.core.commands import Command
@@ -88,7 +88,7 @@ class Rrt:
     def __init__(self, section: RrtSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key
         problem = section.problem(setup)
-        self._knowledge = Knowledge(problem, section.period, section.dead_time, None, losses=False)
+        self._estimator = StateEstimator(problem, section.period, section.dead_time, None)
         radius = float(setup.speed[0] / setup.a[0])
         self._edge = section.edge * radius
         self._reach = max(section.reach * radius, float(setup.speed[0]) * section.period)
@@ -104,7 +104,7 @@ class Rrt:
     ) -> Plan | Outcome | End:
         """Point the field at the next corner of the path, or end the trial."""
         section = self.section
-        problem = self._knowledge.seen(observation, last_command)
+        problem = self._estimator.seen(observation, last_command)
         gaps = problem.poses.distances(problem.targets)
         if section.arrived(gaps):
             return Outcome.ARRIVED
@@ -145,8 +145,8 @@ class Rrt:
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:
             return None
-        direction, bias = self._knowledge.held_at_action(observation)
-        stopping = best_stop(problem, direction, bias, self.section.period)
+        held = self._estimator.held_at_action(observation)
+        stopping = best_stop(problem, held, self.section.period)
         if stopping.error > evaluate(problem, signals[None]).target[0]:
             return None
         done = Outcome.NOTHING_BETTER

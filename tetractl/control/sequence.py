@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import evaluate
+from tetractl.control.estimator import StateEstimator
 from tetractl.control.given import given_search, plain_problem
-from tetractl.control.knowledge import Knowledge
 from tetractl.control.mpc import make_plan
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
@@ -63,8 +63,8 @@ class SequenceController:
 
     def __init__(self, section: SequenceSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key
-        self._knowledge = Knowledge(
-            section.problem(setup), section.period, section.dead_time, None, losses=False
+        self._estimator = StateEstimator(
+            section.problem(setup), section.period, section.dead_time, None
         )
         self._k = 0
 
@@ -75,7 +75,7 @@ class SequenceController:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Return the next direction, and where it and the following ones are predicted to lead."""
-        problem, section = self._knowledge.seen(observation, last_command), self.section
+        problem, section = self._estimator.seen(observation, last_command), self.section
         gaps = problem.poses.distances(problem.targets)
         if section.arrived(gaps):
             return Outcome.ARRIVED

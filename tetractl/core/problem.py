@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
+
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Shape
 
@@ -37,8 +39,9 @@ class Problem:
     prediction. Signal j is held for `period` seconds, except the first, held for `first_period`.
     `obstacle_weight` is omega_p of (7). `swept` tests the segments between predicted positions
     instead of the positions alone. Two robots are to keep `separation` between their centres at the
-    predicted positions; 0 for robots that may meet. A problem is equal to itself alone, so that
-    what is computed from it can be kept by it.
+    predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added to the
+    direction that each robot turns towards, and `flow` (N, 2) [length unit/s] carries it; None for
+    none. A problem is equal to itself alone, so that what is computed from it can be kept by it.
     """
 
     poses: Poses
@@ -52,6 +55,16 @@ class Problem:
     obstacle_weight: float
     swept: bool
     separation: float = 0.0
+    bias: Floats | None = None
+    flow: Floats | None = None
+
+    @property
+    def drift(self) -> Floats:
+        """Return bias and flow as compiled code takes them, (4, N): cosine and sine, x and y."""
+        none = np.zeros(len(self.a))
+        bias = none if self.bias is None else self.bias
+        flow = (none, none) if self.flow is None else self.flow.T
+        return np.array([np.cos(bias), np.sin(bias), *flow])
 
     def seconds(self, length: int) -> float:
         """Return how long a sequence of so many signals is held [s]."""

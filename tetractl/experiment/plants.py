@@ -66,7 +66,8 @@ def lab_of(experiment: Experiment, name: str) -> LabSection:
     lab = experiment.lab if experiment.plant.simulated else experiment.plant
     if not isinstance(lab, LabSection):
         raise SpecError(
-            f"{name}: has no lab", "add a 'lab:' section; experiments/three_m3pi_lab.yaml has one"
+            f"{name}: has no lab",
+            "add a 'lab:' section; `tetractl init --example three_m3pi_lab` has one",
         )
     return lab
 

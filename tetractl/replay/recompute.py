@@ -24,7 +24,7 @@ from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.controller import OptimizerSection
 from tetractl.log.read import bounds
-from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
 from tetractl.run.seeds import trial_seeds
 
@@ -252,8 +252,13 @@ def plan_again(
 
 
 def first_steps(log: TrialLog) -> list[Step]:
-    """Return the steps up to the first gap."""
-    return [step for k, step in enumerate(log.steps) if step.k == k]
+    """Return the steps up to the first gap, of steps or, in a damaged log, of camera frames."""
+    lost = log.damage.lost if log.damage else ()
+    torn = len(lost) > (log.result is None)  # more is lost than the end
+    gap = min((gap.first for gap in frame_gaps(log)), default=np.inf) if torn else np.inf
+    return [
+        step for k, step in enumerate(log.steps) if step.k == k and step.observation.frame < gap
+    ]
 
 
 def _outcome(

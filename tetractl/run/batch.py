@@ -1,5 +1,6 @@
 """Runs the trials of a batch or a study: one loop for every store, executor and way to watch."""
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -30,13 +31,58 @@ class Ending:
     """How a trial ended, and the time [s] that those left take, as far as earlier ones show.
 
     `result` is None if something kept the trial from an outcome; `failure` says in one line why
-    it was aborted or has no result.
+    it was aborted or has no result. `every_arm`: whether a trial of each arm has shown its time.
     """
 
     task: Task
     result: Result | None
     failure: str | None
     left_s: float | None
+    every_arm: bool = True
+
+
+class TimeLeft:
+    """How long the trials left take: those of an arm as long as its trials before on average.
+
+    Arms differ: one ends after ten steps, another runs to the last. Compiling does not count.
+    """
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        self._left = Counter(task.arm for task in tasks)
+        self._spent: dict[str, tuple[float, int]] = {}  # time [s] and number of trials
+        self._known_s = 0.0  # of the trials left in arms with a time
+        self._unknown = len(tasks)  # trials left in the others
+
+    @property
+    def known(self) -> bool:
+        """Whether every arm with trials left has a time."""
+        return self._unknown == 0
+
+    def count(self, arm: str, wall_s: float | None) -> None:
+        """Count a trial that has ended, None for one without a time."""
+        spent_s, n = self._spent.get(arm, (0.0, 0))
+        if n:
+            self._known_s -= spent_s / n * self._left[arm]
+        else:
+            self._unknown -= self._left[arm]
+        self._left[arm] -= 1
+        if wall_s is not None:
+            spent_s, n = spent_s + wall_s, n + 1
+            self._spent[arm] = spent_s, n
+        if n:
+            self._known_s += spent_s / n * self._left[arm]
+        else:
+            self._unknown += self._left[arm]
+
+    def of(self, workers: int) -> float | None:
+        """Return the time [s] with so many trials at a time, None before the first."""
+        if not self._spent:
+            return None
+        mean_s = 0.0
+        if self._unknown:
+            spent_s, n = map(sum, zip(*self._spent.values(), strict=True))
+            mean_s = spent_s / n
+        return max(self._known_s + self._unknown * mean_s, 0.0) / workers
 
 
 class RunObserver(Protocol):
@@ -83,8 +129,7 @@ def run_batch(
     With `fail_fast` the first trial that is aborted or has no outcome ends the run, without it the
     others go on. Raises OtherCodeError of a worker.
     """
-    report = Report(left=len(tasks))
-    wall_s = 0.0
+    report, time_left = Report(left=len(tasks)), TimeLeft(tasks)
 
     def ready(task: Task) -> Path:
         observer.trial_started(task)
@@ -100,7 +145,6 @@ def run_batch(
             if isinstance(found, Finished):
                 store.add(task, found)
                 report.results[task.key] = result = found.result
-                wall_s += found.wall_s
                 if result.outcome is Outcome.ABORTED:
                     failure = f"aborted: {result.reason}"
             else:
@@ -108,9 +152,9 @@ def run_batch(
                 failure = _one_line(found)
             if failure is not None and fail_fast:
                 executor.end()
-            n = len(report.results)
-            left_s = wall_s / n * report.left / executor.workers if n else None
-            observer.trial_ended(Ending(task, result, failure, left_s))
+            time_left.count(task.arm, found.wall_s if isinstance(found, Finished) else None)
+            left_s = time_left.of(executor.workers)
+            observer.trial_ended(Ending(task, result, failure, left_s, time_left.known))
     return report
 
 

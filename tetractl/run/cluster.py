@@ -1,10 +1,10 @@
 """Runs tasks on a Dask cluster that is there already."""
 
-import itertools
 import logging
 import queue
 import tempfile
 import time
+from collections import deque
 from collections.abc import Generator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
@@ -22,15 +22,18 @@ CONNECT_S = 10.0
 TLS = "DASK_DISTRIBUTED__COMM__TLS"  # what its variables of the environment begin with
 LOOK_S = 0.1  # between two checks for an interruption
 COUNT_S = 1.0  # between two counts of the workers: some come, some are lost
-AHEAD = 2  # tasks handed out for each thread of a worker, so that none waits for the next
+AHEAD = 2  # Dask tasks for each thread of a worker, so that none waits for the next
 FEWEST = 8  # the same while no worker has come yet
+CHUNK_S = 2.0  # of trials in one Dask task: a scheduler manages some hundred tasks a second
+MOST = 200  # trials in one Dask task, whose logs come back together
 
 
 class Cluster:
     """Hands trials to the workers of the scheduler at `address`; a context manager.
 
-    A trial whose worker is lost is given to another by the scheduler, three times at most. Logs
-    come back with the results, so that workers need no folder in common.
+    A Dask task is some seconds of trials, by the time that those before took. The scheduler gives
+    the task of a lost worker to another, three times at most; after that its trials are handed out
+    one by one. Logs come back with the results, so that workers need no folder in common.
 
     Raises UsageError if distributed is not installed or no scheduler answers.
     """
@@ -95,13 +98,18 @@ class Cluster:
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end; AbortError once the scheduler is gone."""
-        waiting, running = iter(tasks), dict[Any, tuple[Task, Path]]()
+        waiting, alone = deque(tasks), deque[Task]()  # those alone were lost together with others
+        running = dict[Any, list[tuple[Task, Path]]]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        wall_s, count = 0.0, 0
         while not self._stopping:
-            window = max(AHEAD * self.workers, FEWEST) - len(running)
-            for task in itertools.islice(waiting, max(window, 0)):
-                future = self._client.submit(_work, task, pure=False)
-                running[future] = task, ready(task)
+            window = max(AHEAD * self.workers, FEWEST)
+            while (waiting or alone) and len(running) < window:
+                size = chunk_size(wall_s / count if count else None, len(waiting), window)
+                source, size = (alone, 1) if alone else (waiting, size)
+                chunk = [source.popleft() for _ in range(size)]
+                future = self._client.submit(_work, chunk, pure=False)
+                running[future] = [(task, ready(task)) for task in chunk]
                 future.add_done_callback(ended.put)
             if not running:
                 return
@@ -111,8 +119,15 @@ class Cluster:
                 if not self._connected:
                     raise self._gone() from None
                 continue
-            task, folder = running.pop(future)
-            yield task, self._found(task, folder, future)
+            given = running.pop(future)
+            found = self._found(given, future)
+            if found is None:
+                alone.extend(task for task, _ in given)
+                continue
+            for (task, _), one in zip(given, found, strict=True):
+                if isinstance(one, Finished):
+                    wall_s, count = wall_s + one.wall_s, count + 1
+                yield task, one
         if self._connected:
             self._client.cancel(list(running))
 
@@ -134,30 +149,50 @@ class Cluster:
             "start a scheduler again; the same command, with its address, goes on with it",
         )
 
-    def _found(self, task: Task, folder: Path, future: Any) -> Finished | Exception:
-        """Save the log of a task; return how it finished, or what kept it from an outcome."""
+    def _found(
+        self, given: Sequence[tuple[Task, Path]], future: Any
+    ) -> list[Finished | Exception] | None:
+        """Save the logs of a Dask task; return how its trials finished, or what kept each from an
+        outcome. None where several trials were lost with each worker that had them."""
         from distributed import KilledWorker
 
-        found: Any = None
-        log: bytes | None = None
+        found: list[tuple[Finished | Exception, bytes | None]] = []
         try:  # Dask gives up all tasks when the connection to the scheduler is lost
             error = future.exception()
             if error is None:
-                found, log = future.result()
+                found = future.result()
         except (OSError, CancelledError):
             raise self._gone() from None
         if isinstance(error, KilledWorker):
-            return AbortError("it was lost with each worker that it was given to")
+            if len(given) > 1:
+                return None
+            error = AbortError("it was lost with each worker that it was given to")
         if error is not None:
-            return error
+            return [error for _ in given]
         future.release()
-        if log is not None:
-            save_whole(log_path(folder, task.trial), log)
-        return found
+        for (task, folder), (_, log) in zip(given, found, strict=True):
+            if log is not None:
+                save_whole(log_path(folder, task.trial), log)
+        return [one for one, _ in found]
 
 
-def _work(task: Task) -> tuple[Finished | Exception, bytes | None]:
-    """Run a trial on a worker; return how it finished, or what kept it from that, and its log."""
+def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
+    """Return how many trials of `mean_s` on average make a Dask task.
+
+    Fewer when not many are `waiting`, so that all `window` places for tasks are filled to the end;
+    one while no trial has shown its time.
+    """
+    if mean_s is None:
+        return 1
+    return max(min(int(CHUNK_S / max(mean_s, 1e-6)), MOST, waiting // window), 1)
+
+
+def _work(tasks: Sequence[Task]) -> list[tuple[Finished | Exception, bytes | None]]:
+    """Run trials on a worker; return how each finished, or what kept it from that, and its log."""
+    return [_run(task) for task in tasks]
+
+
+def _run(task: Task) -> tuple[Finished | Exception, bytes | None]:
     with tempfile.TemporaryDirectory(prefix="tetractl-") as name:
         try:
             found = run_task(task, Path(name), Interrupt())

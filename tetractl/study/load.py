@@ -71,6 +71,12 @@ def load_study(path: Path) -> LoadedStudy:
     return LoadedStudy(study, tuple(_with_unique_names(arms)))
 
 
+def is_study(path: Path) -> bool:
+    """Return whether a file is a study rather than a spec, by the keys it has."""
+    data = parse_document(read_text(path), str(path)).data
+    return "base" in data and "robots" not in data
+
+
 @cache
 def study_schema() -> dict[str, Any]:
     """Return the JSON schema (draft 2020-12) of a study; not to be changed."""

@@ -1,7 +1,13 @@
 import subprocess
 import sys
+from threading import Event
+from types import SimpleNamespace
 
 import pytest
+from support.running import QUICK
+
+from tetractl.control import build
+from tetractl.experiment.load import parse_spec
 
 WATCH = """
 from pathlib import Path
@@ -39,3 +45,28 @@ def test_warming_up_leaves_nothing_to_compile(name):
         [sys.executable, "-c", WATCH.replace("{name}", name)], capture_output=True, text=True
     )
     assert done.stdout.splitlines()[-1:] == ["[]"], done.stdout + done.stderr
+
+
+def test_compiling_says_for_what_and_how_long_it_took(monkeypatch):
+    monkeypatch.setattr(build, "ANNOUNCE_AFTER_S", 0.0)
+    spec = parse_spec(QUICK, "spec").experiment
+    said, heard = [], Event()
+
+    def announce(text):
+        said.append(text)
+        heard.set()
+
+    class Slow:
+        type, motion, optimizer = "mpc", "exact", spec.controller.optimizer
+
+        def warm_up(self, setup):
+            assert heard.wait(60)
+
+    build.warm_up(SimpleNamespace(controller=Slow(), obstacles=(), setup=None), announce)
+    assert said == [
+        "compiling for mpc, pso, exact, some 10 to 40 s; kept for the next time ...",
+        "compiled in 0 s",
+    ]
+    monkeypatch.setattr(build, "ANNOUNCE_AFTER_S", 3600.0)
+    build.warm_up(spec, said.append)
+    assert len(said) == 2  # loaded from the cache, and not worth a word

@@ -6,6 +6,7 @@ from support.trials import experiment
 
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.rng import mix
+from tetractl.core.commands import Command
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
@@ -335,7 +336,7 @@ def beside_a_wall(gap, stop=True):
     poses = STARTS.copy()
     poses[0, 0] = experiment.setup.arena.right - gap
     controller.plan(seen(poses))
-    controller.knowledge.sent(0, 0.0)
+    controller.estimator.sent(Command(0.0, 0, (True,) * 3))
     controller.warm = np.empty(0)
     return controller, seen(poses, now=200_000_000)
 
@@ -369,7 +370,7 @@ def test_the_stop_comes_between_two_steps_where_that_is_best():
     fields = {"dead_time": 0.05, "stop_between": True, "motion": "exact"}
     controller = mpc(spec(**fields), 99, Scripted({1: 0.0}))
     controller.plan(seen())
-    controller.knowledge.sent(0, 0.0)
+    controller.estimator.sent(Command(0.0, 0, (True,) * 3))
     poses[:, 0] -= 0.05 * np.array([180, 200, 150])  # on the way for the dead time
     ended = controller.plan(seen(poses, now=200_000_000))
     assert isinstance(ended, End)

@@ -66,7 +66,6 @@ SETTINGS = {
         "plant.dead_time=0.15",
         "plant.lost_commands=0.1",
         "controller.estimate=true",
-        "controller.losses=true",
         "controller.motion=exact",
         "controller.optimizer={type: multistart}",
         "controller.first_lengths=spread",

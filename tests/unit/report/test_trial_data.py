@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support import random_trials as made
 
 from tetractl.log.read.reader import read_trial
-from tetractl.report.trial_data import PLAN_ERROR, corners, trial_data
+from tetractl.report.trial_data import MISSING, PLAN_ERROR, corners, rounded, trial_data
 
 
 @given(st.integers(0, 2**32), st.integers(1, 60), st.integers(1, 3), st.floats(1e-3, 1))
@@ -52,3 +52,14 @@ def test_the_page_has_each_plan_to_a_thousandth_of_the_arena_and_each_search(tmp
         values = unpack(data["history"]["values"])[first:last]
         assert np.allclose(values, step.plan.search.history[kept], rtol=1e-6)
     assert trial_data(log, "t", plans=False)["plan"] is None
+
+
+@given(st.lists(st.floats(-1e300, 1e300) | st.sampled_from([np.nan, np.inf]), max_size=20))
+def test_rounded_values_are_near_and_what_is_not_finite_is_missing(values):
+    packed, wanted = rounded(values), np.array(values)
+    steps, finite = np.frombuffer(b64decode(packed["i2"]), "<i2"), np.isfinite(wanted)
+    assert ((steps == MISSING) == ~finite).all()
+    if finite.any():
+        extent = wanted[finite].max() / 2 - wanted[finite].min() / 2
+        gaps = np.abs((packed["offset"] + packed["scale"] * steps.astype(float)) - wanted)[finite]
+        assert (gaps <= extent / 60_000 + 1e-9 * np.abs(wanted[finite]) + 1).all()

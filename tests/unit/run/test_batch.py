@@ -12,12 +12,12 @@ from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.run import executors, task
-from tetractl.run.batch import run_batch
+from tetractl.run.batch import TimeLeft, run_batch
 from tetractl.run.executors import Here, on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.seeds import trial_seeds
 from tetractl.run.store import LogStore
-from tetractl.run.task import Finished, batch_tasks, log_path, run_trial
+from tetractl.run.task import Finished, Task, batch_tasks, log_path, run_trial
 
 QUICK = """
 name: quick
@@ -180,6 +180,7 @@ def kill_itself(task, folder):
 
 
 @pytest.mark.slow
+@pytest.mark.system
 def test_a_trial_that_kills_its_process_is_run_again_alone_and_then_fails(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "_work", kill_itself)
     report = run(tmp_path, [0, 1, 2], jobs=2, fail_fast=False)
@@ -203,3 +204,24 @@ def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, t
     with pytest.raises(TetractlError, match="this computer's clock is before 1970"):
         run_trial(lab, tmp_path, 0, (), Interrupt())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_time_left_is_drawn_from_every_arm():
+    """It was that of the first trials on: 47 s that became 3 min, as one arm took four times as
+    long as another."""
+    tasks = [Task(i, 10, b"", arm) for i in range(10) for arm in ("quick", "slow")]
+    left = TimeLeft(tasks)
+    assert left.of(1) is None
+    left.count("quick", 1.0)
+    assert (left.known, left.of(1)) == (False, 19.0)
+    left.count("slow", 4.0)
+    assert (left.known, left.of(1)) == (True, 9 * 1.0 + 9 * 4.0)
+    left.count("slow", None)  # it has no outcome
+    assert left.of(2) == (9 * 1.0 + 8 * 4.0) / 2
+    left.count("slow", 2.0)
+    assert left.of(1) == pytest.approx(9 * 1.0 + 7 * 3.0)
+    for _ in range(9):
+        left.count("quick", 1.0)
+    for _ in range(7):
+        left.count("slow", 3.0)
+    assert left.of(1) == 0.0

@@ -54,8 +54,8 @@ def room(headings: Floats, length: int) -> Trace:
 
 
 @compiled(**PIECE)
-def trace(u, start, a, v, first_period, period, first, rest, traced):
-    """Predict under signals u (L,) from start (N, 3), with a and v (N,).
+def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
+    """Predict under signals u (L,) from start (N, 3), with a and v (N,) and drift (4, N).
 
     `first` and `rest` are constants of the motion for the two periods, whose class decides how the
     robots move.
@@ -68,12 +68,19 @@ def trace(u, start, a, v, first_period, period, first, rest, traced):
         cu, su = cos[count, j], sin[count, j]
         for i in range(count):
             lanes = first if j == 0 else rest
-            cos[i, j + 1], sin[i, j + 1] = turned(lanes, cos[i, j], sin[i, j], cu, su, i)
+            cos[i, j + 1], sin[i, j + 1] = turned(
+                lanes,
+                cos[i, j],
+                sin[i, j],
+                cu * drift[0, i] - su * drift[1, i],
+                su * drift[0, i] + cu * drift[1, i],
+                i,
+            )
     x, y, cu, su = path[0], path[1], cos[count], sin[count]
     east_h, north_h = gradients[EAST_H], gradients[NORTH_H]
     east_u, north_u, keep = gradients[EAST_U], gradients[NORTH_U], gradients[KEEP]
     for i in range(count):
-        a_i, v_i = a[i], v[i]
+        a_i, v_i, cb, sb = a[i], v[i], drift[0, i], drift[1, i]
         for j in range(across):
             (
                 x[i, j],
@@ -84,16 +91,30 @@ def trace(u, start, a, v, first_period, period, first, rest, traced):
                 east_u[i, j],
                 north_u[i, j],
                 keep[i, j],
-            ) = derivatives(rest, cos[i, j], sin[i, j], cu[j], su[j], a_i, v_i, period)
+            ) = derivatives(
+                rest,
+                cos[i, j],
+                sin[i, j],
+                cu[j] * cb - su[j] * sb,
+                su[j] * cb + cu[j] * sb,
+                a_i,
+                v_i,
+                period,
+            )
     for i in range(count):
         if first_period != period:
-            step = derivatives(first, cos[i, 0], sin[i, 0], cu[0], su[0], a[i], v[i], first_period)
+            c = cu[0] * drift[0, i] - su[0] * drift[1, i]
+            s = su[0] * drift[0, i] + cu[0] * drift[1, i]
+            step = derivatives(first, cos[i, 0], sin[i, 0], c, s, a[i], v[i], first_period)
             x[i, 0], y[i, 0] = step[0], step[1]
             for k in range(5):
                 gradients[k, i, 0] = step[3 + k]
-        x[i, 0], y[i, 0] = start[i, 0] + x[i, 0], start[i, 1] + y[i, 0]
+        fx, fy = drift[2, i], drift[3, i]
+        x[i, 0] = start[i, 0] + x[i, 0] + fx * first_period
+        y[i, 0] = start[i, 1] + y[i, 0] + fy * first_period
         for j in range(1, u.size):
-            x[i, j], y[i, j] = x[i, j - 1] + x[i, j], y[i, j - 1] + y[i, j]
+            x[i, j] = x[i, j - 1] + x[i, j] + fx * period
+            y[i, j] = y[i, j - 1] + y[i, j] + fy * period
 
 
 @compiled(**PIECE)

@@ -39,6 +39,7 @@ class Polish(NamedTuple):
     target: Floats  # (N, 2)
     a: Floats
     v: Floats
+    drift: Floats  # (4, N) cos and sin of the bias, flow
     first_period: float
     period: float
     first: Any  # constants of the motion, `Lanes`: for the first signal
@@ -70,6 +71,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         target=np.ascontiguousarray(problem.targets),
         a=problem.a,
         v=problem.speed,
+        drift=problem.drift,
         first_period=problem.first_period,
         period=problem.period,
         first=first,
@@ -94,7 +96,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
 def _trace(work, u):
     """Predict path and gradients under signals u."""
     t0, t = work.first_period, work.period
-    trace(u, work.start, work.a, work.v, t0, t, work.first, work.rest, work.traced)
+    trace(u, work.start, work.a, work.v, work.drift, t0, t, work.first, work.rest, work.traced)
 
 
 @compiled(**PIECE)

@@ -8,7 +8,7 @@ from tetractl.control.kernels.options import KERNEL
 
 
 @compiled(**KERNEL)
-def predict(u, a, v, first_period, period, motion, path):
+def predict(u, a, v, drift, first_period, period, motion, path):
     """Fill path (L + 1, N, 3), whose first row is the start, with the poses under u (L,).
 
     The class of `motion`, constants of a motion, decides how the robots move.
@@ -18,6 +18,13 @@ def predict(u, a, v, first_period, period, motion, path):
         for i in range(a.size):
             x, y, heading = path[j, i, 0], path[j, i, 1], path[j, i, 2]
             c, s = math.cos(heading), math.sin(heading)
-            step = derivatives(motion, c, s, cu, su, a[i], v[i], t)
-            path[j + 1, i, 0], path[j + 1, i, 1] = x + step[0], y + step[1]
+            own_cu, own_su = (
+                cu * drift[0, i] - su * drift[1, i],
+                su * drift[0, i] + cu * drift[1, i],
+            )
+            step = derivatives(motion, c, s, own_cu, own_su, a[i], v[i], t)
+            path[j + 1, i, 0], path[j + 1, i, 1] = (
+                x + step[0] + t * drift[2, i],
+                y + step[1] + t * drift[3, i],
+            )
             path[j + 1, i, 2] = heading + step[2]

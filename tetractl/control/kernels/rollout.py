@@ -32,8 +32,14 @@ class Rollout(NamedTuple):
     weight: Any  # a scalar of the kind of the arrays
     swept: bool
     separation: Any
+    drift: (
+        Floats  # (6, N) cos and sin of the bias, flow in the first period and the others; or (6, 0)
+    )
     lanes: Floats  # (5, N, P): x, y, cos, sin, hits
-    scratch: Floats  # (5, P): cos and sin of the direction; x, y before the step; gap
+    scratch: (
+        Floats  # (7, P): cos and sin of the direction; x, y before the step; gap; as the first,
+    )
+    # for one robot
 
 
 def aligned(shape: tuple[int, ...], kind: Any = np.float64) -> Any:
@@ -53,7 +59,8 @@ def lay_out(problem: Problem, particles: int, kind: Any = np.float64) -> Rollout
         packs = tuple(pack._replace(rows=pack.rows.astype(kind)) for pack in packs)
     filled = [pack for pack in packs if len(pack.rows)]
     sole = len(filled) == len(filled[0].rows) == 1 if filled else False
-    if sole and not problem.swept and not problem.separation:
+    drifts = problem.bias is not None or problem.flow is not None
+    if sole and not (problem.swept or problem.separation or drifts):
         packs = Sole(filled[0])
     return Rollout(
         start=np.array([p.x, p.y, np.cos(p.heading), np.sin(p.heading)], kind),
@@ -64,9 +71,16 @@ def lay_out(problem: Problem, particles: int, kind: Any = np.float64) -> Rollout
         weight=kind(problem.obstacle_weight),
         swept=problem.swept,
         separation=kind(problem.separation),
+        drift=_drift(problem, kind) if drifts else np.empty((6, 0), kind),
         lanes=aligned((5, problem.a.size, particles), kind),
-        scratch=aligned((5, particles), kind),
+        scratch=aligned((7, particles), kind),
     )
+
+
+def _drift(problem: Problem, kind: Any) -> Any:
+    drift = problem.drift
+    ways = drift[2:] * problem.first_period, drift[2:] * problem.period
+    return np.concatenate([drift[:2], *ways]).astype(kind)
 
 
 @compiled(**KERNEL)
@@ -87,12 +101,12 @@ def evaluate(rollout, signals, total):
 
 @compiled(**PIECE)
 def views(rollout):
-    """Return (x, y, cos, sin, hits) and (cos_u, sin_u, x0, y0, gap).
+    """Return (x, y, cos, sin, hits) and (cos_u, sin_u, x0, y0, gap, own_cos_u, own_sin_u).
 
     To be called outside the loops: each view costs the compiled code a reference count.
     """
     a, b = rollout.lanes, rollout.scratch
-    return (a[0], a[1], a[2], a[3], a[4]), (b[0], b[1], b[2], b[3], b[4])
+    return (a[0], a[1], a[2], a[3], a[4]), (b[0], b[1], b[2], b[3], b[4], b[5], b[6])
 
 
 @compiled(**PIECE)
@@ -121,15 +135,25 @@ def _follow(rollout, lanes, scratch, signals, j):
 
     def follow(rollout, lanes, scratch, signals, j):
         x, y, cos, sin, hits = lanes
-        cos_u, sin_u, x0, y0, gap = scratch
-        constants = rollout.first if j == 0 else rollout.rest
+        cos_u, sin_u, x0, y0, gap, own_cos, own_sin = scratch
+        constants, drift = rollout.first if j == 0 else rollout.rest, rollout.drift
+        east = 2 if j == 0 else 4
         for n in range(gap.size):
             sin_u[n], cos_u[n] = sincos_of(signals[j, n])
         for i in range(x.shape[0]):
             if rollout.swept:
                 for n in range(gap.size):
                     x0[n], y0[n] = x[i, n], y[i, n]
-            advance(constants, x, y, cos, sin, cos_u, sin_u, i)
+            if drift.shape[1] == 0:
+                advance(constants, x, y, cos, sin, cos_u, sin_u, i)
+            else:
+                c, s = drift[0, i], drift[1, i]
+                for n in range(gap.size):
+                    own_cos[n] = cos_u[n] * c - sin_u[n] * s
+                    own_sin[n] = sin_u[n] * c + cos_u[n] * s
+                advance(constants, x, y, cos, sin, own_cos, own_sin, i)
+                for n in range(gap.size):
+                    x[i, n], y[i, n] = x[i, n] + drift[east, i], y[i, n] + drift[east + 1, i]
             count_hits(rollout.obstacles, x0, y0, x, y, i, rollout.swept, gap, hits)
         if rollout.separation > 0:
             count_meetings(x, y, rollout.separation, hits)

@@ -11,9 +11,8 @@ from typing import Protocol
 
 from tetractl.core.clock import SECOND
 from tetractl.emulate.firmware import RobotCore
-from tetractl.lab.actuators.m3pi.broadcast import Counts
-from tetractl.lab.actuators.m3pi.command import Drivetrain, speeds_of_counts
 from tetractl.lab.actuators.m3pi.slave import Motor, MotorCount, Query, SlaveDecoder
+from tetractl.model.wheels import Counts, Drivetrain, speeds_of_counts
 
 STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
 STANDING_MM_S = 1.0

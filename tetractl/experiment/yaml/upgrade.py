@@ -67,11 +67,30 @@ class Revalued:
         return steps
 
 
-UPGRADES: tuple[Renamed | Revalued, ...] = (
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """A key that is no longer needed."""
+
+    at: str
+    why: str
+
+    def apply(self, document: Document) -> None:
+        """Leave the key out."""
+        *home, key = loc = self.at.split(".")
+        if _mapping(document.data, home).pop(key, None) is not None:
+            _notice(document, tuple(loc), f"{self.at} is left out: {self.why}")
+
+    def path(self, steps: list[str]) -> list[str]:
+        """Return the path of a `--set`, which stays."""
+        return steps
+
+
+UPGRADES: tuple[Renamed | Revalued | Removed, ...] = (
     Renamed("controller.swarm", "controller.optimizer"),
     Renamed("controller.model", "controller.motion"),
     Revalued("controller.type", "pso-mpc", "mpc"),
     Revalued("plant.motion", "continuous", "exact"),
+    Removed("controller.losses", "with 'estimate' lost commands are always detected"),
 )
 """In the order in which they are applied: a later one may name what an earlier one renamed."""
 

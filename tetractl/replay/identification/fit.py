@@ -1,32 +1,30 @@
 """A dead time shared by all robots, and each robot's a and heading bias, by maximum likelihood.
 
-The start is the robust fit by which the controller identifies the robots while they drive
-(`control.identify`), from each of RATES. From there on: commands that were lost are told by how the
+The start is what the controller's filters find as the robots drive (`control.filter`), from each of
+RATES. From there on: commands that were lost are told by how the
 robots turn, intervals that miss the model by more than OUTLYING deviations are left out, the noise
 of the measurement and the random walk of the headings are fitted, and the parameters by Gauss-
 Newton steps on the whitened residuals; and that ROUNDS times. A parameter's 95 % interval holds the
 values for which the deviance, at its least over all other parameters, is within LIMIT of its least.
 
-Weak normal priors around the robust fit, WEAK, keep what the motion does not show from running off.
+Weak normal priors around the start, WEAK, keep what the motion does not show from running off.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.control.identify import Prior
-from tetractl.control.identify import fit as robust_fit
-from tetractl.core.plan import Estimate
-from tetractl.core.poses import Bools, Floats
-from tetractl.model.motion.exact import turn
+from tetractl.control.filter import FilterBank, Prior
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.replay.identification.chain import LIMIT, Chain, Noise
-from tetractl.replay.identification.tracks import Drives
+from tetractl.replay.identification.tracks import Drives, Track
 from tetractl.replay.identification.turning import Turning, Turns
 
 OUTLYING = 4.0  # deviations
 ROUNDS = 5
-RATES = (1.0, 0.4, 2.5)  # times the a expected, from which the robust fit starts
-ROBUST_STEPS = 8
+RATES = (1.0, 0.4, 2.5)  # times the a expected, from which the filters start
 WEAK = (0.5, 2.0, 1.0)  # deviations of tau [s], ln a and beta [rad]
 FAR = (1.0, 3.0, 1.5)  # from the estimate: no end of an interval is looked for beyond
 STEP = (0.03, 0.3, 0.3)  # the longest Gauss-Newton step
@@ -50,29 +48,28 @@ class Fitted:
     used: Bools
 
 
-def fit(drives: Drives, prior: Prior) -> Fitted:
-    """Return the fit; `prior` says where the robust fit starts and how far it looks."""
-    starts = [_robust(drives, prior, rate) for rate in RATES]
+def fit(tracks: list[Track], drives: Drives, prior: Prior) -> Fitted:
+    """Return the fit of tracks and of the `drives` in them; it starts from the `prior`."""
+    longest = max(tracks, key=lambda track: len(track.time))
+    starts = [_filtered(longest, prior._replace(a=prior.a * rate)) for rate in RATES]
     first = min((_Fit(drives, start) for start in starts), key=_Fit.misfit)
     for _ in range(ROUNDS):
         first.improve()
     return first.result()
 
 
-def _robust(drives: Drives, prior: Prior, rate: float) -> Turning:
-    """Return the controller's fit with every a expected to be `rate` times the prior's."""
-    scaled = Prior(
-        prior.a * rate,
-        prior.speed,
-        prior.dead_time,
-        prior.a_std,
-        prior.speed_std,
-        prior.dead_time_std,
-        prior.heading_bias_std,
-    )
-    found: Estimate = robust_fit(
-        drives.intervals, drives.directions, scaled, scaled.estimate(), turn, ROBUST_STEPS
-    )
+def _filtered(track: Track, prior: Prior) -> Turning:
+    """Return what the filters find in the frames and commands of a track."""
+    bank, every = FilterBank(prior), (True,) * len(prior.a)
+    sent, at = (track.sent * SECOND).round().astype(np.int64).tolist(), 0
+    for k in np.flatnonzero(track.time <= track.until).tolist():
+        now = round(track.time[k] * SECOND)
+        while at < len(sent) and sent[at] <= now:
+            bank.sent(Command(float(track.u[at]), sent[at], every))
+            at += 1
+        poses = Poses.of(np.nan_to_num(track.poses[k]))
+        bank.seen(Observation(k, now, now, poses, track.valid[k]))
+    found = bank.estimate()
     assert found.dead_time is not None and found.heading_bias is not None
     return Turning(found.dead_time, np.log(found.a), found.heading_bias)
 

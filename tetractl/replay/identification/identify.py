@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.control.identify import Prior
+from tetractl.control.filter import Prior
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.chain import Chain, Interval, Noise
@@ -76,7 +76,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
                 f"robot {name}: it is seen to drive in {count} intervals between frames only",
                 f"{LEAST} are needed; `tetractl design` proposes a motion",
             )
-    fitted = fit(drives, _prior(drives, a, dead_time))
+    fitted = fit(tracks, drives, _prior(drives, a, dead_time))
     radii = track_radii(drives, fitted)
     missed, by = fitted.turns.missed(fitted.best), fitted.turns.derivatives(fitted.best)
     robots = []

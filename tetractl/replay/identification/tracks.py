@@ -1,10 +1,10 @@
 """Tracked poses of robots, and the directions they were sent: what robots are identified from."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.identify import Directions, Intervals
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, wrap
@@ -42,11 +42,34 @@ class Track:
     frame_age: float | None = None
 
 
+class Intervals(NamedTuple):
+    """K intervals between two camera frames of N robots.
+
+    `since`, `until` (K,) [s]; `heading` (K, N) at `since` [rad]; `turned` (K, N) [rad] and
+    `travelled` (K, N) [length unit] until `until`; `usable` (K, N) is False where nothing is to be
+    learnt: a robot that was not tracked, or did not move yet.
+    """
+
+    since: Floats
+    until: Floats
+    heading: Floats
+    turned: Floats
+    travelled: Floats
+    usable: Bools
+
+
+class Directions(NamedTuple):
+    """C directions u (C,) [rad], and the times `when` (C,) [s] of the frames they answer."""
+
+    when: Floats
+    u: Floats
+
+
 @dataclass(frozen=True, slots=True)
 class Drives:
     """Tracks put one behind the other, APART_S apart: K intervals between frames of N robots.
 
-    `intervals` and `directions` are as in `control.identify`; `moved` (K, N, 2) is the displacement
+    `moved` (K, N, 2) is the displacement
     of an interval [length unit]. `after` (K,) is True where an interval begins with the frame that
     the one before ended with. `left`, `right` (C, N) are the wheel speeds of the directions' own
     times, and `wheels_when` (C,) those times: also of commands that repeat a direction.
@@ -189,3 +212,31 @@ def _thinned(time: Floats) -> list[int]:
         if not kept or t - time[kept[-1]] >= SHORTEST_S - 1e-9:
             kept.append(i)
     return kept
+
+
+def pieces(
+    intervals: Intervals, directions: Directions, tau: Floats
+) -> list[tuple[Floats, Floats]]:
+    """Return the directions that act in each interval, oldest first, for T dead times.
+
+    Each is a pair of u (T, K) [rad] and the seconds (T, K) for which it acts, 0 where there are
+    fewer. Before the first direction acts, it is taken as acting.
+    """
+    since, until = intervals.since, intervals.until
+    last = directions.u.size - 1
+    acting = np.full((len(tau), last + 2), np.inf)  # the last acts for ever
+    acting[:, :-1] = directions.when + tau[:, None]
+    first = np.empty((len(tau), since.size), dtype=np.int64)
+    count = 1
+    for row, at in enumerate(acting[:, :-1]):
+        first[row] = np.maximum(at.searchsorted(since, "right") - 1, 0)
+        after = at.searchsorted(until, "left") - 1
+        count = max(count, int((after - first[row]).max(initial=0)) + 1)
+    found: list[tuple[Floats, Floats]] = []
+    each, begin = np.arange(len(tau))[:, None], since
+    for piece in range(count):
+        index = np.minimum(first + piece, last)
+        end = np.minimum(acting[each, index + 1], until)
+        found.append((directions.u[index], np.maximum(end - begin, 0.0)))
+        begin = np.maximum(begin, end)
+    return found

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.control.identify import Directions, pieces
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.model.motion.exact import step
 from tetractl.replay.identification.chain import Chain, Noise
-from tetractl.replay.identification.tracks import Drives
+from tetractl.replay.identification.tracks import Directions, Drives, pieces
 
 NUDGE_S, NUDGE = 0.001, 1e-4  # of tau [s], and of ln a, beta and headings, for derivatives
 SURE = 0.01  # probability that counts as none

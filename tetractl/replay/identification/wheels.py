@@ -8,11 +8,10 @@ explains the turns better than the wheel speeds do, and no distance is given.
 
 import numpy as np
 
-from tetractl.control.identify import Directions, pieces
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.replay.identification.chain import Chain, Interval, Noise
 from tetractl.replay.identification.fit import Fitted
-from tetractl.replay.identification.tracks import Drives
+from tetractl.replay.identification.tracks import Directions, Drives, pieces
 
 STEP_S, LATEST_S = 0.004, 0.3  # of the dead times looked at
 LAG_STEP_S, LAG_MAX_S = 0.01, 0.1  # and of the lags

@@ -2,11 +2,10 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from tetractl.core.poses import Poses, wrap
+from tetractl.core.poses import wrap
 from tetractl.core.setup import Setup
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
@@ -58,7 +57,7 @@ def _way(case: Case, i: int) -> str:
 def robots_alike(case: Case) -> Iterator[Doubt]:
     """Robots that one signal cannot tell apart, with targets that ask for it."""
     for group in _alike(case.setup):
-        some = _only(case.setup, group)
+        some = case.setup.only(group)
         least = bounds.least_total_error(some, case.longest_s, alike=True)
         if least <= max(len(group) * case.tolerance, 1e-6 * _size(case.setup)):
             continue
@@ -101,19 +100,6 @@ def _alike(setup: Setup) -> Iterator[list[int]]:
         left[group] = False
         if len(group) > 1:
             yield group.tolist()
-
-
-def _only(setup: Setup, group: Sequence[int]) -> Setup:
-    """Return the setup with some of its robots."""
-    return replace(
-        setup,
-        names=tuple(setup.names[i] for i in group),
-        colors=tuple(setup.colors[i] for i in group),
-        starts=Poses.of(setup.starts.array()[list(group)]),
-        targets=setup.targets[list(group)],
-        a=setup.a[list(group)],
-        speed=setup.speed[list(group)],
-    )
 
 
 def error_left(case: Case) -> Iterator[Doubt]:

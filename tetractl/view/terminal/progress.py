@@ -11,7 +11,7 @@ from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 
 LINES = 10  # of progress that a study prints without a terminal
-FIRST = 3  # trials that the expected duration of a study is computed from
+FIRST = 3  # trials at least that the expected duration of a study is computed from
 
 
 class Tally:
@@ -103,6 +103,7 @@ class StudyProgress(_TrialsBar):
         super().__init__(console, total, quiet)
         self._quiet = quiet
         self._results = 0
+        self._expected = False  # whether it was said how long all will take
 
     def trial_ended(self, ending: Ending) -> None:
         """Print a failure and the expected duration; advance the bar, or print a line."""
@@ -110,8 +111,11 @@ class StudyProgress(_TrialsBar):
         if ending.failure:
             self._say(f"failed: {task.arm}/{task.trial}: {ending.failure}")
         self._results += ending.result is not None
-        if self._results == FIRST and ending.result and left_s and not self._quiet:
-            self._say(f"expected duration {duration(left_s)}, by the first {FIRST} trials")
+        if not (self._expected or self._quiet) and self._results >= FIRST and ending.every_arm:
+            self._expected = True
+            if left_s:
+                by = f"by the first {self._results} trials"
+                self._say(f"expected duration {duration(left_s)}, {by}")
         before = self._done * LINES // self._total
         self._advance(_left(ending))
         if self._done * LINES // self._total > before and not (self._bar or self._quiet):

@@ -40,10 +40,8 @@ import hashlib, sys
 from dataclasses import astuple
 from pathlib import Path
 import numpy as np
-from tetractl.control.identify import Prior
-from tetractl.control.kernels.identify import _fit
-from tetractl.control.kernels.losses import _add_doubts
-from tetractl.control.knowledge import Knowledge
+from tetractl.control.estimator import StateEstimator
+from tetractl.control.kernels.filter import follow, place
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
@@ -54,14 +52,16 @@ clock = VirtualClock()
 plant = SimPlant(spec.plant, spec.setup, clock, np.random.SeedSequence(1))
 plant.open()
 problem = spec.controller.problem(spec.setup)
-prior = spec.controller.prior.of(problem, 0.0)
-knowledge, digest = Knowledge(problem, 0.2, 0.0, prior, losses=True), hashlib.sha256()
+known = StateEstimator(problem, 0.2, 0.0, spec.controller.prior.of(problem, 0.0))
+command, digest = None, hashlib.sha256()
 for k, u in enumerate(np.random.default_rng(1).uniform(-2, 2, 40)):
     clock.sleep_until(k * SECOND // 5)
-    digest.update(knowledge.seen(plant.observe()).poses.array().tobytes())
-    knowledge.sent(plant.steer(float(u)).sent_ns, float(u))
-    digest.update(b"".join(np.asarray(value).tobytes() for value in astuple(knowledge.estimate)))
-hits = [sum(kernel.stats.cache_hits.values()) for kernel in (_fit, _add_doubts)]
+    seen = plant.observe()
+    frames = [one.observation for one in plant.samples()]
+    digest.update(known.seen(seen, command, frames[:-1]).poses.array().tobytes())
+    command = plant.steer(float(u))
+    digest.update(b"".join(np.asarray(value).tobytes() for value in astuple(known.estimate)))
+hits = [sum(kernel.stats.cache_hits.values()) for kernel in (follow, place)]
 print(sum(hits), digest.hexdigest())
 """
 

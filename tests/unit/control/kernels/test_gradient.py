@@ -21,6 +21,7 @@ def traced(problem, signals):
         work.start,
         work.a,
         work.v,
+        work.drift,
         work.first_period,
         work.period,
         work.first,
@@ -37,9 +38,10 @@ def traced(problem, signals):
     length=st.integers(1, 30),
     model=MODELS,
     first=st.floats(0.01, 0.3),
+    drifts=st.booleans(),
 )
-def test_the_path_is_the_predicted_one(seed, robots, length, model, first):
-    problem = problems.problem(problems.world(seed, robots, model=model))
+def test_the_path_is_the_predicted_one(seed, robots, length, model, first, drifts):
+    problem = problems.problem(problems.world(seed, robots, model=model), drifts=drifts)
     problem = replace(problem, first_period=first)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, length)
     path = traced(problem, signals).path[:, :, :length]
@@ -56,7 +58,7 @@ def test_the_path_is_the_predicted_one(seed, robots, length, model, first):
 )
 def test_the_gradient_is_that_of_the_path(seed, robots, length, model, last):
     """`backward` against central differences of the readable model, in a random direction."""
-    problem = problems.problem(problems.world(seed, robots, model=model))
+    problem = problems.problem(problems.world(seed, robots, model=model), drifts=robots > 1)
     rng = np.random.default_rng(seed)
     signals, toward = rng.uniform(-math.pi, math.pi, length), rng.normal(size=length)
     step, robot, at = 1e-6, int(rng.integers(robots)), int(last * (length - 1))

@@ -25,12 +25,13 @@ from tetractl.model.obstacles import Obstacles
     swept=st.booleans(),
     separation=st.sampled_from([0.0, 120.0]),
     first=st.floats(0.01, 0.3),
+    drifts=st.booleans(),
 )
 def test_it_leads_where_the_readable_prediction_does(
-    seed, robots, length, motion, swept, separation, first
+    seed, robots, length, motion, swept, separation, first, drifts
 ):
     world = problems.world(seed, robots, 2, motion, swept)
-    problem = replace(problems.problem(world, separation), first_period=first)
+    problem = replace(problems.problem(world, separation, drifts), first_period=first)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, length)
     slow, fast = foresee(problem, signals), compiled_foresee(problem, signals)
     assert fast.path == pytest.approx(slow.path, rel=1e-9, abs=1e-9)

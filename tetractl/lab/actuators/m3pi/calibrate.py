@@ -21,9 +21,9 @@ from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab import LabSection, Measured
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
-from tetractl.lab.actuators.m3pi.broadcast import Counts
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.rig import Rig
+from tetractl.model.wheels import Counts
 
 FIRST, STEP = 6, 4  # counts of the ramp
 BURST_S = 0.4
@@ -99,7 +99,7 @@ def calibrate_robots(
     offsets, wheels, lines = [], [], []
     for name in names:
         report(f"{name}: measuring")
-        bench = _Bench(section, lab, setup.only(name), limit, emergency)
+        bench = _Bench(section, lab, setup.only([setup.names.index(name)]), limit, emergency)
         try:
             bench.open()
             for question in bench.actuator.check().questions:

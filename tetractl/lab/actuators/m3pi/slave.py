@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 from tetractl.lab.errors import WireError
+from tetractl.model.wheels import COUNT_MAX
 
 SIGNATURE_REQUEST = b"\x81"  # answered by 6 characters; stops the motors
 BATTERY_REQUEST = b"\xb1"  # answered by 2 bytes, little-endian mV
 STOP = b"\xc1\x00\xc5\x00"
-COUNT_MAX = 127  # sent counts are 7 bits; the PWM is twice that, and 255 for 127
 _M1, _M2 = 0xC1, 0xC5  # forward; one more is backward
 
 

@@ -1,0 +1,95 @@
+"""A wheel, built and installed into an empty environment, does what a user does first."""
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from importlib.util import find_spec
+
+import pytest
+from support.paths import ROOT
+
+pytestmark = pytest.mark.system
+
+
+def run(folder, *words, code=0, env=None):
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "_TETRACTL"))}
+    done = subprocess.run(
+        list(map(str, words)),
+        cwd=folder,
+        env=kept | {"COLUMNS": "100"} | (env or {}),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """The environment's folder of commands. What tetractl needs is that of this environment."""
+    place = tmp_path_factory.mktemp("wheel")
+    build = ["-m", "pip", "wheel", "--quiet", "--no-deps", "-w", place, ROOT]
+    if find_spec("hatchling"):  # else pip fetches it
+        build.insert(3, "--no-build-isolation")
+    run(place, sys.executable, *build)
+    (wheel,) = place.glob("tetractl-*.whl")
+    run(place, sys.executable, "-m", "venv", "--without-pip", "empty")
+    python = place / "empty" / "bin" / "python"
+    where = run(place, python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
+    packages = place / where.strip()
+    run(place, sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", wheel)
+    (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    said = run(place, python, "-c", "import tetractl; print(tetractl.__file__)")
+    assert said.strip().startswith(str(packages)), said
+    return python.parent
+
+
+def test_the_wheel_holds_the_examples_and_no_tests(installed):
+    (wheel,) = installed.parents[1].glob("tetractl-*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert "tetractl/experiments/three_m3pi.yaml" in names
+    assert "tetractl/firmware/m3pi_core.c" in names
+    assert not [name for name in names if name.startswith(("tests/", "docs/"))]
+
+
+def test_it_runs_a_trial_and_a_report(installed, tmp_path):
+    tetractl = installed / "tetractl"
+    assert run(tmp_path, tetractl, "--version").startswith("tetractl ")
+    run(tmp_path, tetractl, "init", "--example", "three_m3pi")
+    words = ("experiments/three_m3pi.yaml", "--trials", 1, "--out", "logs", "--quiet")
+    assert "1 of 1 trials complete" in run(tmp_path, tetractl, "run", *words)
+    assert run(tmp_path, tetractl, "report", "logs") == "report.html\n"
+    assert "trial-data-0" in (tmp_path / "report.html").read_text()
+    assert "ok" in run(tmp_path, tetractl, "verify", "logs")
+
+
+def test_it_checks_an_emulated_lab(installed, tmp_path):
+    tetractl = installed / "tetractl"
+    run(tmp_path, tetractl, "init", "--example", "three_m3pi_lab")
+    port = tmp_path / "radio"
+    spec = ["experiments/three_m3pi_lab.yaml", "--set", f"lab.actuator.port={port}"]
+    for setting in ("server=127.0.0.1", "interface=127.0.0.1", "transport=unicast"):
+        spec += ["--set", f"lab.camera.{setting}"]
+    ports = ("--command-port", "0", "--data-port", "0")
+    lab = subprocess.Popen(
+        [*map(str, (tetractl, "lab", "emulate", *spec, *ports, "--json"))],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        ready = json.loads(lab.stdout.readline())
+        assert ready["event"] == "ready"
+        for name in ("command_port", "data_port"):
+            spec += ["--set", f"lab.camera.{name}={ready[name]}"]
+        said = run(tmp_path, tetractl, "lab", "check", *spec, "--yes")
+        assert "emulated" in said.lower()
+    finally:
+        lab.terminate()
+        lab.wait(60)
+        lab.stdout.close()

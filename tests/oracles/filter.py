@@ -1,0 +1,187 @@
+"""The filter of one robot with whole matrices, to be read: what `control.kernels.filter` computes.
+
+Its constants are those of the kernel.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.control.kernels import filter as kernel
+from tetractl.control.kernels.filter import (
+    BIAS,
+    COSINE,
+    FLOW_X,
+    FLOW_Y,
+    HEADING,
+    LN_A,
+    LN_V,
+    MARKER,
+    SINE,
+    SIZE,
+    X,
+    Y,
+)
+from tetractl.core.poses import Floats, wrap
+
+
+@dataclass
+class Hypothesis:
+    """What a robot may be doing: a direction u it follows, NaN where it stands."""
+
+    u: float
+    ln_weight: float
+    z: Floats
+    cov: Floats
+
+
+class RobotFilter:
+    """Robot i of a kernel's model with one dead time: hypotheses by slot, the stuck one last."""
+
+    def __init__(self, model: kernel.Model, i: int, z: Floats, cov: Floats) -> None:
+        self.a, self.v, self.helix = model.a[i], model.speed[i], model.helix
+        self.noise, self.walk = model.noise[:, i], model.walk[:, i]
+        self.scale = np.ones(2)
+        self.slots: list[Hypothesis | None] = [Hypothesis(math.nan, 0.0, z.copy(), cov.copy())]
+        self.slots += [None] * (kernel.SLOTS - 1)
+
+    def follow(self, seconds: float, pose: Floats) -> float:
+        """Predict and update by a measured pose; return the ln of its likelihood."""
+        for one in filter(None, self.slots):
+            self.advance(one, seconds)
+        found = self.weigh(pose)
+        self.stick(seconds)
+        return found
+
+    def advance(self, one: Hypothesis, seconds: float) -> None:
+        """Predict: z' = f(z), P' = F P F' + Q, by the midpoint rule."""
+        while seconds > 0 and not math.isnan(one.u):
+            t, z = min(seconds, kernel.SUBSTEP_S), one.z
+            seconds -= kernel.SUBSTEP_S
+            a, v = self.a * math.exp(z[LN_A]), self.v * math.exp(z[LN_V])
+            half = t / 2 * a * math.sin(one.u + z[BIAS] - z[HEADING])
+            middle = z[HEADING] + half
+            phi = one.u + z[BIAS] - middle
+            turn, keep = t * a * math.sin(phi), math.exp(-t * a * math.cos(phi))
+            way = t * v * np.array([math.cos(middle), math.sin(middle)])
+            by_middle = np.zeros(SIZE)
+            by_middle[[HEADING, LN_A, BIAS]] = (1 + keep) / 2, half, (1 - keep) / 2
+            jacobian = np.eye(SIZE)
+            jacobian[X] += -way[1] * by_middle
+            jacobian[Y] += way[0] * by_middle
+            jacobian[X, LN_V], jacobian[Y, LN_V] = way
+            jacobian[X, FLOW_X] = jacobian[Y, FLOW_Y] = t
+            jacobian[HEADING, [HEADING, LN_A, BIAS]] = keep, turn, 1 - keep
+            c, s = math.cos(self.helix * t), math.sin(self.helix * t)
+            jacobian[SINE, [SINE, COSINE]] = c, s
+            jacobian[COSINE, [SINE, COSINE]] = -s, c
+            moved = z.copy()
+            moved[[X, Y]] += way + t * z[[FLOW_X, FLOW_Y]]
+            moved[HEADING] += turn
+            moved[[SINE, COSINE]] = jacobian[np.ix_([SINE, COSINE], [SINE, COSINE])] @ z[[9, 10]]
+            walk = self.walk**2 * t
+            walk[[X, Y, HEADING]] *= self.scale[[0, 0, 1]]
+            one.z, one.cov = moved, jacobian @ one.cov @ jacobian.T + np.diag(walk)
+
+    def rows(self, z: Floats) -> tuple[Floats, Floats]:
+        """Return what a camera would measure (3,), and how it depends on the state (3, SIZE)."""
+        c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
+        rate = self.helix / (self.v * math.exp(z[LN_V]))
+        h = np.zeros((3, SIZE))
+        h[0, X] = h[1, Y] = h[2, HEADING] = h[2, MARKER] = 1.0
+        h[0, SINE], h[1, SINE], h[2, COSINE] = -s, c, rate
+        return h @ z, h
+
+    def measure(self, one: Hypothesis, pose: Floats) -> tuple[float, Floats]:
+        """Update by x, y and heading in turn; return ln of the likelihood, and mean squares."""
+        expected, h = self.rows(one.z)
+        var = self.noise**2 * self.scale[[0, 0, 1]]
+        off = pose - expected
+        off[2] = wrap(off[2])
+        sure = np.diag(h @ one.cov @ h.T) + var
+        squares = off**2 / sure
+        means = np.array([squares[:2].mean(), squares[2]])
+        if squares.sum() > kernel.GATE:
+            return -(kernel.GATE + np.log(sure).sum()) / 2, means
+        total = 0.0
+        for j in range(3):  # each number with the slopes of before the first
+            miss = pose[j] - h[j] @ one.z
+            miss = wrap(np.array(miss)) if j == 2 else miss
+            s = h[j] @ one.cov @ h[j] + var[j]
+            gain = one.cov @ h[j] / s
+            one.z = one.z + gain * miss
+            one.cov = one.cov - np.outer(gain, gain) * s
+            total -= (miss**2 / s + math.log(s)) / 2
+        return float(total), means
+
+    def weigh(self, pose: Floats) -> float:
+        """Update all hypotheses and their weights, and the noise by what the likely one missed."""
+        known, means = [], {}
+        for i, one in enumerate(self.slots):
+            if one is not None:
+                ln, means[i] = self.measure(one, pose)
+                one.ln_weight += ln
+                known.append(i)
+        weights = np.array([self.slots[i].ln_weight for i in known])
+        best = known[int(np.argmax(weights))]
+        total = float(weights.max() + math.log(np.exp(weights - weights.max()).sum()))
+        for i in known:
+            one = self.slots[i]
+            one.ln_weight = max(one.ln_weight - total, kernel.LEAST_WEIGHT)
+        if 2 * means[best][0] + means[best][1] <= kernel.GATE:
+            capped = np.minimum(means[best], 4.0) / kernel.MEAN_CAPPED
+            scale = self.scale * (1 + (capped - 1) / kernel.SCALE_MEMORY)
+            self.scale = np.clip(scale, kernel.SCALE_LEAST, kernel.SCALE_MOST)
+        return total
+
+    def best(self) -> int:
+        """Return the likely slot of the directions followed."""
+        weights = [-math.inf if s is None else s.ln_weight for s in self.slots[: kernel.FOLLOWS]]
+        return int(np.argmax(weights))
+
+    def copy(self, source: int, u: float, ln_weight: float) -> Hypothesis:
+        """Return a hypothesis in the state of another."""
+        one = self.slots[source]
+        assert one is not None
+        return Hypothesis(u, ln_weight, one.z.copy(), one.cov.copy())
+
+    def switch(self, u: float, step: float) -> None:
+        """Let a command act that no hypothesis follows yet: it was heard, or not."""
+        best = self.best()
+        before = self.slots[best]
+        new = self.copy(best, u, before.ln_weight + math.log(1 - kernel.LOST))
+        lns = [-math.inf if s is None else s.ln_weight for s in self.slots[: kernel.FOLLOWS]]
+        place = int(np.argmin(lns))
+        for one in filter(None, self.slots[: kernel.FOLLOWS]):
+            one.ln_weight += math.log(kernel.LOST)
+
+        def rate(direction: float) -> float:
+            if math.isnan(direction):
+                return 0.0
+            a = self.a * math.exp(new.z[LN_A])
+            return a * math.sin(direction + new.z[BIAS] - new.z[HEADING])
+
+        new.cov[HEADING, HEADING] += (step * (rate(u) - rate(before.u))) ** 2 / 12
+        if math.isnan(before.u) != math.isnan(u):
+            far = step * self.v * math.exp(new.z[LN_V])
+            new.cov[[X, Y], [X, Y]] += far**2 / 12
+        self.slots[place] = new
+
+    def stick(self, seconds: float) -> None:
+        """Let the robot get stuck, or come free."""
+        best = self.best()
+        moving, stuck = self.slots[best], self.slots[kernel.STUCK]
+        if math.isnan(moving.u):
+            self.slots[kernel.STUCK] = None
+            return
+        share = min(0.5, seconds / kernel.STUCK_FOR_S)
+        weight = -math.inf if stuck is None else stuck.ln_weight
+        sticks = moving.ln_weight + math.log(min(0.5, seconds / kernel.STUCK_EVERY_S))
+        if weight + math.log(share) > moving.ln_weight:
+            self.slots[best] = self.copy(kernel.STUCK, moving.u, weight + math.log(share))
+        elif sticks > weight + math.log(1 - share):
+            self.slots[kernel.STUCK] = self.copy(best, math.nan, sticks)
+            return
+        if stuck is not None:
+            stuck.ln_weight = weight + math.log(1 - share)

@@ -1,0 +1,198 @@
+"""The filters of the robots: what they identify, and what they take for lost, stuck or stale."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracles.filter import RobotFilter
+from support.paths import ROOT
+
+from tetractl.control.estimator import StateEstimator
+from tetractl.control.filter import FilterBank, Prior
+from tetractl.control.kernels import filter as kernel
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.poses import Poses
+from tetractl.experiment.load import load_spec
+from tetractl.plant.simulation import SimPlant
+
+EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
+CELLS = ROOT / "experiments" / "tetrahymena_bench.yaml"
+NOISY = (
+    "plant.measurement_noise={position: 0.3, heading: 0.004}",
+    "plant.heading_noise=0.03",
+)
+
+
+def know(settings=(), seconds=6, rate=5, spec=EXPERIMENT, altered=None, until=None, seed=3):
+    """Drive simulated robots in smoothly varying directions; what is known of them, and the plant.
+
+    `altered` changes each frame that the estimator is given; `until` is called at each step with
+    the problem predicted, and the plant when a direction sent then acts.
+    """
+    experiment = load_spec(spec, settings).experiment
+    clock, section = VirtualClock(), experiment.controller
+    plant = SimPlant(experiment.plant, experiment.setup, clock, np.random.SeedSequence(seed))
+    plant.open()
+    problem = section.problem(experiment.setup)
+    estimator = StateEstimator(problem, 1 / rate, 0.0, section.prior.of(problem, 0.0))
+    knots = np.random.default_rng(1).uniform(-2, 2, 2 * seconds + 2)
+    last, command = None, None
+    for k in range(seconds * rate):
+        clock.sleep_until(k * SECOND // rate)
+        seen = plant.observe()
+        frames = [one.observation for one in plant.samples()]
+        frames = [*(one for one in frames if one.sampled_ns < seen.sampled_ns), seen]
+        frames = [one for one in frames if last is None or one.sampled_ns > last]
+        last = seen.sampled_ns
+        if altered:
+            frames = [altered(one) for one in frames]
+        problem = estimator.seen(frames[-1] if frames else seen, command, frames[:-1])
+        if until:
+            until(k, problem, estimator, plant)
+        command = plant.steer(float(np.interp(2 * k / rate, np.arange(len(knots)), knots)))
+    assert estimator.estimate is not None
+    return estimator.estimate, plant, estimator
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.14, 0.26])
+@pytest.mark.parametrize("rate", [5, 20])
+def test_the_dead_time_is_found_from_nothing(dead_time, rate):
+    found, *_ = know([f"plant.dead_time={dead_time}", "plant.a_error=0.2"], rate=rate)
+    assert found.dead_time == pytest.approx(dead_time, abs=0.005)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.1, 0.25])
+def test_a_and_speed_are_found_while_the_robots_move(error):
+    settings = [f"plant.a_error={error}", f"plant.speed_error={error}", "plant.dead_time=0.1"]
+    found, plant, _ = know(settings)
+    assert found.a == pytest.approx(plant.a, rel=0.02)
+    assert found.speed == pytest.approx(plant.speed, rel=0.005)
+
+
+@pytest.mark.parametrize("rate", [5, 20])
+def test_lost_commands_and_noise_do_not_lead_the_estimate_astray(rate):
+    settings = [*NOISY, "plant.lost_commands=0.1", "plant.dead_time=0.14", "plant.a_error=0.2"]
+    found, plant, _ = know(settings, 10, rate)
+    assert found.dead_time == pytest.approx(0.14, abs=0.01)
+    assert found.a == pytest.approx(plant.a, rel=0.06)
+    assert found.speed == pytest.approx(plant.speed, rel=0.005)
+
+
+def test_a_lost_command_is_seen_by_how_a_robot_turns():
+    """At half a second after each command the direction followed is the one that arrived."""
+    settings = ["plant.lost_commands=0.3", "plant.dead_time=0.05"]
+    right = []
+
+    def compare(k, problem, estimator, plant):
+        if k > 4:
+            held = estimator.held(estimator._newest_ns + 1)[0][2]
+            right.append(np.abs(held - plant._drive._held.direction) < 1e-9)
+
+    know(settings, 40, 2, until=compare)
+    assert np.mean(right) > 0.9
+
+
+def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
+    off = "plant.disturbances=[{type: marker-off, heading: 0.1}]"
+    found, plant, estimator = know([*NOISY, off, "plant.dead_time=0.1"], 10)
+    sides = plant._disturbances[0]._off
+    assert found.heading_bias == pytest.approx(sides, abs=0.02)
+    assert estimator.filter.course()[1] == pytest.approx([0.0] * 3, abs=0.03)
+    assert estimator.filter.course()[0].heading == pytest.approx(plant.poses.heading, abs=0.02)
+
+
+def test_cells_are_followed_through_helix_noise_and_flow():
+    found, plant, estimator = know((), 12, spec=CELLS)
+    _, _, flow = estimator.filter.course()
+    assert found.a == pytest.approx(plant.a, rel=0.1)
+    assert found.speed == pytest.approx(plant.speed, rel=0.02)
+    assert flow == pytest.approx(np.tile(plant._disturbances[1]._velocity, (3, 1)), abs=6)
+    assert estimator.filter.course()[0].heading == pytest.approx(plant.poses.heading, abs=0.15)
+
+
+def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_seen_to_stand():
+    stuck = "plant.disturbances=[{type: sticking, every: 2, duration: 0.5}]"
+    agree = []
+
+    def compare(k, problem, estimator, plant):
+        if k > 4:
+            held = estimator.held(estimator._newest_ns + 1)[0][2]
+            agree.append(np.isnan(held) == (plant._disturbances[0]._free.well(k / 5) == 0))
+
+    found, plant, _ = know([*NOISY, stuck], 20, until=compare)
+    assert np.mean(agree) > 0.9
+    assert found.speed == pytest.approx(plant.setup.speed, rel=0.02)
+
+
+def frozen(frames):
+    """Show the frame before in place of those from `frames` on, for 0.4 s."""
+    shown = []
+
+    def altered(frame):
+        if frames <= frame.frame < frames + 48:
+            return replace(frame, poses=shown[-1])
+        shown.append(frame.poses)
+        return frame
+
+    return altered
+
+
+def test_a_picture_that_is_shown_again_is_no_measurement():
+    found, plant, _ = know(NOISY, altered=frozen(400))
+    assert found.speed == pytest.approx(plant.setup.speed, rel=0.01)
+    assert found.a == pytest.approx(plant.setup.a, rel=0.06)
+
+
+def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
+    def jump(frame):
+        far = frame.frame in (300, 301) or frame.frame >= 500
+        p = frame.poses
+        return replace(frame, poses=Poses(p.x + 150.0 * far, p.y, p.heading)) if far else frame
+
+    found, plant, estimator = know(NOISY, altered=jump)
+    assert found.speed == pytest.approx(plant.setup.speed, rel=0.01)
+    assert estimator.filter.course()[0].x == pytest.approx(plant.poses.x + 150, abs=5)
+
+
+def test_the_kernel_does_what_the_readable_filter_does():
+    """Random commands and poses near the path, until weights, states and covariances agree."""
+    rng = np.random.default_rng(5)
+    prior = Prior(
+        np.array([4.0]), np.array([300.0]), 0.1, 0.2, 0.15, 1e-9, 0.05, 0.05, 10, 5, 0.05, 1.5, 8
+    )
+    bank = FilterBank(prior)
+    model, made = bank._model, bank._bank
+    made = made._make(column[:1] for column in made)
+    made.tau[:] = 0.1
+    start = np.array([10.0, 20.0, 0.3])
+    kernel.place(made, 0, 0, model, start)
+    slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0])
+    when, u = 0.2 * np.arange(8) + 0.013, rng.uniform(-2, 2, 8)
+    acts, now, pose, score = list(when + 0.1), 0.0, start.copy(), 0.0
+    for k in range(1, 50):
+        until = k / 30
+        pose = pose + rng.normal(0, [4, 4, 0.03])
+        seen = np.array([k % 7 > 0])
+        made.score[:] = 0.0
+        kernel.follow(made, model, 0.02, now, until, when, u, pose[None], seen)
+        at = now
+        while acts and acts[0] <= until:
+            for one in filter(None, slow.slots):
+                slow.advance(one, acts[0] - at)
+            at = acts.pop(0)
+            slow.switch(float(u[len(u) - len(acts) - 1]), 0.02)
+        for one in filter(None, slow.slots):
+            slow.advance(one, until - at)
+        if seen[0]:
+            score = slow.weigh(pose)
+        slow.stick(until - now)
+        now = until
+        for s, one in enumerate(slow.slots):
+            weight = made.weight[0, 0, s]
+            assert (one is None) == np.isneginf(weight)
+            if one is not None:
+                assert weight == pytest.approx(one.ln_weight, abs=1e-6)
+                assert made.state[0, 0, s] == pytest.approx(one.z, rel=1e-6, abs=1e-6)
+                assert made.cov[0, 0, s] == pytest.approx(one.cov, rel=1e-5, abs=1e-7)
+    assert made.scale[0, 0] == pytest.approx(slow.scale, rel=1e-6)
+    assert np.isfinite(score)

@@ -1,0 +1,90 @@
+"""How trials are handed out to a cluster, with a scheduler made for the test."""
+
+import pytest
+from support.studies import Watcher
+
+from tetractl.run import cluster
+from tetractl.run.cluster import Cluster, chunk_size
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import Finished, Task
+
+distributed = pytest.importorskip("distributed")
+
+
+class Client:
+    """Runs each task when it is submitted; workers with a trial of `deadly` are killed."""
+
+    status = "running"
+
+    def __init__(self, threads, deadly=()):
+        self.threads, self.deadly, self.chunks = threads, deadly, []
+
+    def nthreads(self):
+        return {"worker": self.threads}
+
+    def submit(self, work, tasks, pure):
+        self.chunks.append([task.trial for task in tasks])
+        lost = any(task.trial in self.deadly for task in tasks)
+        return Future(distributed.KilledWorker("task", None, 3) if lost else None, tasks)
+
+    def cancel(self, futures):
+        pass
+
+
+class Future:
+    def __init__(self, error, tasks):
+        self.error, self.tasks = error, tasks
+
+    def exception(self):
+        return self.error
+
+    def result(self):
+        return [(Finished(None, False, 0.05, 0.05), None) for _ in self.tasks]
+
+    def release(self):
+        pass
+
+    def add_done_callback(self, put):
+        put(self)
+
+
+def run(client, count, tmp_path):
+    executor = Cluster("tcp://nowhere:1", Interrupt())
+    executor._client = client
+    watcher = Watcher()
+
+    def ready(task):
+        watcher.trial_started(task)
+        return tmp_path
+
+    tasks = [Task(i, count, b"") for i in range(count)]
+    return {task.trial: found for task, found in executor.run(tasks, ready)}
+
+
+def test_a_task_is_two_seconds_of_trials(tmp_path):
+    client = Client(threads=4)
+    found = run(client, 2000, tmp_path)
+    assert sorted(found) == list(range(2000))
+    sizes = list(map(len, client.chunks))
+    assert sizes[:8] == [1] * 8  # nothing is known of the first
+    assert max(sizes) == int(cluster.CHUNK_S / 0.05) == 40
+    assert len(sizes) < 150
+    assert sizes[-1] == 1  # the last ones are shared out
+
+
+@pytest.mark.parametrize(
+    ("mean_s", "waiting", "size"),
+    [(None, 10**6, 1), (10.0, 10**6, 1), (0.5, 10**6, 4), (1e-9, 10**6, 200), (0.1, 80, 10)],
+)
+def test_the_size_of_a_task(mean_s, waiting, size):
+    assert chunk_size(mean_s, waiting, 8) == size
+
+
+def test_a_trial_that_kills_its_workers_fails_alone(tmp_path):
+    client = Client(threads=1, deadly={100})
+    found = run(client, 200, tmp_path)
+    assert sorted(found) == list(range(200))
+    failed = [trial for trial, one in found.items() if isinstance(one, Exception)]
+    assert failed == [100]
+    assert str(found[100]) == "it was lost with each worker that it was given to"
+    assert [100] in client.chunks

@@ -1,0 +1,111 @@
+"""What a controller knows of the robots at a control step, from frames and commands alone.
+
+Given every frame and every command of a trial, in order, it returns where the robots will be when
+the direction decided now acts, and how they move: as the spec says, from the newest frame, or as a
+bank of filters identifies them while they drive.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from tetractl.control.delay import Held, Predictor, advance
+from tetractl.control.filter import FilterBank, Prior
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.problem import Problem
+
+REMEMBERED = SECOND  # ns for which commands are remembered after they stopped acting
+
+
+class StateEstimator:
+    """The robots of one trial as far as known.
+
+    `problem` has a and speed of the spec. With a `prior` they are identified; robots that
+    `drive_first`, in a square, from when they have settled to the first direction.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        period_s: float,
+        dead_time_s: float,
+        prior: Prior | None,
+        drive_first: bool = False,
+    ) -> None:
+        self.problem = problem
+        self.period = round(period_s * SECOND)
+        self.predictor = Predictor(dead_time_s, len(problem.a))
+        self.filter = None if prior is None else FilterBank(prior, drive_first)
+        self.estimate: Estimate | None = None if prior is None else prior.estimate()
+        self._last_sent: int | None = None
+        self._newest_ns = 0
+
+    @property
+    def dead_time_s(self) -> float:
+        """The dead time, as given or as identified [s]."""
+        known = None if self.estimate is None else self.estimate.dead_time
+        return self.predictor.dead_time_s if known is None else known
+
+    def seen(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Problem:
+        """Add how the direction before was sent, and the frames since; return the problem of the
+        robots where the next direction will act."""
+        if last_command is not None:
+            self.sent(last_command)
+        self._newest_ns = observation.sampled_ns
+        if self.filter is not None:
+            return self._identified(observation, earlier)
+        self.predictor.forget(self._newest_ns - REMEMBERED)
+        poses, acts = observation.poses, self.acts(observation)
+        if acts > self._newest_ns:
+            poses = advance(self.problem, poses, self.held(acts))
+        return replace(self.problem, poses=poses)
+
+    def sent(self, command: Command) -> None:
+        """Add how a direction was sent."""
+        if command.direction is not None:
+            self._last_sent = command.sent_ns
+            self.predictor.sent(self._newest_ns, command.direction)
+        if self.filter is not None:
+            self.filter.sent(command)
+
+    def _identified(self, observation: Observation, earlier: Sequence[Observation]) -> Problem:
+        assert self.filter is not None
+        self.filter.seen(observation, earlier)
+        estimate = self.estimate = self.filter.estimate()
+        poses, bias, flow = self.filter.course()
+        known = replace(self.problem, a=estimate.a, speed=estimate.speed, bias=bias, flow=flow)
+        return replace(known, poses=advance(known, poses, self.held(self.acts(observation))))
+
+    def held(self, until: int) -> list[Held]:
+        """Return the directions that act from the newest frame to a time [ns], oldest first."""
+        if self.filter is not None:
+            return self.filter.held(until)
+        return self.predictor.held(self._newest_ns, until)
+
+    def held_at_action(self, observation: Observation) -> Floats:
+        """Return the directions (N,) [rad] held when one decided on a frame will act, NaN for a
+        robot that stands."""
+        return self.held(self.acts(observation) + 1)[-1][2]
+
+    def acts(self, observation: Observation) -> int:
+        """Return when a direction decided on a frame will act [ns].
+
+        A dead time that is given counts from the exposure of the frame. One that is identified
+        counts from the sending, a control period after the one before or as soon as the frame was
+        received: what planning and a late frame take is no part of it.
+        """
+        if self.filter is None:
+            return observation.sampled_ns + self.predictor.delay_ns
+        send = observation.received_ns
+        if self._last_sent is not None:
+            due = self._last_sent + self.period
+            if send <= due <= send + 3 * self.period // 2:
+                send = due
+        return send + round(self.dead_time_s * SECOND)

@@ -1,0 +1,311 @@
+"""Where the robots are and how they move, from every camera frame and every direction sent.
+
+Each robot i has a state that a Kalman filter follows from frame to frame: the position (x, y) and
+the heading theta of its course, its turning rate a and speed v, a turn bias beta, the marker bias m
+of the heading that the camera measures, the flow (f_x, f_y) that carries it and, for cells that
+swim on a helix of angular frequency w, the helix as sine p and cosine q. Under a direction u
+
+    dx/dt = v cos theta + f_x,  dy/dt = v sin theta + f_y,  dtheta/dt = a sin(u + beta - theta),
+    dp/dt = w q,  dq/dt = -w p,
+
+and a camera measures, each with its noise,
+
+    x - p sin theta,  y + p cos theta,  theta + m + w q / v.
+
+a and v are followed by their logarithms, and all parameters drift as random walks: so the filter
+forgets what it learnt long ago.
+
+A robot is not sure to do what it was sent. Its hypotheses, each with a filter and a weight of its
+own, are that it follows the latest direction, or one of two before it, because those since got
+lost; and that it is stuck and stands. A pose that fits none of them is an outlier, until none has
+fitted for a while: then the pose is taken from the camera.
+
+The dead time tau, from the sending of a direction to the moment when it acts, is the same for all
+robots. A bank of filters has one tau each, of a grid; their likelihoods decide between them, and
+around the likely ones the grid becomes finer.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tetractl.control.delay import Held
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Floats, Observation, Poses
+
+GRID_STEP_S = 0.02  # of the dead times at first
+FINEST_S = 0.005  # and at last
+REACH = 3.0  # deviations of the prior that the grid covers
+UNLIKELY = 25.0  # how much less the ln of a likelihood is of a dead time that is dropped
+KEPT = 64  # commands remembered after they acted
+POSITION_NOISE_S = 0.005  # noise of a measured position, in seconds of travel, if not given [s]
+HEADING_NOISE = 0.01  # of a measured heading, if not given [rad]
+SLIP = 0.02  # random walk of the position, as a share of the speed [1/sqrt(s)] ...
+WALK = 0.1  # ... and of the heading [rad/sqrt(s)], before anything is seen
+DRIFTS = (0.01, 0.005, 0.005, 0.002)  # random walks of ln a, ln v, turn and marker bias [1/sqrt(s)]
+FLOW_DRIFT = 0.05  # of each component of the flow, as a share of what is expected of it
+
+
+class Prior(NamedTuple):
+    """What is known of N robots before a trial: means and standard deviations.
+
+    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] with relative deviations, dead time [s]; the
+    mean heading bias and marker bias [rad] and flow [length unit/s] are 0. `position_noise`
+    [length unit] and `heading_noise` [rad] are of a measurement, 0 where not known. The helix has
+    a frequency [Hz] and a radius [length unit], 0 for none.
+    """
+
+    a: Floats
+    speed: Floats
+    dead_time: float
+    a_std: float
+    speed_std: float
+    dead_time_std: float
+    heading_bias_std: float
+    marker_bias_std: float = 0.0
+    flow_std: float = 0.0
+    position_noise: float = 0.0
+    heading_noise: float = 0.0
+    helix_frequency: float = 0.0
+    helix_radius: float = 0.0
+
+    def estimate(self) -> Estimate:
+        """Return the prior as an estimate from no data."""
+        std = math.hypot(self.heading_bias_std, self.marker_bias_std)
+        return Estimate(
+            a=self.a,
+            a_std=self.a_std * self.a,
+            speed=self.speed,
+            speed_std=self.speed_std * self.speed,
+            heading_bias=np.zeros_like(self.a),
+            heading_bias_std=np.full_like(self.a, std),
+            dead_time=self.dead_time,
+            dead_time_std=self.dead_time_std,
+        )
+
+
+def _kernel() -> Any:
+    """Return the compiled filter: specs are checked without it."""
+    from tetractl.control.kernels import filter as kernel
+
+    return kernel
+
+
+class FilterBank:
+    """What is known of N robots during one trial.
+
+    Robots that `drive_first`, in a square, are followed from when they have settled to the first
+    direction.
+    """
+
+    def __init__(self, prior: Prior, drive_first: bool = False) -> None:
+        kernel = _kernel()
+        self.prior = prior
+        self._drive_first = drive_first
+        count = len(prior.a)
+        noise = np.empty((3, count))
+        noise[:2] = prior.position_noise or POSITION_NOISE_S * np.maximum(prior.speed, 1e-9)
+        noise[2] = prior.heading_noise or HEADING_NOISE
+        walk = np.zeros((kernel.SIZE, count))
+        walk[:2], walk[2] = SLIP * prior.speed, WALK
+        walk[3:7] = np.array(DRIFTS)[:, None]
+        walk[5] *= prior.heading_bias_std > 0
+        walk[6] *= prior.marker_bias_std > 0
+        walk[7:9] = FLOW_DRIFT * prior.flow_std
+        walk[9:11] = 0.1 * prior.helix_radius
+        helix = 2 * math.pi * prior.helix_frequency if prior.helix_radius > 0 else 0.0
+        self._model = kernel.Model(prior.a, prior.speed, noise, walk, helix)
+        self._when, self._u = np.empty(0), np.empty(0)  # commands that may still act
+        self._last: Observation | None = None  # the frame followed last
+        self._from_ns: int | None = None if drive_first else 0  # robots are followed from here on
+        self._noisy = False  # whether robots that stand were measured at different poses
+        low = max(0.0, prior.dead_time - REACH * prior.dead_time_std)
+        high = prior.dead_time + REACH * prior.dead_time_std
+        tau = np.arange(low, high + 1e-9, GRID_STEP_S)
+        self._step = GRID_STEP_S
+        self._bank = self._first_bank(tau)
+
+    def _first_bank(self, tau: Floats):
+        kernel, prior, count = _kernel(), self.prior, len(self.prior.a)
+        size, slots = kernel.SIZE, kernel.SLOTS
+        state = np.zeros((len(tau), count, slots, size))
+        deviations = np.zeros(size)
+        deviations[3:9] = (
+            prior.a_std,
+            prior.speed_std,
+            prior.heading_bias_std,
+            prior.marker_bias_std,
+            prior.flow_std,
+            prior.flow_std,
+        )
+        deviations[9:11] = prior.helix_radius / math.sqrt(2)
+        cov = np.zeros((len(tau), count, slots, size, size))
+        cov[..., range(size), range(size)] = deviations**2
+        weight = np.full((len(tau), count, slots), -np.inf)
+        weight[..., 0] = 0.0
+        return kernel.Bank(
+            state,
+            cov,
+            np.full((len(tau), count, slots), np.nan),
+            weight,
+            np.ones((len(tau), count, 2)),
+            np.zeros((len(tau), count)),
+            tau,
+            -(((tau - prior.dead_time) / prior.dead_time_std) ** 2) / 2,
+            np.zeros(len(tau), dtype=np.int64),
+        )
+
+    def sent(self, command: Command) -> None:
+        """Note how a direction, or a stop, was sent."""
+        if command.field_off:
+            return
+        when = command.sent_ns / SECOND
+        if self._from_ns is None:
+            settled = self.prior.dead_time + REACH * self.prior.dead_time_std
+            self._from_ns = command.sent_ns + round(settled * SECOND)
+        self._when = np.append(self._when, when)
+        self._u = np.append(self._u, np.nan if command.direction is None else command.direction)
+        done = int(self._bank.next.min())
+        if done > KEPT:
+            self._when, self._u = self._when[done:].copy(), self._u[done:].copy()
+            self._bank.next[:] -= done
+
+    def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
+        """Follow the robots to a frame, by way of the frames before it that were not seen yet."""
+        for frame in (*earlier, observation):
+            if self._last is not None and frame.sampled_ns <= self._last.sampled_ns:
+                continue
+            if self._last is None or self._from_ns is None or frame.sampled_ns < self._from_ns:
+                self._place(frame)
+            else:
+                self._follow(frame)
+            self._last = frame
+        self._select()
+
+    def _place(self, frame: Observation) -> None:
+        """Take the poses from a frame, of robots that follow the last command that acts by then."""
+        now, bank = frame.sampled_ns / SECOND, self._bank
+        for i in range(len(self.prior.a)):
+            pose = frame.poses.array()[i]
+            for b in range(len(bank.tau)):
+                _kernel().place(bank, b, i, self._model, pose)
+        for b, tau in enumerate(bank.tau):
+            acting = np.flatnonzero(self._when + tau <= now)
+            if len(acting):
+                bank.next[b] = acting[-1] + 1
+                bank.u[b] = self._u[acting[-1]]
+
+    def _follow(self, frame: Observation) -> None:
+        assert self._last is not None
+        last, now = self._last.poses.array(), frame.poses.array()
+        same = (last == now).all(axis=1)
+        if not len(self._when) and frame.valid.any() and not same.all():
+            self._noisy = True
+        seen = frame.valid & ~(same & self._noisy)  # a noisy camera never shows the same twice
+        since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
+        _kernel().follow(
+            self._bank, self._model, self._step, since, until, self._when, self._u, now, seen
+        )
+
+    def _select(self) -> None:
+        """Drop dead times that are unlikely, and refine the grid around those that are likely."""
+        bank = self._bank
+        score, best = bank.score, int(np.argmax(bank.score))
+        kept = np.flatnonzero(score >= score[best] - UNLIKELY)
+        low, high = max(0, min(kept[0], best - 1)), min(len(score) - 1, max(kept[-1], best + 1))
+        if high - low + 1 < len(score):
+            bank = self._bank = bank._make(column[low : high + 1] for column in bank)
+            best -= low
+        count = len(bank.tau)
+        if count > 3 or self._when.size == 0:
+            return
+        finer = self._step > FINEST_S and count == 3
+        if finer:
+            self._step /= 2
+        elif 0 < best < count - 1 or (best == 0 and bank.tau[0] == 0 and count > 1):
+            return
+        center = bank.tau[best]
+        tau = center + self._step * np.arange(-1, 2)
+        tau = np.maximum(tau, 0.0)
+        tau = np.unique(tau)
+        self._bank = self._around(best, tau)
+
+    def _around(self, best: int, tau: Floats):
+        """Return a bank of these dead times, each a copy of the nearest filter."""
+        bank = self._bank
+        source = [int(np.argmin(np.abs(bank.tau - one))) for one in tau]
+        made = bank._make(np.ascontiguousarray(column[source]) for column in bank)
+        made.score[:] = np.interp(tau, bank.tau, bank.score)
+        return made._replace(tau=tau)
+
+    def dead_time(self) -> tuple[float, float]:
+        """Return the dead time and its deviation [s]."""
+        bank = self._bank
+        weight = np.exp(bank.score - bank.score.max())
+        weight /= weight.sum()
+        mean = float(weight @ bank.tau)
+        return mean, math.sqrt(float(weight @ (bank.tau - mean) ** 2) + (self._step / 4) ** 2)
+
+    def _likely(self) -> tuple[int, Floats, Floats, Floats]:
+        """Return the likely filter, and of each robot's likely hypothesis state (N, SIZE),
+        covariance and direction (N,)."""
+        bank = self._bank
+        best = int(np.argmax(bank.score))
+        slots = np.argmax(bank.weight[best], axis=1)
+        each = np.arange(len(slots))
+        return (
+            best,
+            bank.state[best, each, slots],
+            bank.cov[best, each, slots],
+            bank.u[best, each, slots],
+        )
+
+    def estimate(self) -> Estimate:
+        """Return the parameters of the robots and their deviations."""
+        _, z, cov, _ = self._likely()
+        std = np.sqrt(np.maximum(cov[:, range(11), range(11)], 0.0))
+        a, speed = self.prior.a * np.exp(z[:, 3]), self.prior.speed * np.exp(z[:, 4])
+        tau, tau_std = self.dead_time()
+        of_bias = cov[:, 5, 5] + cov[:, 6, 6] + 2 * cov[:, 5, 6]
+        return Estimate(
+            a=a,
+            a_std=a * std[:, 3],
+            speed=speed,
+            speed_std=speed * std[:, 4],
+            heading_bias=z[:, 5] + z[:, 6],
+            heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)),
+            dead_time=tau,
+            dead_time_std=tau_std,
+        )
+
+    def course(self) -> tuple[Poses, Floats, Floats]:
+        """Return position and heading of each robot's course at the last frame, the turn biases
+        (N,) [rad] and the flow (N, 2) [length unit/s]."""
+        _, z, _, _ = self._likely()
+        return Poses.of(z[:, :3]), z[:, 5].copy(), z[:, 7:9].copy()
+
+    def held(self, until: int) -> list[Held]:
+        """Return the directions that act from the last frame to a time [ns], oldest first."""
+        assert self._last is not None
+        best, _, _, u = self._likely()
+        stuck = np.argmax(self._bank.weight[best], axis=1) == _kernel().STUCK
+        tau, begin, found = self.dead_time()[0], self._last.sampled_ns, []
+        for when, direction in zip(self._when, self._u, strict=True):
+            acts = round((when + tau) * SECOND)
+            if acts <= self._last.sampled_ns or acts > until:
+                continue
+            found.append((begin, acts, u))
+            begin, u = acts, np.where(stuck, np.nan, direction)
+        found.append((begin, until, u))
+        return found
+
+
+def warm_up(prior: Prior, starts: Poses) -> None:
+    """Compile, or load from the cache, what a filter bank runs."""
+    bank, valid = FilterBank(prior), np.ones(len(prior.a), dtype=np.bool_)
+    for k in range(2):
+        bank.seen(Observation(k, k * SECOND // 100, k * SECOND // 100, starts, valid))

@@ -1,0 +1,343 @@
+"""The filter of `tetractl.control.filter`, compiled; `tests/oracles/filter.py` is its readable
+twin and must agree with it.
+
+The state of a robot is (x, y, heading of its course, ln of a and of the speed over the spec's, turn
+bias, marker bias, flow along x and y, helix as sine and cosine), in the order of the indices below.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.options import KERNEL, PIECE, inlined
+from tetractl.core.poses import Floats
+from tetractl.model.motion.polynomials import wrap
+
+X, Y, HEADING, LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, SINE, COSINE = range(11)
+SIZE = 11  # of a state
+FOLLOWS = 3  # commands that a robot may still follow, the latest and older ones
+STUCK = FOLLOWS  # the slot of a robot that stands although it was sent a direction
+SLOTS = FOLLOWS + 1
+
+SUBSTEP_S = 0.025  # longest step of the prediction
+LOST = 0.05  # probability that a command does not arrive
+STUCK_EVERY_S, STUCK_FOR_S = 30.0, 0.5  # how often a robot gets stuck, and for how long
+GATE = 30.0  # squared deviations from which on a measurement is an outlier
+LEAST_WEIGHT = -25.0  # ln of the weight that a hypothesis keeps at least
+LOST_TRACK_S = 0.3  # for which no hypothesis fits, until the pose is taken from the camera
+SCALE_MEMORY = 400.0  # frames over which the noise is averaged
+FORGET_S = 10.0  # time constant with which the scores of dead times are forgotten
+SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # of the variances, to those expected
+MEAN_CAPPED = 0.8  # of the square of a normal number, capped at 4
+_wrap = inlined(wrap)
+
+
+class Model(NamedTuple):
+    """What is expected of N robots; `noise` and `walk` are standard deviations."""
+
+    a: Floats  # (N,) rad/s
+    speed: Floats  # (N,) length unit/s
+    noise: Floats  # (3, N) of measured x, y [length unit] and heading [rad]
+    walk: Floats  # (SIZE, N) of the state in a second
+    helix: float  # its angular frequency [rad/s]
+
+
+class Bank(NamedTuple):
+    """B filters with a dead time each; each robot of each has SLOTS hypotheses."""
+
+    state: Floats  # (B, N, SLOTS, SIZE)
+    cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
+    u: Floats  # (B, N, SLOTS) direction followed [rad], NaN for a robot that stands
+    weight: Floats  # (B, N, SLOTS) ln of the probability, -inf where there is none
+    scale: Floats  # (B, N, 2) variances of positions and headings, to those expected
+    unfit: Floats  # (B, N) how long no hypothesis has fitted [s]
+    tau: Floats  # (B,) dead time [s]
+    score: Floats  # (B,) ln of the likelihood, up to a constant
+    next: NDArray[np.int64]  # (B,) the command that acts next
+
+
+@compiled(**PIECE)
+def _advance(model, i, z, cov, u, scale, seconds):
+    """Predict one hypothesis of robot i by (1)-(3), midpoint rule, with its covariance."""
+    left = seconds
+    while left > 0:
+        t = min(left, SUBSTEP_S)
+        left -= SUBSTEP_S
+        if not math.isnan(u):
+            a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
+            towards = u + z[BIAS]
+            half = 0.5 * t * a * math.sin(towards - z[HEADING])
+            middle = z[HEADING] + half
+            turn = t * a * math.sin(towards - middle)
+            keep = math.exp(-t * a * math.cos(towards - middle))
+            dx, dy = t * v * math.cos(middle), t * v * math.sin(middle)
+            z[X] += dx + t * z[FLOW_X]
+            z[Y] += dy + t * z[FLOW_Y]
+            z[HEADING] += turn
+            by_h, by_a, by_b = 0.5 * (1 + keep), half, 0.5 * (1 - keep)  # of the middle
+            for k in range(SIZE):  # rows of F P
+                h, la, b = cov[HEADING, k], cov[LN_A, k], cov[BIAS, k]
+                m = by_h * h + by_a * la + by_b * b
+                cov[X, k] += -dy * m + dx * cov[LN_V, k] + t * cov[FLOW_X, k]
+                cov[Y, k] += dx * m + dy * cov[LN_V, k] + t * cov[FLOW_Y, k]
+                cov[HEADING, k] = keep * h + turn * la + (1 - keep) * b
+            for k in range(SIZE):  # columns of (F P) F'
+                h, la, b = cov[k, HEADING], cov[k, LN_A], cov[k, BIAS]
+                m = by_h * h + by_a * la + by_b * b
+                cov[k, X] += -dy * m + dx * cov[k, LN_V] + t * cov[k, FLOW_X]
+                cov[k, Y] += dx * m + dy * cov[k, LN_V] + t * cov[k, FLOW_Y]
+                cov[k, HEADING] = keep * h + turn * la + (1 - keep) * b
+            if model.helix > 0:
+                c, s = math.cos(model.helix * t), math.sin(model.helix * t)
+                z[SINE], z[COSINE] = c * z[SINE] + s * z[COSINE], c * z[COSINE] - s * z[SINE]
+                for k in range(SIZE):
+                    p, q = cov[SINE, k], cov[COSINE, k]
+                    cov[SINE, k], cov[COSINE, k] = c * p + s * q, c * q - s * p
+                for k in range(SIZE):
+                    p, q = cov[k, SINE], cov[k, COSINE]
+                    cov[k, SINE], cov[k, COSINE] = c * p + s * q, c * q - s * p
+            for k in range(SIZE):
+                more = model.walk[k, i] * model.walk[k, i] * t
+                if k <= Y:
+                    more *= scale[0]
+                elif k == HEADING:
+                    more *= scale[1]
+                cov[k, k] += more
+
+
+@compiled(**PIECE)
+def _correct(z, cov, n, index, factor, off, var):
+    """Update by one number, h z with n entries h[index] = factor, that is `off` from it.
+
+    Returns its variance before.
+    """
+    gain = np.empty(SIZE)
+    total = var
+    for k in range(SIZE):
+        value = 0.0
+        for j in range(n):
+            value += cov[k, index[j]] * factor[j]
+        gain[k] = value
+    for j in range(n):
+        total += factor[j] * gain[index[j]]
+    for k in range(SIZE):
+        z[k] += gain[k] / total * off
+        for m in range(SIZE):
+            cov[k, m] -= gain[k] * gain[m] / total
+    return total
+
+
+@compiled(**PIECE)
+def _measure(model, i, z, cov, scale, pose, squares):
+    """Update one hypothesis by a pose (3,); return the ln of its likelihood.
+
+    `squares` (2,) is filled with the mean squared deviation of the position and that of the
+    heading, over their variances; the likelihood of an outlier is that at the gate.
+    """
+    index, factor = np.empty(3, dtype=np.int64), np.empty(3)
+    c, s, n = math.cos(z[HEADING]), math.sin(z[HEADING]), 1 if model.helix == 0 else 2
+    rate = model.helix / (model.speed[i] * math.exp(z[LN_V]) + 1e-300)
+    off = np.empty(3)
+    off[0] = pose[0] - z[X] + s * z[SINE]
+    off[1] = pose[1] - z[Y] - c * z[SINE]
+    off[2] = _wrap(pose[2] - z[HEADING] - z[MARKER] - rate * z[COSINE])
+    var = np.empty(3)
+    for j in range(3):
+        var[j] = model.noise[j, i] ** 2 * scale[0 if j < 2 else 1]
+    sure, lns = np.empty(3), 0.0
+    sure[0] = cov[X, X] - 2 * s * cov[X, SINE] + s * s * cov[SINE, SINE] + var[0]
+    sure[1] = cov[Y, Y] + 2 * c * cov[Y, SINE] + c * c * cov[SINE, SINE] + var[1]
+    sure[2] = (
+        cov[HEADING, HEADING]
+        + cov[MARKER, MARKER]
+        + 2 * cov[HEADING, MARKER]
+        + rate * (2 * cov[HEADING, COSINE] + 2 * cov[MARKER, COSINE] + rate * cov[COSINE, COSINE])
+        + var[2]
+    )
+    d2 = 0.0
+    for j in range(3):
+        d2 += off[j] * off[j] / sure[j]
+        lns += math.log(sure[j])
+    squares[0] = 0.5 * (off[0] * off[0] / sure[0] + off[1] * off[1] / sure[1])
+    squares[1] = off[2] * off[2] / sure[2]
+    if not d2 <= GATE:
+        return -0.5 * (GATE + lns)
+    found = 0.0
+    for j in range(3):
+        if j == 0:
+            index[0], factor[0], index[1], factor[1] = X, 1.0, SINE, -s
+            miss = pose[0] - z[X] + s * z[SINE]
+        elif j == 1:
+            index[0], factor[0], index[1], factor[1] = Y, 1.0, SINE, c
+            miss = pose[1] - z[Y] - c * z[SINE]
+        else:
+            index[0], factor[0], index[1], factor[1] = HEADING, 1.0, MARKER, 1.0
+            index[2], factor[2], n = COSINE, rate, n + 1
+            miss = _wrap(pose[2] - z[HEADING] - z[MARKER] - rate * z[COSINE])
+        total = _correct(z, cov, n, index, factor, miss, var[j])
+        found -= 0.5 * (miss * miss / total + math.log(total))
+    return found
+
+
+@compiled(**PIECE)
+def _copy(bank, b, i, source, slot):
+    """Copy the state of one hypothesis to another."""
+    for k in range(SIZE):
+        bank.state[b, i, slot, k] = bank.state[b, i, source, k]
+        for m in range(SIZE):
+            bank.cov[b, i, slot, k, m] = bank.cov[b, i, source, k, m]
+
+
+@compiled(**PIECE)
+def _best(weight, most):
+    """Return the slot below `most` of the greatest weight."""
+    found = 0
+    for s in range(1, most):
+        if weight[s] > weight[found]:
+            found = s
+    return found
+
+
+@compiled(**PIECE)
+def _rate(model, i, z, u):
+    """Return how fast robot i turns under direction u [rad/s]."""
+    if math.isnan(u):
+        return 0.0
+    return model.a[i] * math.exp(z[LN_A]) * math.sin(u + z[BIAS] - z[HEADING])
+
+
+@compiled(**PIECE)
+def _switch(bank, model, b, i, u, step):
+    """Let a command act: robot i follows it from its best hypothesis on, or did not hear it.
+
+    The moment is known to the `step` of the bank's dead times [s].
+    """
+    weight, held = bank.weight[b, i], bank.u[b, i]
+    best = _best(weight, FOLLOWS)
+    most = weight[best]
+    place = 0
+    for s in range(FOLLOWS):
+        if held[s] == u and weight[s] > -math.inf:  # what repeats a direction changes nothing
+            if weight[s] < most + math.log(1 - LOST):
+                _copy(bank, b, i, best, s)
+                weight[s] = most + math.log(1 - LOST)
+            return
+        if weight[s] < weight[place]:
+            place = s
+    if place != best:
+        _copy(bank, b, i, best, place)
+    for s in range(FOLLOWS):
+        weight[s] += math.log(LOST)
+    z, cov = bank.state[b, i, place], bank.cov[b, i, place]
+    speed = model.speed[i] * math.exp(z[LN_V])
+    before, after = _rate(model, i, z, held[best]), _rate(model, i, z, u)
+    cov[HEADING, HEADING] += (step * (after - before)) ** 2 / 12
+    if math.isnan(held[best]) != math.isnan(u):
+        cov[X, X] += (step * speed) ** 2 / 12
+        cov[Y, Y] += (step * speed) ** 2 / 12
+    held[place], weight[place] = u, most + math.log(1 - LOST)
+
+
+@compiled(**PIECE)
+def _stick(bank, b, i, seconds):
+    """Let robot i get stuck, or come free, with the probabilities of so many seconds."""
+    weight, held = bank.weight[b, i], bank.u[b, i]
+    best = _best(weight, FOLLOWS)
+    if math.isnan(held[best]):
+        weight[STUCK] = -math.inf
+        return
+    share = min(0.5, seconds / STUCK_FOR_S)
+    stays, free = weight[STUCK] + math.log(1 - share), weight[STUCK] + math.log(share)
+    sticks = weight[best] + math.log(min(0.5, seconds / STUCK_EVERY_S))
+    if free > weight[best]:
+        _copy(bank, b, i, STUCK, best)
+        weight[best] = free
+    elif sticks > stays:
+        _copy(bank, b, i, best, STUCK)
+        stays = sticks
+    weight[STUCK] = stays
+
+
+@compiled(**PIECE)
+def _weigh(bank, b, i, model, pose, seconds):
+    """Update all hypotheses of robot i by a measured pose; return the ln of their likelihood."""
+    weight, scale = bank.weight[b, i], bank.scale[b, i]
+    squares, best_squares = np.zeros(2), np.full(2, np.inf)
+    most = -math.inf
+    for s in range(SLOTS):
+        if weight[s] == -math.inf:
+            continue
+        z, cov = bank.state[b, i, s], bank.cov[b, i, s]
+        weight[s] += _measure(model, i, z, cov, scale, pose, squares)
+        if weight[s] > most:
+            most = weight[s]
+            best_squares[0], best_squares[1] = squares[0], squares[1]
+    total = 0.0
+    for s in range(SLOTS):
+        total += math.exp(weight[s] - most)
+    total = most + math.log(total)
+    for s in range(SLOTS):
+        if weight[s] > -math.inf:
+            weight[s] = max(weight[s] - total, LEAST_WEIGHT)
+    if 2 * best_squares[0] + best_squares[1] <= GATE:
+        bank.unfit[b, i] = 0.0
+        for k in range(2):
+            change = min(best_squares[k], 4.0) / MEAN_CAPPED - 1
+            scale[k] = min(max(scale[k] * (1 + change / SCALE_MEMORY), SCALE_LEAST), SCALE_MOST)
+    else:
+        bank.unfit[b, i] += seconds
+        if bank.unfit[b, i] > LOST_TRACK_S:
+            place(bank, b, i, model, pose)
+    return total
+
+
+@compiled(**KERNEL)
+def place(bank, b, i, model, pose):
+    """Take the pose of every hypothesis of robot i from the camera."""
+    bank.unfit[b, i] = 0.0
+    for s in range(SLOTS):
+        z, cov = bank.state[b, i, s], bank.cov[b, i, s]
+        z[X], z[Y] = pose[0], pose[1]
+        z[HEADING] += _wrap(pose[2] - z[MARKER] - z[HEADING])
+        for j in range(3):
+            for k in range(SIZE):
+                cov[j, k] = cov[k, j] = 0.0
+            cov[j, j] = 4 * model.noise[j, i] ** 2
+
+
+@compiled(**KERNEL)
+def follow(bank, model, step, since, until, when, u, poses, seen):
+    """Predict every filter from `since` to `until` [s] and update it by what a frame shows.
+
+    Commands u (C,) [rad] were sent at times when (C,) [s], NaN stops the robots. poses (N, 3) are
+    those measured, of the robots that are `seen` (N,).
+    """
+    least = -math.inf
+    for b in range(bank.tau.size):
+        t = since
+        while t < until:
+            coming = bank.next[b]
+            acts = when[coming] + bank.tau[b] if coming < when.size else math.inf
+            end = max(t, min(acts, until))
+            for i in range(model.a.size):
+                for s in range(SLOTS):
+                    if bank.weight[b, i, s] > -math.inf:
+                        z, cov = bank.state[b, i, s], bank.cov[b, i, s]
+                        _advance(model, i, z, cov, bank.u[b, i, s], bank.scale[b, i], end - t)
+                if acts <= until:
+                    _switch(bank, model, b, i, u[coming], step)
+            if acts <= until:
+                bank.next[b] += 1
+            t = end
+            if acts > until:
+                break
+        for i in range(model.a.size):
+            if seen[i]:
+                bank.score[b] += _weigh(bank, b, i, model, poses[i], until - since)
+            _stick(bank, b, i, until - since)
+        least = max(least, bank.score[b])
+    for b in range(bank.tau.size):
+        bank.score[b] = (bank.score[b] - least) * math.exp(-(until - since) / FORGET_S)

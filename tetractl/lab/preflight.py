@@ -179,7 +179,8 @@ def _watch(rig: Rig) -> list[CameraFrame]:
             heard = clock.now()
         elif clock.now() - heard > silence:
             break
-    return [accepted.frame for accepted in frames.since(first)]
+    seen, _ = frames.since(first)
+    return [accepted.frame for accepted in seen]
 
 
 def _latency_ms(seen: Sequence[CameraFrame]) -> tuple[float, float] | None:

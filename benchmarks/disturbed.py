@@ -39,7 +39,7 @@ from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.plant.simulation import SimPlant
 from tetractl.results.estimate import distributions, percent
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 from tetractl.run.trial import Trial
 
 WORLD = (

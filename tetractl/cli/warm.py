@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def warm(
-    files: Annotated[
+    specs: Annotated[
         list[Path] | None,
         typer.Argument(
             metavar="[SPEC|STUDY]...", help="What will be run.  \\[what `tetractl init` writes]"
@@ -39,7 +39,7 @@ def warm(
     from tetractl.core.cache import cache_folder
 
     wanted: dict[str, list[Experiment]] = {}
-    for experiment in _experiments(files or [], sets or []):
+    for experiment in _experiments(specs or [], sets or []):
         wanted.setdefault(compiled_for(experiment), []).append(experiment)
     console = Console(stderr=True)
     for number, (kinds, experiments) in enumerate(wanted.items(), start=1):

@@ -20,6 +20,7 @@ from support.seeds import MS, ROOT, VERSIONS
 
 from tetractl.core.errors import LogError, SpecError, UsageError
 from tetractl.core.poses import CameraFrame
+from tetractl.emulate.m3pi.robot import SlaveDecoder
 from tetractl.emulate.script import parse_script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
@@ -149,7 +150,7 @@ def serial(data: bytes) -> None:
     decoder, splitter, program = (
         framing.Decoder(bool(mode[0] & 1)),
         cobs.Splitter(),
-        slave.SlaveDecoder(),
+        SlaveDecoder(),
     )
     for start, stop in pairwise([*range(0, len(stuff), cut), len(stuff)]):
         piece = stuff[start:stop]

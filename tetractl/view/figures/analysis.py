@@ -53,8 +53,8 @@ def _ends(axes: Axes, found: Analysis, here: Steering) -> None:
     axes.set_xlim(-limit, limit)
     axes.set_ylim(-limit, limit)
     axes.set_aspect("equal")
-    axes.set_xlabel(f"x less the planned end's [{unit}]")
-    axes.set_ylabel(f"y less the planned end's [{unit}]")
+    axes.set_xlabel(f"x error from the planned end [{unit}]")
+    axes.set_ylabel(f"y error from the planned end [{unit}]")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     style.panel(axes, "a", "where 95 % of the ends lie, with feedback")
 

@@ -249,7 +249,8 @@ class _Bench:
             wait_for(self.clock, self._strayed, (end - self.clock.now()) / SECOND)
             if self.rig.guard.reason:
                 raise AbortError(f"{self.name}: {self.rig.guard.reason}")
-            frames = [f for f in self.rig.frames.since(first) if f.frame.sampled_ns >= began]
+            came, _ = self.rig.frames.since(first)
+            frames = [f for f in came if f.frame.sampled_ns >= began]
             seen = [(f.frame.sampled_ns, pose) for f in frames if (pose := f.pose(0)) is not None]
             times = [began, *(t for t, _ in seen), end]
             if max(np.diff(times)) <= GAP_NS:

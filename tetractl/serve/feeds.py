@@ -1,11 +1,14 @@
-"""Serves a recorded trial to log viewers as a player plays it; which can command the player."""
+"""What feeds the log viewers: a recorded trial that they can play, or trials as they run."""
 
 import queue
 from bisect import bisect_right
 
 from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.trial import Result, Start, Step
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.read.raw_log import RawLog
+from tetractl.log.write.messages import Messages
 from tetractl.replay.player import Playback, Player
 from tetractl.serve.live import Viewers
 from tetractl.serve.protocol import Request, State
@@ -68,3 +71,43 @@ class ServedReplay:
         time_ns = self._start_ns + self.player.now if request.seek_ns is None else request.seek_ns
         playback = Playback.PLAYING if request.playing else Playback.PAUSED
         return State(playback, time_ns, request.rate, request.seek_ns is not None)
+
+
+class ServedRun:
+    """Sends what a log would hold of one trial after another: an `Observer` of each.
+
+    A simulated trial, which would end before it is seen, is slowed to the pace of `wall`.
+    """
+
+    def __init__(self, viewers: Viewers, wall: Clock) -> None:
+        self._viewers, self._wall = viewers, wall
+
+    def on_start(self, start: Start) -> None:
+        """Send the scene of a new trial; the viewers' time goes to its start."""
+        self._messages = Messages(start)
+        self._paced = start.plant.simulated
+        self._began_ns = self._wall.now()
+        self._viewers.jump(start.start_unix_ns, self._messages.start())
+
+    def on_samples(self, samples: list[Sample]) -> None:
+        """Send camera frames; while no viewer reads, only the newest, for those that come."""
+        for sample in samples if self._viewers.watched else samples[-1:]:
+            if self._paced:
+                self._wall.sleep_until(self._began_ns + sample.observation.received_ns)
+            self._viewers.publish(self._messages.samples([sample]))
+
+    def on_step(self, step: Step) -> None:
+        """Send a control step."""
+        self._viewers.publish(self._messages.step(step))
+
+    def on_command(self, command: Command) -> None:
+        """Send a command."""
+        self._viewers.publish([self._messages.command(command)])
+
+    def on_note(self, note: Note) -> None:
+        """Send a message for people."""
+        self._viewers.publish([self._messages.note(note)])
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Send how the trial ended."""
+        self._viewers.publish(self._messages.stop(stop, result))

@@ -17,7 +17,7 @@ from tetractl.core.poses import Floats, Observation
 from tetractl.core.problem import Problem
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from tetractl.experiment.yaml.schema import schema_json
 from tetractl.study.kinds import SWEEPS
 from tetractl.study.load import load_study, spec_of, study_schema
 from tetractl.study.study import Study
-from tetractl.study.sweeps.sample import Range
+from tetractl.study.sweep import Range
 
 HEAD = "name: quick\nbase: spec.yaml\n"
 
@@ -57,7 +57,7 @@ def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
 @pytest.mark.parametrize(
     ("study", "told"),
     [
-        ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: file of the spec that every arm starts from, beside the study's own"]),
+        ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: file of the spec that every arm starts from, by its path from the study's file"]),
         ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no such file: {}/other.yaml"]),
         (HEAD + "swep: {}\n", ["study.yaml:3:1: swep: unknown key; did you mean 'sweep'?"]),
         (HEAD + "sweep: {type: gird, fields: {}}\n", ["study.yaml:3:15: sweep.type: gird: must be one of grid, list, random, sobol; did you mean 'grid'?"]),
@@ -84,11 +84,6 @@ def test_a_problem_of_the_base_is_told_at_its_place_there(tmp_path):
     assert len(found) == 1
     assert found[0].startswith("spec.yaml:3:")
     assert "many-dead_time=0-a=3" in hint
-
-
-def test_a_spec_in_the_place_of_a_study_is_recognised(tmp_path):
-    _, hint = problems(tmp_path, QUICK)
-    assert hint == "this is a spec: a study names it as its 'base:'"
 
 
 def test_a_lab_is_refused(tmp_path):

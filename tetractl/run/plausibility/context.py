@@ -11,7 +11,7 @@ from tetractl.model import bounds
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
+class SpecWarning:
     """What a check found: where in the spec, what with its number, and what would help."""
 
     loc: Loc
@@ -20,7 +20,7 @@ class Doubt:
 
 
 @dataclass(frozen=True)
-class Case:
+class CheckContext:
     """An experiment, with what the checks need of its controller.
 
     A controller of another kind may lack some of it: `signals_max` is None where no plan has a
@@ -38,8 +38,8 @@ class Case:
     tolerance: float
 
     @classmethod
-    def of(cls, experiment: Experiment) -> "Case":
-        """Return the case of an experiment."""
+    def of(cls, experiment: Experiment) -> "CheckContext":
+        """Return what the checks need of an experiment."""
         control: Any = experiment.controller
         collision = getattr(control, "collision", None)
         return cls(

@@ -130,7 +130,7 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     [
         (["--shard", "3/2"], "--shard 3/2: must be i/n"),
         (["--logs", "some"], "--logs some: must be all, failed, sample:N or none"),
-        (["nowhere"], "--merge and the folders to gather go together"),
+        (["nowhere"], "--merge and the folders of the shares go together"),
         (["--merge", "nowhere"], "nowhere: holds no trial of this study"),
         (["--trial", "many"], "--trial many: must be ARM/N"),
         (["--trial", "few-dead_time=0.1-a=3/0"], "it has no row in"),

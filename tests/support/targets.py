@@ -20,6 +20,7 @@ from support.seeds import MS, ROOT, VERSIONS
 
 from tetractl.core.errors import LogError, SpecError, UsageError
 from tetractl.core.poses import CameraFrame
+from tetractl.emulate.m3pi.robot import SlaveDecoder
 from tetractl.emulate.script import parse_script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
@@ -40,7 +41,7 @@ from tetractl.log.read.salvage import scan
 
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
-SELDOM = 40  # one input in so many is drawn
+SELDOM = 200  # one input in so many is drawn
 
 
 class Target(NamedTuple):
@@ -149,7 +150,7 @@ def serial(data: bytes) -> None:
     decoder, splitter, program = (
         framing.Decoder(bool(mode[0] & 1)),
         cobs.Splitter(),
-        slave.SlaveDecoder(),
+        SlaveDecoder(),
     )
     for start, stop in pairwise([*range(0, len(stuff), cut), len(stuff)]):
         piece = stuff[start:stop]

@@ -23,7 +23,10 @@ from tetractl.emulate.m3pi.robot import (
     Battery,
     EmulatedRobot,
     FirmwareProgram,
+    Motor,
+    MotorCount,
     Program,
+    SlaveDecoder,
     SlaveProgram,
 )
 from tetractl.emulate.port import PseudoPort
@@ -32,7 +35,6 @@ from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
 from tetractl.lab.actuators.m3pi.broadcast import decode_command
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
-from tetractl.lab.actuators.m3pi.slave import Motor, MotorCount, SlaveDecoder
 from tetractl.lab.actuators.xbee.frames import Transmit16
 from tetractl.lab.actuators.xbee.framing import Decoder
 from tetractl.lab.cobs import Splitter

@@ -1,5 +1,7 @@
 """One log through every command that reads logs, in this process, and what it cost."""
 
+import contextlib
+import io
 import os
 import resource
 import shutil
@@ -8,9 +10,11 @@ import time
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 import typer
-from support.cli import tetractl
+
+from tetractl.cli.app import run_app
 
 COMMANDS = {
     "info": "info {log}",
@@ -58,10 +62,17 @@ def call(command: str, log: Path, out: Path) -> Cost:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
     words = [word.format(log=log, out=out) for word in COMMANDS[command].split()]
+    stdout, stderr = io.StringIO(), io.StringIO()
     began = time.perf_counter()
-    done = tetractl(Path.cwd(), *words)
+    with (
+        mock.patch.object(sys, "argv", ["tetractl", *words]),
+        mock.patch.object(typer.main, "get_command", _parser),
+        contextlib.redirect_stdout(stdout),
+        contextlib.redirect_stderr(stderr),
+    ):
+        code = run_app()
     seconds = time.perf_counter() - began
-    return Cost(done.stdout, done.stderr, done.returncode, seconds, _most_memory_mb())
+    return Cost(stdout.getvalue(), stderr.getvalue(), code, seconds, _most_memory_mb())
 
 
 def _most_memory_mb() -> float:

@@ -56,7 +56,7 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_a_figure_a_field(whole):
     assert "expected duration" in done.stderr
     assert "40 of 40 trials" in done.stderr
     assert "quick: total error [mm]" in done.stdout
-    assert done.stdout.count("disturbed simulation") == 8
+    assert done.stdout.count("disturbed") == 8
     assert "assumed in the spec" in done.stdout
 
 

@@ -323,6 +323,14 @@ def test_a_trial_number_that_cannot_be_is_told(tmp_path: Path, contents: RawLog)
     assert found.problems[0].field == "seed"
 
 
+def test_what_viewers_cannot_decode_is_noticed(tmp_path: Path, contents: RawLog) -> None:
+    """Regression, found by benchmarks/fuzz.py: reading a trial does not decode it."""
+    entry = next(e for e in contents.entries if e.topic == "/tf")
+    spoilt = {entry: entry._replace(data=entry.data[:-3])}
+    found = verify(rewrite(contents, tmp_path / "changed.mcap", spoilt))
+    assert [str(one) for one in found.problems] == ["trial: /tf[0]: is no message of its channel"]
+
+
 def test_a_log_without_an_end_is_no_failed_decision(tmp_path: Path, log: Path) -> None:
     assert module.host_differences(read_trial(log)) == ()
     result = read_trial(log).result

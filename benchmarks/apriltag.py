@@ -31,8 +31,7 @@ import numpy as np
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.poses import Poses
 from tetractl.emulate.apriltag.mjpeg import EmulatedNetworkCamera
-from tetractl.emulate.apriltag.optics import Optics
-from tetractl.emulate.apriltag.renderer import CARD, Renderer
+from tetractl.emulate.apriltag.renderer import CARD, Optics, Renderer
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.detect import MODULES, Grey
 from tetractl.lab.cameras.apriltag.refine import refined

@@ -44,7 +44,7 @@ from tetractl.model.obstacles import Obstacles
 from tetractl.plant.simulation import SimPlant
 from tetractl.results.estimate import distributions, percent
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 from tetractl.run.trial import Trial
 
 WORLD = (

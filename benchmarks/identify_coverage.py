@@ -24,7 +24,7 @@ from tetractl.replay.identification.identify import identify
 from tetractl.replay.identification.tracks import track_of
 from tetractl.replay.redrive import sequence_spec
 from tetractl.results.estimate import proportion_interval
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 
 SPEC = Path(__file__).parent.parent / "experiments" / "three_m3pi.yaml"
 STEPS, PERIOD = 50, 0.2

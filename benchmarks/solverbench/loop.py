@@ -19,7 +19,7 @@ from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 from tetractl.run.trial import Trial
 
 from . import shooting

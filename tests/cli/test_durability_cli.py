@@ -77,6 +77,7 @@ def test_a_run_in_progress_keeps_its_folder_to_itself(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("seed", range(5))
 def test_a_kill_costs_little(tmp_path: Path, seed: int) -> None:
     """A hundred kills in benchmarks/log.py. A host under load gets three tries."""
@@ -85,6 +86,7 @@ def test_a_kill_costs_little(tmp_path: Path, seed: int) -> None:
     assert any(killed.lost_s <= LOSS_S for killed in tries)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_being_asked_to_stop_costs_nothing(tmp_path: Path, number: signal.Signals) -> None:
     trial = RealTime(tmp_path / "trial.mcap")
@@ -113,6 +115,7 @@ def check_cut_short(path: Path, said: str, why: str) -> None:
     assert frames(path.with_name("trial.mcap.part")) > 0
 
 
+@pytest.mark.system
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts file systems")
 def test_a_full_disk_ends_the_trial_and_leaves_a_log(tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", "130k") as disk:
@@ -120,6 +123,7 @@ def test_a_full_disk_ends_the_trial_and_leaves_a_log(tmp_path: Path) -> None:
         check_cut_short(disk / "trial.mcap", said, "No space left on device")
 
 
+@pytest.mark.system
 def test_a_removed_folder_ends_the_trial_and_leaves_a_log(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     folder.mkdir()

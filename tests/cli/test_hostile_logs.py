@@ -199,6 +199,17 @@ def test_a_log_costs_its_reader_little(
         assert float(memory) < MEMORY_MB, name
 
 
+def test_too_few_addresses_are_one_line() -> None:
+    """Regression: OpenBLAS asked for memory without end, in an import that no signal ends."""
+    done = subprocess.run(
+        ["bash", "-c", f"ulimit -v 400000; exec '{sys.executable}' -m tetractl stats x"],
+        capture_output=True, text=True, timeout=60, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    first, hint = done.stderr.splitlines()
+    assert first == "error: only 410 MB of addresses are allowed, 1000 are needed"
+    assert (done.returncode, hint) == (1, "  hint: ulimit -v unlimited")
+
+
 def test_a_pipe_is_no_log(tmp_path: Path) -> None:
     """Regression: `info` waited for ever."""
     os.mkfifo(tmp_path / "pipe.mcap")

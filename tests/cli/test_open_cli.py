@@ -42,15 +42,3 @@ def test_a_trial_is_served_until_ctrl_c(log: Path):
     assert (process.returncode, rest) == (0, "")
     assert "ssh -L" in errors
     assert "Traceback" not in errors
-
-
-def test_a_missing_log_is_one_clear_line(tmp_path: Path):
-    done = subprocess.run(
-        [TETRACTL, "open", "missing.mcap"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert done.stderr == "error: missing.mcap: no such file or folder\n"

@@ -63,6 +63,7 @@ def test_the_page_needs_nothing_beside_it(folder: Path):
     assert len(html) < 1_500_000
 
 
+@pytest.mark.system
 def test_the_same_logs_give_the_same_page(folder: Path):
     assert tetractl(folder, "report", "logs", "-o", "again.html").returncode == 0
     assert (folder / "again.html").read_text() == (folder / "report.html").read_text()
@@ -76,6 +77,7 @@ def test_the_figures_of_the_batch_stand_with_its_errors(folder: Path):
 
 
 @needs_chromium
+@pytest.mark.system
 def test_the_page_shows_the_numbers_of_stats(page: Page, statistics: dict):
     inside = json.loads(page.run("document.querySelector('script.statistics').textContent"))
     assert inside == statistics
@@ -99,6 +101,7 @@ def test_the_page_shows_the_numbers_of_stats(page: Page, statistics: dict):
 
 
 @needs_chromium
+@pytest.mark.system
 def test_it_plays_and_scrubs_and_steps(page: Page):
     assert text(page, "step") in ("–", "0")
     page.run(
@@ -132,6 +135,7 @@ def test_it_plays_and_scrubs_and_steps(page: Page):
 
 
 @needs_chromium
+@pytest.mark.system
 def test_what_is_drawn_moves_with_the_time(page: Page):
     shot = "document.getElementById('scene').toDataURL()"
     start = page.run(shot)
@@ -142,6 +146,7 @@ def test_what_is_drawn_moves_with_the_time(page: Page):
 
 
 @needs_chromium
+@pytest.mark.system
 @pytest.mark.parametrize("width", [390, 1280])
 def test_nothing_is_wider_than_the_screen_and_no_name_covers_an_obstacle(
     folder: Path, page: Page, width: int
@@ -163,6 +168,7 @@ def test_nothing_is_wider_than_the_screen_and_no_name_covers_an_obstacle(
     assert page.run(covered) == []
 
 
+@pytest.mark.system
 def test_the_folder_of_a_study_is_a_page_of_its_arms_called_after_it(tmp_path: Path):
     (tmp_path / "quick.yaml").write_text(SPEC)
     (tmp_path / "study.yaml").write_text(
@@ -184,19 +190,6 @@ def test_the_folder_of_a_study_is_a_page_of_its_arms_called_after_it(tmp_path: P
     assert re.findall(r'<th scope="row">([^<]*)', head) == ["dead_time=0", "dead_time=0.1"]
     assert "sum over the robots" in head
     assert "<b>" not in head  # no cards
-
-
-def test_a_log_that_cannot_be_read_is_named_and_the_rest_shown(folder: Path, tmp_path: Path):
-    logs = tmp_path / "logs"
-    logs.mkdir()
-    for log in (folder / "logs").glob("*.mcap"):
-        (logs / log.name).write_bytes(log.read_bytes())
-    (logs / "trial-001.mcap").write_bytes(b"nothing")
-    done = tetractl(tmp_path, "report", "logs")
-    assert done.returncode == 1
-    assert "trial-001.mcap" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert 'id="trial-data-1"' in (tmp_path / "report.html").read_text()
 
 
 @pytest.mark.parametrize(

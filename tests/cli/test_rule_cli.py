@@ -37,7 +37,7 @@ WITHOUT_JSON = [  # they write files, play, or give what has no form but its own
         ("serve",),
         ("report",),
     ),
-    *(("study",), ("lab", "stop"), ("lab", "calibrate")),
+    *(("study",), ("warm",), ("lab", "stop"), ("lab", "calibrate")),
 ]
 
 
@@ -50,6 +50,7 @@ def test_options_of_one_meaning_have_one_name():
         assert "--json" in options or words in WITHOUT_JSON, words
         takes_spec = any(p.name in ("spec", "specs") for p in command.params)
         takes_spec |= words == ("what-if",)  # of the spec that its log holds (decision 0031)
+        takes_spec |= words == ("kinds",)  # of the section that is checked (decision 0057)
         assert ("--set" in options) == takes_spec, words
     assert {"--out", "--json", "--set", "--yes"} <= seen
     assert "--output" not in seen
@@ -63,6 +64,7 @@ def test_without_a_command_the_help_is_printed_and_no_error(tmp_path, words):
 
 
 LOG_COMMANDS = ["replay", "plot", "info", "recover", "verify", "stats", "rerun", "identify"]
+LOG_COMMANDS += ["open", "report"]
 SPEC_COMMANDS = ["validate", "run", "lab check", "lab stop", "lab calibrate", "lab emulate"]
 
 

@@ -12,7 +12,8 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from support import random_trials as made
-from support.running import QUICK
+from support.cli import tetractl
+from support.running import QUICK, first_of
 from support.terminal import Terminal
 from support.viewer import PATIENCE_S, Viewer, deaf
 
@@ -119,6 +120,7 @@ def test_a_viewer_plays_pauses_seeks_and_sets_the_rate(log):
         assert served.process.wait(PATIENCE_S) == 0
 
 
+@pytest.mark.system
 def test_the_keys_of_the_terminal_and_the_viewer_command_the_same_player(log):
     words = [str(TETRACTL), "serve", log.name, "--port", "0", "--paused", "--no-browser"]
     with Terminal(words, log.parent, columns=80, rows=24) as terminal:
@@ -138,6 +140,7 @@ def test_the_keys_of_the_terminal_and_the_viewer_command_the_same_player(log):
             assert terminal.finish() == 0
 
 
+@pytest.mark.system
 def test_a_log_is_served_over_and_over(log):
     words = [TETRACTL, "serve", log.name, "--port", "0", "--no-browser"]
     process = subprocess.Popen(
@@ -169,6 +172,7 @@ def test_a_log_is_served_over_and_over(log):
     assert "Traceback" not in errors
 
 
+@pytest.mark.system
 def test_a_run_is_served_while_it_runs_and_its_log_stays_the_same(tmp_path):
     (tmp_path / "spec.yaml").write_text(QUICK.replace("count: 3", "count: 2"))
     run = ("run", "spec.yaml", "--quiet", "--out")
@@ -201,15 +205,13 @@ def test_what_does_not_go_together_is_one_clear_line(log, tmp_path, words, messa
     (tmp_path / "other.mcap").write_bytes(log.read_bytes())
     names = iter([log, "other.mcap"])
     words = [next(names) if word == "LOG" else word for word in words]
-    done = subprocess.run(
-        [TETRACTL, *words], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = tetractl(tmp_path, *words)
     assert done.returncode == 2
     assert done.stderr.startswith(message)
 
 
 @pytest.mark.parametrize(
-    "words", [["run", "spec.yaml", "--serve"], ["serve", "spec.yaml"], ["serve", "LOG"]]
+    "words", first_of([["serve", "LOG"], ["run", "spec.yaml", "--serve"], ["serve", "spec.yaml"]])
 )
 def test_without_the_extra_one_clear_line_says_how_to_get_it(log, tmp_path, words):
     (tmp_path / "spec.yaml").write_text(QUICK)

@@ -23,6 +23,7 @@ from support.running import (
     Running,
     assert_interrupted,
     environment,
+    first_of,
 )
 from support.studies import SMALL, tetractl, write
 
@@ -32,7 +33,7 @@ NAMES = ["SIGHUP", "SIGQUIT", "SIGUSR1", "SIGALRM", "SIGABRT", "SIGRTMIN"]
 LINUX = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", first_of(NAMES))
 def test_every_signal_finishes_the_step_and_the_log(tmp_path, name):
     with Running(tmp_path, ENDLESS) as running:
         running.until_logging(1, size=30_000)
@@ -41,6 +42,7 @@ def test_every_signal_finishes_the_step_and_the_log(tmp_path, name):
         assert_interrupted(running, 1, "interrupted; the step was finished")
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("spec", [ENDLESS, HEAVY], ids=["endless", "heavy"])
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path, spec, jobs):
@@ -57,8 +59,8 @@ def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path,
         assert lines[-1] == "interrupted; go on with the same command and --out logs --resume"
 
 
-@pytest.mark.parametrize("module", ["typer", "pydantic", "numba", "tetractl.run.task"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("module", first_of(["numba", "typer", "pydantic", "tetractl.run.task"]))
+@pytest.mark.parametrize("number", first_of([signal.SIGINT, signal.SIGHUP]))
 def test_a_signal_during_an_import_is_one_line(tmp_path, module, number):
     (tmp_path / "spec.yaml").write_text(QUICK)
     command = [sys.executable, "-X", "importtime", "-m", "tetractl", "run", "spec.yaml"]
@@ -75,6 +77,7 @@ def test_a_signal_during_an_import_is_one_line(tmp_path, module, number):
 
 
 @LINUX
+@pytest.mark.system
 @pytest.mark.parametrize("spec", [ENDLESS, HEAVY], ids=["endless", "heavy"])
 def test_workers_end_with_their_parent(tmp_path, spec):
     """Regression: kill -9 of the parent left its workers for ever."""
@@ -161,11 +164,11 @@ def fill(descriptor):
     assert not select.select([], [descriptor], [], 0)[1]
 
 
-BROKEN = [full_pipe, closed_pipe, full_disk, hung_terminal, gone_terminal]
+BROKEN = [hung_terminal, full_pipe, closed_pipe, full_disk, gone_terminal]
 
 
-@pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.__name__)
-@pytest.mark.parametrize("which", ["stderr", "stdout"])
+@pytest.mark.parametrize("broken", first_of(BROKEN), ids=lambda broken: broken.__name__)
+@pytest.mark.parametrize("which", first_of(["stderr", "stdout"]))
 def test_a_broken_stream_neither_hangs_nor_kills_a_run(tmp_path, broken, which):
     (tmp_path / "spec.yaml").write_text(QUICK)
     with broken() as descriptor:
@@ -232,8 +235,7 @@ ENDING = {  # every command that ends by itself and needs no lab, and its exit c
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("words", ENDING)
+@pytest.mark.parametrize("words", first_of(sorted(ENDING, key="stats logs".__ne__)))
 def test_every_command_ends_though_nobody_reads_it(files, tmp_path, words):
     """Regression: `python -m tetractl stats`, unread, waited for ever for a thread that had ended.
 

@@ -10,7 +10,7 @@ import signal
 import subprocess
 
 import pytest
-from support.studies import FAILING, LONGER, SMALL, Running, results, rows, tetractl, write
+from support.studies import FAILING, SMALL, Running, results, rows, tetractl, write
 
 from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
@@ -27,10 +27,10 @@ def table(out):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The longer study, run in one go with all logs."""
+    """The quick study, run in one go with all logs."""
     folder = tmp_path_factory.mktemp("whole")
-    write(folder, LONGER)
-    done = study("study.yaml", "--out", "out", "--jobs", 2, cwd=folder)
+    write(folder)
+    done = study("study.yaml", "--out", "out", "--jobs", 1, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder, done
 
@@ -45,41 +45,43 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_a_figure_a_field(whole):
         "trials.csv", "times.csv", "error-plant.dead_time.png", "error-robots.r.a.png"
     }  # fmt: skip
     found = table(out)
-    assert len(found) == 96
+    assert len(found) == 40
     for row in found[::7]:
         log = out / row["log"]
         assert row["trial_digest"] == trial_digest(read_trial(log))
         assert float(row["total_error_mm"]) == read_result(log).result.total_error
     assert found[0]["controller"] == "many"
     assert {row["plant.dead_time"] for row in found} == {"0", "0.1"}
-    assert "quick: 8 arms of 12 trials, 96 of 96 to run, 2 at a time" in done.stderr
+    assert "quick: 8 arms of 5 trials, 40 of 40 to run, 1 at a time" in done.stderr
     assert "expected duration" in done.stderr
-    assert "96 of 96 trials" in done.stderr
+    assert "40 of 40 trials" in done.stderr
     assert "quick: total error [mm]" in done.stdout
     assert done.stdout.count("disturbed simulation") == 8
     assert "assumed in the spec" in done.stdout
 
 
+@pytest.mark.system
 def test_a_study_killed_and_run_again_gives_the_same_table(whole, tmp_path):
-    write(tmp_path, LONGER)
+    write(tmp_path)
     out = tmp_path / "out"
-    for already in (5, 40):
+    for already in (5, 20):
         with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 2) as running:
             running.until_rows(out, already)
             running.process.send_signal(signal.SIGKILL)
             running.process.wait()
-        assert rows(out) < 96
+        assert rows(out) < 40
         assert not (out / "trials.csv").exists()
     torn = next(out.glob("*/trials.jsonl"))
     torn.write_bytes(torn.read_bytes()[:-20])  # as a power cut may leave a line
     done = study("study.yaml", "--out", "out", "--jobs", 2, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "96 of 96 to run" not in done.stderr
+    assert "40 of 40 to run" not in done.stderr
     assert results(out) == results(whole[0] / "out")
 
 
+@pytest.mark.system
 def test_a_study_interrupted_is_gone_on_with(whole, tmp_path):
-    write(tmp_path, LONGER)
+    write(tmp_path)
     out = tmp_path / "out"
     with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 2) as running:
         running.until_rows(out, 5)
@@ -88,22 +90,22 @@ def test_a_study_interrupted_is_gone_on_with(whole, tmp_path):
     told = (tmp_path / "err").read_text().splitlines()
     assert told[-1] == "interrupted"
     assert "trials are lacking; go on with the same command" in told[-2]
-    assert 5 <= len(table(out)) < 96
+    assert 5 <= len(table(out)) < 40
     assert study("study.yaml", "--out", "out", cwd=tmp_path).returncode == 0
     assert results(out) == results(whole[0] / "out")
 
 
 def test_shares_run_by_themselves_and_merged_give_the_same_table(whole, tmp_path):
-    write(tmp_path, LONGER)
+    write(tmp_path)
     for i in (1, 2, 3):
-        done = study("study.yaml", "--shard", f"{i}/3", "--jobs", 1, "-q", cwd=tmp_path)
+        done = study("study.yaml", "--shard", f"{i}/3", "--jobs", 1 + (i == 3), "-q", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
     shares = sorted((tmp_path / "logs").iterdir())
     assert [path.name for path in shares] == [f"quick-shard-{i}-of-3" for i in (1, 2, 3)]
-    assert [rows(path) for path in shares] == [32, 32, 32]
+    assert [rows(path) for path in shares] == [14, 13, 13]
     done = study("study.yaml", "--merge", *shares, "--out", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "96 trials added" in done.stderr
+    assert "40 trials added" in done.stderr
     assert results(tmp_path / "out") == results(whole[0] / "out")
     for row in table(tmp_path / "out")[::11]:
         assert trial_digest(read_trial(tmp_path / "out" / row["log"])) == row["trial_digest"]
@@ -111,7 +113,8 @@ def test_shares_run_by_themselves_and_merged_give_the_same_table(whole, tmp_path
 
 def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     write(tmp_path, FAILING)
-    done = study("study.yaml", "--out", "out", "--logs", "failed", cwd=tmp_path)
+    args = ("--out", "out", "--logs", "failed", "--jobs", 1)
+    done = study("study.yaml", *args, cwd=tmp_path)
     assert done.returncode == 1
     assert "failed: speed=1e+308/0: aborted: the cost is not finite" in done.stderr
     assert "4 trials aborted" in done.stderr
@@ -181,8 +184,11 @@ def test_hostile_rows_never_end_in_a_traceback(tmp_path):
 
 
 def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):
-    write(tmp_path, LONGER)
-    assert study("study.yaml", "--out", "out", "--logs", "none", cwd=tmp_path).returncode == 0
+    write(tmp_path)
+    assert (
+        study("study.yaml", "--out", "out", "--logs", "none", "--jobs", 1, cwd=tmp_path).returncode
+        == 0
+    )
     assert not list(tmp_path.rglob("*.mcap"))
     folder, _ = whole
     printed = []
@@ -192,7 +198,7 @@ def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):
         printed.append(found.stdout)
     assert printed[0] == printed[1]
     one = tetractl("stats", "out/few-dead_time=0-a=3", cwd=tmp_path)
-    assert "12 of 12 trials complete" in one.stdout
+    assert "5 of 5 trials complete" in one.stdout
     two = tetractl("stats", "out/few-dead_time=0-a=3", "out/many-dead_time=0-a=3", cwd=tmp_path)
     assert "few-dead_time=0-a=3 against many-dead_time=0-a=3" in two.stdout
     with_it = tetractl("stats", "out/few-dead_time=0-a=3", "--against", "out", cwd=tmp_path)
@@ -203,7 +209,7 @@ def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):
 def test_shares_of_one_arm_are_one_batch(tmp_path):
     write(tmp_path, "name: one\nbase: spec.yaml\ntrials: {count: 5, seed: 7}\n")
     for share in ("1/2", "2/2"):
-        to = ("--out", f"parts/{share[0]}", "--shard", share, "--logs", "none")
+        to = ("--out", f"parts/{share[0]}", "--shard", share, "--logs", "none", "--jobs", 1)
         assert study("study.yaml", *to, cwd=tmp_path).returncode == 0
     assert "5 of 5 trials complete" in tetractl("stats", "parts", cwd=tmp_path).stdout
 

@@ -94,29 +94,6 @@ def test_one_run_keeps_every_promise(make):
     plant.stop()
 
 
-def test_stop_and_close_need_no_open(make):
-    plant, _, _ = make()
-    plant.stop()
-    plant.close()
-    plant.close()
-
-
-def test_the_operators_stop_ends_every_call(make):
-    supervision = LabSupervision()
-    plant, clock, _ = make(supervision=supervision)
-    plant.open()
-    plant.steer(0.5)
-    supervision.emergency.set()
-    with pytest.raises(AbortError, match="emergency stop by the operator"):
-        for _ in range(3):
-            clock.sleep_until(clock.now() + PERIOD)
-            plant.observe()
-    with pytest.raises(AbortError, match="emergency stop by the operator"):
-        plant.steer(0.0)
-    assert plant.stop().direction is None
-    assert plant.settle().not_at_rest == "emergency stop by the operator"
-
-
 def test_a_port_that_is_not_there_refuses(make, tmp_path):
     plant, _, _ = make(f"lab.actuator.port={tmp_path}/none")
     with pytest.raises(AbortError, match="there is no such port"):

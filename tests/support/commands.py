@@ -7,9 +7,12 @@ import resource
 import shutil
 import sys
 import time
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
+
+import typer
 
 from tetractl.cli.app import run_app
 
@@ -31,6 +34,19 @@ COMMANDS = {
 }
 
 
+LOGS = tuple(COMMANDS)
+STUDIES = ("study stats", "study stats --json", "study report", "study --merge")
+COMMANDS |= {
+    "study stats": "stats {log}/out",
+    "study stats --json": "stats {log}/out --format json",
+    "study report": "report {log}/out -o {out}/report.html",
+    "study --merge": "study {log}/study.yaml --out {out}/merged --merge {log}/out",
+}
+
+
+_parser = cache(typer.main.get_command)  # made for each call it takes longer than most commands
+
+
 class Cost(NamedTuple):
     """What a command said, its exit code, its time [s], and the process' most memory [MB]."""
 
@@ -50,6 +66,7 @@ def call(command: str, log: Path, out: Path) -> Cost:
     began = time.perf_counter()
     with (
         mock.patch.object(sys, "argv", ["tetractl", *words]),
+        mock.patch.object(typer.main, "get_command", _parser),
         contextlib.redirect_stdout(stdout),
         contextlib.redirect_stderr(stderr),
     ):
@@ -83,7 +100,7 @@ def check(command: str, log: Path, out: Path) -> Cost:
 
 if __name__ == "__main__":  # LOG FOLDER [COMMAND]...: a line for each command
     os.environ.setdefault("COLUMNS", "200")
-    for name in sys.argv[3:] or COMMANDS:
+    for name in sys.argv[3:] or LOGS:
         cost = check(name, Path(sys.argv[1]), Path(sys.argv[2]))
         last = (cost.err or cost.out).strip().splitlines()[-1:] or [""]
         print(f"{name}\t{cost.code}\t{cost.seconds:.2f}\t{cost.memory_mb:.0f}\t{last[0][:150]}")

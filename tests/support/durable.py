@@ -35,7 +35,7 @@ from tetractl.log.write.writer import LogWriter
 from tetractl.core.supervision import LabSupervision
 from tetractl.core.commands import PlantInfo
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 from tetractl.run.trial import Trial
 from tetractl.experiment.load import parse_spec, start_of
 

@@ -71,6 +71,8 @@ def rewrite(
 ) -> Path:
     """Write a log again with some entries and facts replaced."""
     sink, own = Sink(path), (CHECKSUM, DIGEST, HOST_DIGEST)
+    for channel, schema in contents.channels.values():
+        sink.channel(channel, schema)
     for record in contents.records:
         if isinstance(record, Entry):
             sink.messages([entries.get(record, record)])

@@ -8,6 +8,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import pytest
+
 from tetractl.core.plan import Outcome
 from tetractl.log.read.reader import read_trial
 
@@ -31,6 +33,12 @@ ENDLESS = (
 HEAVY = ENDLESS.replace("horizon_max: 6", "horizon_max: 2000").replace(
     "particles: 10, iterations: 10", "particles: 100, iterations: 1000, stop: {type: budget}"
 )
+
+
+def first_of(values):
+    """Parameters of a test of processes: `make test` runs the first, `make test-all` the rest."""
+    first, *rest = values
+    return [first, *(pytest.param(value, marks=pytest.mark.system) for value in rest)]
 
 
 def environment():

@@ -73,7 +73,7 @@ def lab_log(folder: Path) -> Path:
     from tetractl.experiment.load import load_spec, start_of
     from tetractl.experiment.plants import on_plant
     from tetractl.log.write.writer import LogWriter
-    from tetractl.run.seeds import trial_seeds
+    from tetractl.run.task import trial_seeds
     from tetractl.run.trial import Trial
 
     loaded = load_spec(LAB, ["controller.steps_max=8", "controller.horizon_max=8"])

@@ -20,6 +20,7 @@ from support.seeds import MS, ROOT, VERSIONS
 
 from tetractl.core.errors import LogError, SpecError, UsageError
 from tetractl.core.poses import CameraFrame
+from tetractl.emulate.m3pi.robot import SlaveDecoder
 from tetractl.emulate.script import parse_script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
@@ -40,7 +41,7 @@ from tetractl.log.read.salvage import scan
 
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
-SELDOM = 10  # one input in so many is drawn
+SELDOM = 40  # one input in so many is drawn
 
 
 class Target(NamedTuple):
@@ -149,7 +150,7 @@ def serial(data: bytes) -> None:
     decoder, splitter, program = (
         framing.Decoder(bool(mode[0] & 1)),
         cobs.Splitter(),
-        slave.SlaveDecoder(),
+        SlaveDecoder(),
     )
     for start, stop in pairwise([*range(0, len(stuff), cut), len(stuff)]):
         piece = stuff[start:stop]
@@ -210,30 +211,51 @@ def _spoilt(data: bytes) -> Path:
     return path
 
 
-def every_command(data: bytes) -> None:
-    """A file, through every command that reads logs."""
-    _through(written(data, "any.mcap"), data)
+def any_command(data: bytes) -> None:
+    """A file, through one of the commands that read logs."""
+    _through(written(data, "any.mcap"), data, commands.LOGS)
 
 
-def inside_every_command(data: bytes) -> None:
-    """A log spoilt as by `inside`, through every command."""
-    _through(_spoilt(data), data)
+def inside_any_command(data: bytes) -> None:
+    """A log spoilt as by `inside`, through one of them."""
+    _through(_spoilt(data), data, commands.LOGS)
 
 
-def _through(path: Path, data: bytes) -> None:
-    """Run the commands, of those that draw one now and then."""
-    slow = [name for name in commands.COMMANDS if name.startswith(("plot", "report"))]
-    for name in commands.COMMANDS:
-        if name not in slow:
-            commands.check(name, path, scratch() / "out")
-    which = zlib.crc32(data) % (SELDOM * len(slow))
-    if which < len(slow):
-        commands.check(slow[which], path, scratch() / "out")
+def rows_any_command(data: bytes) -> None:
+    """The rows of an arm, through one of the commands that read a study."""
+    folder = _study()
+    (folder / "out" / "dead_time=0.1" / "trials.jsonl").write_bytes(data)
+    _through(folder, data, commands.STUDIES)
+
+
+def _through(path: Path, data: bytes, names: Sequence[str]) -> None:
+    """Run one command, of those that draw one now and then."""
+    slow = [name for name in names if name.startswith(("plot", "report", "study report"))]
+    fast, which = [name for name in names if name not in slow], zlib.crc32(data)
+    some = fast if which % SELDOM else slow
+    commands.check(some[which // SELDOM % len(some)], path, scratch() / "out")
+
+
+@cache
+def _study() -> Path:
+    from support import studies
+
+    from tetractl.study.options import Logs
+
+    folder = scratch() / "study"
+    studies.run(folder, studies.SMALL, logs=Logs(0, False))
+    return folder
+
+
+def rows() -> list[bytes]:
+    return [
+        (_study() / "out" / f"dead_time={time}" / "trials.jsonl").read_bytes() for time in (0, 0.1)
+    ]
 
 
 @cache
 def _whole() -> tuple[RawLog, list, list[tuple[str, str]]]:
-    contents = scan(ROOT / "tests" / "golden" / "format-1-sim.mcap")
+    contents = scan(ROOT / "tests" / "golden" / "format-2-sim.mcap")
     first = {entry.topic: entry for entry in reversed(contents.entries)}
     records = [record for record in contents.records if isinstance(record, Metadata)]
     return contents, list(first.values()), [(r.name, key) for r in records for key in r.metadata]
@@ -258,7 +280,8 @@ TARGETS = {
 }
 
 COMMANDS = {
-    "log, every command": Target(every_command, seeds.logs),
-    "inside, every command": Target(inside_every_command, insides),
+    "log, any command": Target(any_command, seeds.logs),
+    "inside, any command": Target(inside_any_command, insides),
+    "rows, any command": Target(rows_any_command, rows),
 }
 """Whole commands, too slow for the tests: for benchmarks/fuzz.py alone."""

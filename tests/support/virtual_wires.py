@@ -291,7 +291,7 @@ def virtual_wires(network, clock):
             ("tetractl.lab.cameras.optitrack.camera.socket", SocketModule(network)),
             ("tetractl.emulate.optitrack.motive._bound", network.bound),
             ("tetractl.emulate.m3pi.side.PseudoPort", MemoryPort),
-            ("tetractl.emulate.field_side.PseudoPort", MemoryPort),
+            ("tetractl.emulate.field.PseudoPort", MemoryPort),
             ("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial),
             ("tetractl.lab.actuators.field.driver.SerialPort", MemorySerial),
         ):

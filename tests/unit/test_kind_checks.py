@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from support.cli import tetractl
 
+from tetractl.cli.init import template
 from tetractl.control.optimizers.mppi import Mppi
 from tetractl.core.protocols import Health
 from tetractl.experiment.base import Positive
 from tetractl.experiment.kinds import MOTIONS
 from tetractl.experiment.lab import ActuatorSection, CameraSection
 from tetractl.experiment.load import parse_spec
-from tetractl.experiment.templates import template
 from tetractl.kind_checks import (
     check_actuator,
     check_camera,
@@ -26,7 +26,7 @@ from tetractl.model.shapes.circle import Circle, PackedCircles
 from tetractl.model.shapes.polygon import Polygon
 from tetractl.model.shapes.rectangle import Rectangle
 
-SETUP = parse_spec(template("check", "check", False, False), "check").experiment.setup
+SETUP = parse_spec(template("check", "check", "robots"), "check").experiment.setup
 CIRCLE = Circle(type="circle", center=(3.0, -2.0), radius=40.0)
 SHAPES = [
     CIRCLE,

@@ -1,14 +1,14 @@
 """The analysis of an experiment: its robots, their differences in a, their number, and advice."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tetractl.analysis.closed_loop import Noise, left_out
-from tetractl.analysis.plans import planner
-from tetractl.analysis.steering import Steering, steering
-from tetractl.core.poses import Floats, Poses
+from tetractl.analysis.steering import Steering, planner, steering, tolerance
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 
@@ -38,20 +38,23 @@ class Change:
 class Analysis:
     """What was found of an experiment's N robots; errors are predicted mean total errors.
 
-    `left_out` names what else of the plant disturbs, and is not in the predictions. A plan reaches
-    the targets where its cost is within the `tolerance` of the optimiser [length unit].
-    `alike` are the two robots whose a differ least, and `gap` by how much, relative to the smaller;
-    None and inf for one robot. `by_gap` pairs smallest relative differences with errors: the robots
-    keep their order and the geometric mean of their a, and each a is that factor above the next.
-    `by_count` pairs a number of robots, the first of the spec, with the error. `change` is advised
-    where two robots are too alike and it is worth while; `looked` tells whether one was sought.
+    `steering` is along those of the `plans` searched that reach the targets, None where none does;
+    errors of robots for which no plan was found are NaN. `left_out` names what else of the plant
+    disturbs, and is not in the predictions. A plan reaches the targets where its cost is within the
+    `tolerance` of the optimiser or of what is accepted [length unit]. `alike` are the two robots
+    whose a differ least, and `gap` by how much, relative to the smaller; None and inf for one
+    robot. `by_gap` pairs smallest relative differences with errors: the robots keep their order and
+    the geometric mean of their a, and each a is that factor above the next. `by_count` pairs a
+    number of robots, the first of the spec, with the error. `change` is advised where two robots
+    are too alike and it is worth while; `looked` is whether one was sought.
     """
 
     setup: Setup
     noise: Noise
     left_out: tuple[str, ...]
     tolerance: float
-    steering: Steering
+    plans: int
+    steering: Steering | None
     alike: tuple[str, str] | None
     gap: float
     by_gap: tuple[tuple[float, float], ...]
@@ -72,33 +75,39 @@ def analyze(
     count = 1 + (len(GAPS) + len(setup.names) - 1 if several else 0) + len(candidates)
     done = 0
 
-    def found(of: Setup) -> Steering:
+    def found(of: Setup) -> Steering | None:
         nonlocal done
         result = steering(section, of, noise, seed, plans)
         done += 1
         on_done(done, count)
         return result
 
+    def error(of: Setup) -> float:
+        result = found(of)
+        return math.nan if result is None else result.error
+
     here = found(setup)
+    now = math.nan if here is None else here.error
     numbers = range(1, len(setup.names)) if several else ()
-    by_count = [(n, found(first(setup, n)).error) for n in numbers]
-    by_gap = [(one, found(respaced(setup, one)).error) for one in GAPS] if several else []
-    changes = []
-    for i, a in candidates:
-        error = found(replace(setup, a=_with(setup.a, i, a))).error
-        changes.append(Change(setup.names[i], float(setup.a[i]), a, error))
+    by_count = [(n, error(setup.only(range(n)))) for n in numbers]
+    by_gap = [(one, error(respaced(setup, one))) for one in GAPS] if several else []
+    changes = [
+        Change(setup.names[i], float(setup.a[i]), a, error(replace(setup, a=_with(setup.a, i, a))))
+        for i, a in candidates
+    ]
     return Analysis(
         setup=setup,
         noise=noise,
         left_out=left_out(experiment.plant),
-        tolerance=section.optimizer.good_enough or 0.0,
+        tolerance=tolerance(section),
+        plans=plans,
         steering=here,
         alike=None if alike is None else (setup.names[alike[0]], setup.names[alike[1]]),
         gap=gap,
         by_gap=tuple(by_gap),
-        by_count=(*by_count, (len(setup.names), here.error)),
+        by_count=(*by_count, (len(setup.names), now)),
         looked=bool(candidates),
-        change=best_change(changes, here.error),
+        change=best_change(changes, now),
     )
 
 
@@ -113,37 +122,27 @@ def smallest_gap(setup: Setup) -> tuple[float, tuple[int, int] | None]:
 
 
 def respaced(setup: Setup, gap: float) -> Setup:
-    """Return the robots with their a a factor 1 + gap apart, in order, round the same mean."""
+    """Return the robots with each a 1 + gap times the next one below, round the same mean."""
     rank = np.argsort(np.argsort(setup.a, kind="stable"))
     middle = np.exp(np.log(setup.a).mean())
     return replace(setup, a=middle * (1 + gap) ** (rank - (len(rank) - 1) / 2))
 
 
-def first(setup: Setup, count: int) -> Setup:
-    """Return the setup of the first robots alone."""
-    starts = Poses.of(setup.starts.array()[:count])
-    return replace(
-        setup,
-        names=setup.names[:count],
-        colors=setup.colors[:count],
-        starts=starts,
-        targets=setup.targets[:count],
-        a=setup.a[:count],
-        speed=setup.speed[:count],
-    )
-
-
 def best_change(changes: list[Change], error: float) -> Change | None:
-    """Return the smallest of the changes that are about as good as the best, None if none helps."""
-    least = min((one.error for one in changes), default=error)
-    if least > WORTH * error:
+    """Return the smallest of the changes that are about as good as the best, None if none helps.
+
+    NaN errors are those of robots for which there is no plan.
+    """
+    most = math.inf if math.isnan(error) else WORTH * error
+    least = min((one.error for one in changes if one.error <= most), default=None)
+    if least is None:
         return None
-    good = [one for one in changes if one.error <= min(AS_GOOD * least, WORTH * error)]
+    good = [one for one in changes if one.error <= min(AS_GOOD * least, most)]
     return min(good, key=lambda one: abs(np.log(one.new / one.old)))
 
 
 def _candidates(setup: Setup, alike: tuple[int, int]) -> Iterator[tuple[int, float]]:
-    """Yield robots of the two most alike, and an a that sets all robots more apart."""
+    """Yield robots of the two most alike, and an a that makes all robots differ more."""
     low, high = alike
     old, _ = smallest_gap(setup)
     for step in STEPS:

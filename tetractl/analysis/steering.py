@@ -1,31 +1,92 @@
-"""Can these robots be steered together, and how well? Of one setup, along several good plans."""
+"""Can these robots be steered together, and how well? Of one setup, along several good plans.
 
+The plans are those with which the controllers of the first trials would begin.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from tetractl.analysis.closed_loop import Noise, end_covariance, mean_errors
 from tetractl.analysis.linear import linearise
-from tetractl.analysis.plans import plans
 from tetractl.control.mpc import MpcSection
-from tetractl.core.poses import Floats
+from tetractl.control.optimizers.multistart import Multistart
+from tetractl.core.plan import Plan
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.problem import Problem
 from tetractl.core.setup import Setup
+from tetractl.experiment.experiment import Experiment
+from tetractl.run.task import trial_seeds
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A plan of the robots at their starts, and the problem that it solves.
+
+    `reaches` is whether its cost is good enough for the optimiser, or accepted by the controller;
+    `shortest` is the fewest signals whose cost is, None for none.
+    """
+
+    plan: Plan
+    problem: Problem
+    reaches: bool
+    shortest: int | None
+
+
+def planner(experiment: Experiment) -> MpcSection:
+    """Return the model predictive control that the experiment is analysed with.
+
+    It is the spec's own where it has one, with the multistart optimiser, which tells when a
+    sequence is good enough, and without limits; else the default one.
+    """
+    control = experiment.controller
+    if not isinstance(control, MpcSection):
+        period = {"period": control.period, "steps_max": control.steps_max}
+        return MpcSection(motion="exact", optimizer=Multistart(), **period)
+    optimizer = control.optimizer
+    found = {
+        "optimizer": optimizer if isinstance(optimizer, Multistart) else Multistart(),
+        "evaluations_max": None,
+        "deadline": None,
+        "arrival_tolerance": 0.0,
+    }
+    return control.model_copy(update=found)
+
+
+def tolerance(section: MpcSection) -> float:
+    """Return the cost up to which a plan reaches the targets [length unit]: good enough for the
+    optimiser, or accepted."""
+    return max(section.optimizer.good_enough or 0.0, section.accept)
+
+
+def plans(section: MpcSection, setup: Setup, seed: int, count: int) -> Iterator[Planned]:
+    """Yield the plans with which the first trials of a root seed would begin."""
+    every = np.ones(len(setup.names), dtype=np.bool_)
+    observation = Observation(0, 0, 0, setup.starts, every)
+    problem = section.problem(setup)
+    enough = tolerance(section)
+    for trial in range(count):
+        key, _ = trial_seeds(seed, trial)
+        plan = section.build(setup, key).plan(observation)
+        if isinstance(plan, Plan):
+            good = [one.length for one in plan.searches if one.cost <= enough]
+            yield Planned(plan, problem, plan.cost <= enough, min(good, default=None))
 
 
 @dataclass(frozen=True, slots=True)
 class Steering:
-    """What M plans of N robots allow; lengths in the spec's unit.
+    """What M plans of N robots that reach the targets allow; lengths in the spec's unit.
 
-    `reaching` of the M plans end at the targets, the shortest of them after `shortest` signals,
-    None for none. `errors` (M,) are the predicted mean total errors with feedback, and `open_loop`
-    (M,) those without; `planned` (M,) are the total errors without any noise. Of the plan whose
-    predicted error is the median one: `signals` is its length, `singular` (2N,) the singular values
-    of the derivative of the ends by the signals [length unit/rad], descending, `weakest` (N,) each
-    robot's share of the direction of the least, `robot_errors` (N,) the predicted mean errors and
-    `covariance` (N, 2, 2) that of each end, and `free_covariance` the same without feedback.
+    The shortest of them has `shortest` signals. `errors` (M,) are the predicted mean total errors
+    with feedback, and `open_loop` (M,) those without; `planned` (M,) are the total errors without
+    any noise. Of the plan whose predicted error is the median one: `signals` is its length,
+    `singular` (2N,) the singular values of the derivative of the ends by the signals [length
+    unit/rad], descending, `weakest` (N,) each robot's share of the direction of the least,
+    `robot_errors` (N,) the predicted mean errors and `covariance` (N, 2, 2) that of each end, and
+    `free_covariance` the same without feedback.
     """
 
-    reaching: int
     shortest: int | None
     signal_s: float
     errors: Floats
@@ -47,12 +108,15 @@ class Steering:
         return float(np.median(self.errors))
 
 
-def steering(section: MpcSection, setup: Setup, noise: Noise, seed: int, count: int) -> Steering:
-    """Analyse the robots of a setup along the plans of so many trials."""
-    found, linear = [], []
-    for planned in plans(section, setup, seed, count):
-        found.append(planned)
-        linear.append(linearise(planned.problem, planned.plan.signals))
+def steering(
+    section: MpcSection, setup: Setup, noise: Noise, seed: int, count: int
+) -> Steering | None:
+    """Analyse the robots of a setup along those plans of so many trials that reach the targets;
+    None where none does: there is nothing then to hold the robots to."""
+    found = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
+    if not found:
+        return None
+    linear = [linearise(planned.problem, planned.plan.signals) for planned in found]
     closed = [end_covariance(one, noise, True, section.estimate) for one in linear]
     free = [end_covariance(one, noise, corrects=False) for one in linear]
     each = [mean_errors(p, one.miss) for p, one in zip(closed, linear, strict=True)]
@@ -64,7 +128,6 @@ def steering(section: MpcSection, setup: Setup, noise: Noise, seed: int, count: 
     values[: len(singular)] = singular
     shares = (left[:, -1] ** 2).reshape(-1, 2).sum(axis=1)
     return Steering(
-        reaching=sum(one.reaches for one in found),
         shortest=min((one.shortest for one in found if one.shortest is not None), default=None),
         signal_s=section.hold * section.period,
         errors=errors,

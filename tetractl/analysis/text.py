@@ -6,25 +6,35 @@ from typing import Any
 import numpy as np
 
 from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
-from tetractl.core.poses import Floats
+from tetractl.core.ellipse import ellipse
 from tetractl.core.table.numbers import fixed
 from tetractl.core.table.table import Column, Table
 
+OF_PLANS = (
+    "fewest_signals",
+    "signal_s",
+    "mean_total_error",
+    "mean_total_error_by_plan",
+    "without_feedback_by_plan",
+    "without_noise_by_plan",
+    "signals",
+    "singular_values",
+)
+"""Items of JSON that only robots with a plan have; None without."""
+NO_PLAN = "no plan found"
 SAYS = "predicted by a linearised closed loop along good plans; nothing was run"
-INSIDE = math.sqrt(2 * math.log(20))
-"""Deviations to the edge of the ellipse that holds 95 % of a normal distribution in the plane."""
 
 
 def tables(found: Analysis) -> list[Table]:
     """Return the tables of an analysis; `advice` belongs below them."""
     setup, here, unit = found.setup, found.steering, found.setup.unit
+    reaching = 0 if here is None else len(here.errors)
     names, robots = setup.names, f"{len(setup.names)} robot{'s' * (len(setup.names) > 1)}"
-    shares = zip(names, here.weakest, strict=True)
     facts = [
         ("noise assumed", _noise(found)),
         (
             "plans that reach",
-            f"{here.reaching} of {len(here.errors)}, to {found.tolerance:g} {unit}",
+            f"{reaching} of {found.plans}, to {found.tolerance:g} {unit}",
         ),
         ("fewest signals that reach", _shortest(found)),
     ]
@@ -32,6 +42,10 @@ def tables(found: Analysis) -> list[Table]:
         facts.append(
             ("smallest difference of a", f"{100 * found.gap:.3g} % ({', '.join(found.alike)})")
         )
+    title = f"{setup.name}: {robots}, {SAYS}"
+    if here is None:
+        return [Table.of_texts(title, ("figure", "value"), facts), *_maps(found)]
+    shares = zip(names, here.weakest, strict=True)
     facts += [
         (
             f"singular values of the ends by the {here.signals} signals [{unit}/rad]",
@@ -43,7 +57,7 @@ def tables(found: Analysis) -> list[Table]:
     errors = (here.errors, here.open_loop, here.planned)
     axes = [ellipse(one) for one in here.covariance]
     found_tables = [
-        Table.of_texts(f"{setup.name}: {robots}, {SAYS}", ("figure", "value"), facts),
+        Table.of_texts(title, ("figure", "value"), facts),
         Table(
             f"Mean total error of {plans}",
             (
@@ -64,24 +78,37 @@ def tables(found: Analysis) -> list[Table]:
             ),
         ),
     ]
-    if found.by_gap:
-        gaps, by_gap = zip(*found.by_gap, strict=True)
-        counts, by_count = zip(*found.by_count, strict=True)
-        error = "mean total error"
-        found_tables += [
-            Table(
-                "With other values of a, the same ratio between neighbours",
-                (
-                    Column("smallest relative difference", gaps, "", _percent),
-                    Column(error, by_gap, unit, "{:.4g}".format),
-                ),
+    return [*found_tables, *_maps(found)]
+
+
+def _maps(found: Analysis) -> list[Table]:
+    """Return the predicted errors of robots more or less alike, and of fewer."""
+    if not found.by_gap:
+        return []
+    unit = found.setup.unit
+    gaps, by_gap = zip(*found.by_gap, strict=True)
+    counts, by_count = zip(*found.by_count, strict=True)
+    error = "mean total error"
+    return [
+        Table(
+            "With other values of a, the same ratio between neighbours",
+            (
+                Column("smallest relative difference", gaps, "", _percent),
+                Column(error, [_error(one) for one in by_gap], unit),
             ),
-            Table(
-                "The first robots of the spec alone",
-                (Column("robots", counts), Column(error, by_count, unit, "{:.4g}".format)),
+        ),
+        Table(
+            "The first robots of the spec alone",
+            (
+                Column("robots", counts),
+                Column(error, [_error(one) for one in by_count], unit),
             ),
-        ]
-    return found_tables
+        ),
+    ]
+
+
+def _error(error: float) -> str:
+    return NO_PLAN if math.isnan(error) else f"{error:.4g}"
 
 
 def _percent(share: float) -> str:
@@ -91,18 +118,28 @@ def _percent(share: float) -> str:
 def as_json(found: Analysis) -> dict[str, Any]:
     """Return an analysis as the items of a JSON object; what is not known is None."""
     setup, here, noise = found.setup, found.steering, found.noise
-    robots = [
-        {
-            "name": name,
-            "a": setup.a[i],
-            "speed": setup.speed[i],
-            "mean_error": here.robot_errors[i],
-            "end_covariance": here.covariance[i],
-            "end_covariance_without_feedback": here.free_covariance[i],
-            "share_of_weakest_direction": here.weakest[i],
-        }
+    robots: list[dict[str, Any]] = [
+        {"name": name, "a": setup.a[i], "speed": setup.speed[i]}
         for i, name in enumerate(setup.names)
     ]
+    of_plans = dict.fromkeys(OF_PLANS)
+    if here is not None:
+        values = (
+            here.shortest,
+            here.signal_s,
+            here.error,
+            here.errors,
+            here.open_loop,
+            here.planned,
+            here.signals,
+            here.singular,
+        )
+        of_plans = dict(zip(OF_PLANS, values, strict=True))
+        for i, robot in enumerate(robots):
+            robot["mean_error"] = here.robot_errors[i]
+            robot["end_covariance"] = here.covariance[i]
+            robot["end_covariance_without_feedback"] = here.free_covariance[i]
+            robot["share_of_weakest_direction"] = here.weakest[i]
     change = found.change
     return {
         "name": setup.name,
@@ -116,17 +153,10 @@ def as_json(found: Analysis) -> dict[str, Any]:
             "heading_std": noise.heading,
         },
         "not_in_the_prediction": list(found.left_out),
-        "plans": len(here.errors),
-        "plans_that_reach": here.reaching,
+        "plans": found.plans,
+        "plans_that_reach": 0 if here is None else len(here.errors),
         "tolerance": found.tolerance,
-        "fewest_signals": here.shortest,
-        "signal_s": here.signal_s,
-        "mean_total_error": here.error,
-        "mean_total_error_by_plan": here.errors,
-        "without_feedback_by_plan": here.open_loop,
-        "without_noise_by_plan": here.planned,
-        "signals": here.signals,
-        "singular_values": here.singular,
+        **of_plans,
         "robots": robots,
         "smallest_gap": found.gap if found.alike else None,
         "most_alike": list(found.alike or ()),
@@ -142,51 +172,43 @@ def as_json(found: Analysis) -> dict[str, Any]:
     }
 
 
-def ellipse(covariance: Floats) -> tuple[float, float, float]:
-    """Return half axes [length unit] and angle [rad] of the ellipse that holds 95 % of a normal
-    distribution of a covariance (2, 2).
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    short, long = INSIDE * np.sqrt(np.maximum(values, 0.0))
-    along = vectors[:, 1]
-    angle = float(np.arctan2(along[1], along[0]))
-    return float(long), float(short), math.remainder(angle, math.pi)
-
-
 def _noise(found: Analysis) -> str:
     noise, unit = found.noise, found.setup.unit
-    told = [
+    known = [
         (noise.a, f"a {100 * noise.a:.2g} %"),
         (noise.speed, f"speed {100 * noise.speed:.2g} %"),
         (noise.walk, f"heading {noise.walk:.3g} rad/sqrt(s)"),
         (noise.position, f"measured position {noise.position:.3g} {unit}"),
         (noise.heading, f"measured heading {noise.heading:.3g} rad"),
     ]
-    words = ", ".join(text for value, text in told if value) or "none"
+    words = ", ".join(text for value, text in known if value) or "none"
     if found.left_out:
         words += f" (not {', '.join(found.left_out)}, which the plant has too)"
     return words
 
 
 def _shortest(found: Analysis) -> str:
-    signals = found.steering.shortest
-    if signals is None:
-        return "none does"
-    return f"{signals}, {signals * found.steering.signal_s:.3g} s"
+    here = found.steering
+    if here is None or here.shortest is None:
+        return NO_PLAN
+    return f"{here.shortest}, {here.shortest * here.signal_s:.3g} s"
 
 
 def advice(found: Analysis) -> str:
     """Return what to change in the spec, in one line."""
-    unit, error = found.setup.unit, found.steering.error
+    unit, here = found.setup.unit, found.steering
+    if here is None and found.change is None:
+        return f"advice: {NO_PLAN}; raise controller.horizon_max, or give targets that need less"
     if found.alike is None:
         return "advice: none is needed; one robot is alone"
     low, high = found.alike
     change = found.change
     if change:
-        was, now = f"{change.old:g}", f"{change.new:g}"
+        was, new = f"{change.old:g}", f"{change.new:g}"
+        now = NO_PLAN if here is None else f"{here.error:.4g}"
         return (
             f"advice: {low} and {high} are too alike; change a of {change.robot} from {was} to "
-            f"{now}: predicted mean total error {change.error:.4g} {unit} in place of {error:.4g}"
+            f"{new}: predicted mean total error {change.error:.4g} {unit} in place of {now}"
         )
     if found.looked:
         return (

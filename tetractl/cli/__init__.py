@@ -1,5 +1,8 @@
 """The command line: one module for each command, which parses, calls and prints."""
 
+ADDRESSES_MIN = 1_000_000_000
+"""Bytes of address space that the libraries need; with fewer, OpenBLAS asks for them for ever."""
+
 
 def main() -> None:
     """Run the command line and exit with one of the codes of `Exit`.
@@ -26,9 +29,24 @@ def main() -> None:
         messages.writer.finish()
 
     leave_on_signals(Exit.INTERRUPTED, say)
+    if (limit := _address_limit()) < ADDRESSES_MIN:
+        text = f"error: only {limit / 1e6:.0f} MB of addresses are allowed, 1000 are needed\n"
+        messages.writer.urge(text.encode() + b"  hint: ulimit -v unlimited\n")
+        messages.writer.finish()
+        sys.exit(Exit.FAILED)
     from tetractl.cli.app import run_app
 
     code = run_app()
     leave_on_signals(code)
     settle()
     sys.exit(code)
+
+
+def _address_limit() -> float:
+    """Return the most bytes that the process may address."""
+    try:
+        import resource
+    except ImportError:  # not everywhere
+        return float("inf")
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return float("inf") if limit == resource.RLIM_INFINITY else limit

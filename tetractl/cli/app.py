@@ -33,6 +33,7 @@ from tetractl.cli import (
     serve,
     stats,
     study,
+    track,
     validate,
     verify,
     warm,
@@ -126,6 +127,7 @@ COMMANDS = {
     "study": study.study,
     "design": design.design,
     "identify": identify.identify,
+    "track": track.track,
 }
 for name, function in COMMANDS.items():
     app.command(name, cls=_Command)(function)

@@ -47,7 +47,6 @@ def init(
             raise UsageError("--example writes a file as it is shipped", "give it alone")
         return _example(example)
     from tetractl.core.text import printable
-    from tetractl.experiment.templates import template
 
     name = "experiment" if name is None else name
     if lab and cells:
@@ -58,7 +57,8 @@ def init(
             f"'{printable(name, 80)}' is no name of an experiment",
             "use up to 64 of a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
-    _write(path, template(path.stem, path.name, cells, lab), "give another NAME")
+    kind = "cells" if cells else "lab" if lab else "robots"
+    _write(path, template(path.stem, path.name, kind), "give another NAME")
     print(f"run it with: tetractl run {path}", file=sys.stderr)
     return Exit.DONE
 
@@ -87,3 +87,17 @@ def _write(path: Path, text: str, hint: str) -> None:
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
     print(path)
+
+
+def template(name: str, file: str, kind: str) -> str:
+    """Return a commented spec of an experiment called `name`, to be kept in `file`.
+
+    `kind` is a file in experiment/templates: two robots, two cells, or robots with a lab.
+    """
+    from importlib.resources import files
+
+    from tetractl.experiment.yaml.core_yaml import dump
+
+    text = (files("tetractl.experiment") / "templates" / f"{kind}.yaml").read_text("utf-8")
+    named = dump({"name": name}).strip("{}\n")  # in quotes where the name reads as a number
+    return text.replace("@NAME@", named).replace("@FILE@", file)

@@ -80,10 +80,10 @@ def _list(as_json: bool) -> int:
 
 
 def _check(code: str, sets: list[str], as_json: bool) -> int:
+    from tetractl.cli.init import template
     from tetractl.core.table.data import json_text
     from tetractl.core.text import printable
     from tetractl.experiment.load import parse_spec
-    from tetractl.experiment.templates import template
     from tetractl.experiment.yaml.document import frozen, parse_value
     from tetractl.kind_checks import check_kind
 
@@ -94,7 +94,7 @@ def _check(code: str, sets: list[str], as_json: bool) -> int:
         if not equals:
             raise UsageError(f"--set {setting}: must be FIELD=VALUE")
         fields[name] = frozen(parse_value(text, f"--set {setting}", (name,)))
-    setup = parse_spec(template("check", "check", False, False), "check").experiment.setup
+    setup = parse_spec(template("check", "check", "robots"), "check").experiment.setup
     found = list(check_kind(code, fields, setup))
     wrong = [finding for finding in found if finding.problem]
     if as_json:

@@ -88,8 +88,7 @@ def stop(
     """
     if (spec is None) == (port is None):
         raise UsageError("name a SPEC or a --port")
-    from tetractl.lab.holder import stop_beside
-    from tetractl.lab.serial_port import PortHeldError
+    from tetractl.lab.serial_port import PortHeldError, stop_beside
 
     if spec is not None:
         lab, setup = _lab(spec, sets)

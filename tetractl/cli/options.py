@@ -11,7 +11,7 @@ from tetractl.core.errors import UsageError
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
-    from tetractl.run.plausibility.warnings import SpecWarning
+    from tetractl.run.plausibility.warnings import PlacedWarning
 
 Sets = Annotated[
     list[str] | None,
@@ -38,7 +38,7 @@ def load(path: Path, sets: Sequence[str]) -> "LoadedSpec":
     return loaded
 
 
-def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[SpecWarning, ...]":
+def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[PlacedWarning, ...]":
     """Print the warnings of a spec that was loaded with `sets`, and return them."""
     from tetractl.run.plausibility.warnings import find_warnings
 
@@ -48,7 +48,7 @@ def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[SpecWarning, ...]"
     return found
 
 
-def refuse(found: "Sequence[SpecWarning]") -> None:
+def refuse(found: "Sequence[PlacedWarning]") -> None:
     """Raise UsageError where there are warnings, as `--strict` asks."""
     if found:
         count = "a warning" if len(found) == 1 else f"{len(found)} warnings"

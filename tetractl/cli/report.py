@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.core.errors import Exit
+from tetractl.core.errors import Exit, UsageError
 
 
 def report(
@@ -34,6 +34,9 @@ def report(
 
     from tetractl.core.files import save_whole
     from tetractl.report import page
+
+    if not output.parent.is_dir():  # before anything is read
+        raise UsageError(f"{output}: there is no folder {output.parent}")
 
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:

@@ -43,6 +43,7 @@ class PatientWriter(io.RawIOBase):
         self._pieces: queue.SimpleQueue[tuple[bytes, int]] = queue.SimpleQueue()
         self._changed = threading.Condition()
         self._put = self._done = 0  # bytes
+        self._queued = b""  # by a write that a signal interrupted: its buffer offers it once more
         self._moved_s = 0.0  # when the descriptor last took something, or had nothing to take
         self._failure: OSError | None = None
         threading.Thread(target=self._work, name="output", daemon=True).start()
@@ -65,8 +66,10 @@ class PatientWriter(io.RawIOBase):
         if sys.is_finalizing():  # the thread has ended, and may have left the lock locked
             return len(piece)
         with self._changed:
+            new = piece.removeprefix(self._queued)
             if self._done >= self._put or not self._stuck():
-                self._queue(piece, len(piece))
+                self._queue(new, len(new))
+            self._queued = b""
             self._tell()
         return len(piece)
 
@@ -87,6 +90,7 @@ class PatientWriter(io.RawIOBase):
         self._put += count
         put = self._put
         self._pieces.put((piece, count))
+        self._queued = piece
         while self._done < put and not self._stuck():
             self._changed.wait(0.1)  # so often, because `patience_s` may be lowered meanwhile
 

@@ -237,7 +237,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
         pass
     except OSError as failed:
         unprinted = failed
-    except UsageError:
+    except TetractlError:
         if not report.aborted:  # an aborted trial may leave no log, or one without poses
             raise
     for (_, trial), result in report.aborted.items():

@@ -40,7 +40,7 @@ def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
     from tetractl.core.text import printable
     from tetractl.experiment.load import spec_hash
     from tetractl.experiment.yaml.problems import InvalidSpecError
-    from tetractl.run.plausibility.case import Case
+    from tetractl.run.plausibility.context import CheckContext
 
     shown = printable(str(path))
     try:
@@ -60,5 +60,5 @@ def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
     line = ", ".join(f"{key} {value}" for key, value in summary.items())
     fields = {"path": shown, "ok": True, **summary, "hash": spec_hash(experiment)}
     fields["warnings"] = [asdict(warning) for warning in warnings]
-    fields["least_total_error"] = Case.of(experiment).least_total_error
+    fields["least_total_error"] = CheckContext.of(experiment).least_total_error
     return fields, [f"{shown}: ok: {line}"]

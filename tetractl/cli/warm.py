@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def warm(
-    files: Annotated[
+    specs: Annotated[
         list[Path] | None,
         typer.Argument(
             metavar="[SPEC|STUDY]...", help="What will be run.  \\[what `tetractl init` writes]"
@@ -39,7 +39,7 @@ def warm(
     from tetractl.core.cache import cache_folder
 
     wanted: dict[str, list[Experiment]] = {}
-    for experiment in _experiments(files or [], sets or []):
+    for experiment in _experiments(specs or [], sets or []):
         wanted.setdefault(compiled_for(experiment), []).append(experiment)
     console = Console(stderr=True)
     for number, (kinds, experiments) in enumerate(wanted.items(), start=1):
@@ -54,13 +54,13 @@ def warm(
 
 def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
     """Yield what will be run: specs, one arm of each controller of studies, or the templates."""
+    from tetractl.cli.init import template
     from tetractl.experiment.load import parse_spec
-    from tetractl.experiment.templates import template
     from tetractl.study.load import is_study, load_study
 
     if not files:
-        for cells in (False, True):
-            yield parse_spec(template("warm", "warm", cells, False), "warm", sets).experiment
+        for kind in ("robots", "cells"):
+            yield parse_spec(template("warm", "warm", kind), "warm", sets).experiment
     for file in files:
         if is_study(file):
             arms = load_study(file).arms

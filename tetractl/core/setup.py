@@ -106,19 +106,17 @@ class Setup:
     iterations_max: int
     wheel_radius: float | None
 
-    def only(self, name: str) -> "Setup":
-        """Return the setup of one robot alone."""
-        i = self.names.index(name)
-        one = slice(i, i + 1)
-        starts = Poses(self.starts.x[one], self.starts.y[one], self.starts.heading[one])
+    def only(self, robots: Sequence[int]) -> "Setup":
+        """Return the setup of some of the robots, by their indices."""
+        some = list(robots)
         return replace(
             self,
-            names=self.names[one],
-            colors=self.colors[one],
-            starts=starts,
-            targets=self.targets[one],
-            a=self.a[one],
-            speed=self.speed[one],
+            names=tuple(self.names[i] for i in some),
+            colors=tuple(self.colors[i] for i in some),
+            starts=Poses.of(self.starts.array()[some]),
+            targets=self.targets[some],
+            a=self.a[some],
+            speed=self.speed[some],
         )
 
     def distances(self, xy: Floats) -> Floats:

@@ -1,5 +1,7 @@
 """Text made safe to print, wherever it is from."""
 
+import unicodedata
+
 
 def printable(text: str, length: int | None = None) -> str:
     """Return text for one line of a terminal, cut to `length` characters.
@@ -18,11 +20,12 @@ def printable(text: str, length: int | None = None) -> str:
 def cell(text: str) -> str:
     """Return text for a cell of a table that a spreadsheet may open.
 
-    A spreadsheet computes what begins with =, +, -, @ or a tab; an apostrophe before it keeps it
-    text.
+    A spreadsheet computes what begins with =, +, - or @, also as full-width signs and behind white
+    space; an apostrophe before it keeps it text.
     """
     safe = printable(text)
-    return f"'{safe}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else safe
+    first = unicodedata.normalize("NFKC", text).lstrip()[:1]
+    return f"'{safe}" if text[:1] in ("\t", "\r") or first in ("=", "+", "-", "@") else safe
 
 
 def unit_of(unit: str) -> str:

@@ -1,8 +1,8 @@
 """Faults of a script: makes them happen, takes them back, and notes when each became visible.
 
 A fault is visible when its first effect leaves on a wire: with the first frame exposed under it,
-with the first frame sent under it, or at once. Which faults a device can have is a table beside the
-device, of rows made by `fault`.
+with the first frame sent under it, or at once. Which faults a device can have is a table next to
+the device, of rows made by `fault`.
 """
 
 from collections.abc import Callable, Iterator

@@ -147,6 +147,6 @@ ACTUATORS = Registry(
     "emulated actuator",
     {
         "m3pi-xbee": "tetractl.emulate.m3pi.side:EmulatedM3pi",
-        "field": "tetractl.emulate.field_side:EmulatedField",
+        "field": "tetractl.emulate.field:EmulatedField",
     },
 )

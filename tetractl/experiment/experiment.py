@@ -1,10 +1,10 @@
 """The experiment: everything a batch of trials depends on."""
 
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
@@ -130,6 +130,10 @@ class Experiment(Model):
     """The field of view; starts and targets must lie in it."""
     robots: tuple[Robot, ...] = Field(min_length=1, max_length=1000)
     """The robots, all steered by the one direction u."""
+    assign: Literal["given", "free"] = "given"
+    """`free` where any robot may go to any target: targets are then dealt out so that the squares
+    of the straight paths add up to the least, which leaves the robots the least to do that is not
+    common to all. The resolved spec has the targets as dealt out, `given`."""
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Where no robot may go."""
     wheels: Wheels | None = None
@@ -152,6 +156,25 @@ class Experiment(Model):
     """A published result to compare with."""
     scale: Scale | None = None
     """Another kind of robot to scale the error to."""
+
+    @model_validator(mode="after")
+    def _with_assigned_targets(self) -> Self:
+        """Deal the targets out, once: what is resolved is `given`."""
+        if self.assign == "given":
+            return self
+        from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed
+
+        starts = np.array([robot.start for robot in self.robots])
+        targets = np.array([robot.target for robot in self.robots])
+        squares = np.square(starts[:, None] - targets).sum(axis=2)
+        _, chosen = linear_sum_assignment(squares)
+        robots = tuple(
+            robot.model_copy(update={"target": self.robots[i].target})
+            for robot, i in zip(self.robots, chosen.tolist(), strict=True)
+        )
+        object.__setattr__(self, "robots", robots)  # frozen, but not in use yet
+        object.__setattr__(self, "assign", "given")
+        return self
 
     @cached_property
     def setup(self) -> Setup:

@@ -1,8 +1,21 @@
-"""A two-wheeled robot standing in for a cell, (21)-(25)."""
+"""A two-wheeled robot standing in for a cell, (21)-(25), and the counts that its wheels are sent.
+
+A wheel turns at gain * (|count| - dead zone) mm/s, and not at all below. One count turns an m3pi
+at about 0.19 rad/s, too coarse to round away: the rounding error is carried to the next command
+(error diffusion), so that the mean of what was sent is what was wanted.
+"""
+
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tetractl.core.poses import Floats
+
+COUNT_MAX = 127
+Counts = tuple[int, int]
+"""Of the left and the right wheel, each in -COUNT_MAX..COUNT_MAX."""
+STOP: Counts = (0, 0)
 
 
 def wheel_speeds(
@@ -25,3 +38,98 @@ def body_velocity(left: Floats, right: Floats, r: Floats | float) -> tuple[Float
     dheading/dt = (right - left) / (2 r)                                                (23)
     """
     return (right + left) / 2, (right - left) / (2 * r)
+
+
+@dataclass(frozen=True, slots=True)
+class Wheel:
+    """One wheel: `gain` in mm/s a count, `dead_zone` in counts that do not move it yet."""
+
+    gain: float = 1000.0 / COUNT_MAX
+    dead_zone: int = 0
+    invert: bool = False
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.gain) and self.gain > 0):
+            raise ValueError(f"a wheel's gain must be positive, not {self.gain}")
+        if not 0 <= self.dead_zone < COUNT_MAX:
+            raise ValueError(f"a dead zone of {self.dead_zone} counts")
+
+    def speed(self, count: int) -> float:
+        """Return the speed [mm/s] at a count."""
+        steps = max(0, abs(count) - self.dead_zone)
+        return self.gain * (steps if (count > 0) != self.invert else -steps)
+
+    def _count(self, steps: int) -> int:
+        """Return the count that turns the wheel at `steps` times its gain."""
+        if steps == 0:
+            return 0
+        count = abs(steps) + self.dead_zone
+        return count if (steps > 0) != self.invert else -count
+
+
+@dataclass(frozen=True, slots=True)
+class Drivetrain:
+    """One robot's wheels, found by a wheel check and fitted from mocap.
+
+    `swap`: the left wheel hangs on the channel sent second. `limit`: the greatest count ever
+    sent, for a speed cap.
+    """
+
+    left: Wheel = field(default_factory=Wheel)
+    right: Wheel = field(default_factory=Wheel)
+    swap: bool = False
+    limit: int = COUNT_MAX
+
+    def __post_init__(self) -> None:
+        if not max(self.left.dead_zone, self.right.dead_zone) < self.limit <= COUNT_MAX:
+            raise ValueError(f"a limit of {self.limit} counts leaves no speed")
+
+
+@dataclass(frozen=True, slots=True)
+class Residue:
+    """What rounding still owes each wheel, in steps of its gain, each in [-0.5, 0.5]."""
+
+    left: float = 0.0
+    right: float = 0.0
+
+
+def wheel_counts(
+    left: float, right: float, drivetrain: Drivetrain, residue: Residue
+) -> tuple[Counts, Residue]:
+    """Turn speeds [mm/s] into the counts to send, as sent, and the residue for the next call.
+
+    Where a wheel would exceed the limit both are scaled alike, which keeps the path's curvature.
+    A wheel wished to stand gets exactly 0; both standing clears the residue. Speeds that are not
+    finite are refused with ValueError.
+    """
+    if not (math.isfinite(left) and math.isfinite(right)):
+        raise ValueError(f"wheel speeds must be finite, not {left} and {right}")
+    if left == 0 and right == 0:
+        return STOP, Residue()
+    wheels = drivetrain.left, drivetrain.right
+    spans = [drivetrain.limit - wheel.dead_zone for wheel in wheels]
+    ratios = [
+        abs(speed) / wheel.gain / span
+        for speed, wheel, span in zip((left, right), wheels, spans, strict=True)
+    ]
+    scale = 1.0 / max(1.0, *ratios)
+    left_steps, left_owed = _diffuse(left * scale / wheels[0].gain, residue.left, spans[0])
+    right_steps, right_owed = _diffuse(right * scale / wheels[1].gain, residue.right, spans[1])
+    first, second = wheels[0]._count(left_steps), wheels[1]._count(right_steps)
+    counts = (second, first) if drivetrain.swap else (first, second)
+    return counts, Residue(left_owed, right_owed)
+
+
+def speeds_of_counts(counts: Counts, drivetrain: Drivetrain) -> tuple[float, float]:
+    """Return the left and right speeds [mm/s] that counts, as sent, really ask for."""
+    left, right = counts[::-1] if drivetrain.swap else counts
+    return drivetrain.left.speed(left), drivetrain.right.speed(right)
+
+
+def _diffuse(wish: float, owed: float, span: int) -> tuple[int, float]:
+    """Round wish + owed to a whole step within the span; return it and what is owed then."""
+    if wish == 0:
+        return 0, owed
+    total = wish + owed
+    steps = max(-span, min(span, round(total)))
+    return steps, max(-0.5, min(0.5, total - steps))

@@ -15,10 +15,9 @@ from tetractl.core.setup import Setup
 from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.guard import GuardState
-from tetractl.lab.preflight import Preflight, dropped
+from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked
 from tetractl.lab.rig import Rig, build_rig
-from tetractl.lab.start_gate import wait_until_ready
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
@@ -157,14 +156,14 @@ class LabPlant:
 
     def _take_frames(self) -> None:
         """Keep the frames that the guard has accepted since the last call."""
-        for accepted in (frames := self.rig.frames.since(self._read)):
+        frames, self._read = self.rig.frames.since(self._read)
+        for accepted in frames:
             poses, frame = self._unwrapped(accepted.poses), accepted.frame
             self._heading = poses.heading
             self._path_check.add(poses.x[None], poses.y[None])
             times = frame.sampled_ns, frame.received_ns
             self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
             self._fresh.append(Sample(self._newest, None))
-        self._read += len(frames)
 
     def _unwrapped(self, seen: Sequence[Pose | None]) -> Poses:
         """Return the poses with headings that go on from the last ones without a turn of 2 pi.

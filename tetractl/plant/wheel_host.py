@@ -13,15 +13,15 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Model, NonNegative, Positive
-from tetractl.lab.actuators.m3pi.command import (
+from tetractl.model.motion.exact import step as exact
+from tetractl.model.wheels import (
     Drivetrain,
     Residue,
     Wheel,
     speeds_of_counts,
     wheel_counts,
+    wheel_speeds,
 )
-from tetractl.model.motion.exact import step as exact
-from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.direct import NEVER
 
 

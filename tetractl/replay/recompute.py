@@ -26,7 +26,7 @@ from tetractl.experiment.controller import OptimizerSection
 from tetractl.log.read import bounds
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 
 TOLERANCE = 1e-9
 """Relative, of what is re-evaluated."""

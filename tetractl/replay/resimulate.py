@@ -24,7 +24,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.recorder import Recorder
 from tetractl.replay.difference import Difference, Tolerance, trial_difference
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 from tetractl.run.trial import Trial
 
 ROUGHLY = Tolerance(1e-6, 1e-6)

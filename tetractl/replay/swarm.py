@@ -23,7 +23,7 @@ from tetractl.experiment.controller import OptimizerSection
 from tetractl.log.read import bounds
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recompute import NoSearchError, Rerun
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 
 GRID = 61
 

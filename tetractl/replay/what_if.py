@@ -20,7 +20,7 @@ from tetractl.experiment.load import parse_spec
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.identification.tracks import require_field
 from tetractl.replay.recompute import first_steps, plan_again
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 
 SAME = 1e-9
 """Directions that differ by less are the same [rad]."""

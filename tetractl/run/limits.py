@@ -1,8 +1,24 @@
-"""The limits of an experiment, and the checks before it is run."""
+"""The limits of an experiment, the checks before it is run, and the square of IV-B.1.
 
+On the square all robots get the same four directions, a quarter turn apart, each for the same time.
+A robot that starts a quarter turn behind the first direction repeats the same curve on every side,
+turned by a quarter: the four displacements add up to zero, and it closes the square to within about
+exp(-a side) of a side.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from tetractl.core.errors import SpecError
+from tetractl.core.poses import Floats
 from tetractl.experiment.controller import Square
 from tetractl.experiment.experiment import Experiment
-from tetractl.run.square import check_square
+from tetractl.model.motion.exact import step
+from tetractl.model.obstacles import Obstacles
+
+SAMPLES = 64  # of a side, when a square is checked against the arena
 
 
 def limits(experiment: Experiment) -> dict[str, str]:
@@ -28,3 +44,41 @@ def check(experiment: Experiment) -> None:
     first = experiment.controller.first_plan
     if isinstance(first, Square):
         check_square(experiment, first)
+
+
+def directions(headings: Floats) -> Iterator[float]:
+    """Yield the four directions of a lap [rad] for robots with start headings (N,) [rad]."""
+    start = math.atan2(np.sin(headings).mean(), np.cos(headings).mean())
+    for side in range(1, 5):
+        yield math.remainder(start + side * math.pi / 2, 2 * math.pi)
+
+
+def check_square(experiment: Experiment, square: Square) -> None:
+    """Raise SpecError unless every robot can drive the square inside the arena, past obstacles."""
+    robots = experiment.robots
+    headings = np.array([robot.heading for robot in robots])
+    if np.ptp(np.unwrap(np.sort(headings))) > 1e-6:
+        raise SpecError(
+            "controller.first_plan: a square needs all robots to start with one heading",
+            "give all robots one heading, or use {type: stand}",
+        )
+    obstacles = Obstacles.of(experiment.obstacles)
+    x, y = (np.array([robot.start[axis] for robot in robots]) for axis in (0, 1))
+    a, speed = np.array([robot.a for robot in robots]), np.array([robot.speed for robot in robots])
+    t = np.linspace(0, square.side, SAMPLES)[:, None]
+    for direction in directions(headings):
+        path_x, path_y, turned = step(x, y, headings, np.array(direction), a, speed, t)
+        for i, robot in enumerate(robots):
+            where = zip(path_x[:, i], path_y[:, i], strict=True)
+            if not all(experiment.arena.contains(px, py) for px, py in where):
+                raise _refusal(robot.name, "leave the arena")
+        if (hit := obstacles.contain(path_x, path_y).any(axis=0)).any():
+            raise _refusal(robots[int(hit.argmax())].name, "enter an obstacle")
+        x, y, headings = path_x[-1], path_y[-1], turned[-1]
+
+
+def _refusal(name: str, what: str) -> SpecError:
+    return SpecError(
+        f"controller.first_plan: robot {name} would {what} in its square",
+        "shorten controller.first_plan.side, or use {type: stand}",
+    )

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from tetractl.control.build import build_controller, warm_up
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError, UsageError
@@ -22,7 +24,6 @@ from tetractl.log.write.recorder import Recorder
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.relay import Relay
-from tetractl.run.seeds import trial_seeds
 from tetractl.run.trial import Trial
 
 
@@ -80,6 +81,17 @@ def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
 def code_of(spec: LoadedSpec) -> str:
     """Return what names the code that runs the trials of a spec on this machine."""
     return trial_code(tuple(sorted(packages(spec.experiment).items())))
+
+
+def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
+    """Return the key of the controller's random numbers and the seed of the plant's disturbances.
+
+    Children of SeedSequence(root) by spawn key (trial, purpose): a trial's numbers depend on
+    neither the number of trials nor the order in which they run.
+    """
+    controller = np.random.SeedSequence(root, spawn_key=(trial, 0))
+    plant = np.random.SeedSequence(root, spawn_key=(trial, 1))
+    return int(controller.generate_state(1, np.uint64)[0]), plant
 
 
 def log_path(folder: Path, trial: int) -> Path:

@@ -6,10 +6,10 @@ SWEEPS = Registry(
     "tetractl.sweeps",
     "sweep",
     {
-        "grid": "tetractl.study.sweeps.grid:Grid",
-        "list": "tetractl.study.sweeps.points:Points",
-        "random": "tetractl.study.sweeps.sample:Random",
-        "sobol": "tetractl.study.sweeps.sample:Sobol",
+        "grid": "tetractl.study.sweep:Grid",
+        "list": "tetractl.study.sweep:Points",
+        "random": "tetractl.study.sweep:Random",
+        "sobol": "tetractl.study.sweep:Sobol",
     },
     "tetractl.study.sweep:Sweep",
 )

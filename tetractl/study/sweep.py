@@ -1,14 +1,21 @@
-"""What every sweep has: points, each a value for some fields of the spec."""
+"""The sweeps: which values some fields of a spec take, point by point.
 
+`sweep: {type: grid}` takes every combination of some values, `list` points written one by one,
+`random` and `sobol` points drawn from ranges.
+"""
+
+import itertools
+import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from tetractl.experiment.base import Model
+from tetractl.core.poses import Floats
+from tetractl.experiment.base import Finite, Model, inconsistent
 from tetractl.experiment.yaml.problems import Loc
 
 Path = Annotated[str, Field(min_length=1, max_length=200)]
@@ -32,3 +39,120 @@ class Sweep(Model):
 
         All draws come from `rng`, which is made from the root seed of the study.
         """
+
+
+Values = Annotated[tuple[Any, ...], Field(min_length=1, max_length=1000)]
+
+
+class Grid(Sweep):
+    """Every combination of the values listed, the last field changing fastest."""
+
+    type: Literal["grid"]
+    fields: dict[Path, Values] = Field(min_length=1)
+    """By path, such as `plant.dead_time`, the values that the field takes."""
+
+    def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
+        """Return every combination."""
+        axes = [
+            [Setting(value, ("fields", path, i)) for i, value in enumerate(values)]
+            for path, values in self.fields.items()
+        ]
+        return [dict(zip(self.fields, point, strict=True)) for point in itertools.product(*axes)]
+
+
+Point = Annotated[dict[Path, Any], Field(min_length=1)]
+
+
+class Points(Sweep):
+    """The points listed; fields that a point leaves out keep the value of the base."""
+
+    type: Literal["list"]
+    points: tuple[Point, ...] = Field(min_length=1, max_length=100_000)
+    """Each a mapping of paths, such as `plant.dead_time`, to values."""
+
+    def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
+        """Return the points in their order."""
+        return [
+            {path: Setting(value, ("points", i, path)) for path, value in point.items()}
+            for i, point in enumerate(self.points)
+        ]
+
+
+class Range(Model):
+    """Where the values of a field are drawn from."""
+
+    low: Finite
+    """Least value."""
+    high: Finite
+    """Greatest value."""
+    scale: Literal["linear", "log"] = "linear"
+    """Whether values are spread evenly, or their logarithms are."""
+    whole: bool = False
+    """Whether only whole numbers are drawn, both ends included."""
+
+    @model_validator(mode="after")
+    def _rises(self) -> Self:
+        if self.high <= self.low:
+            raise inconsistent("high", "must be greater than low")
+        if self.scale == "log" and self.low <= 0:
+            raise inconsistent("low", "must be greater than 0 on a logarithmic scale")
+        if self.whole and not (float(self.low).is_integer() and float(self.high).is_integer()):
+            raise inconsistent("whole", "needs whole numbers for low and high")
+        return self
+
+    def at(self, share: float) -> float:
+        """Return the value at a share of the range, which is at least 0 and less than 1."""
+        low, high = self.low, self.high + self.whole
+        if self.scale == "log":
+            value = math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
+        else:
+            value = low + share * (high - low)
+        value = min(max(value, self.low), self.high + self.whole / 2)  # rounding may leave it
+        return math.floor(value) if self.whole else value
+
+
+class Sample(Sweep):
+    """Points drawn from the ranges of some fields, from the root seed of the study."""
+
+    count: int = Field(ge=1, le=100_000)
+    """Number of points. More of them later leave those drawn before as they are."""
+    fields: dict[Path, Range] = Field(min_length=1, max_length=1000)
+    """By path, such as `plant.dead_time`, the range of the field."""
+
+    @abstractmethod
+    def shares(self, rng: np.random.Generator) -> Floats:
+        """Return numbers from 0 to below 1, shape (count, number of fields)."""
+
+    def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
+        """Return the points drawn."""
+        return [
+            {
+                path: Setting(range_.at(share), ("fields", path))
+                for (path, range_), share in zip(self.fields.items(), row, strict=True)
+            }
+            for row in self.shares(rng).tolist()
+        ]
+
+
+class Random(Sample):
+    """Points drawn independently of one another."""
+
+    type: Literal["random"]
+
+    def shares(self, rng: np.random.Generator) -> Floats:
+        """Return uniform numbers."""
+        return rng.random((self.count, len(self.fields)))
+
+
+class Sobol(Sample):
+    """Points of a scrambled Sobol sequence, which fill the ranges more evenly than random ones;
+    most evenly where their number is a power of 2."""
+
+    type: Literal["sobol"]
+
+    def shares(self, rng: np.random.Generator) -> Floats:
+        """Return the first numbers of the sequence (Owen, J. Complexity 14, 1998)."""
+        from scipy.stats import qmc  # slow to import, and only needed here
+
+        sequence = qmc.Sobol(len(self.fields), rng=rng)
+        return sequence.random_base2(math.ceil(math.log2(self.count)))[: self.count]

@@ -53,14 +53,7 @@ def check_file(path: Path) -> str:
 
     Raises UsageError for other names, for a folder that is not there, and for MP4 without ffmpeg.
     """
-    ending = path.suffix.lower().removeprefix(".")
-    if ending not in FORMATS:
-        raise UsageError(
-            f"{path}: cannot write '{path.suffix}' films",
-            f"end the name in {', '.join('.' + name for name in FORMATS)}",
-        )
-    if not path.absolute().parent.is_dir():
-        raise UsageError(f"{path}: there is no folder {path.parent}")
+    ending = style.file_format(path, FORMATS, "film")
     if ending == "mp4" and shutil.which("ffmpeg") is None:
         raise UsageError(
             f"{path}: an MP4 is written by ffmpeg, which is not installed",

@@ -2,7 +2,7 @@
 
 import io
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -110,18 +110,18 @@ def panel(axes: Axes, letter: str, title: str) -> None:
     axes.set_title(f"({letter}) {title}", loc="left")
 
 
-def file_format(path: Path) -> str:
-    """Return the picture format of a file's name.
+def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "picture") -> str:
+    """Return which of the formats of pictures, or of something else, a file's name has.
 
     Raises UsageError for a name without one, and where the file's folder does not exist.
     """
     wanted = path.suffix.lower().removeprefix(".")
-    if wanted not in FORMATS:
+    if wanted not in formats:
         raise UsageError(
-            f"{path}: cannot write '{path.suffix}' pictures"
+            f"{path}: cannot write '{path.suffix}' {what}s"
             if wanted
-            else f"{path}: the name of a picture needs an ending",
-            f"end the name in {', '.join('.' + name for name in FORMATS)}",
+            else f"{path}: the name of a {what} needs an ending",
+            f"end the name in {', '.join('.' + name for name in formats)}",
         )
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent}")

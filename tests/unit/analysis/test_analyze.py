@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 from support.trials import THREE_M3PI, experiment
 
-from tetractl.analysis.analyze import Change, analyze, best_change, first, respaced, smallest_gap
-from tetractl.analysis.plans import planner
-from tetractl.analysis.text import advice, as_json, ellipse, tables
+from tetractl.analysis.analyze import Change, analyze, best_change, respaced, smallest_gap
+from tetractl.analysis.steering import planner
+from tetractl.analysis.text import NO_PLAN, advice, as_json, tables
 from tetractl.control.optimizers.multistart import Multistart
+from tetractl.core.ellipse import ellipse
+from tetractl.core.errors import UsageError
+from tetractl.core.table.data import json_text
+from tetractl.view.figures.analysis import analysis_figure
 
 SETUP = experiment().setup
 CONTROLLER = {
@@ -36,10 +40,10 @@ def test_the_smallest_gap_and_robots_spaced_anew():
 
 
 def test_the_first_robots_are_a_setup():
-    two = first(SETUP, 2)
+    two = SETUP.only([0, 1])
     assert two.names == ("green", "blue")
     assert two.starts.array().tolist() == SETUP.starts.array()[:2].tolist()
-    assert smallest_gap(first(SETUP, 1)) == (float("inf"), None)
+    assert smallest_gap(SETUP.only([0])) == (float("inf"), None)
 
 
 def test_of_changes_about_as_good_the_smallest_is_advised():
@@ -47,6 +51,9 @@ def test_of_changes_about_as_good_the_smallest_is_advised():
     assert best_change(changes, 20.0) is changes[0]
     assert best_change(changes, 12.0) is None
     assert best_change([], 12.0) is None
+    impossible = Change("r", 4, 4.1, np.nan)
+    assert best_change([impossible, *changes], np.nan) is changes[0]
+    assert best_change([impossible], np.nan) is None
 
 
 def test_alike_robots_are_found_and_a_better_a_is_advised():
@@ -65,13 +72,29 @@ def test_robots_more_apart_and_fewer_are_easier():
     assert not found.looked
     assert found.change is None
     by_gap, by_count = dict(found.by_gap), dict(found.by_count)
-    assert by_gap[0.02] > by_gap[0.5]
+    assert np.isnan(by_gap[0.02])  # no plan for robots as alike as that
+    assert np.isfinite(by_gap[0.5])
     assert by_count[1] < by_count[3] == found.steering.error
     here = found.steering
     assert (np.diff(here.singular) <= 0).all()
     assert here.weakest.sum() == pytest.approx(1)
     assert here.shortest is not None
     assert (here.open_loop > here.errors).all()
+
+
+def test_where_no_plan_reaches_there_are_no_millimetres():
+    found = of(controller=CONTROLLER | {"horizon_max": 12})
+    assert found.steering is None
+    shown = [list(table.rows) for table in tables(found)]
+    assert ("plans that reach", "0 of 2, to 0.001 mm") in shown[0]
+    assert ("fewest signals that reach", NO_PLAN) in shown[0]
+    assert [row[1] for row in shown[-1]] == [NO_PLAN] * 3
+    assert advice(found).startswith(f"advice: {NO_PLAN}")
+    items = as_json(found)
+    assert (items["mean_total_error"], items["plans_that_reach"]) == (None, 0)
+    assert "NaN" not in json_text(items)
+    with pytest.raises(UsageError, match=NO_PLAN):
+        analysis_figure(found)
 
 
 def test_one_robot_has_no_map():

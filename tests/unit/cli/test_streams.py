@@ -86,3 +86,21 @@ def test_a_pipe_that_does_not_block_is_waited_for(pipe):
         said += os.read(reading, 65536)
     thread.join(30.0)
     assert not thread.is_alive()
+
+
+def test_a_line_that_a_signal_interrupted_is_written_once(pipe, monkeypatch):
+    """Regression: the address of `open` came twice when Ctrl-C met the end of its print."""
+    reading, writing = pipe
+    output = Output(writing, 10.0, True)
+    wait = output.writer._changed.wait
+
+    def interrupted(timeout):
+        monkeypatch.setattr(output.writer._changed, "wait", wait)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(output.writer._changed, "wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        print("address", file=output, flush=True)
+    print("more", file=output, flush=True)
+    os.close(writing)
+    assert os.read(reading, 100) == b"address\nmore\n"

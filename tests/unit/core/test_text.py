@@ -32,7 +32,10 @@ def test_text_once_printable_stays_as_it_is(text: str, length: int) -> None:
     assert printable(shown, length) == shown
 
 
-@pytest.mark.parametrize("text", ["=cmd()", "+1", "-1", "@sum", "\tx", "\rx"])
+@pytest.mark.parametrize(
+    "text",
+    ["=cmd()", "+1", "-1", "@sum", "\tx", "\rx", " =1", "\n+1", "\xa0-1", "＝1", " ＋1", "﹫x"],
+)
 def test_a_spreadsheet_computes_nothing(text: str) -> None:
     assert cell(text).startswith("'")
     assert cell("arrived") == "arrived"

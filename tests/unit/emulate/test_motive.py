@@ -13,8 +13,7 @@ from support.emulated_lab import Client, emulated, turn_until
 from tetractl.core.errors import TetractlError
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.optitrack.motive import Motive
-from tetractl.emulate.optitrack.server import ServerClock
-from tetractl.emulate.optitrack.streaming import Streaming
+from tetractl.emulate.optitrack.server import ServerClock, Streaming
 from tetractl.lab.cameras.optitrack.messages import (
     Bare,
     Connect,

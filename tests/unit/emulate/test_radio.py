@@ -157,12 +157,6 @@ def test_at_another_speed_the_module_hears_nothing(opened):
     assert ask(lab, port, AtCommand(1, b"HV"))[0].status == 0
 
 
-def test_a_second_opener_is_refused(opened):
-    lab, _ = opened()
-    with pytest.raises(serial.SerialException, match="lock"):
-        serial.Serial(str(lab.actuator.port.link), 57600, exclusive=True)
-
-
 def test_a_port_that_is_taken_away_raises_and_comes_back(opened):
     lab, port = opened()
     lab.actuator.unplug()

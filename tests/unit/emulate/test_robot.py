@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from tetractl.emulate.m3pi.robot import Battery, EmulatedRobot, FirmwareProgram, SlaveProgram
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
-from tetractl.lab.actuators.m3pi.command import Drivetrain, Wheel
 from tetractl.lab.actuators.m3pi.slave import encode_wheels
+from tetractl.model.wheels import Drivetrain, Wheel
 
 MS = 1_000_000
 LAG = 0.04

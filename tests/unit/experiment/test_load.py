@@ -1,8 +1,11 @@
+import itertools
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.paths import ROOT
+from support.trials import experiment
 from support.work import bounded
 
 from tetractl.core.errors import Exit, SpecError
@@ -382,3 +385,23 @@ def test_many_robots_and_obstacles_are_compared_without_a_loop_over_the_pairs():
         found = list(contradictions(arena, robots, obstacles))
     assert [loc for loc, _ in found] == [("robots", i, "target") for i in (7, 107, 207)]
     assert "inside obstacles.107, a circle" in found[1][1]
+
+
+def test_free_targets_are_dealt_out_by_the_least_squares_of_the_paths():
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        starts, targets = rng.uniform(200, 1800, (2, 4, 2))
+        robots = [
+            {"name": f"r{i}", "start": s, "target": t, "a": 2 + i, "speed": 100}
+            for i, (s, t) in enumerate(zip(starts.tolist(), targets.tolist(), strict=True))
+        ]
+        found = experiment(robots=robots, obstacles=[], assign="free")
+        assert found.assign == "given"
+        dealt = found.setup.targets
+        assert sorted(dealt.tolist()) == sorted(targets.tolist())
+        least = min(
+            np.square(starts - targets[list(order)]).sum()
+            for order in itertools.permutations(range(4))
+        )
+        assert np.square(starts - dealt).sum() == pytest.approx(least)
+        assert type(found).model_validate(found.model_dump()) == found

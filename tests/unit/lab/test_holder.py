@@ -10,9 +10,8 @@ import pytest
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
-from tetractl.lab import holder as module
-from tetractl.lab.holder import command_line, holder, stop_beside
-from tetractl.lab.serial_port import PortHeldError, SerialPort
+from tetractl.lab import serial_port as module
+from tetractl.lab.serial_port import PortHeldError, SerialPort, command_line, holder, stop_beside
 
 pytestmark = [
     pytest.mark.slow,

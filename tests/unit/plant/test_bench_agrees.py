@@ -80,7 +80,8 @@ def headings(plant, clock, directions, period_ns):
 
 @pytest.mark.parametrize(("period", "step"), [(0.2, 3.0), (0.05, 0.6)])
 def test_one_sequence_of_directions_turns_robots_of_both_alike(period, step):
-    directions = np.cumsum(np.random.default_rng(3).uniform(-step, step, round(4 / period)))
+    rng = np.random.default_rng(1)  # by which no robot comes near another, or the edge
+    directions = np.cumsum(rng.uniform(-step, step, round(4 / period)))
     lab = lab_spec().experiment
     emulated = virtual_lab(lab, M3piSettings(), lab.setup.starts.array(), 3)
     bench = bench_spec(*EVEN).experiment

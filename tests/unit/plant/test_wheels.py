@@ -12,8 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.emulate.m3pi.robot import EmulatedRobot
 from tetractl.experiment.load import parse_spec
-from tetractl.lab.actuators.m3pi.command import Drivetrain, Wheel
-from tetractl.model.wheels import body_velocity
+from tetractl.model.wheels import Drivetrain, Wheel, body_velocity
 
 PERIOD = SECOND // 5
 DIRECTIONS = np.random.default_rng(5).uniform(-math.pi, math.pi, 12).tolist()

@@ -1,4 +1,5 @@
 from base64 import b64decode
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,7 +8,14 @@ from hypothesis import strategies as st
 from support import random_trials as made
 
 from tetractl.log.read.reader import read_trial
-from tetractl.report.trial_data import PLAN_ERROR, corners, trial_data
+from tetractl.report.trial_data import MISSING, corners, rounded, trial_data
+
+
+def off(curves, points):
+    """Return how far points (N, 2) are from N curves (n, N, 2) of straight lines."""
+    share = np.linspace(0, 1, 501)[:, None, None]
+    lines = [first + share * (last - first) for first, last in pairwise(curves)] or [curves]
+    return np.linalg.norm(np.concatenate(lines) - points, axis=2).min(axis=0)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 60), st.integers(1, 3), st.floats(1e-3, 1))
@@ -17,11 +25,8 @@ def test_thinned_curves_stay_within_the_error(seed, count, robots, error):
     assert (kept[0], kept[-1]) == (0, count - 1)
     assert (np.diff(kept) > 0).all()
     for first, last in pairwise(kept):
-        share = np.linspace(0, 1, 2001)[:, None, None]
-        line = points[first] + share * (points[last] - points[first])
         for inner in points[first + 1 : last]:
-            gaps = np.linalg.norm(line - inner, axis=2).min(axis=0)
-            assert gaps.max() <= error * 1.01
+            assert off(points[[first, last]], inner).max() <= error * 1.01
 
 
 def test_a_straight_line_is_its_ends_and_no_curve_is_nothing():
@@ -39,16 +44,32 @@ def unpack(packed):
 
 def test_the_page_has_each_plan_to_a_thousandth_of_the_arena_and_each_search(tmp_path):
     log = read_trial(made.write(made.trial(3, steps=4), tmp_path / "t.mcap"))
-    data = trial_data(log, "t")
     arena, robots = log.start.setup.arena, len(log.start.setup.names)
+    turn = np.linspace(0, 2 * np.pi, 40)[:, None, None]
+    circles = 0.3 * arena.width * np.concatenate([np.cos(turn), np.sin(turn), turn], axis=2)
+    path = np.repeat(circles, robots, axis=1)
+    steps = tuple(replace(step, plan=replace(step.plan, path=path)) for step in log.steps)
+    log = replace(log, steps=steps)
+    data = trial_data(log, "t")
     at, plan = data["plan"]["at"], unpack(data["plan"]["values"]).reshape(-1, robots, 2)
     for k, step in enumerate(log.steps):
         shown = plan[at[k] : at[k + 1]]
-        size = PLAN_ERROR * max(arena.width, arena.height) + np.ptp(plan) / 1e4
-        for point in (step.plan.path[0, :, :2], step.plan.path[-1, :, :2]):
-            assert np.abs(shown - point).max(axis=(1, 2)).min() <= size
+        size = 1e-3 * max(arena.width, arena.height) + np.ptp(plan) / 1e4
+        for point in step.plan.path[..., :2]:
+            assert off(shown, point).max() <= size
         first, last = data["history"]["at"][k : k + 2]
         kept = unpack(data["history"]["iterations"])[first:last].astype(int)
         values = unpack(data["history"]["values"])[first:last]
         assert np.allclose(values, step.plan.search.history[kept], rtol=1e-6)
     assert trial_data(log, "t", plans=False)["plan"] is None
+
+
+@given(st.lists(st.floats(-1e300, 1e300) | st.sampled_from([np.nan, np.inf]), max_size=20))
+def test_rounded_values_are_near_and_what_is_not_finite_is_missing(values):
+    packed, wanted = rounded(values), np.array(values)
+    steps, finite = np.frombuffer(b64decode(packed["i2"]), "<i2"), np.isfinite(wanted)
+    assert ((steps == MISSING) == ~finite).all()
+    if finite.any():
+        extent = wanted[finite].max() / 2 - wanted[finite].min() / 2
+        gaps = np.abs((packed["offset"] + packed["scale"] * steps.astype(float)) - wanted)[finite]
+        assert (gaps <= extent / 60_000 + 1e-9 * np.abs(wanted[finite]) + 1).all()

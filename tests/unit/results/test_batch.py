@@ -116,8 +116,8 @@ def test_the_folder_of_a_study_is_a_batch_per_arm_listed_once(tmp_path):
     study = arm.parent
     found = sources([str(study)])
     assert [(one.name, len(one.logs), len(one.rows)) for one in found] == [
-        ("dead_time=0.1", 1, 1),
         ("dead_time=0", 1, 1),
+        ("dead_time=0.1", 1, 1),
     ]
     assert [len(one.read().trials) for one in found] == [3, 3]
     with pytest.raises(UsageError, match="is the folder of a study"):

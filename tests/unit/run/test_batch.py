@@ -15,9 +15,8 @@ from tetractl.run import executors, task
 from tetractl.run.batch import TimeLeft, run_batch
 from tetractl.run.executors import Here, on_this_machine
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.seeds import trial_seeds
 from tetractl.run.store import LogStore
-from tetractl.run.task import Finished, Task, batch_tasks, log_path, run_trial
+from tetractl.run.task import Finished, Task, batch_tasks, log_path, run_trial, trial_seeds
 
 QUICK = """
 name: quick

@@ -8,8 +8,8 @@ from support.bounded import best_plan, spec
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.run.plausibility.case import Case
-from tetractl.run.plausibility.robots import beyond_the_plan, out_of_reach
+from tetractl.run.plausibility.checks import beyond_the_plan, out_of_reach
+from tetractl.run.plausibility.context import CheckContext
 from tetractl.run.plausibility.warnings import find_warnings
 
 EXPERIMENTS = sorted((ROOT / "experiments").glob("*.yaml"))
@@ -229,7 +229,7 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
     for seed in range(24):
         rng = np.random.default_rng(seed)
         experiment = spec(rng, robots=2, signals=int(rng.integers(10, 40)), kind="apart")
-        case = Case.of(experiment)
+        case = CheckContext.of(experiment)
         if [*out_of_reach(case), *beyond_the_plan(case)]:
             warned.add(seed)
         if best_plan(experiment) < 1:

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.run.seeds import trial_seeds
+from tetractl.run.task import trial_seeds
 
 
 @given(root=st.integers(0, 2**64 - 1), trial=st.integers(0, 10**6))

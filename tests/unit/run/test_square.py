@@ -8,8 +8,7 @@ from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
-from tetractl.run.limits import check, limits
-from tetractl.run.square import directions
+from tetractl.run.limits import check, directions, limits
 
 SQUARE = {"type": "square", "side": 2.0}
 

@@ -10,9 +10,9 @@ from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.replay.player import RATE_MAX, Playback, Player
 from tetractl.replay.recording import Recording
-from tetractl.serve import recorded
+from tetractl.serve import feeds
+from tetractl.serve.feeds import ServedReplay
 from tetractl.serve.protocol import Request
-from tetractl.serve.recorded import ServedReplay
 
 MS = 1_000_000
 
@@ -50,7 +50,7 @@ def contents(tmp_path_factory):
 
 @pytest.fixture
 def play(contents, monkeypatch):
-    monkeypatch.setattr(recorded, "Viewers", Server)
+    monkeypatch.setattr(feeds, "Viewers", Server)
 
     def opened(**options):
         wall = Wall()

@@ -9,7 +9,7 @@ from tetractl.experiment.yaml.schema import schema_json
 from tetractl.study.kinds import SWEEPS
 from tetractl.study.load import load_study, spec_of, study_schema
 from tetractl.study.study import Study
-from tetractl.study.sweeps.sample import Range
+from tetractl.study.sweep import Range
 
 HEAD = "name: quick\nbase: spec.yaml\n"
 
@@ -84,11 +84,6 @@ def test_a_problem_of_the_base_is_told_at_its_place_there(tmp_path):
     assert len(found) == 1
     assert found[0].startswith("spec.yaml:3:")
     assert "many-dead_time=0-a=3" in hint
-
-
-def test_a_spec_in_the_place_of_a_study_is_recognised(tmp_path):
-    _, hint = problems(tmp_path, QUICK)
-    assert hint == "this is a spec: a study names it as its 'base:'"
 
 
 def test_a_lab_is_refused(tmp_path):

@@ -4,9 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.study.kinds import SWEEPS
-from tetractl.study.sweeps.grid import Grid
-from tetractl.study.sweeps.points import Points
-from tetractl.study.sweeps.sample import Random, Range, Sobol
+from tetractl.study.sweep import Grid, Points, Random, Range, Sobol
 
 
 def values(sweep, seed=1):

@@ -83,7 +83,7 @@ def test_a_log_without_steps_is_no_film(tmp_path, log):
     ("name", "message"),
     [
         ("film.avi", r"cannot write '\.avi' films"),
-        ("film", "cannot write '' films"),
+        ("film", "the name of a film needs an ending"),
         ("no/film.gif", "there is no folder"),
         ("film.mp4", "written by ffmpeg, which is not installed"),
     ],

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 WIDTH = 120
 """Characters of a line where there is no terminal; words that are longer are not broken."""
 
-WORDS = 20
+WORDS = 16
 """Least width of a column of words there, if any of them are as wide."""
 
 _FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"

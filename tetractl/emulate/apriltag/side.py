@@ -21,8 +21,7 @@ from tetractl.emulate.apriltag.mjpeg import (
     cut_short,
     oversized,
 )
-from tetractl.emulate.apriltag.optics import Optics
-from tetractl.emulate.apriltag.renderer import Renderer
+from tetractl.emulate.apriltag.renderer import Optics, Renderer
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.sides import Body, Facts, Stage

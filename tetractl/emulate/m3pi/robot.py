@@ -7,13 +7,13 @@ with a first-order lag.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Protocol
 
 from tetractl.core.clock import SECOND
 from tetractl.emulate.firmware import RobotCore
-from tetractl.lab.actuators.m3pi.broadcast import Counts
-from tetractl.lab.actuators.m3pi.command import Drivetrain, speeds_of_counts
-from tetractl.lab.actuators.m3pi.slave import Motor, MotorCount, Query, SlaveDecoder
+from tetractl.lab.actuators.m3pi.slave import BATTERY_REQUEST, M1, M2, SIGNATURE_REQUEST
+from tetractl.model.wheels import Counts, Drivetrain, speeds_of_counts
 
 STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
 STANDING_MM_S = 1.0
@@ -54,6 +54,64 @@ class FirmwareProgram:
     def answer(self, now_ms: int) -> bytes:
         """Return the reply to a poll in its slot."""
         return self.core.take_reply(now_ms & 0xFFFFFFFF)
+
+
+class Motor(Enum):
+    """M1 is the left motor where nothing is swapped."""
+
+    M1 = M1
+    M2 = M2
+
+
+@dataclass(frozen=True, slots=True)
+class MotorCount:
+    """A motor and its count in -127..127."""
+
+    motor: Motor
+    count: int
+
+
+class Query(Enum):
+    """A request that wants an answer."""
+
+    SIGNATURE = SIGNATURE_REQUEST[0]
+    BATTERY = BATTERY_REQUEST[0]
+
+
+class SlaveDecoder:
+    """The robot's reading of the stream: the commands in bytes cut anywhere.
+
+    `ignored` counts data bytes that no command was waiting for, commands that lost their data,
+    and commands not named here.
+    """
+
+    def __init__(self) -> None:
+        self.ignored = 0
+        self._pending: tuple[Motor, int] | None = None  # motor and sign that wait for data
+
+    def feed(self, data: bytes) -> list[MotorCount | Query]:
+        """Take bytes as they came; return the commands they complete."""
+        commands: list[MotorCount | Query] = []
+        for byte in data:
+            if byte < 0x80:
+                if self._pending is None:
+                    self.ignored += 1
+                    continue
+                motor, sign = self._pending
+                self._pending = None
+                commands.append(MotorCount(motor, sign * byte))
+                continue
+            self.ignored += self._pending is not None
+            self._pending = _MOTORS.get(byte)
+            if byte in _QUERIES:
+                commands.append(Query(byte))
+            elif self._pending is None:
+                self.ignored += 1
+        return commands
+
+
+_QUERIES = frozenset(query.value for query in Query)
+_MOTORS = {motor.value + back: (motor, 1 - 2 * back) for motor in Motor for back in (0, 1)}
 
 
 class SlaveProgram:

@@ -10,9 +10,14 @@ from functools import partial
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.emulate.loop import Timeline
-from tetractl.emulate.optitrack.server import Address, MotiveServer
+from tetractl.emulate.optitrack.server import (
+    Address,
+    MotiveServer,
+    ServerCounts,
+    Streaming,
+    Trouble,
+)
 from tetractl.emulate.optitrack.server_wire import pack_answer, pack_modeldef, parse_request
-from tetractl.emulate.optitrack.streaming import ServerCounts, Streaming, Trouble
 from tetractl.lab.cameras.optitrack.messages import (
     NEWEST,
     OLDEST,

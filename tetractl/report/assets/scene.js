@@ -63,13 +63,13 @@ class Scene {
     const dx = EDGE.left + (wide - scale * (right - left)) / 2;
     const dy = EDGE.bottom + (high - scale * (top - bottom)) / 2;
     this.place = (x, y) => [dx + (x - left) * scale, height - dy - (y - bottom) * scale];
-    this.scale = scale;
+    this.end = dx + scale * (right - left);
     this.ground(context, width);
     if (this.options.trail) this.trails(context, t);
     this.targets(context);
     if (this.options.plan && this.trial.plan) this.plan(context, t);
     this.robots(context, poses);
-    this.direction(context, t, width);
+    this.direction(context, t);
   }
 
   line(context, points, closed = false) {
@@ -226,10 +226,10 @@ class Scene {
   }
 
   // The common direction u as an arrow above the arena.
-  direction(context, t, width) {
+  direction(context, t) {
     const k = indexAt(this.trial.steps.t, t);
     if (k < 0) return;
-    const u = this.trial.steps.u[k], x = width - EDGE.right - 20, y = EDGE.top / 2, reach = 20;
+    const u = this.trial.steps.u[k], x = this.end - 20, y = EDGE.top / 2, reach = 20;
     if (Number.isNaN(u)) return;  // the field is off
     context.strokeStyle = context.fillStyle = color("ink");
     context.lineWidth = 2;

@@ -1,7 +1,6 @@
 """Warns of what is doubtful in a spec.
 
-Each check is a function in `CHECKS`: it yields a `Doubt`, with the number that shows it, for each
-thing it finds. What each check means is in docs/reference/warnings.md.
+Each check is a function in `CHECKS`. What each check means is in docs/reference/warnings.md.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -11,27 +10,27 @@ import numpy as np
 
 from tetractl.experiment.load import LoadedSpec, document_of
 from tetractl.experiment.yaml.problems import SpecProblem
-from tetractl.run.plausibility import places, robots, settings
-from tetractl.run.plausibility.case import Case, Doubt
+from tetractl.run.plausibility import checks
+from tetractl.run.plausibility.context import CheckContext, SpecWarning
 
-CHECKS: tuple[Callable[[Case], Iterator[Doubt]], ...] = (
-    settings.angles,
-    settings.plan_outlasts_trial,
-    settings.coarse_period,
-    settings.unknown_dead_time,
-    robots.robots_alike,
-    robots.out_of_reach,
-    robots.beyond_the_plan,
-    robots.error_left,
-    places.walled_off,
-    places.inside_margin,
-    places.too_close,
+CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (
+    checks.angles,
+    checks.plan_outlasts_trial,
+    checks.coarse_period,
+    checks.unknown_dead_time,
+    checks.robots_alike,
+    checks.out_of_reach,
+    checks.beyond_the_plan,
+    checks.error_left,
+    checks.walled_off,
+    checks.inside_margin,
+    checks.too_close,
 )
 
 
 @dataclass(frozen=True, slots=True)
-class SpecWarning(SpecProblem):
-    """A doubt at its place in the spec's file."""
+class PlacedWarning(SpecProblem):
+    """A warning at its place in the spec's file."""
 
     hint: str = ""
 
@@ -40,15 +39,17 @@ class SpecWarning(SpecProblem):
 
 
 @np.errstate(all="ignore")  # absurd numbers are a spec's own affair
-def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[SpecWarning, ...]:
+def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedWarning, ...]:
     """Return what is doubtful in a spec that was loaded with `sets`, in the order of its lines."""
-    case = Case.of(loaded.experiment)
+    context = CheckContext.of(loaded.experiment)
     document = document_of(loaded.text, str(loaded.path or loaded.name), sets)
     found = []
-    for doubt in (doubt for check in CHECKS for doubt in check(case)):
-        place = document.place(doubt.loc)
-        at = place.problem(doubt.loc, doubt.message, place.text)
+    for warning in (warning for check in CHECKS for warning in check(context)):
+        place = document.place(warning.loc)
+        at = place.problem(warning.loc, warning.message, place.text)
         found.append(
-            SpecWarning(at.origin, at.message, at.line, at.column, at.field, at.value, doubt.hint)
+            PlacedWarning(
+                at.origin, at.message, at.line, at.column, at.field, at.value, warning.hint
+            )
         )
     return tuple(sorted(found, key=lambda w: (w.line is None, w.line or 0, w.column or 0)))

@@ -1,6 +1,6 @@
 """Quantities over the time of trials: errors of a trial, of a batch, of several folders."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from tetractl.core.colors import BLUE, PALETTE, RED, robot_colors
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
+from tetractl.core.table.numbers import lengths
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
@@ -72,11 +73,15 @@ def name_curves(axes: Axes, curves: Sequence[Curve], ends: Sequence[float] | Non
 
 
 def robot_curves(
-    setup: Setup, values: Floats, low: Floats | None, high: Floats | None, form: str
+    setup: Setup,
+    values: Floats,
+    low: Floats | None = None,
+    high: Floats | None = None,
+    show: Callable[[float], str] | None = None,
 ) -> list[Curve]:
     """Return a curve for each robot of values (M, N), which have no bands where robots are many.
 
-    It is named after the robot and, in the format `form`, its last value.
+    It is named after the robot and, as `show` writes it, its last value.
     """
     colors, names = robot_colors(setup.names, setup.colors), robot_labels(setup.names)
     banded = low is not None and high is not None and len(names) < NUMBERED
@@ -84,7 +89,7 @@ def robot_curves(
         Curve(
             values[:, i],
             color,
-            f"{name} {values[-1, i]:{form}}" if form else name,
+            f"{name} {show(values[-1, i])}" if show else name,
             f"robot-{i}",
             low[:, i] if banded and low is not None else None,
             high[:, i] if banded and high is not None else None,
@@ -117,10 +122,11 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
     time_s = (log.mocap_ns - log.began_ns) / SECOND
     gaps = setup.distances(tracked(log.mocap, log.valid))
     ends = _last(gaps) if log.result is None else np.array(log.result.robot_errors)
+    show = lengths(float(ends.sum()))
     with style.styled():
         figure, total, each = _panels(setup, 1.9, 1.6, max(float(time_s[-1]), 1e-9))
-        whole = Curve(gaps.sum(axis=1), style.INK, f"{ends.sum():.1f} {unit}", "total", width=1.4)
-        robots = robot_curves(setup, np.vstack([gaps, ends]), None, None, ".1f")
+        whole = Curve(gaps.sum(axis=1), style.INK, f"{show(ends.sum())} {unit}", "total", width=1.4)
+        robots = robot_curves(setup, np.vstack([gaps, ends]), show=show)
         draw_curves(total, time_s, [whole])
         for curve in robots:  # the last value is that of the result
             each.plot(time_s, curve.values[:-1], color=curve.color, lw=curve.width, gid=curve.gid)
@@ -162,7 +168,7 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
         median = Curve(middle, BLUE, name, "median", low, high, "median", 1.5)
         draw_curves(total, time_s, [median])
         low, middle, high = np.nanpercentile(counted, QUARTILES, axis=0)
-        robots = robot_curves(setup, middle, low, high, ".3g")
+        robots = robot_curves(setup, middle, low, high, "{:.3g}".format)
         draw_curves(each, time_s, robots)
         signs: list[Artist] = [
             Line2D([], [], color=style.GREY, lw=0.5, label="one trial"),

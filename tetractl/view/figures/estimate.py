@@ -119,7 +119,7 @@ def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: Trial
     The axis shows what lies between the 1st and the 99th percentile: one wild value would squash
     the rest.
     """
-    curves = robot_curves(log.start.setup, values, values - stds, values + stds, "")
+    curves = robot_curves(log.start.setup, values, values - stds, values + stds)
     draw_curves(axes, time_s, curves)
     spread = stds if len(curves) < NUMBERED else np.zeros_like(stds)
     shown = np.percentile(np.concatenate([values - spread, values + spread]), [1, 99])

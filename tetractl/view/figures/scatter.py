@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 
 from tetractl.core.colors import robot_colors
+from tetractl.core.ellipse import DEVIATIONS, INSIDE, ellipse
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
 from tetractl.core.text import unit_of
@@ -24,8 +25,6 @@ from tetractl.view.figures.axes import (
 
 COLUMNS = 4
 FEWEST = 3  # trials for an ellipse
-INSIDE = 0.95
-"""The share of a normal distribution that lies in the ellipse."""
 
 
 def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
@@ -88,22 +87,15 @@ def _panel(axes: Axes, gaps: Floats, cut: Floats, color: str) -> float:
     if len(gaps) < FEWEST:
         return reach
     covariance = np.cov(gaps.T)
-    half, angle = ellipse(covariance)
+    long, short, angle = ellipse(covariance)
     axes.add_patch(
         Ellipse(
-            (float(mean[0]), float(mean[1])), 2 * half[0], 2 * half[1], angle=math.degrees(angle),
+            (float(mean[0]), float(mean[1])), 2 * long, 2 * short, angle=math.degrees(angle),
             fill=False, edgecolor=style.INK, lw=0.8, ls="--", zorder=3,
         )
     )  # fmt: skip
-    span = np.sqrt(-2 * math.log(1 - INSIDE) * np.diag(covariance))
+    span = DEVIATIONS * np.sqrt(np.diag(covariance))
     return max(reach, float((np.abs(mean) + span).max()))
-
-
-def ellipse(covariance: Floats) -> tuple[Floats, float]:
-    """Return the half axes (2,), the longer first, and the angle of that one [rad]."""
-    values, vectors = np.linalg.eigh(covariance)
-    half = np.sqrt(-2 * math.log(1 - INSIDE) * np.maximum(values[::-1], 0))
-    return half, math.atan2(float(vectors[1, 1]), float(vectors[0, 1]))
 
 
 def _key(counted: int, cut: bool) -> list[Line2D]:

@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
-from matplotlib.textpath import TextPath
 from matplotlib.ticker import MultipleLocator
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
+from tetractl.core.table.numbers import lengths
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import tracked
@@ -31,6 +31,7 @@ from tetractl.view.figures.labels import HALO, Labels, edge
 
 FAR = 2.0  # arena sizes beyond the arena that a figure may show
 LINE_IN = 0.156  # height of a line of the legend
+CHARACTER_PT, BETWEEN_PT = 3.9, 20.0  # widths of a character of it, and of what is between texts
 KEYED = 30  # most robots that get an entry of the legend each
 MARKS = 5  # about as many times are marked along a trail
 
@@ -207,8 +208,9 @@ def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key
     setup = logs[0].start.setup
     unit = unit_of(setup.unit)
     if len(logs) == 1:
-        words = [f"{error:.1f}" for error in errors[0]]
-        title = f"error at the end [{unit}], total {errors.sum():.1f}"
+        show = lengths(float(errors.sum()))
+        words = [show(error) for error in errors[0]]
+        title = f"error at the end [{unit}], total {show(errors.sum())}"
     else:
         whole = np.array([not unfinished(log) for log in logs])
         counted = errors[whole] if whole.any() else errors
@@ -219,22 +221,9 @@ def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key
         Line2D([], [], color=color, label=f"{name}: {word}")
         for name, color, word in zip(robot_labels(setup.names), colors, words, strict=True)
     ][: KEYED if len(colors) <= KEYED else 0]
-    widths = [_width_pt(str(handle.get_label())) for handle in handles]
-    most = min(len(widths), 6)
-    fitting = (n for n in range(most, 1, -1) if _legend_pt(widths, n) <= 72 * style.COLUMN_IN)
-    return _Key(title, handles, next(fitting, 1))
-
-
-def _width_pt(text: str) -> float:
-    """Return the width of a text of the legend [pt]."""
-    return float(TextPath((0, 0), text, size=7).get_extents().width)
-
-
-def _legend_pt(widths: Sequence[float], columns: int) -> float:
-    """Return the width of a legend [pt] whose entries have texts so wide, column after column."""
-    handle, space, edge_pt = 1.7 * 7, 1.2 * 7, 7.0
-    columns_pt = [max(part) + handle for part in np.array_split(widths, columns)]
-    return sum(columns_pt) + space * (columns - 1) + edge_pt
+    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
+    fitting = int((72 * style.COLUMN_IN + 1) // (CHARACTER_PT * longest + BETWEEN_PT))
+    return _Key(title, handles, max(min(len(handles), fitting, 6), 1))
 
 
 def _spread(errors: Floats) -> str:

@@ -7,7 +7,7 @@ import sys
 import termios
 import tty
 from collections.abc import Callable
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Self
 
 from tetractl.run.interrupt import SIGNALS
@@ -89,12 +89,7 @@ class Keyboard:
         tty.setcbreak(self._fd, termios.TCSANOW)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)

@@ -2,23 +2,20 @@
 
 from collections.abc import Callable
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.live import Live
+from rich.segment import Segment
+from rich.text import Text
 
 from tetractl.core.colors import robot_colors
 from tetractl.replay.player import Playback, Player
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.glyphs import Glyphs, glyphs_for
-from tetractl.view.terminal.help import Help
 from tetractl.view.terminal.keys import Keyboard
 
 FRAME_S = 1 / 15
 SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "again"}
 TURNS = {"n": 1, "p": -1}
-
-
-def _nobody() -> None:
-    pass
 
 
 def play(
@@ -27,7 +24,7 @@ def play(
     count: int = 1,
     turn_to: Callable[[int], Player] | None = None,
     *,
-    follow: Callable[[], None] = _nobody,
+    follow: Callable[[], None] = lambda: None,
     note: str = "",
 ) -> bool:
     """Play the first of `count` trials, and others at the keys n and p, until q is pressed.
@@ -89,3 +86,39 @@ def dashboard(
     notes = ("damaged log", *log.damage.lost) if log.damage else ()
     colors = robot_colors(setup.names, setup.colors)
     return Dashboard(recording.at(now_ns), colors, heading, footer, notes, aside=note)
+
+
+def keys(glyphs: Glyphs) -> tuple[tuple[str, str], ...]:
+    """Return each key, or group of keys, and what it does."""
+    return (
+        ("space", "pause, play on; at the end: again from the start"),
+        (glyphs.left_right, "1 s back or on"),
+        (", .", "previous or next control step, and pause"),
+        ("E e", "previous or next event, and pause"),
+        ("Home End", "start or end"),
+        ("+ -", "twice or half the rate"),
+        ("p n", "previous or next trial, where several logs are given"),
+        ("?", "show or hide this"),
+        ("q", "quit"),
+    )
+
+
+class Help:
+    """The list of keys as a rich renderable that fills the space available."""
+
+    def __init__(self, glyphs: Glyphs) -> None:
+        self._glyphs = glyphs
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        width, height = options.max_width, options.height or console.height
+        rows = keys(self._glyphs)
+        wide = max(len(key) for key, _ in rows)
+        lines = [Text("Keys of the player", "bold"), Text()] if height > len(rows) + 2 else []
+        lines += [Text.assemble((f" {key:<{wide}}", "bold"), f"  {does}") for key, does in rows]
+        for row in range(height):
+            line = lines[row] if row < len(lines) else Text()
+            line.no_wrap = True
+            line.truncate(width)
+            yield from Segment.adjust_line_length(list(line.render(console)), width)
+            if row < height - 1:
+                yield Segment.line()

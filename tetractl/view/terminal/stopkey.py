@@ -7,7 +7,6 @@ import termios
 import threading
 import tty
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 STOP_KEYS = b" \x1b"
@@ -39,12 +38,7 @@ class StopKey:
             self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self.listening:
             self._closing.set()
             self._thread.join(1.0)

@@ -14,8 +14,7 @@ from tetractl.replay.player import Player, span
 from tetractl.replay.recording import Recording
 from tetractl.view.terminal.dashboard import Footer
 from tetractl.view.terminal.glyphs import ASCII, UNICODE, glyphs_for
-from tetractl.view.terminal.help import Help
-from tetractl.view.terminal.replay_screen import dashboard
+from tetractl.view.terminal.replay_screen import Help, dashboard
 from tetractl.view.terminal.replay_text import step_line
 
 

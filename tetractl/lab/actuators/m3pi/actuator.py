@@ -10,20 +10,21 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.lab.actuators.m3pi.broadcast import Counts
-from tetractl.lab.actuators.m3pi.command import (
-    STOP,
-    Drivetrain,
-    Residue,
-    Wheel,
-    speeds_of_counts,
-    wheel_counts,
-)
 from tetractl.lab.actuators.m3pi.protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.wheels import body_velocity, wheel_speeds
+from tetractl.model.wheels import (
+    STOP,
+    Counts,
+    Drivetrain,
+    Residue,
+    Wheel,
+    body_velocity,
+    speeds_of_counts,
+    wheel_counts,
+    wheel_speeds,
+)
 
 MM = 1e-3  # m
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until the wheels have it

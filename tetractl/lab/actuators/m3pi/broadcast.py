@@ -11,15 +11,13 @@ from enum import IntFlag
 
 from tetractl.lab.cobs import checked_payload, frame_with_crc
 from tetractl.lab.errors import WireError
+from tetractl.model.wheels import COUNT_MAX, Counts
 
 COMMAND, REPLY = 0x51, 0x52
 ROBOTS_MAX = 32
-COUNT_MAX = 127
 WATCHDOG_MS = 250  # the robot stops after this long without a valid new frame
 REPLY_SLOT_MS = 10  # robot i answers a poll i slots later, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
-
-Counts = tuple[int, int]  # left, right; each in -127..127
 
 
 class Flag(IntFlag):

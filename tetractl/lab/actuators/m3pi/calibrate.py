@@ -21,9 +21,9 @@ from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab import LabSection, Measured
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
-from tetractl.lab.actuators.m3pi.broadcast import Counts
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.rig import Rig
+from tetractl.model.wheels import Counts
 
 FIRST, STEP = 6, 4  # counts of the ramp
 BURST_S = 0.4
@@ -99,7 +99,7 @@ def calibrate_robots(
     offsets, wheels, lines = [], [], []
     for name in names:
         report(f"{name}: measuring")
-        bench = _Bench(section, lab, setup.only(name), limit, emergency)
+        bench = _Bench(section, lab, setup.only([setup.names.index(name)]), limit, emergency)
         try:
             bench.open()
             for question in bench.actuator.check().questions:
@@ -249,7 +249,8 @@ class _Bench:
             wait_for(self.clock, self._strayed, (end - self.clock.now()) / SECOND)
             if self.rig.guard.reason:
                 raise AbortError(f"{self.name}: {self.rig.guard.reason}")
-            frames = [f for f in self.rig.frames.since(first) if f.frame.sampled_ns >= began]
+            came, _ = self.rig.frames.since(first)
+            frames = [f for f in came if f.frame.sampled_ns >= began]
             seen = [(f.frame.sampled_ns, pose) for f in frames if (pose := f.pose(0)) is not None]
             times = [began, *(t for t, _ in seen), end]
             if max(np.diff(times)) <= GAP_NS:

@@ -14,11 +14,11 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     decode_reply,
     encode_command,
 )
-from tetractl.lab.actuators.m3pi.command import STOP
 from tetractl.lab.actuators.m3pi.section import M3piSection, SlaveSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Splitter
 from tetractl.lab.errors import WireError
+from tetractl.model.wheels import STOP
 
 TRIES = 5
 

@@ -10,8 +10,7 @@ from support.field_bench import LIMITS, Wire, section
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.poses import Pose
 from tetractl.emulate import firmware
-from tetractl.emulate.cells import Cell, Dish
-from tetractl.emulate.field import CurrentDriver
+from tetractl.emulate.field import Cell, CurrentDriver, Dish
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.port import PseudoPort
 from tetractl.lab.actuators.field.actuator import FieldActuator

@@ -2,14 +2,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tetractl.emulate.m3pi.robot import Motor, MotorCount, Query, SlaveDecoder
 from tetractl.lab.actuators.m3pi.slave import (
     BATTERY_REQUEST,
     SIGNATURE_REQUEST,
     STOP,
-    Motor,
-    MotorCount,
-    Query,
-    SlaveDecoder,
     decode_battery,
     encode_wheels,
 )

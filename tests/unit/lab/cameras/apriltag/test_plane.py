@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, look, rendered, tracker
 
-from tetractl.emulate.apriltag.optics import Optics
-from tetractl.emulate.apriltag.renderer import Renderer
+from tetractl.emulate.apriltag.renderer import Optics, Renderer
 from tetractl.lab.cameras.apriltag.plane import SQUARE, Plane
 
 OPTICS = Optics.facing(FLOOR, MM, *LARGE)

@@ -1,0 +1,126 @@
+"""Films: their pictures, what is found of each cell, and how sure that is."""
+
+import numpy as np
+import pytest
+from support.dish_films import film, followed, record, who
+from support.needs_opencv import cv2
+
+from tetractl.core.errors import TetractlError, UsageError
+from tetractl.film.field import read_field
+from tetractl.film.fit import summarise
+from tetractl.film.follow import follow
+from tetractl.film.pictures import open_film
+from tetractl.film.tables import as_items
+
+
+def test_a_speeds_and_biases_are_within_their_intervals():
+    inside, found = [], 0
+    for seed in (31, 33):
+        made = film(seed=seed, side=512, cells=5, strangers=1, seconds=5.0, crossings=False)
+        seen = followed(made)
+        for path, cell in zip(seen.paths, summarise(seen, record(made))[0], strict=True):
+            i = who(made, path)
+            if cell.a is None or cell.seconds < 3 or i is None:
+                continue
+            found += 1
+            truth = made.cells.a[i], made.cells.speed[i]
+            pairs = zip((cell.a, cell.speed), truth, strict=True)
+            inside += [each.low < value < each.high for each, value in pairs]
+            assert cell.speed.half < 0.05 * truth[1]
+            assert cell.magnetised is bool(truth[0] > 0)
+            assert cell.path_um == pytest.approx(truth[1] * cell.seconds, rel=0.05)
+    assert found >= 4
+    assert np.mean(inside) >= 0.85
+
+
+def test_without_a_field_there_is_no_a():
+    made = film(seed=34, side=512, cells=3, crossings=False)
+    seen = followed(made, known=False)
+    cells, _ = summarise(seen, None)
+    assert cells and all(c.a is None and c.bias is None and c.magnetised is None for c in cells)
+    assert as_items(seen, cells)["cells"][0]["a_rad_s"] is None
+
+
+def test_the_scale_is_guessed_from_bodies(tmp_path):
+    made = film(seed=35, side=512, cells=6, crossings=False)
+    for k, picture in enumerate(made.pictures()):
+        cv2.imwrite(str(tmp_path / f"picture-{k}.png"), picture)
+    found = follow(open_film(tmp_path, 30.0), None, None)
+    assert found.guessed_scale
+    assert found.um_px == pytest.approx(2.3, rel=0.25)
+    assert len(found.paths) >= 3
+
+
+def test_pictures_of_a_folder_come_by_number_and_bad_ones_are_counted(tmp_path):
+    for k in (2, 10, 1):
+        cv2.imwrite(str(tmp_path / f"p{k}.png"), np.full((80, 90), k, np.uint8))
+    (tmp_path / "p3.jpg").write_bytes(b"\xff\xd8 no picture")
+    cv2.imwrite(str(tmp_path / "p4.png"), np.zeros((10, 10), np.uint8))
+    (tmp_path / "notes.txt").write_text("not a picture")
+    film_ = open_film(tmp_path)
+    assert [(k, int(picture[0, 0])) for k, picture in film_] == [(0, 1), (1, 2), (4, 10)]
+    assert film_.damaged == 2
+
+
+@pytest.mark.parametrize("name", ["film.avi", "film.mp4", "film.mjpeg"])
+def test_films_are_read_by_their_own_rate(tmp_path, name):
+    path = tmp_path / name
+    if name.endswith("mjpeg"):
+        picture = cv2.imencode(".jpg", np.full((96, 128), 90, np.uint8))[1].tobytes()
+        path.write_bytes(picture * 8)
+    else:
+        code = cv2.VideoWriter.fourcc(*("MJPG" if name.endswith("avi") else "mp4v"))
+        writer = cv2.VideoWriter(str(path), code, 15.0, (128, 96))
+        for _ in range(8):
+            writer.write(np.full((96, 128, 3), 90, np.uint8))
+        writer.release()
+    found = open_film(path)
+    assert len(list(found)) == len(list(found)) >= 7
+    if not name.endswith("mjpeg"):
+        assert found.rate_hz == pytest.approx(15.0)
+    assert open_film(path, 60.0).rate_hz == 60.0
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"RIFF" + bytes(100), bytes(range(256)) * 40, b"\xff\xd8\xff\xe0 cut"]
+)
+def test_what_is_no_film_is_one_clear_error(tmp_path, content):
+    path = tmp_path / "film.avi"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match="is no film that OpenCV can read"):
+        open_film(path)
+
+
+def test_a_film_without_cells_says_so(tmp_path):
+    for k in range(40):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((64, 64), 100, np.uint8))
+    assert follow(open_film(tmp_path), 2.3, None).paths == ()
+    with pytest.raises(TetractlError, match="scale is not known"):
+        follow(open_film(tmp_path), None, None)
+
+
+def test_the_field_is_that_of_the_last_row_before(tmp_path):
+    path = tmp_path / "field.csv"
+    path.write_text("time_s,direction_rad,strength\n1.0,0,1\n2.0,1.5707963,0.5\n")
+    field = read_field(path)
+    assert field.pieces(0.0, 0.5) == [(0.5, 0.0, 0.0)]
+    cut = np.array(field.pieces(0.5, 2.5))
+    assert cut == pytest.approx(np.array([(0.5, 0, 0), (1.0, 1, 0), (0.5, 0, 0.5)]), abs=1e-6)
+    assert read_field(path, upside_down=True).pieces(2.0, 2.5)[-1][2] == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a,b\n1,2\n", "has no columns time_s and direction_rad"),
+        ("time_s,direction_rad\n1,north\n", "line 2: is no number"),
+        ("time_s,direction_rad\n1,nan\n", "line 2: is not finite"),
+        ("time_s,direction_rad\n2,0\n1,0\n", "line 3: time goes back"),
+        ("time_s,direction_rad\n", "has no rows"),
+    ],
+)
+def test_a_wrong_field_is_one_clear_error(tmp_path, text, says):
+    path = tmp_path / "field.csv"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=says):
+        read_field(path)

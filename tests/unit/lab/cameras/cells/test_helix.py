@@ -1,0 +1,110 @@
+"""The filter of swimming cells: it learns headings, turning rates and speeds, with their doubt."""
+
+import math
+
+import numpy as np
+import pytest
+from support.dish_films import film, record
+
+from tetractl.lab.cameras.cells.helix import HEADING, SPEED, STATES, A, HelixFilter
+
+POSITION, AXIS = 0.5, 0.03
+
+
+def followed(seed, known=True, seconds=6.0, cells=8):
+    """A filter after a film of which positions and axes are known but for noise."""
+    made = film(seed=seed, seconds=seconds, cells=cells)
+    random = np.random.default_rng(seed)
+    seen = made.body + random.normal(0, 1, made.body.shape) * (POSITION, POSITION, AXIS)
+    bank, field = HelixFilter(known), record(made).pieces
+    rows = []
+    for i in range(cells):
+        vx, vy = np.polyfit(made.times[:6], seen[:6, i, :2], 1)[0]
+        rows.append(bank.add(*seen[5, i, :2], math.atan2(vy, vx), math.hypot(vx, vy)))
+    rows = np.array(rows)
+    deviation = np.tile((POSITION, POSITION, AXIS), (cells, 1))
+    for k in range(6, len(made.times)):
+        step = (made.times[k - 1], made.times[k])
+        bank.predict(field(*step) if known else [(step[1] - step[0], 0.0, 0.0)])
+        bank.update(rows, seen[k], deviation)
+    return made, bank, rows
+
+
+def wrapped(angle):
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(known):
+    off, sway = [], []
+    for seed in range(3):
+        made, bank, rows = followed(seed, known)
+        off.append(wrapped(bank.mean[rows, HEADING] - made.heading[-1]))
+        sway.append(wrapped(made.body[..., 2] - made.heading).std())
+    assert np.mean(sway) > 0.15
+    assert np.sqrt(np.mean(np.square(off))) < (0.05 if known else 0.12)
+
+
+def test_turning_rates_and_speeds_are_within_their_intervals():
+    errors = []
+    for seed in range(4):
+        made, bank, rows = followed(seed)
+        deviation = np.sqrt(np.diagonal(bank.covariance[rows], axis1=1, axis2=2))
+        for state, truth in ((A, made.cells.a), (SPEED, made.cells.speed)):
+            errors.append((bank.mean[rows, state] - truth) / deviation[:, state])
+            assert np.all(deviation[:, state] < 0.1 * np.abs(truth))
+    assert np.mean(np.abs(errors) < 1.96) >= 0.92
+
+
+def test_slopes_are_those_of_what_is_seen_and_of_the_motion():
+    """Numerical differentiation of both: one state at a time is moved by a little."""
+    _, bank, rows = followed(1, seconds=2.0, cells=3)
+    pieces = [(0.01, 0.6, 0.8)]
+    base, slopes = bank.seen(rows)
+    before, covariance = bank.mean.copy(), bank.covariance.copy()
+    moved = np.zeros((len(rows), STATES, STATES))
+    for state in range(STATES):
+        small = 1e-5 * max(1.0, abs(float(before[rows[0], state])))
+        ends = []
+        for sign in (1, -1):
+            bank.mean, bank.covariance = before.copy(), covariance.copy()
+            bank.mean[rows, state] += sign * small
+            if sign == 1:
+                seen = (bank.seen(rows)[0] - base) / small
+                assert seen == pytest.approx(slopes[:, :, state], abs=1e-3)
+            bank.predict(pieces)
+            ends.append(bank.mean[rows].copy())
+        moved[:, :, state] = (ends[0] - ends[1]) / (2 * small)
+    bank.mean, bank.covariance = before.copy(), np.zeros_like(covariance)
+    bank.covariance[rows] = np.eye(STATES)
+    bank.predict(pieces)
+    noise = bank.covariance[rows] - moved @ moved.transpose(0, 2, 1)
+    off = noise - np.einsum("rii,ij->rij", noise, np.eye(STATES))
+    assert np.abs(off).max() < 1e-3  # what is left is the noise of each state by itself
+
+
+def test_a_heading_that_was_the_wrong_way_round_is_turned():
+    bank = HelixFilter(known=False)
+    row = bank.add(0.0, 0.0, math.pi, 300.0)  # it swims the other way
+    rows = np.array([row])
+    for k in range(1, 60):
+        bank.predict([(1 / 30, 0.0, 0.0)])
+        if k % 3 == 0:
+            bank.loosen([row])
+        bank.update(rows, np.array([[10.0 * k, 0.0, 0.0]]), np.array([[1.0, 1.0, 0.05]]))
+    assert abs(wrapped(bank.mean[row, HEADING])) < 0.3
+    assert bank.mean[row, SPEED] > 200
+
+
+def test_rows_are_used_again_and_an_outlier_moves_little():
+    bank = HelixFilter()
+    first = bank.add(0.0, 0.0, 0.0, 300.0)
+    bank.drop(first)
+    row = bank.add(0.0, 0.0, 0.0, 300.0)
+    assert row == first
+    bank.covariance[row] *= 0.01
+    likelihood, far = bank.update(
+        np.array([row, row])[:1], np.array([[400.0, 0.0, 0.0]]), np.array([[1.0, 1.0, 0.05]])
+    )
+    assert far[0] > 1000 and bank.mean[row, 0] < 40
+    assert np.isfinite(likelihood).all()

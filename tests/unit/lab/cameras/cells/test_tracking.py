@@ -1,0 +1,87 @@
+"""Blobs and cells of synthetic pictures against their truth."""
+
+import math
+
+import numpy as np
+import pytest
+from support.dish_films import film, followed, score
+
+from tetractl.film.field import no_field
+from tetractl.lab.cameras.cells.detect import BLOBS, BlobFinder
+from tetractl.lab.cameras.cells.tracking import CellTracker
+
+
+@pytest.mark.parametrize(("seed", "known"), [(1, True), (3, True), (1, False)])
+def test_poses_of_swimming_cells(seed, known):
+    made = film(seed=seed, side=512, cells=5)
+    found = score(made, followed(made, known))
+    assert found.f1 > 0.98
+    assert np.percentile(np.abs(found.position), 95) < 1.5
+    assert np.median(np.abs(found.axis)) < 0.03
+    assert np.median(np.abs(found.heading)) < 0.05
+
+
+def test_numbers_are_kept_through_crossings():
+    made = film(seed=12, side=512, cells=4, seconds=4.0)
+    for numbers in score(made, followed(made)).numbers.values():
+        assert max(numbers.count(n) for n in set(numbers)) >= 0.9 * len(numbers)
+
+
+@pytest.mark.parametrize("bright", [False, True])
+def test_the_polarity_is_found_and_specks_are_no_cells(bright):
+    look = {"bright": bright, "light": 50.0 if bright else 160.0}
+    made = film(seed=6, side=384, look=look, cells=3, crossings=False)
+    found = followed(made)
+    assert found.bright is bright
+    assert score(made, found).f1 > 0.97
+
+
+def test_a_resting_cell_is_not_lost_in_the_background():
+    made = film(seed=7, side=512, cells=4, seconds=6.0, events=True, crossings=False)
+    resting = np.flatnonzero((made.times > 0.42 * 6) & (made.times < 0.58 * 6))[10:]
+    if not made.seen[resting, 3].all():
+        pytest.fail("the film does not show what it is for")
+    places = {}
+    for path in followed(made).paths:
+        for k, cell in zip(path.frames.tolist(), path.seen, strict=True):
+            places.setdefault(k, []).append((cell.x, cell.y))
+    gaps = [
+        min(math.dist(place, made.body[k, 3, :2]) for place in places.get(k, [(1e9, 1e9)]))
+        for k in resting.tolist()
+    ]
+    assert np.mean(np.array(gaps) < 15) > 0.95
+
+
+@pytest.mark.parametrize(
+    "absurd",
+    [
+        np.zeros((200, 240), np.uint8),
+        np.full((200, 240), 255, np.uint8),
+        np.random.default_rng(1).integers(0, 256, (200, 240)).astype(np.uint8),
+        (255 * (np.indices((200, 240)).sum(axis=0) % 2)).astype(np.uint8),
+        np.kron(np.random.default_rng(2).integers(0, 2, (20, 24)), np.full((10, 10), 255)).astype(
+            np.uint8
+        ),
+    ],
+    ids=["black", "saturated", "noise", "checkerboard", "blobs"],
+)
+def test_absurd_pictures_have_few_blobs_and_no_cells(absurd):
+    made = film(seed=1, side=240, cells=2, seconds=1.0)
+    pictures = [each[:200] for each in made.pictures()]
+    tracker = CellTracker(2.3, known=False)
+    tracker.learn(pictures)
+    for k, picture in enumerate([*pictures[:10], *[absurd] * 20, *pictures[10:20]]):
+        shown = tracker.see(picture, k / 30, no_field)
+        assert len(tracker.finder.find(absurd)) <= BLOBS
+        assert all(np.isfinite((c.x, c.y, c.heading)).all() for c in shown)
+        if 20 < k < 30:
+            assert shown == []
+
+
+def test_light_that_changes_makes_no_blobs():
+    flat = np.full((128, 128), 120, np.uint8)
+    finder = BlobFinder(20, 2000, bright=False)
+    finder.learn([flat] * 3)
+    for level in (60, 100, 150, 200):
+        assert finder.find(np.full((128, 128), level, np.uint8)) == []
+        assert finder.light.gain == pytest.approx(level / 120, rel=0.02)

@@ -1,0 +1,41 @@
+"""The buffer of accepted frames: each reader gets each frame once, in order; the newest stay."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.frames import KEPT, AcceptedFrame, FrameBuffer
+
+
+def frame(number):
+    pose = Pose(float(number), 0.0, 0.0)
+    return AcceptedFrame(CameraFrame(number, 10 * number, 10 * number, (pose,)), (pose,), (True,))
+
+
+@given(st.lists(st.integers(0, 5), max_size=20))
+def test_a_reader_gets_every_frame_once_and_in_order(arrivals):
+    buffer, read, got, number = FrameBuffer(), 0, [], 0
+    for count in arrivals:
+        for _ in range(count):
+            buffer.append(frame(number := number + 1))
+        found, read = buffer.since(read)
+        got += [each.frame.number for each in found]
+    assert got == list(range(1, number + 1))
+    assert buffer.count == number
+    assert (buffer.newest.frame.number if number else buffer.newest) == (number or None)
+
+
+def test_the_oldest_frames_make_room_and_a_window_counts_back_from_the_newest():
+    buffer = FrameBuffer()
+    for number in range(KEPT + 5):
+        buffer.append(frame(number))
+    found, read = buffer.since(0)
+    assert [each.frame.number for each in found] == list(range(5, KEPT + 5))
+    assert buffer.since(read) == ([], KEPT + 5), "none comes twice"
+    assert [each.frame.number for each in buffer.last(20)] == [KEPT + 2, KEPT + 3, KEPT + 4]
+
+
+def test_a_pose_that_is_not_of_the_frame_is_none():
+    old = Pose(1.0, 2.0, 3.0)
+    seen = AcceptedFrame(CameraFrame(1, 0, 0, (None, old)), (old, old), (False, True))
+    assert (seen.pose(0), seen.pose(1)) == (None, old)

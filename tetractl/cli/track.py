@@ -1,0 +1,108 @@
+"""`tetractl track`: the cells of a film."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tetractl.core.errors import Exit, UsageError
+
+if TYPE_CHECKING:
+    from tetractl.film.fit import CellSummary
+    from tetractl.film.follow import Followed
+    from tetractl.film.pictures import FilmPictures
+
+
+def track(
+    film: Annotated[
+        Path, typer.Argument(metavar="FILM", help="A film, an MJPEG file or a folder of pictures.")
+    ],
+    field: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="The field's direction over time: time_s, direction_rad."),
+    ] = None,
+    scale: Annotated[
+        float | None,
+        typer.Option(
+            min=0.05, max=100, metavar="UM", help="Micrometres a pixel; guessed from the bodies."
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=0.1, max=2000, metavar="HZ", help="Pictures a second, if not the film's."),
+    ] = None,
+    y_down: Annotated[
+        bool, typer.Option("--y-down", help="The directions of the field count clockwise.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--out", metavar="DIR", help="Write tables, a log and the film with the tracks."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> int:
+    """Follow the cells of a film: speed, path and sway of each, with 95 % intervals.
+
+    With the field's direction over time also a, heading bias, and whether the cell has a magnet.
+    Nothing is steered. Exits with 1 where no cell swims in it.
+
+    Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from tetractl.core.table.data import json_text
+    from tetractl.core.table.show import print_tables
+    from tetractl.film.field import read_field
+    from tetractl.film.fit import summarise
+    from tetractl.film.follow import follow
+    from tetractl.film.pictures import open_film
+    from tetractl.film.tables import as_items, cell_table
+
+    if y_down and field is None:
+        raise UsageError("--y-down belongs to --field")
+    if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(f"{out}: exists already", "name another with --out")
+    directions = None if field is None else read_field(field, y_down)
+    pictures = open_film(film, rate)
+    with Progress(
+        console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+    ) as bar:
+        task = bar.add_task("following", total=None)
+        found = follow(pictures, scale, directions, lambda number: bar.advance(task))
+        task = bar.add_task("fitting", total=None)
+        cells, _ = summarise(found, directions, lambda: bar.advance(task))
+        if out is not None:
+            task = bar.add_task("writing", total=None)
+            _write(out, pictures, found, cells)
+    if as_json:
+        print(json_text(as_items(found, cells)))
+    else:
+        print_tables([cell_table(found, cells)])
+        if out is not None:
+            print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    if not found.paths:
+        print("no cell swims in this film", file=sys.stderr)
+    return Exit.DONE if found.paths else Exit.FAILED
+
+
+def _write(
+    out: Path,
+    pictures: "FilmPictures",
+    found: "Followed",
+    cells: "Sequence[CellSummary]",
+) -> None:
+    """Write the tables, the log and the film with the tracks."""
+    from tetractl.core.table.files import TableFiles
+    from tetractl.film.files import write_log, write_overlay
+    from tetractl.film.tables import pose_table, summary_table
+
+    files = {"cells": out / "cells.csv", "poses": out / "poses.csv"}
+    with TableFiles(files, "csv") as tables:
+        tables.add("cells", summary_table(cells))
+        tables.add("poses", pose_table(found))
+    write_log(out / "track.mcap", pictures, found)
+    write_overlay(out / "overlay.mp4", pictures, found)

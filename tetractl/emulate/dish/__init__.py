@@ -1,0 +1,1 @@
+"""Synthetic pictures of an emulated dish; nothing here was filmed."""

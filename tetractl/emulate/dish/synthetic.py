@@ -1,0 +1,170 @@
+"""A synthetic film of swimming cells with its truth, for tests and benchmarks.
+
+Cells are set out so that pairs of them cross in view; the field's direction is known.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tetractl.core.poses import Bools, Floats
+from tetractl.emulate.dish.picture import SUB_EXPOSURES, DishPainter, Grey, Look
+from tetractl.model.swimmers import DRIFT_UM_S, Bodies, Swimmers, bodies
+
+STEP_S = 1 / 240
+MARGIN_UM = 30.0  # nearer the edge of the picture a cell counts as not seen
+TRIES = 40  # to cross two cells in view
+
+
+@dataclass(frozen=True, slots=True)
+class FilmScript:
+    """What happens in a film of `seconds` at `rate` pictures a second.
+
+    `cells` are magnetised, `strangers` are not. The field's direction changes after `hold` seconds,
+    drawn evenly between the two. `events`: one cell rests for a while, one divides.
+    """
+
+    seconds: float = 10.0
+    rate: float = 30.0
+    cells: int = 20
+    strangers: int = 0
+    hold: tuple[float, float] = (0.3, 1.2)
+    events: bool = True
+    crossings: bool = True
+
+
+@dataclass(slots=True)
+class SyntheticFilm:
+    """A film: `len(film.times)` pictures from `pictures()`, and the truth behind each.
+
+    `turns` (T, 2) are times [s] and directions [rad] of the field. Truth is at the middle of each
+    exposure: `seen` (K, N) whether a cell is in view, `body` (K, N, 3) x, y [um] and axis [rad] of
+    each body, `heading` (K, N) [rad] that of the helix.
+    """
+
+    script: FilmScript
+    look: Look
+    seed: int
+    cells: Swimmers | None = None
+    times: Floats = field(init=False)
+    turns: Floats = field(init=False)
+    seen: Bools = field(init=False)
+    body: Floats = field(init=False)
+    heading: Floats = field(init=False)
+    _past: list[Swimmers] = field(init=False)
+    _shift: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        script = self.script
+        random = np.random.default_rng(self.seed)
+        count = script.cells + script.strangers
+        if self.cells is None:
+            self.cells = Swimmers.drawn(random, count, script.strangers)
+        self.turns = _turns(random, script)
+        self._past = _swum(random, script, self.cells, self.turns)
+        self.cells = self._past[-1]
+        self._shift = np.zeros((len(self.cells), 2))
+        self._set_out(random, count)
+        self.times = np.arange(round(script.seconds * script.rate)) / script.rate
+        shown = [self._bodies(t) for t in self.times]
+        alive = np.array([self._alive(t) for t in self.times])
+        self.body = np.array([np.column_stack([b.x, b.y, b.axis]) for b in shown])
+        self.heading = np.array([self._at(t).heading for t in self.times])
+        inside = (self.body[..., :2] > MARGIN_UM) & (self.body[..., :2] < self._span - MARGIN_UM)
+        self.seen = inside.all(axis=-1) & alive
+
+    @property
+    def _span(self) -> Floats:
+        return np.array([self.look.width, self.look.height]) * self.look.um_px
+
+    def pictures(self) -> Iterator[Grey]:
+        """Yield the pictures in their order."""
+        painter = DishPainter(self.look, self.seed)
+        assert self.cells is not None
+        spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
+        for t in self.times:
+            moments = [self._bodies(t + part * self.look.exposure_s) for part in spread]
+            yield painter.picture(self.cells, moments, self._alive(t), float(t))
+
+    def _at(self, t: float) -> Swimmers:
+        return self._past[min(max(round(t / STEP_S), 0), len(self._past) - 1)]
+
+    def _alive(self, t: float) -> Bools:
+        return ~np.isnan(self._at(t).x)
+
+    def _bodies(self, t: float) -> Bodies:
+        """Return the bodies at a time, between two steps."""
+        place = min(max(t / STEP_S, 0.0), len(self._past) - 1.001)
+        first, part = int(place), place - int(place)
+        a, b = bodies(self._past[first]), bodies(self._past[first + 1])
+
+        def mixed(name: str) -> Floats:
+            return getattr(a, name) + part * (getattr(b, name) - getattr(a, name))
+
+        return Bodies(
+            mixed("x") + self._shift[:, 0],
+            mixed("y") + self._shift[:, 1],
+            *(mixed(name) for name in ("height", "axis", "tilt")),
+        )
+
+    def _set_out(self, random: np.random.Generator, count: int) -> None:
+        """Shift each cell's path; every second one crosses that of the one before it in view."""
+        middle, end = len(self._past) // 2, self.script.seconds
+        for i in range(len(self.cells or ())):
+            own = np.array([self._past[middle].x[i], self._past[middle].y[i]])
+            if i >= count:  # a daughter is where its mother is
+                self._shift[i] = self._shift[self._mother]
+                continue
+            self._shift[i] = random.uniform(0.15, 0.85, 2) * self._span - own
+            other = i - 1
+            for _ in range(TRIES if i % 2 and self.script.crossings else 0):
+                when = random.uniform(0.15 * end, 0.95 * end)
+                at = self._at(when)
+                place = np.array([at.x[other], at.y[other]]) + self._shift[other]
+                if ((place > 0.1 * self._span) & (place < 0.9 * self._span)).all():
+                    self._shift[i] = place - np.array([at.x[i], at.y[i]]) + random.normal(0, 5, 2)
+                    break
+
+    @property
+    def _mother(self) -> int:
+        return self.script.cells - 2
+
+
+def _turns(random: np.random.Generator, script: FilmScript) -> Floats:
+    """Return times and directions of the field; each is drawn by itself."""
+    found, t = [], 0.0
+    while t < script.seconds:
+        found.append((t, random.uniform(-math.pi, math.pi)))
+        t += round(random.uniform(*script.hold) / STEP_S) * STEP_S
+    return np.array(found)
+
+
+def _swum(
+    random: np.random.Generator, script: FilmScript, cells: Swimmers, turns: Floats
+) -> list[Swimmers]:
+    """Return the cells every STEP_S, from the origin and without walls.
+
+    The cell before the last one magnetised divides at half time; its daughter is at NaN before.
+    """
+    cells = cells.copy()
+    angle = random.uniform(-math.pi, math.pi)
+    drift = (DRIFT_UM_S * math.cos(angle), DRIFT_UM_S * math.sin(angle))
+    steps = round(script.seconds / STEP_S) + 2
+    divides = script.cells - 2 if script.events and script.cells > 3 else None
+    past: list[Swimmers] = []
+    for k in range(steps):
+        t = k * STEP_S
+        if script.events and script.cells > 3:
+            cells.rest(script.cells - 1, 0.4 < t / script.seconds < 0.6)
+        if divides is not None and k == steps // 2:
+            cells = cells.divide(divides, random)
+        past.append(cells.copy())
+        direction = turns[max(np.searchsorted(turns[:, 0], t + STEP_S / 2, side="right") - 1, 0), 1]
+        cells.swim((math.cos(direction), math.sin(direction)), STEP_S, random, drift)
+    if divides is not None:
+        absent = past[-1].kept(np.arange(len(past[-1])) == len(past[-1]) - 1)
+        absent.x[:] = absent.y[:] = np.nan
+        past = [each if len(each) == len(cells) else each.joined(absent) for each in past]
+    return past

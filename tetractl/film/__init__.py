@@ -1,0 +1,1 @@
+"""Films of cells, after they were made: tracks, speeds and how each cell answers the field."""

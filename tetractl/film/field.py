@@ -1,0 +1,70 @@
+"""The field's direction over time, from a CSV file."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+from tetractl.core.table.files import read_csv
+from tetractl.lab.cameras.cells.helix import Piece
+
+TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
+
+
+@dataclass(frozen=True, slots=True)
+class FieldRecord:
+    """What field there was: from each of `times` (T,) [s] on, parts `x`, `y` (T,) of the reference.
+
+    Before the first there was none.
+    """
+
+    times: Floats
+    x: Floats
+    y: Floats
+
+    def pieces(self, start: float, end: float) -> Sequence[Piece]:
+        """Return the field between two times [s]: seconds, x and y, each piece constant."""
+        first, last = np.searchsorted(self.times, (start, end), side="right")
+        cuts = [start, *self.times[first:last].tolist(), end]
+        found = []
+        for i in range(len(cuts) - 1):
+            now = int(first) + i - 1
+            x, y = (0.0, 0.0) if now < 0 else (float(self.x[now]), float(self.y[now]))
+            found.append((cuts[i + 1] - cuts[i], x, y))
+        return found
+
+
+def no_field(start: float, end: float) -> Sequence[Piece]:
+    """Return the time between two times without a field."""
+    return ((end - start, 0.0, 0.0),)
+
+
+def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
+    """Return the field of a CSV file with columns time_s, direction_rad and perhaps strength.
+
+    Directions are anticlockwise from the picture's right, clockwise if `upside_down`; strengths are
+    parts of the reference field, 1 by default. UsageError names what is missing.
+    """
+    times, x, y = [], [], []
+    for line, row in enumerate(read_csv(path), 2):
+        if TIME not in row or DIRECTION not in row:
+            raise UsageError(f"{path}: has no columns {TIME} and {DIRECTION}")
+        try:
+            time, direction = float(row[TIME]), float(row[DIRECTION])
+            strength = float(row.get(STRENGTH) or 1.0)
+        except ValueError:
+            raise UsageError(f"{path}, line {line}: is no number") from None
+        if not all(map(math.isfinite, (time, direction, strength))):
+            raise UsageError(f"{path}, line {line}: is not finite")
+        if times and time < times[-1]:
+            raise UsageError(f"{path}, line {line}: time goes back")
+        times.append(time)
+        x.append(strength * math.cos(direction))
+        y.append(strength * math.sin(direction) * (-1 if upside_down else 1))
+    if not times:
+        raise UsageError(f"{path}: has no rows")
+    return FieldRecord(np.array(times), np.array(x), np.array(y))

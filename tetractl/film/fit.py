@@ -1,0 +1,281 @@
+"""Speed, turning rate and bias of each cell of a film, with 95 % intervals.
+
+The filter of `lab.cameras.cells.helix` runs over the whole film again, with the noise that makes
+what was seen of each cell the likeliest: how far its heading walks, how steady its speed is, how
+exact its blobs are. At the end its covariance is that of what does not change: a, bias and speed.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.film.field import FieldRecord, no_field
+from tetractl.film.follow import CellPath, Followed
+from tetractl.lab.cameras.cells.helix import (
+    BIAS,
+    HEADING,
+    RATE,
+    SPEED,
+    STATES,
+    A,
+    C,
+    HelixFilter,
+    S,
+)
+
+START = 5  # pictures that give the first heading
+NORMAL = 1.96  # deviations of a 95 % interval
+SETTLED_S = 1.0  # after which a cell's helix is known
+SHORTEST_S = 2.0  # of a path that is fitted
+WALKS = (0.02, 0.035, 0.05, 0.07, 0.1, 0.15, 0.25)  # rad/sqrt(s)
+EXACTNESS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.5)  # of blobs, times what is usual
+UNSTEADY = (1.0, 3.0, 8.0, 20.0)  # um/s in a second's root
+STRAY = (0.5, 2.0, 6.0)  # um in a second's root: places, and with them the helix
+ROUNDS = 2
+CONSTANT = [RATE, A, BIAS]
+WIDE_A = 0.3  # a share of a, and rad/s: what is left open of it when the filter runs again
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """A value and the half of its 95 % interval; None where nothing tells it."""
+
+    value: float
+    half: float
+
+    @property
+    def low(self) -> float:
+        """Lower end."""
+        return self.value - self.half
+
+    @property
+    def high(self) -> float:
+        """Upper end."""
+        return self.value + self.half
+
+
+@dataclass(frozen=True, slots=True)
+class CellSummary:
+    """What a film tells of one cell.
+
+    `path_um` is the length of its way, along the helix's axis; `sway_rad` the amplitude of its body
+    about that, `helix_hz` and `helix_um` the helix. `a` and `bias` are None without a known field,
+    `magnetised` whether the interval of `a` is above 0.
+    """
+
+    cell: int
+    since_s: float
+    seconds: float
+    pictures: int
+    path_um: float
+    speed: Estimated | None
+    sway_rad: float
+    helix_hz: float
+    helix_um: float
+    a: Estimated | None
+    bias: Estimated | None
+    magnetised: bool | None
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The likeliest noise of each of N cells (N,); units are those of the lists above."""
+
+    walk: Floats
+    exactness: Floats
+    unsteady: Floats
+    stray: Floats
+
+    @classmethod
+    def usual(cls, count: int) -> "Noise":
+        """Return noise to begin with."""
+        return cls(*(np.full(count, value) for value in (0.07, 0.7, 3.0, 2.0)))
+
+    def repeated(self, times: int) -> "Noise":
+        """Return the noise of the same cells, several times over."""
+        return Noise(*(np.tile(getattr(self, name), times) for name in self.__slots__))
+
+    @property
+    def growth(self) -> Floats:
+        """The filter's growth of deviations (N, 9)."""
+        none, rate = np.zeros(len(self.walk)), np.full(len(self.walk), 0.3)
+        place = self.stray
+        return np.column_stack(
+            [place, place, self.walk, self.unsteady, place, place, rate, none, none]
+        )
+
+
+def summarise(
+    followed: Followed,
+    field: FieldRecord | None,
+    on_round: Callable[[], None] = lambda: None,
+) -> tuple[tuple[CellSummary, ...], Noise]:
+    """Return what a film tells of each cell, and the noise found."""
+    pieces = no_field if field is None else field.pieces
+    long = [path for path in followed.paths if path.times[-1] - path.times[0] >= SHORTEST_S]
+    fits: dict[int, tuple[Floats, Floats]] = {}
+    noise = Noise.usual(len(long))
+    if long:
+        table = _Measured.of(long, pieces)
+        noise = _likeliest(table, field is not None, on_round)
+        means, _, _ = table.filtered(noise, field is not None)
+        means, covariances, _ = table.filtered(noise, field is not None, means)
+        for i, path in enumerate(long):
+            fits[path.identity] = means[i], covariances[i]
+    done = tuple(
+        _summary(path, fits.get(path.identity), field is not None) for path in followed.paths
+    )
+    return done, noise
+
+
+@dataclass(frozen=True, slots=True)
+class _Measured:
+    """What blobs say of N cells in K pictures: values and deviations (K, N, 3), NaN where nothing.
+
+    `starts` (N, 5) are first pictures and x, y, heading and speed there. `pieces` (K,) are the
+    field since the picture before.
+    """
+
+    values: Floats
+    deviations: Floats
+    starts: Floats
+    pieces: Sequence[Sequence[tuple[float, float, float]]]
+
+    @classmethod
+    def of(
+        cls,
+        paths: Sequence[CellPath],
+        pieces: Callable[[float, float], Sequence[tuple[float, float, float]]],
+    ) -> "_Measured":
+        times = np.unique(np.concatenate([path.times for path in paths]))
+        values = np.full((len(times), len(paths), 3), np.nan)
+        deviations = np.ones_like(values)
+        starts = []
+        for i, path in enumerate(paths):
+            at = np.searchsorted(times, path.times)
+            for k, cell in zip(at, path.seen, strict=True):
+                if cell.measured is not None and cell.measured[3] < 5:  # whole, and by itself
+                    values[k, i], deviations[k, i] = cell.measured[:3], cell.measured[3:]
+            own = np.flatnonzero(np.isfinite(values[:, i, 0]))[:START]
+            if len(own) < START:
+                starts.append((len(times), 0.0, 0.0, 0.0, 0.0))
+                continue
+            vx, vy = np.polyfit(times[own], values[own, i, :2], 1)[0]
+            last = own[-1]
+            x, y = values[last, i, :2]
+            starts.append((last, x, y, math.atan2(vy, vx), math.hypot(vx, vy)))
+        between = [pieces(a, b) for a, b in pairwise(times.tolist())]
+        return cls(values, deviations, np.array(starts), [(), *between])
+
+    def repeated(self, times: int) -> "_Measured":
+        """Return the same cells, several times over."""
+        values, deviations = (np.tile(v, (1, times, 1)) for v in (self.values, self.deviations))
+        return _Measured(values, deviations, np.tile(self.starts, (times, 1)), self.pieces)
+
+    def filtered(
+        self, noise: Noise, known: bool, about: Floats | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return the last means (N, 12), covariances (N, 12, 12), and log-likelihoods (N,).
+
+        The filter is linear `about` means (N, 12) of what does not change; without them it has to
+        find these first, and errs a little more.
+        """
+        count = self.values.shape[1]
+        bank, growth = HelixFilter(known), noise.growth
+        rows = np.full(count, -1)
+        total = np.zeros(count)
+        first = self.starts[:, 0].astype(int)
+        last = np.array([_last(self.values[:, i, 0]) for i in range(count)])
+        means = np.full((count, STATES), np.nan)
+        covariances = np.full((count, STATES, STATES), np.nan)
+        for k, pieces in enumerate(self.pieces):
+            bank.predict(pieces)
+            there = np.flatnonzero((rows >= 0) & np.isfinite(self.values[k, :, 0]))
+            if len(there):
+                deviation = self.deviations[k, there] * noise.exactness[there, None]
+                likelihood, _ = bank.update(rows[there], self.values[k, there], deviation)
+                total[there] += likelihood
+            for i in np.flatnonzero(first == k):
+                rows[i] = bank.add(*self.starts[i, 1:])
+                bank.growth[rows[i]] = growth[i]
+                if about is not None and np.isfinite(about[i]).all():
+                    bank.mean[rows[i], CONSTANT] = about[i, CONSTANT]
+                    bank.covariance[rows[i], A, A] = (WIDE_A * abs(about[i, A]) + WIDE_A) ** 2
+            for i in np.flatnonzero((last == k) & (rows >= 0)):
+                means[i], covariances[i] = bank.mean[rows[i]], bank.covariance[rows[i]]
+                bank.drop(int(rows[i]))
+                rows[i] = -1
+        return means, covariances, total
+
+
+def _last(values: Floats) -> int:
+    known = np.flatnonzero(np.isfinite(values))
+    return int(known[-1]) if len(known) else -1
+
+
+def _likeliest(table: _Measured, known: bool, on_round: Callable[[], None]) -> Noise:
+    """Return the noise by which what was seen of each cell is likeliest, one kind after another."""
+    count = table.values.shape[1]
+    best = Noise.usual(count)
+    for _ in range(ROUNDS):
+        for name, options in (
+            ("exactness", EXACTNESS),
+            ("walk", WALKS),
+            ("unsteady", UNSTEADY),
+            ("stray", STRAY),
+        ):
+            tried = best.repeated(len(options))
+            tried = replace(tried, **{name: np.repeat(options, count)})
+            score = table.repeated(len(options)).filtered(tried, known)[2]
+            chosen = score.reshape(len(options), count).argmax(axis=0)
+            best = replace(best, **{name: np.array(options)[chosen]})
+            on_round()
+    return best
+
+
+def _summary(path: CellPath, fit: tuple[Floats, Floats] | None, known: bool) -> CellSummary:
+    means = np.array([cell.mean for cell in path.seen])
+    settled = np.isfinite(means[:, SPEED]) & (path.times > path.times[0] + SETTLED_S)
+    way = np.linalg.norm(np.diff(path.places, axis=0), axis=1).sum()
+    axes = np.array([cell.axis - cell.heading for cell in path.seen])[settled]
+    sway = math.sqrt(2) * float(np.std((axes + math.pi / 2) % math.pi)) if len(axes) else math.nan
+    helix = np.hypot(means[settled, C], means[settled, S])
+    if len(means[settled]):  # the way of the axis, not of the body that goes round it
+        way = float(np.nanmean(means[settled, SPEED]) * (path.times[-1] - path.times[0]))
+    speed = a = bias = None
+    if fit is not None and np.isfinite(fit[0]).all():
+        mean, deviation = fit[0], np.sqrt(np.diagonal(fit[1]))
+        speed = Estimated(float(mean[SPEED]), float(NORMAL * deviation[SPEED]))
+        if known:
+            a = Estimated(float(mean[A]), float(NORMAL * deviation[A]))
+            bias = Estimated(float(mean[BIAS]), float(NORMAL * deviation[BIAS]))
+    return CellSummary(
+        cell=path.identity,
+        since_s=float(path.times[0]),
+        seconds=float(path.times[-1] - path.times[0]),
+        pictures=len(path.seen),
+        path_um=float(way),
+        speed=speed,
+        sway_rad=sway,
+        helix_hz=float(np.median(means[settled, RATE])) / (2 * math.pi)
+        if settled.any()
+        else math.nan,
+        helix_um=float(np.median(helix)) if len(helix) else math.nan,
+        a=a,
+        bias=bias,
+        magnetised=None if a is None else a.low > 0,
+        probability=min(cell.probability for cell in path.seen),
+    )
+
+
+def headings(path: CellPath) -> Floats:
+    """Return the heading of the helix (K,) [rad]."""
+    return np.array([cell.heading for cell in path.seen])
+
+
+assert HEADING == 2  # the order of Noise.growth is that of the filter's states

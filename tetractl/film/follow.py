@@ -1,0 +1,199 @@
+"""Cells through a whole film: who is who is decided with what comes later, too."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tetractl.core.errors import TetractlError
+from tetractl.core.poses import Floats
+from tetractl.film.field import FieldRecord, no_field
+from tetractl.film.pictures import FilmPictures
+from tetractl.lab.cameras.cells.cell import SeenCell
+from tetractl.lab.cameras.cells.detect import Blob, BlobFinder, Grey
+from tetractl.lab.cameras.cells.helix import STATES
+from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
+
+BACKGROUND = 25  # pictures that make the background
+BACKGROUND_S = 20.0  # of the film's beginning
+USUAL_BODY_UM = 52.3  # the mean length of cells, for films without a scale
+SHAPE = 1.4, 3.0  # length over width of what may be a cell, there
+SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # of a path that is kept
+UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class CellPath:
+    """One cell through a film: `times` (K,) [s], `frames` (K,), and what was seen of it there."""
+
+    identity: int
+    times: Floats
+    frames: np.ndarray
+    seen: tuple[SeenCell, ...]
+
+    @property
+    def places(self) -> Floats:
+        """Middle of the body (K, 2) [um]."""
+        return np.array([(cell.x, cell.y) for cell in self.seen])
+
+
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """The cells of a film. `pictures` were read and `damaged` could not be.
+
+    `doubtful` are pairs of cells that could not be told from each other after they met, and how
+    probable the answer is that was taken.
+    """
+
+    paths: tuple[CellPath, ...]
+    pictures: int
+    damaged: int
+    size: tuple[int, int]
+    rate_hz: float
+    um_px: float
+    guessed_scale: bool
+    bright: bool
+    contrast: float
+    noise: float
+    background: Grey
+    doubtful: tuple[tuple[tuple[int, ...], float], ...]
+
+    @property
+    def seconds(self) -> float:
+        """Length of the film [s]."""
+        return self.pictures / self.rate_hz
+
+
+def follow(
+    film: FilmPictures,
+    um_px: float | None,
+    field: FieldRecord | None,
+    on_picture: Callable[[int], None] = lambda number: None,
+) -> Followed:
+    """Follow the cells of a film; TetractlError where no picture can be read.
+
+    Without a scale `um_px` it is guessed from the lengths of what moves.
+    """
+    sample = _sample(film)
+    if not sample:
+        raise TetractlError(f"{film.path}: no picture of it can be read")
+    guessed = um_px is None
+    scale = _guessed_scale(sample, film) if um_px is None else um_px
+    tracker = CellTracker(scale, field is not None)
+    tracker.learn(sample)
+    pieces = no_field if field is None else field.pieces
+    shown: list[dict[int, SeenCell]] = []  # by track, a picture each
+    frames: list[int] = []
+    doubtful: list[tuple[tuple[int, ...], float]] = []
+    lights = []
+    for number, picture in film:
+        seconds = number / film.rate_hz
+        cells = tracker.see(picture, seconds, pieces)
+        for born in tracker.born:
+            _fill_back(shown, frames, film.rate_hz, born.identity, born.path)
+        shown.append({cell.track: cell for cell in cells})
+        frames.append(number)
+        for answer in tracker.closed:
+            if answer.probability < 0.9:
+                doubtful.append((tuple(sorted(answer.identities)), answer.probability))
+            first = np.searchsorted(frames, answer.since_s * film.rate_hz - 0.5)
+            for at in shown[int(first) :]:
+                for track, identity in zip(answer.tracks, answer.identities, strict=True):
+                    if track in at:
+                        least = min(at[track].probability, answer.probability)
+                        at[track] = replace(at[track], identity=identity, probability=least)
+        if tracker.light.contrast is not None:
+            lights.append((tracker.light.contrast, tracker.light.noise))
+        on_picture(number)
+    contrast, noise = np.median(lights, axis=0) if lights else (0.0, tracker.light.noise)
+    background = tracker.finder.background
+    assert background is not None and tracker.finder.size is not None
+    height, width = tracker.finder.size
+    return Followed(
+        paths=tuple(_paths(shown, frames, film.rate_hz)),
+        pictures=len(frames) + film.damaged,
+        damaged=film.damaged,
+        size=(width, height),
+        rate_hz=film.rate_hz,
+        um_px=scale,
+        guessed_scale=guessed,
+        bright=bool(tracker.finder.bright),
+        contrast=float(contrast),
+        noise=float(noise),
+        background=background,
+        doubtful=tuple(doubtful),
+    )
+
+
+def _sample(film: FilmPictures) -> list[Grey]:
+    """Return some pictures, evenly spread over the film's first part."""
+    count = 0
+    for count, _ in enumerate(film, 1):
+        if count >= BACKGROUND_S * film.rate_hz:
+            break
+    step = max(1, count // BACKGROUND)
+    return [picture for i, (_, picture) in zip(range(count), film, strict=False) if i % step == 0]
+
+
+def _guessed_scale(sample: Sequence[Grey], film: FilmPictures) -> float:
+    """Return um a pixel by which what moves is as long as cells are, in the median."""
+    finder = BlobFinder(30.0, 0.02 * sample[0].size)
+    finder.learn(sample)
+    blobs: list[Blob] = [blob for picture in sample for blob in finder.find(picture)]
+    lengths = [b.long for b in blobs if SHAPE[0] < b.long / b.wide < SHAPE[1] and not b.at_edge]
+    if len(lengths) < 5:
+        raise TetractlError(
+            f"{film.path}: nothing in it moves that looks like cells, so its scale is not known",
+            "give it: --scale UM_PER_PIXEL",
+        )
+    return USUAL_BODY_UM / float(np.median(lengths))
+
+
+def _fill_back(
+    shown: list[dict[int, SeenCell]],
+    frames: list[int],
+    rate_hz: float,
+    identity: int,
+    path: Floats,
+) -> None:
+    """Add the pictures by which a new cell was recognised."""
+    way = path[-1, 1:3] - path[0, 1:3]
+    for seconds, x, y, axis in path[:-1].tolist():
+        at = int(np.searchsorted(frames, round(seconds * rate_hz)))
+        if at >= len(frames) or frames[at] != round(seconds * rate_hz):
+            continue
+        forwards = np.cos(axis) * way[0] + np.sin(axis) * way[1] >= 0
+        axis += 0.0 if forwards else np.pi
+        shown[at][identity] = SeenCell(
+            identity=identity,
+            x=x,
+            y=y,
+            axis=axis,
+            heading=float(np.arctan2(way[1], way[0])),
+            mean=np.full(STATES, np.nan),
+            covariance=UNKNOWN_COVARIANCE,
+            probability=1.0,
+            found=True,
+            merged=False,
+            long_um=np.nan,
+            wide_um=np.nan,
+            track=identity,
+            measured=(x, y, axis, POSITION_UM, POSITION_UM, 2 * AXIS),
+        )
+
+
+def _paths(
+    shown: Sequence[dict[int, SeenCell]], frames: Sequence[int], rate_hz: float
+) -> Iterator[CellPath]:
+    """Yield the cells by number, without what was too short to be one."""
+    by_cell: dict[int, list[tuple[int, SeenCell]]] = {}
+    for frame, cells in zip(frames, shown, strict=True):
+        for cell in cells.values():
+            by_cell.setdefault(cell.identity, []).append((frame, cell))
+    for identity, entries in sorted(by_cell.items()):
+        numbers = np.array([frame for frame, _ in entries])
+        times = numbers / rate_hz
+        path = CellPath(identity, times, numbers, tuple(cell for _, cell in entries))
+        way = path.places - path.places[0]
+        if times[-1] - times[0] >= SHORTEST_S and np.linalg.norm(way, axis=1).max() >= SHORTEST_UM:
+            yield path

@@ -1,0 +1,1 @@
+"""Cells seen through a microscope: pictures to the planar poses of cells."""

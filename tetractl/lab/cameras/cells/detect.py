@@ -1,0 +1,219 @@
+"""Blobs in a grey picture: what differs from a slow background, as ellipses.
+
+Blur, difference to the background at the picture's own light, a threshold with hysteresis,
+contours, and the moments within each.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.poses import Floats
+
+Grey = NDArray[np.uint8]
+
+STRIPES = 16  # of the background; one is brought up to date with each picture
+LEARNING = 0.1  # how far it then goes towards the picture: 5 s at 30 Hz
+SPARSE = 8  # every so many pixels tell light and noise
+LOW, HIGH = 5.0, 9.0  # thresholds in standard deviations of the noise
+LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
+BLOBS = 200  # of one picture; of more, the largest
+CONTOURS = 4000  # a picture with more shows no dish
+CHANGED = 0.25  # share of the picture that differs when something else is in view
+RIM_PX = 3  # pixels round a blob that are part of it: what the low threshold misses
+PART_LOW = 0.35  # of a blob's darkest: what is less is not its body
+
+
+@dataclass(frozen=True, slots=True)
+class Blob:
+    """Something in a picture: x, y [px] of its middle, `axis` [rad] mod pi, columns and rows.
+
+    `long` and `wide` [px] are the axes of the ellipse with the same moments, `strength` its mean
+    difference [grey levels]. `pixels` (M, 3) are columns, rows and weights, for blobs of several
+    cells. `at_edge`: it is cut by the picture's edge.
+    """
+
+    x: float
+    y: float
+    axis: float
+    long: float
+    wide: float
+    strength: float
+    pixels: Floats
+    at_edge: bool
+
+    @property
+    def area(self) -> float:
+        """Area of the ellipse [px^2]."""
+        return math.pi / 4 * self.long * self.wide
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """What a picture is like: `gain` is its light over the background's, `noise` [grey levels].
+
+    `contrast` [grey levels] is the median strength of the blobs, None without any. `changed` is the
+    share of pixels that differ from the background; `lost` whether that is too much to be cells.
+    """
+
+    gain: float
+    noise: float
+    contrast: float | None
+    changed: float
+    lost: bool
+
+
+@dataclass(slots=True)
+class BlobFinder:
+    """Finds blobs of `least` to `most` px^2; `bright` cells differ upwards.
+
+    `learn` makes the background from some pictures taken over a second or more. From then on it
+    follows what is outside of `keep` in each picture, so that cells that rest are not lost in it.
+    """
+
+    least_px2: float
+    most_px2: float
+    bright: bool | None = None
+    light: Light = field(default=Light(1.0, 0.0, None, 0.0, False), init=False)
+    _background: NDArray[np.float32] | None = field(default=None, init=False)
+    _flat: Grey | None = field(default=None, init=False)
+    _stripe: int = field(default=0, init=False)
+
+    @property
+    def size(self) -> tuple[int, ...] | None:
+        """Height and width of the pictures, None before the background is learned."""
+        return None if self._background is None else self._background.shape
+
+    @property
+    def background(self) -> Grey | None:
+        """The picture without cells."""
+        return self._flat
+
+    def learn(self, pictures: Sequence[Grey]) -> None:
+        """Take the median of pictures of one size (height, width) for the background.
+
+        Tells from them whether cells are brighter or darker, where that is not given.
+        """
+        smooth = [cv2.GaussianBlur(each, (5, 5), 0) for each in pictures]
+        levels = [max(float(np.median(_sparse(each))), 1.0) for each in smooth]
+        middle = float(np.median(levels))
+        even = [
+            cv2.convertScaleAbs(s, alpha=middle / v) for s, v in zip(smooth, levels, strict=True)
+        ]
+        rows = [np.median([e[row] for e in even], axis=0) for row in _chunks(even[0].shape[0])]
+        self._background = np.concatenate(rows).astype(np.float32)
+        self._flat = flat = _grey(cv2.convertScaleAbs(self._background))
+        if self.bright is None:
+            up = sum(float(_excess(e, flat).sum()) for e in even)
+            down = sum(float(_excess(flat, e).sum()) for e in even)
+            self.bright = up > down
+
+    def find(self, picture: Grey) -> list[Blob]:
+        """Return the blobs of a picture (height, width), largest first."""
+        assert self._flat is not None, "learn() comes first"
+        smooth = cv2.GaussianBlur(picture, (5, 5), 0)
+        seen, known = _sparse(smooth), np.maximum(_sparse(self._flat), 1)
+        gain = float(np.median(seen / known))
+        gain = gain if 0.05 < gain < 20 else 1.0
+        expected = cv2.convertScaleAbs(self._flat, alpha=gain)
+        difference = (
+            cv2.subtract(smooth, expected) if self.bright else cv2.subtract(expected, smooth)
+        )
+        # what lies on the other side of the background is noise
+        other = (seen.astype(np.float32) - gain * known) * (-1 if self.bright else 1)
+        noise = float(np.sqrt(np.mean(np.square(other[other >= 0])))) if (other >= 0).any() else 0.0
+        noise = min(noise, 20.0)
+        low, high = max(LOW * noise, LEAST_LOW), max(HIGH * noise, LEAST_HIGH)
+        mask = cv2.threshold(difference, low, 255, cv2.THRESH_BINARY)[1]
+        changed = cv2.countNonZero(mask) / mask.size
+        contours: Sequence = ()
+        if changed <= CHANGED:
+            contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+        lost = changed > CHANGED or len(contours) > CONTOURS
+        blobs = [] if lost else self._blobs(contours, _grey(difference), high)
+        contrast = float(np.median([each.strength for each in blobs])) if blobs else None
+        self.light = Light(gain, noise, contrast, changed, lost)
+        return blobs
+
+    def follow(self, picture: Grey, keep: Sequence[tuple[int, int, int, int]]) -> None:
+        """Bring a stripe of the background up to date, but not within `keep`.
+
+        Those are rectangles left, top, right and bottom [px].
+        """
+        assert self._background is not None and self._flat is not None, "learn() comes first"
+        height = self._background.shape[0]
+        top = self._stripe * height // STRIPES
+        bottom = (self._stripe + 1) * height // STRIPES
+        self._stripe = (self._stripe + 1) % STRIPES
+        old = self._background[top:bottom]
+        new = cv2.GaussianBlur(picture[top:bottom], (5, 5), 0)
+        mask = np.full(new.shape, 255, np.uint8)
+        for left, upper, right, lower in keep:
+            mask[max(0, upper - top) : max(0, lower - top), max(0, left) : max(0, right)] = 0
+        scaled = new.astype(np.float32) / max(self.light.gain, 0.05)
+        cv2.accumulateWeighted(scaled, old, LEARNING, mask)
+        self._flat[top:bottom] = cv2.convertScaleAbs(old)
+
+    def _blobs(self, contours: Sequence, difference: Grey, high: float) -> list[Blob]:
+        boxes = [cv2.boundingRect(contour) for contour in contours]
+        floor = 0.3 * self.least_px2
+        large = [(b, c) for b, c in zip(boxes, contours, strict=True) if b[2] * b[3] >= floor]
+        large.sort(key=lambda each: -each[0][2] * each[0][3])
+        found = (self._blob(box, c, difference, high) for box, c in large[:BLOBS])
+        return [blob for blob in found if blob is not None]
+
+    def _blob(
+        self, box: Sequence[int], contour: Grey, difference: Grey, high: float
+    ) -> Blob | None:
+        left, top, wide, tall = box
+        inside = np.zeros((tall, wide), np.uint8)
+        cv2.drawContours(inside, [contour], -1, 1, -1, offset=(-left, -top))
+        part = difference[top : top + tall, left : left + wide] * inside
+        peak = float(part.max())
+        if peak < high:
+            return None
+        kept = cv2.threshold(part, PART_LOW * peak, 1, cv2.THRESH_BINARY)[1]
+        moments = cv2.moments(kept, binaryImage=True)
+        mass = moments["m00"]
+        if not self.least_px2 <= mass <= self.most_px2:
+            return None
+        x, y = moments["m10"] / mass, moments["m01"] / mass
+        xx, yy = moments["mu20"] / mass + 1 / 12, moments["mu02"] / mass + 1 / 12
+        xy = moments["mu11"] / mass
+        spread = math.hypot((xx - yy) / 2, xy)
+        mean = (xx + yy) / 2
+        rows, columns = np.nonzero(kept)
+        shades = part[rows, columns].astype(float)
+        height, width = difference.shape
+        return Blob(
+            x=left + x,
+            y=top + y,
+            axis=0.5 * math.atan2(2 * xy, xx - yy),
+            long=4 * math.sqrt(mean + spread),
+            wide=4 * math.sqrt(max(mean - spread, 1e-3)),
+            strength=float(shades.mean()),
+            pixels=np.column_stack([columns + left, rows + top, shades]).astype(float),
+            at_edge=left == 0 or top == 0 or left + wide == width or top + tall == height,
+        )
+
+
+def _sparse(picture: np.ndarray) -> np.ndarray:
+    return picture[::SPARSE, ::SPARSE]
+
+
+def _chunks(height: int, rows: int = 64) -> list[slice]:
+    """Return slices of rows, so that a median of many pictures needs little memory."""
+    return [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
+
+
+def _excess(above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """Return by how much one picture exceeds another, where that is more than noise."""
+    return cv2.threshold(cv2.subtract(above, below), 15, 0, cv2.THRESH_TOZERO)[1]
+
+
+def _grey(picture: np.ndarray) -> Grey:
+    return np.asarray(picture, np.uint8)

@@ -1,0 +1,212 @@
+"""A Kalman filter for many swimming cells at once: position, heading, helix and what turns them.
+
+State of one cell, in um, s and rad:
+
+    x, y      the helix's axis where the body is
+    heading   of the axis, what (3) turns
+    speed     along the axis
+    c, s      the body's offset from the axis in the picture and in depth
+    rate      of the helix [rad/s]: c' = -rate s, s' = rate c
+    a         turning rate at the reference field, as in (3)
+    bias      the dipole's angle from the axis
+    turn      turning that the field does not explain [rad/s]
+    flow      of the medium, x and y
+
+Seen are the body's middle, (x, y) + c across the heading, and its axis mod pi,
+heading - atan(rate s / speed) (Crenshaw's helix as a camera sees it).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tetractl.core.poses import Bools, Floats
+
+X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y = range(12)
+STATES = 12
+
+HELIX = 2 * math.pi * 2.5, 2.0  # rad/s: mean and deviation among cells
+HELIX_UM = 6.0  # deviation of c and s
+A_PRIOR = 3.0, 3.0
+BIAS_PRIOR = 0.15
+FLOW_UM_S = 4.0
+SLOWEST_UM_S = 60.0  # slower, a cell rests: then its helix tells nothing of its axis
+BACKWARDS_UM_S = -60.0  # so fast backwards, the heading was the wrong way round
+# growth of deviations in a second's root: x, y, heading, speed, c, s, rate, a, bias
+GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
+TURN_S = 0.5  # after which unexplained turning is forgotten
+TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0  # its deviation [rad/s] with and without a known field
+TAIL = 8.0  # degrees of freedom: outliers cost a logarithm of their size
+ODD = 25.0  # a squared distance in deviations beyond which a measurement is trusted less
+
+Piece = tuple[float, float, float]
+"""Seconds for which a field of two parts, in parts of the reference field, is there."""
+
+
+@dataclass(slots=True)
+class HelixFilter:
+    """Rows of cells: `mean` (R, 12) and `covariance` (R, 12, 12); free rows are not `used`.
+
+    `known`: whether the field is known, so that what it does not explain is little. `growth` (R, 9)
+    are the deviations that the first states of each row gain in a second's root.
+    """
+
+    known: bool = True
+    growth: Floats = field(default_factory=lambda: np.zeros((0, len(GROWTH))))
+    mean: Floats = field(default_factory=lambda: np.zeros((0, STATES)))
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, STATES, STATES)))
+    used: Bools = field(default_factory=lambda: np.zeros(0, bool))
+
+    def add(self, x: float, y: float, heading: float, speed: float) -> int:
+        """Return the row of a new cell of which only the path is known."""
+        row = self._free()
+        turn = TURN_KNOWN if self.known else TURN_UNKNOWN
+        a, a_sd = A_PRIOR if self.known else (0.0, 1e-6)
+        self.mean[row] = (x, y, heading, speed, 0, 0, HELIX[0], a, 0, 0, 0, 0)
+        helix, flow = (HELIX_UM, HELIX_UM, HELIX[1]), (FLOW_UM_S, FLOW_UM_S)
+        deviations = (6, 6, 0.35, 80, *helix, a_sd, BIAS_PRIOR, turn, *flow)
+        self.covariance[row] = np.diag(np.square(deviations))
+        return row
+
+    def copied(self, row: int) -> int:
+        """Return a row that goes on from another one."""
+        new = self._free()
+        self.mean[new], self.covariance[new] = self.mean[row], self.covariance[row]
+        self.growth[new] = self.growth[row]
+        return new
+
+    def drop(self, row: int) -> None:
+        """Free a row."""
+        self.used[row] = False
+
+    def predict(self, pieces: Sequence[Piece]) -> None:
+        """Move every row on through pieces of time with a constant field each."""
+        for seconds, ux, uy in pieces:
+            if seconds > 0:
+                self._move(seconds, ux, uy)
+
+    def loosen(self, rows: Sequence[int]) -> None:
+        """Let cells that move otherwise than predicted have another speed, heading and helix."""
+        for state, deviation in ((X, 5), (Y, 5), (HEADING, 0.3), (SPEED, 120), (C, 4), (S, 4)):
+            self.covariance[rows, state, state] += deviation**2
+
+    def seen(self, rows: np.ndarray) -> tuple[Floats, Floats]:
+        """Return what a camera should see of rows (M,): x, y, axis (M, 3) and slopes (M, 3, 12)."""
+        m = self.mean[rows]
+        cos, sin = np.cos(m[:, HEADING]), np.sin(m[:, HEADING])
+        speed = np.maximum(m[:, SPEED], SLOWEST_UM_S)
+        across = m[:, RATE] * m[:, S]
+        tilt = np.arctan2(across, speed)
+        found = np.column_stack(
+            [m[:, X] - m[:, C] * sin, m[:, Y] + m[:, C] * cos, m[:, HEADING] - tilt]
+        )
+        slopes = np.zeros((len(m), 3, STATES))
+        slopes[:, 0, X] = slopes[:, 1, Y] = slopes[:, 2, HEADING] = 1
+        slopes[:, 0, HEADING], slopes[:, 1, HEADING] = -m[:, C] * cos, -m[:, C] * sin
+        slopes[:, 0, C], slopes[:, 1, C] = -sin, cos
+        squared = speed**2 + across**2
+        slopes[:, 2, S] = -m[:, RATE] * speed / squared
+        slopes[:, 2, RATE] = -m[:, S] * speed / squared
+        slopes[:, 2, SPEED] = np.where(m[:, SPEED] > SLOWEST_UM_S, across / squared, 0.0)
+        return found, slopes
+
+    def update(
+        self, rows: np.ndarray, measured: Floats, deviation: Floats
+    ) -> tuple[Floats, Floats]:
+        """Take x, y [um] and axis [rad] (M, 3) of deviations (M, 3) into rows (M,).
+
+        Returns the logarithm of the likelihood of each, by a Student distribution, and the squared
+        distance in deviations (M,).
+        """
+        if len(rows) == 0:
+            return np.zeros(0), np.zeros(0)
+        expected, slopes = self.seen(rows)
+        off = measured - expected
+        off[:, 2] = (off[:, 2] + math.pi / 2) % math.pi - math.pi / 2
+        covariance = self.covariance[rows]
+        cross = covariance @ slopes.transpose(0, 2, 1)
+        spread = slopes @ cross
+        noise = np.square(deviation)
+        index = np.arange(3)
+        spread[:, index, index] += noise
+        distance = np.einsum("ri,rij,rj->r", off, np.linalg.inv(spread), off)
+        likelihood = -(TAIL + 3) / 2 * np.log1p(distance / TAIL)
+        likelihood -= 0.5 * np.linalg.slogdet(spread)[1]
+        excess = np.maximum(distance / ODD, 1.0) - 1
+        spread[:, index, index] += excess[:, None] * spread[:, index, index]
+        gain = cross @ np.linalg.inv(spread)
+        self.mean[rows] += np.einsum("rij,rj->ri", gain, off)
+        updated = covariance - gain @ cross.transpose(0, 2, 1)
+        self.covariance[rows] = (updated + updated.transpose(0, 2, 1)) / 2
+        self._turn_round(rows)
+        return likelihood, distance
+
+    def _turn_round(self, rows: np.ndarray) -> None:
+        """Turn round what swims backwards: its heading was the wrong end of its axis."""
+        wrong = rows[self.mean[rows, SPEED] < BACKWARDS_UM_S]
+        if len(wrong):
+            signs = np.ones(STATES)
+            signs[[SPEED, C, S]] = -1
+            self.mean[wrong] *= signs
+            self.mean[wrong, HEADING] += math.pi
+            self.covariance[wrong] *= signs[:, None] * signs
+
+    def _free(self) -> int:
+        if self.used.all():
+            self.mean = np.concatenate([self.mean, np.zeros((16, STATES))])
+            self.covariance = np.concatenate([self.covariance, np.zeros((16, STATES, STATES))])
+            self.growth = np.concatenate([self.growth, np.zeros((16, len(GROWTH)))])
+            self.used = np.concatenate([self.used, np.zeros(16, bool)])
+        row = int(np.argmin(self.used))
+        self.used[row], self.growth[row] = True, GROWTH
+        return row
+
+    def _move(self, seconds: float, ux: float, uy: float) -> None:
+        rows = np.flatnonzero(self.used)
+        m = self.mean[rows]
+        half = seconds / 2
+        towards, slope = _field(m[:, HEADING] + m[:, BIAS], ux, uy)
+        rate, bend = m[:, A] * towards + m[:, TURN], m[:, A] * slope
+        middle = m[:, HEADING] + rate * half
+        towards_2, slope_2 = _field(middle + m[:, BIAS], ux, uy)
+        bend_2 = m[:, A] * slope_2
+        f = np.zeros((len(rows), STATES, STATES))
+        f[:, range(STATES), range(STATES)] = 1
+        # slopes of the heading in the middle, which moves the cell, and at the end
+        to_middle = {HEADING: 1 + bend * half, A: towards * half, BIAS: bend * half, TURN: half}
+        direct = {A: towards_2, BIAS: bend_2, TURN: 1.0}
+        cos, sin = np.cos(middle), np.sin(middle)
+        for state, part in to_middle.items():
+            f[:, X, state] = -m[:, SPEED] * sin * seconds * part
+            f[:, Y, state] = m[:, SPEED] * cos * seconds * part
+            f[:, HEADING, state] += seconds * (direct.get(state, 0.0) + bend_2 * part)
+        f[:, X, SPEED], f[:, Y, SPEED] = cos * seconds, sin * seconds
+        f[:, X, FLOW_X] = f[:, Y, FLOW_Y] = seconds
+        angle = m[:, RATE] * seconds
+        cos_h, sin_h = np.cos(angle), np.sin(angle)
+        c, s = m[:, C] * cos_h - m[:, S] * sin_h, m[:, C] * sin_h + m[:, S] * cos_h
+        f[:, C, C], f[:, C, S], f[:, C, RATE] = cos_h, -sin_h, -s * seconds
+        f[:, S, C], f[:, S, S], f[:, S, RATE] = sin_h, cos_h, c * seconds
+        forget = math.exp(-seconds / TURN_S)
+        f[:, TURN, TURN] = forget
+        m[:, X] += (m[:, SPEED] * cos + m[:, FLOW_X]) * seconds
+        m[:, Y] += (m[:, SPEED] * sin + m[:, FLOW_Y]) * seconds
+        m[:, HEADING] += (m[:, A] * towards_2 + m[:, TURN]) * seconds
+        m[:, C], m[:, S] = c, s
+        m[:, TURN] *= forget
+        noise = np.zeros((len(rows), STATES))
+        noise[:, : len(GROWTH)] = np.square(self.growth[rows]) * seconds
+        noise[:, TURN] = (TURN_KNOWN if self.known else TURN_UNKNOWN) ** 2 * (1 - forget**2)
+        if not self.known:
+            noise[:, A] = 0.0
+        covariance = f @ self.covariance[rows] @ f.transpose(0, 2, 1)
+        covariance[:, range(STATES), range(STATES)] += noise
+        self.mean[rows], self.covariance[rows] = m, covariance
+
+
+def _field(dipole: Floats, ux: float, uy: float) -> tuple[Floats, Floats]:
+    """Return field x dipole of directions (R,) and its slope, as (3) has them for a = 1."""
+    cos, sin = np.cos(dipole), np.sin(dipole)
+    return uy * cos - ux * sin, -(uy * sin + ux * cos)

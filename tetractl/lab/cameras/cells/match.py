@@ -1,0 +1,162 @@
+"""Which blob is which cell: by where the filter expects each, and how large it is."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from tetractl.core.poses import Floats
+from tetractl.lab.cameras.cells.cell import FollowedCell
+from tetractl.lab.cameras.cells.detect import Blob
+
+GATE = 6.0  # deviations from where a cell is expected
+GATE_UM = 12.0  # and as far as this in any case
+FAR = 100.0  # what it costs to leave a cell without a blob
+STOPPED_UM = 45.0  # from where a cell should be, there may be its blob where no other cell's is
+STOPPED_UM_S = 200.0  # and further for each second without a blob
+SIZE_SHARE = 0.35  # a cell's blob varies by so much: tilt and focus
+ALIKE = 0.4  # logarithm of sizes, for a cell that is not where it should be
+COVER = 0.6  # of a cell's width: so far from a blob, it may still be a part of it
+PLACE_UM = 2.0  # deviation of a blob, besides the filter's
+ROUNDS = 4  # of parting a blob
+
+
+def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
+    """Return x, y [um], axis [rad], length and width [um] of blobs (B, 5), y upwards."""
+    found = [
+        (
+            (b.x + 0.5) * um_px,
+            (height - 0.5 - b.y) * um_px,
+            -b.axis,
+            b.long * um_px,
+            b.wide * um_px,
+        )
+        for b in blobs
+    ]
+    return np.array(found).reshape(-1, 5)
+
+
+def assigned(
+    cells: Sequence[FollowedCell],
+    expected: Floats,
+    spread: Floats,
+    specks: Floats,
+    places: Floats,
+) -> tuple[dict[int, int], set[int]]:
+    """Return the blob of each cell that has one to itself, and those of specks.
+
+    Cells are `expected` (C, 3) with a covariance `spread` (C, 2, 2) of their places, specks (S, 2)
+    where they were; blobs are at `places` (B, 5). The sum of squared distances is least.
+    """
+    if len(places) == 0 or len(cells) + len(specks) == 0:
+        return {}, set()
+    cost = np.full((len(cells) + len(specks), len(places)), FAR)
+    if len(cells):
+        off = places[None, :, :2] - expected[:, None, :2]
+        inverse = np.linalg.inv(spread + PLACE_UM**2 * np.eye(2))
+        squared = np.einsum("cbi,cij,cbj->cb", off, inverse, off)
+        near = (squared < GATE**2) | (np.hypot(off[..., 0], off[..., 1]) < GATE_UM)
+        sizes = np.array([(cell.long, cell.wide) for cell in cells])
+        ratio = np.log(places[None, :, 3:5] / sizes[:, None]) / SIZE_SHARE
+        total = np.minimum(squared, 4 * GATE**2) + np.minimum(np.square(ratio).sum(-1), 20.0)
+        cost[: len(cells)] = np.where(near, total, FAR)
+    if len(specks):
+        apart = np.linalg.norm(places[None, :, :2] - specks[:, None], axis=-1)
+        cost[len(cells) :] = np.where(apart < 2 * GATE_UM, 6.0 + np.square(apart / 6.0), FAR)
+    own, blob = linear_sum_assignment(cost)
+    pairs = [(int(i), int(j)) for i, j in zip(own, blob, strict=True) if cost[i, j] < FAR]
+    count = len(cells)
+    return {i: j for i, j in pairs if i < count}, {j for i, j in pairs if i >= count}
+
+
+def stopped(
+    cells: Sequence[FollowedCell],
+    expected: Floats,
+    places: Floats,
+    owner: dict[int, int],
+    specks: set[int],
+) -> list[int]:
+    """Give cells that are not where they should be the blobs near them that nobody has.
+
+    A cell that stops or turns by itself is so found again. Returns these cells.
+    """
+    taken = set(owner.values()) | specks
+    free = [j for j in range(len(places)) if j not in taken]
+    found = []
+    for i, cell in enumerate(cells):
+        if i in owner or not free or cell.merge is not None:
+            continue
+        away = np.linalg.norm(places[free, :2] - expected[i, :2], axis=1)
+        ratio = np.abs(np.log(places[free, 3:5] / (cell.long, cell.wide))).max(axis=1)
+        k = int(np.argmin(np.where(ratio < ALIKE, away, np.inf)))
+        if away[k] < STOPPED_UM + STOPPED_UM_S * cell.missed_s and ratio[k] < ALIKE:
+            owner[i] = free.pop(k)
+            found.append(i)
+    return found
+
+
+def shared_blobs(
+    cells: Sequence[FollowedCell],
+    pixels: Floats,
+    blobs: Sequence[Blob],
+    owner: dict[int, int],
+    um_px: float,
+) -> dict[int, list[int]]:
+    """Return the cells of each blob; a cell without one gets the blob that covers its place.
+
+    `pixels` (C, 2) are columns and rows where cells are expected; `owner` is added to.
+    """
+    shared: dict[int, list[int]] = {}
+    for i, j in owner.items():
+        shared.setdefault(j, []).append(i)
+    for i, cell in enumerate(cells):
+        if i in owner or not blobs:
+            continue
+        gaps = [_gap(pixels[i], blob) * um_px for blob in blobs]
+        j = int(np.argmin(gaps))
+        if gaps[j] < COVER * cell.wide:
+            owner[i] = j
+            shared.setdefault(j, []).append(i)
+    return shared
+
+
+def _gap(place: Floats, blob: Blob) -> float:
+    """Return how far a place is from the nearest pixel of a blob [px]."""
+    if math.hypot(blob.x - place[0], blob.y - place[1]) > blob.long + 20:
+        return math.inf
+    away = np.hypot(blob.pixels[:, 0] - place[0], blob.pixels[:, 1] - place[1])
+    return float(away.min())
+
+
+def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> Floats:
+    """Return the middles (K, 2) [um] of cells in one blob of pixels at `points` (M, 2) [um].
+
+    Each pixel belongs to the cells in proportion to ellipses of their sizes about where they are
+    `expected` (K, 3); some rounds of expectation and maximisation of their places.
+    """
+    middles = expected[:, :2].copy()
+    cos, sin = np.cos(expected[:, 2]), np.sin(expected[:, 2])
+    halves = np.array([(cell.long / 4, cell.wide / 4) for cell in owners])
+    for _ in range(ROUNDS):
+        away = points[None] - middles[:, None]
+        along = (away[..., 0] * cos[:, None] + away[..., 1] * sin[:, None]) / halves[:, :1]
+        aside = (away[..., 1] * cos[:, None] - away[..., 0] * sin[:, None]) / halves[:, 1:]
+        logs = -(along**2 + aside**2) / 2
+        shares = np.exp(logs - logs.max(axis=0))
+        shares /= shares.sum(axis=0)
+        total = np.maximum(shares.sum(axis=1), 1e-9)
+        middles = (shares @ points) / total[:, None]
+    return middles
+
+
+def second_best(squared: Floats, best: float) -> float:
+    """Return the least sum of squared distances of any assignment but the likeliest one."""
+    track, cell = linear_sum_assignment(squared)
+    least = math.inf
+    for t, c in zip(track, cell, strict=True):
+        other = squared.copy()
+        other[t, c] = 1e6
+        i, j = linear_sum_assignment(other)
+        least = min(least, float(other[i, j].sum()))
+    return least if least > best else best

@@ -1,0 +1,130 @@
+"""Cells that share a blob, and who is who once they part."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from tetractl.core.poses import Floats
+from tetractl.lab.cameras.cells.cell import Answer, FollowedCell, Merge
+from tetractl.lab.cameras.cells.helix import HelixFilter
+from tetractl.lab.cameras.cells.identity import MOST, Question, opened
+from tetractl.lab.cameras.cells.match import second_best
+
+CLEAR = 25.0  # squared deviations between assignments that leave no question
+CLEAR_UM = 3.0  # deviation of a place, besides the filter's
+FIRST = (2.0, 2.0, 0.1)  # deviations of the first blob of a question: um, um, rad
+
+
+class Merges:
+    """The blobs with several owners, and the questions that they leave, of one filter's cells."""
+
+    def __init__(self, bank: HelixFilter) -> None:
+        self._bank = bank
+        self._merges: list[Merge] = []
+        self.closed: list[Answer] = []
+
+    def join(self, together: Sequence[FollowedCell], cells: Sequence[FollowedCell]) -> None:
+        """Remember who is in one blob, and let copies of them swim on by the signal alone."""
+        for cell in together:
+            if cell.question is not None:
+                self._close(cell.question, cells)
+        merges = [cell.merge for cell in together if cell.merge is not None]
+        merge = merges[0] if merges else Merge([], {})
+        for other in merges[1:]:
+            if other is not merge and other in self._merges:
+                self._merges.remove(other)
+                for cell in other.cells:
+                    cell.merge = merge
+                merge.cells += other.cells
+                merge.coasted |= other.coasted
+        for cell in together:
+            if cell.merge is None:
+                cell.merge = merge
+                merge.cells.append(cell)
+                merge.coasted[cell.identity] = self._bank.copied(cell.row)
+        if merge not in self._merges:
+            self._merges.append(merge)
+
+    def part(self, places: dict[int, Floats], seconds: float) -> None:
+        """Ask who is who of cells that have been one blob, once each has its own again.
+
+        `places` are x, y, axis of each track's own blob.
+        """
+        for merge in list(self._merges):
+            if any(cell.merged or cell.blob is None for cell in merge.cells):
+                continue
+            self._merges.remove(merge)
+            for cell in merge.cells:
+                cell.merge = None
+            if 2 <= len(merge.cells) <= MOST:
+                seen = np.array([places[cell.track] for cell in merge.cells])
+                self._open(merge, seen, seconds)
+            for row in merge.coasted.values():
+                self._bank.drop(row)
+
+    def answer(self, cells: Sequence[FollowedCell], seconds: float) -> None:
+        """Take the likeliest answer to each question for now; close those that have one."""
+        for question in {id(c.question): c.question for c in cells if c.question}.values():
+            order, _ = question.best()
+            for cell in cells:
+                if cell.question is question:
+                    cell.identity = question.identities[order[cell.place]]
+                    cell.row = int(question.rows[cell.place, order[cell.place]])
+            if question.closed(seconds):
+                self._close(question, cells)
+
+    def forget(self, cell: FollowedCell, cells: Sequence[FollowedCell]) -> None:
+        """Let a cell that is lost out of its blob and its question."""
+        if cell.question is not None:
+            self._close(cell.question, cells)
+        if cell.merge is not None:
+            merge = cell.merge
+            merge.cells.remove(cell)
+            self._bank.drop(merge.coasted.pop(cell.identity))
+            if not merge.cells:
+                self._merges.remove(merge)
+
+    def _open(self, merge: Merge, seen: Floats, seconds: float) -> None:
+        """Open a question, unless the signal alone leaves none."""
+        identities = [cell.identity for cell in merge.cells]
+        coasted = [merge.coasted[identity] for identity in identities]
+        rows = np.array(coasted)
+        expected, slopes = self._bank.seen(rows)
+        spread = slopes[:, :2] @ self._bank.covariance[rows] @ slopes[:, :2].transpose(0, 2, 1)
+        inverse = np.linalg.inv(spread + CLEAR_UM**2 * np.eye(2))
+        off = seen[:, None, :2] - expected[None, :, :2]
+        squared = np.einsum("tij,ijk,tik->ti", off, inverse, off)
+        track, cell = linear_sum_assignment(squared)
+        best = float(squared[track, cell].sum())
+        clear = best < CLEAR and second_best(squared, best) - best > CLEAR
+        if clear and (cell == track).all():
+            return
+        question = opened(self._bank, identities, coasted, seconds)
+        count = len(identities)
+        for i, each in enumerate(merge.cells):
+            self._bank.drop(each.row)
+            each.question, each.place = question, i
+            each.row = int(question.rows[i, i])
+            likelihood, _ = self._bank.update(
+                question.rows[i], np.tile(seen[i], (count, 1)), np.tile(FIRST, (count, 1))
+            )
+            question.add(i, likelihood)
+
+    def _close(self, question: Question, cells: Sequence[FollowedCell]) -> None:
+        """Take the likeliest answer; its probability stays with the cells."""
+        order, probability = question.best()
+        members = [cell for cell in cells if cell.question is question]
+        for cell in members:
+            chosen = order[cell.place]
+            cell.identity = question.identities[chosen]
+            cell.row = int(question.rows[cell.place, chosen])
+            cell.certainty *= probability
+            cell.question = None
+        kept = {cell.row for cell in members}
+        for row in question.rows.ravel().tolist():
+            if row not in kept:
+                self._bank.drop(row)
+        tracks = tuple(cell.track for cell in members)
+        answer = tuple(cell.identity for cell in members)
+        self.closed.append(Answer(tracks, answer, question.since_s, probability))

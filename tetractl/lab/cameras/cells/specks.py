@@ -1,0 +1,112 @@
+"""What is in a dish and no cell yet: specks are followed until one of them swims."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from tetractl.core.poses import Floats
+
+SPECKS = 120  # that are followed at most
+BORN = 5  # blobs in a row until something is a cell
+SWIM_UM_S, SWIM_UM = 60.0, 12.0  # a cell moves so fast, and so far, in that time
+STRAY_UM = 5.0  # from a straight line, meanwhile
+ALONG = 0.75  # least cosine between a cell's axis and its path
+EVEN = 0.2  # a share of its size, which is steady
+NEAR_UM = 40.0  # to a cell: what appears there is a part of it, unless it stays
+NEAR_BORN = 7
+LONG_UM, WIDE_UM = (22.0, 110.0), (10.0, 60.0)  # of something that may be a cell
+REACH_UM, FIRST_UM = 25.0, 40.0  # from where a speck should be; without a path, where it was
+MISSED = 3  # pictures
+
+Entry = tuple[float, float, float, float, float, float]
+"""A blob: seconds, x, y [um], axis [rad], length and width [um]."""
+
+
+@dataclass(slots=True)
+class Speck:
+    """Something that may become a cell: its blobs so far."""
+
+    path: list[Entry]
+    missed: int = 0
+
+    def ahead(self, seconds: float) -> tuple[float, float]:
+        """Return where it will be if it moves on as it did."""
+        if len(self.path) < 2:
+            return self.path[-1][1], self.path[-1][2]
+        first, last = self.path[max(0, len(self.path) - 4)], self.path[-1]
+        ratio = (seconds - last[0]) / max(last[0] - first[0], 1e-3)
+        return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio
+
+    def swims(self, needed: int) -> bool:
+        """Whether it has the size of a cell, and swam along its axis in `needed` blobs."""
+        path = np.array(self.path[-max(needed, BORN) :])
+        if len(path) < needed:
+            return False
+        long, wide = np.median(path[:, 4]), np.median(path[:, 5])
+        if not (LONG_UM[0] < long < LONG_UM[1] and WIDE_UM[0] < wide < WIDE_UM[1]):
+            return False
+        moved = math.hypot(*(path[-1, 1:3] - path[0, 1:3]))
+        passed = max(path[-1, 0] - path[0, 0], 1e-3)
+        if moved < SWIM_UM or moved / passed < SWIM_UM_S:
+            return False
+        line = np.polynomial.polynomial.polyfit(path[:, 0] - path[0, 0], path[:, 1:3], 1)
+        fitted = line[0] + (path[:, :1] - path[0, 0]) * line[1]
+        strayed = np.sqrt(np.mean(np.square(path[:, 1:3] - fitted)))
+        sway = np.abs(np.cos(path[:, 3] - math.atan2(line[1, 1], line[1, 0])))
+        even = np.std(path[:, 4]) < EVEN * long and np.std(path[:, 5]) < EVEN * wide
+        return bool(even and strayed < STRAY_UM and np.median(sway) > ALONG)
+
+
+@dataclass(slots=True)
+class Specks:
+    """All that is followed and no cell."""
+
+    all: list[Speck] = field(default_factory=list)
+
+    @property
+    def places(self) -> Floats:
+        """Where they were last seen (S, 2) [um]."""
+        return np.array([speck.path[-1][1:3] for speck in self.all]).reshape(-1, 2)
+
+    def follow(
+        self, places: Floats, cells: Floats, seconds: float
+    ) -> list[tuple[Speck, int | None]]:
+        """Take the blobs (B, 5) that no cell has; return what swims now, and the cell next to it.
+
+        `cells` (C, 2) are where the cells are [um]; the one within NEAR_UM is given by its index.
+        """
+        found = self._found(places, seconds)
+        taken = set(found.values())
+        for s, speck in enumerate(self.all):
+            speck.missed = 0 if s in taken else speck.missed + 1
+        fresh: list[Speck] = []
+        swimming: list[tuple[Speck, int | None]] = []
+        for b, place in enumerate(places):
+            x, y, axis, long, wide = place.tolist()
+            entry = (seconds, x, y, axis, long, wide)
+            if b not in found:
+                fresh.append(Speck([entry]))
+                continue
+            speck = self.all[found[b]]
+            speck.path = [*speck.path[-2 * NEAR_BORN :], entry]
+            gaps = np.linalg.norm(cells - place[:2], axis=1)
+            near = len(gaps) > 0 and float(gaps.min()) < NEAR_UM
+            if speck.swims(NEAR_BORN if near else BORN):
+                swimming.append((speck, int(np.argmin(gaps)) if near else None))
+        kept = [speck for speck in self.all if speck.missed <= MISSED]
+        begun = [id(speck) for speck, _ in swimming]
+        self.all = ([speck for speck in kept if id(speck) not in begun] + fresh)[:SPECKS]
+        return swimming
+
+    def _found(self, places: Floats, seconds: float) -> dict[int, int]:
+        """Return the speck of each blob that is where one should be."""
+        if not len(places) or not self.all:
+            return {}
+        before = np.array([speck.ahead(seconds) for speck in self.all])
+        apart = np.linalg.norm(before[:, None] - places[None, :, :2], axis=-1)
+        reach = [REACH_UM if len(speck.path) > 2 else FIRST_UM for speck in self.all]
+        own, blob = linear_sum_assignment(np.minimum(apart, 1e6))
+        pairs = zip(own.tolist(), blob.tolist(), strict=True)
+        return {b: s for s, b in pairs if apart[s, b] < reach[s]}

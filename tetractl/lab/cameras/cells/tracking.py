@@ -1,0 +1,266 @@
+"""Cells through a sequence of pictures: which blob is which cell, and where each is.
+
+A blob belongs to the cell that the filter expects there, by the known signal. Blobs of several
+cells stay one blob with several owners; who is who afterwards is asked of `identity`. What does not
+swim is a speck, and never a cell.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.lab.cameras.cells.cell import Answer, Born, FollowedCell, SeenCell
+from tetractl.lab.cameras.cells.detect import Blob, BlobFinder, Grey, Light
+from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, Piece
+from tetractl.lab.cameras.cells.match import (
+    assigned,
+    parted,
+    places_of,
+    shared_blobs,
+    stopped,
+)
+from tetractl.lab.cameras.cells.merges import Merges
+from tetractl.lab.cameras.cells.specks import BORN, Speck, Specks
+
+LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are looked at
+LARGE = 1.45  # a blob so much larger than its cell shows more than that
+CELLS = 64  # that are followed at most
+LOST_S = 0.7  # without a blob: a cell is given up
+HIDDEN_S = 0.15  # the same: it is not shown
+GONE_S = 0.1  # the same near the edge of the picture
+OUTSIDE = 0.4  # of a cell's length: so near the edge
+STARTED_UM, STARTED_S = 60.0, 1.0  # what has not swum so far by then is no cell
+POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # deviations of a blob
+ODD = (8.0, 8.0, 0.5)  # those of one that is cut, or larger than its cell
+MERGED = (7.0, 7.0, 10.0)  # those of a cell in a blob with several owners
+ODD_RUN, ODD_DISTANCE = 3, 30.0  # blobs in a row that are not where they should be
+SHAPE_SHARE = 0.05  # of a new blob in a cell's usual size
+
+FieldPieces = Callable[[float, float], Sequence[Piece]]
+"""Gives the field between two times [s] in pieces."""
+
+
+@dataclass(slots=True)
+class _Reading:
+    """What a blob says of a cell: x, y, axis with deviations; `merged` if it is of several."""
+
+    cell: FollowedCell
+    values: tuple[float, ...]
+    deviations: tuple[float, ...]
+    merged: bool
+
+
+class CellTracker:
+    """Follows the cells in pictures of `um_px`; `known`: whether the field is.
+
+    Pictures come with rising times. Columns c and rows r become x = (c + 1/2) um_px and, with y
+    upwards, y = (height - 1/2 - r) um_px [um].
+    """
+
+    def __init__(self, um_px: float, known: bool, bright: bool | None = None) -> None:
+        self.um_px = um_px
+        self.finder = BlobFinder(LEAST_UM2 / um_px**2, MOST_UM2 / um_px**2, bright)
+        self.bank = HelixFilter(known)
+        self.born: list[Born] = []  # by the newest picture
+        self.gone: list[int] = []
+        self._cells: list[FollowedCell] = []
+        self._specks = Specks()
+        self._merges = Merges(self.bank)
+        self._next = 1
+        self._time: float | None = None
+        self._height = 0
+
+    def learn(self, pictures: Sequence[Grey]) -> None:
+        """Make the background of pictures over a second or more."""
+        self.finder.learn(pictures)
+
+    @property
+    def light(self) -> Light:
+        """What the newest picture is like."""
+        return self.finder.light
+
+    @property
+    def closed(self) -> Sequence[Answer]:
+        """The questions of identity that the newest picture answered."""
+        return self._merges.closed
+
+    def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
+        """Return the cells of a picture taken at a time [s]."""
+        passed = 0.0 if self._time is None else seconds - self._time
+        pieces = () if self._time is None else field(self._time, seconds)
+        self._time, self._height = seconds, picture.shape[0]
+        self.born, self.gone, self._merges.closed = [], [], []
+        self.bank.predict(pieces)
+        blobs = self.finder.find(picture)
+        if self.finder.light.lost:
+            for cell in self._cells:
+                cell.blob, cell.merged, cell.measured = None, False, None
+                cell.missed_s += passed
+        else:
+            self._match(blobs, seconds, passed)
+        self._give_up(picture.shape[1])
+        self.finder.follow(picture, self._kept())
+        return [self._shown(cell) for cell in self._cells if cell.missed_s < HIDDEN_S]
+
+    def _match(self, blobs: Sequence[Blob], seconds: float, passed: float) -> None:
+        """Give each cell its blob, and take from it what it says."""
+        cells, places = self._cells, places_of(blobs, self.um_px, self._height)
+        rows = np.array([cell.row for cell in cells], int)
+        expected, slopes = self.bank.seen(rows)
+        spread = slopes[:, :2] @ self.bank.covariance[rows] @ slopes[:, :2].transpose(0, 2, 1)
+        owner, specks = assigned(cells, expected, spread, self._specks.places, places)
+        for i in stopped(cells, expected, places, owner, specks):
+            self.bank.loosen([cells[i].row])
+        shared = shared_blobs(cells, self._pixels(expected), blobs, owner, self.um_px)
+        for i, cell in enumerate(cells):
+            j = owner.get(i)
+            cell.blob = None if j is None else blobs[j]
+            cell.measured = None
+            cell.merged = j is not None and len(shared[j]) > 1
+            cell.missed_s = 0.0 if j is not None else cell.missed_s + passed
+        for owners in shared.values():
+            if len(owners) > 1:
+                self._merges.join([cells[i] for i in owners], cells)
+        self._update(self._readings(shared, expected, places))
+        own = {cell.track: places[owner[i], :3] for i, cell in enumerate(cells) if i in owner}
+        self._merges.part(own, seconds)
+        self._merges.answer(cells, seconds)
+        free = [j for j in range(len(blobs)) if j not in shared]
+        here = np.array([self.bank.mean[cell.row, :2] for cell in cells]).reshape(-1, 2)
+        for speck, beside in self._specks.follow(places[free], here, seconds):
+            if len(self._cells) < CELLS:
+                self._begin(speck, None if beside is None else cells[beside].identity)
+
+    def _readings(
+        self, shared: dict[int, list[int]], expected: Floats, places: Floats
+    ) -> list[_Reading]:
+        """Return what the blobs say of their cells; keep the cells' usual sizes."""
+        found = []
+        least = POSITION_UM + POSITION_PX * self.um_px
+        for j, owners in shared.items():
+            cells = [self._cells[i] for i in owners]
+            blob = cells[0].blob
+            assert blob is not None
+            if len(cells) > 1:
+                middles = parted(cells, expected[owners], self._points(blob))
+                for cell, i, (x, y) in zip(cells, owners, middles.tolist(), strict=True):
+                    found.append(_Reading(cell, (x, y, expected[i, 2]), MERGED, True))
+                continue
+            cell, (x, y, axis, long, wide) = cells[0], places[j].tolist()
+            larger = long * wide / (cell.long * cell.wide)
+            odd = larger > LARGE or larger < 1 / LARGE**2 or blob.at_edge
+            deviations = ODD if odd else (least, least, AXIS / max(1 - wide / long, 0.05))
+            cell.measured = (x, y, axis, *deviations)
+            found.append(_Reading(cell, (x, y, axis), deviations, False))
+            if not odd:
+                cell.long += SHAPE_SHARE * (long - cell.long)
+                cell.wide += SHAPE_SHARE * (wide - cell.wide)
+        return found
+
+    def _update(self, readings: Sequence[_Reading]) -> None:
+        """Update the filter; a cell of which it is asked who it is, once for each it may be."""
+        if not readings:
+            return
+        rows = [
+            [one.cell.row] if one.cell.question is None else one.cell.question.rows[one.cell.place]
+            for one in readings
+        ]
+        counts = [len(each) for each in rows]
+        likelihood, distance = self.bank.update(
+            np.concatenate(rows).astype(int),
+            np.repeat([one.values for one in readings], counts, axis=0),
+            np.repeat([one.deviations for one in readings], counts, axis=0),
+        )
+        at = 0
+        for one, count in zip(readings, counts, strict=True):
+            cell = one.cell
+            if cell.question is not None:
+                cell.question.add(cell.place, likelihood[at : at + count])
+            elif not one.merged:
+                cell.odd = cell.odd + 1 if distance[at] > ODD_DISTANCE else 0
+                if cell.odd >= ODD_RUN:
+                    self.bank.loosen([cell.row])
+                    cell.odd = 0
+            at += count
+
+    def _begin(self, speck: Speck, beside: int | None) -> None:
+        """Follow what swims as a cell."""
+        path = np.array(speck.path)
+        last = path[-BORN:]
+        times = last[:, 0] - last[-1, 0]
+        vx, x = np.polyfit(times, last[:, 1], 1).tolist()
+        vy, y = np.polyfit(times, last[:, 2], 1).tolist()
+        row = self.bank.add(x, y, math.atan2(vy, vx), math.hypot(vx, vy))
+        long, wide = np.median(path[:, 4:6], axis=0).tolist()
+        begun = (float(path[-1, 0]), x, y)
+        self._cells.append(FollowedCell(self._next, self._next, row, long, wide, begun=begun))
+        self.born.append(Born(self._next, path[:, :4], beside))
+        self._next += 1
+
+    def _give_up(self, width: int) -> None:
+        """Forget cells that have not been seen for long, have left, or never swam."""
+        high = np.array([width, self._height]) * self.um_px
+        for cell in list(self._cells):
+            place, rim = self.bank.mean[cell.row, :2], OUTSIDE * cell.long
+            outside = bool((place < rim).any() or (place > high - rim).any())
+            late = cell.missed_s > (GONE_S if outside else LOST_S)
+            if late or not np.isfinite(place).all() or self._stays(cell):
+                self._merges.forget(cell, self._cells)
+                self.bank.drop(cell.row)
+                self._cells.remove(cell)
+                self.gone.append(cell.identity)
+
+    def _stays(self, cell: FollowedCell) -> bool:
+        """Whether something taken for a cell does not swim."""
+        if cell.begun is None or self._time is None:
+            return False
+        began, x, y = cell.begun
+        now = self.bank.mean[cell.row]
+        if math.hypot(now[0] - x, now[1] - y) > STARTED_UM:
+            cell.begun = None
+            return False
+        return self._time - began > STARTED_S
+
+    def _pixels(self, places: Floats) -> Floats:
+        """Return columns and rows (N, 2) of places [um]."""
+        columns = places[:, 0] / self.um_px - 0.5
+        return np.column_stack([columns, self._height - 0.5 - places[:, 1] / self.um_px])
+
+    def _points(self, blob: Blob) -> Floats:
+        """Return where the pixels of a blob are (M, 2) [um]."""
+        up = self._height - 0.5 - blob.pixels[:, 1]
+        return np.column_stack([blob.pixels[:, 0] + 0.5, up]) * self.um_px
+
+    def _kept(self) -> list[tuple[int, int, int, int]]:
+        """Return rectangles [px] round the cells, which the background does not learn."""
+        found = []
+        for cell in self._cells:
+            column, row = self._pixels(self.bank.mean[cell.row][None, :2])[0].tolist()
+            reach = 0.8 * cell.long / self.um_px + 4
+            left, top = round(column - reach), round(row - reach)
+            found.append((left, top, round(column + reach), round(row + reach)))
+        return found
+
+    def _shown(self, cell: FollowedCell) -> SeenCell:
+        seen, _ = self.bank.seen(np.array([cell.row]))
+        x, y, axis = seen[0].tolist()
+        open_share = 1.0 if cell.question is None else cell.question.best()[1]
+        return SeenCell(
+            identity=cell.identity,
+            x=x,
+            y=y,
+            axis=axis,
+            heading=float(self.bank.mean[cell.row, HEADING]),
+            mean=self.bank.mean[cell.row].copy(),
+            covariance=self.bank.covariance[cell.row].copy(),
+            probability=cell.certainty * open_share,
+            found=cell.blob is not None,
+            merged=cell.merged,
+            long_um=cell.long,
+            wide_um=cell.wide,
+            track=cell.track,
+            measured=cell.measured,
+        )

@@ -1,0 +1,211 @@
+"""One model of swimming cells, for the simulated and the emulated dish.
+
+A cell swims along a helix. Its axis follows (1)-(3): (3) turns the axis, not the momentary velocity
+(Crenshaw). Lengths are micrometres, whatever a spec's unit. Where each number comes from is in
+docs/explanation/cells.md; `guess` there means that no source was found.
+"""
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+
+from tetractl.core.poses import Bools, Floats
+
+BODY_UM = 52.3, 7.8  # length, mean and standard deviation over n = 1504
+WIDTH_UM = 26.3, 4.5
+SPEED_UM_S = 420.0  # median of swimmers at 20 C
+SPEED_LOG_SD = 0.25  # of log(speed): speeds are log-normal
+ACTIVATION_EV = 0.27  # middle of 0.16 to 0.37
+BOLTZMANN_EV_K = 8.617e-5
+ZERO_C_K = 273.15
+WARM_C = 20.0  # the temperature of SPEED_UM_S
+HELIX_HZ = 2.5, 0.3
+HELIX_UM = 8.0, 1.5  # guess
+A_RAD_S = 4.0  # guess: median turning rate at the reference field
+A_LOG_SD = 0.25  # guess
+DIPOLE_SD_RAD = 0.1  # guess: the dipole beside the body's axis
+WALK_RAD_S = 0.05  # guess: rad/sqrt(s)
+DRIFT_UM_S = 3.0  # guess: slow flow of the medium
+SINK_UM = 10.0  # guess: how far cells wander in depth
+SINK_S = 5.0  # guess: in what time
+
+
+def speed_factor(celsius: float) -> float:
+    """Return speed at a temperature over that at 20 C, by Arrhenius with `ACTIVATION_EV`.
+
+    Some 4 % a degree; meant for 10 to 28 C, ValueError outside of 0 to 40.
+    """
+    if not 0.0 <= celsius <= 40.0:
+        raise ValueError(f"cells do not swim at {celsius:g} C")
+    inverse = 1 / (ZERO_C_K + WARM_C) - 1 / (ZERO_C_K + celsius)
+    return math.exp(ACTIVATION_EV / BOLTZMANN_EV_K * inverse)
+
+
+@dataclass(slots=True)
+class Swimmers:
+    """N cells as they truly are: one number a cell in each array (N,).
+
+    x, y [um] and `heading` [rad] are those of the helix's axis, `depth` [um] is how far that is
+    from focus, `phase` [rad] where on the helix the body is. `a` [rad/s] is the turning rate at the
+    reference field, 0 for a cell without magnet, `bias` [rad] the dipole's angle from the axis,
+    `walk` [rad/sqrt(s)] that of the heading. `resting` cells keep their place.
+    """
+
+    x: Floats
+    y: Floats
+    heading: Floats
+    depth: Floats
+    phase: Floats
+    length: Floats
+    width: Floats
+    speed: Floats
+    helix_um: Floats
+    helix_hz: Floats
+    a: Floats
+    bias: Floats
+    walk: Floats
+    resting: Bools
+
+    @classmethod
+    def drawn(
+        cls, random: np.random.Generator, count: int, unmagnetised: int = 0, celsius: float = WARM_C
+    ) -> Self:
+        """Return cells as a culture has them, at the origin; the last ones have no magnet."""
+
+        def normal(mean: float, deviation: float) -> Floats:
+            return np.clip(random.normal(mean, deviation, count), 0.5 * mean, 1.5 * mean)
+
+        a = A_RAD_S * np.exp(random.normal(0, A_LOG_SD, count))
+        a[count - unmagnetised :] = 0.0
+        median = SPEED_UM_S * speed_factor(celsius)
+        return cls(
+            x=np.zeros(count),
+            y=np.zeros(count),
+            heading=random.uniform(-math.pi, math.pi, count),
+            depth=random.normal(0, SINK_UM, count),
+            phase=random.uniform(0, 2 * math.pi, count),
+            length=normal(*BODY_UM),
+            width=normal(*WIDTH_UM),
+            speed=median * np.exp(random.normal(0, SPEED_LOG_SD, count)),
+            helix_um=normal(*HELIX_UM),
+            helix_hz=normal(*HELIX_HZ),
+            a=a,
+            bias=random.normal(0, DIPOLE_SD_RAD, count),
+            walk=np.full(count, WALK_RAD_S),
+            resting=np.zeros(count, bool),
+        )
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def copy(self) -> Self:
+        """Return cells that move by themselves from here."""
+        return replace(self, **{field.name: getattr(self, field.name).copy() for field in _FIELDS})
+
+    def joined(self, others: "Swimmers") -> "Swimmers":
+        """Return these cells and others after them."""
+        both = {f.name: np.append(getattr(self, f.name), getattr(others, f.name)) for f in _FIELDS}
+        return Swimmers(**both)
+
+    def kept(self, which: Bools) -> "Swimmers":
+        """Return some of the cells, (N,) true for those that stay."""
+        return Swimmers(**{field.name: getattr(self, field.name)[which] for field in _FIELDS})
+
+    def swim(
+        self,
+        field: tuple[float, float],
+        seconds: float,
+        random: np.random.Generator,
+        drift: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Advance every cell by the midpoint rule; some milliseconds at a time.
+
+        `field` is B / B_ref times the unit vector of u: turning is in proportion to it. `drift`
+        [um/s] is the medium's flow. A resting cell drifts and does not turn its helix.
+        """
+        going = ~self.resting
+        half = self.heading + self._turning(field, self.heading) * going * seconds / 2
+        self.x += (self.speed * np.cos(half) * going + drift[0]) * seconds
+        self.y += (self.speed * np.sin(half) * going + drift[1]) * seconds
+        self.heading += self._turning(field, half) * going * seconds
+        self.heading += self.walk * math.sqrt(seconds) * random.standard_normal(len(self)) * going
+        self.phase += 2 * math.pi * self.helix_hz * seconds * going
+        pull = seconds / SINK_S
+        jolt = SINK_UM * math.sqrt(2 * pull) * random.standard_normal(len(self))
+        self.depth += jolt - pull * self.depth
+
+    def slide(self, low: tuple[float, float], high: tuple[float, float]) -> None:
+        """Keep the cells within walls, a rectangle between two corners [um].
+
+        A cell that meets a wall slides along it (Ohmura et al.): it keeps the part of its heading
+        along the wall, and leaves once it is turned away.
+        """
+        for at, heading_to, least, most in (
+            (self.x, 0.0, low[0], high[0]),
+            (self.y, math.pi / 2, low[1], high[1]),
+        ):
+            into = np.cos(self.heading - heading_to)
+            for beyond, outwards, edge in ((at < least, -into, least), (at > most, into, most)):
+                met = beyond & (outwards > 0)
+                side = np.where(np.sin(self.heading - heading_to) >= 0, 1.0, -1.0)
+                self.heading[met] = (heading_to + side * math.pi / 2)[met]
+                at[beyond] = edge
+
+    def rest(self, cell: int, resting: bool = True) -> None:
+        """Let a cell stop, or go on."""
+        self.resting[cell] = resting
+
+    def divide(self, cell: int, random: np.random.Generator) -> "Swimmers":
+        """Return the cells after one became two, the second one last.
+
+        Both are as wide as before and 0.8 of the length, and share the magnet unequally.
+        """
+        daughter = self.kept(np.arange(len(self)) == cell)
+        both = self.copy()
+        both.length[cell] *= 0.8
+        daughter.length *= 0.8
+        part = random.uniform(0.3, 0.7)
+        both.a[cell] *= 2 * part
+        daughter.a *= 2 * (1 - part)
+        turn = random.uniform(0.4, 0.8)
+        both.heading[cell] += turn
+        daughter.heading -= turn
+        return both.joined(daughter)
+
+    def _turning(self, field: tuple[float, float], heading: Floats) -> Floats:
+        """Turning rate [rad/s] at headings (N,): a (field x dipole), as in (3)."""
+        dipole = heading + self.bias
+        return self.a * (field[1] * np.cos(dipole) - field[0] * np.sin(dipole))
+
+
+_FIELDS = fields(Swimmers)
+
+
+@dataclass(frozen=True, slots=True)
+class Bodies:
+    """The bodies of N cells as a camera sees them: x, y [um], `height` from focus [um] (N,).
+
+    `axis` [rad] is the body's direction in the picture, swaying about the helix's, and `tilt` [rad]
+    how far it points out of the picture.
+    """
+
+    x: Floats
+    y: Floats
+    height: Floats
+    axis: Floats
+    tilt: Floats
+
+
+def bodies(cells: Swimmers) -> Bodies:
+    """Return where the helix has each body, and how it is tilted: atan(2 pi f r / v) at most."""
+    across, deep = cells.helix_um * np.cos(cells.phase), cells.helix_um * np.sin(cells.phase)
+    turning = 2 * math.pi * cells.helix_hz
+    return Bodies(
+        x=cells.x - across * np.sin(cells.heading),
+        y=cells.y + across * np.cos(cells.heading),
+        height=cells.depth + deep,
+        axis=cells.heading - np.arctan2(turning * deep, cells.speed),
+        tilt=np.arctan2(turning * across, cells.speed),
+    )

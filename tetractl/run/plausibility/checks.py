@@ -1,0 +1,276 @@
+"""Checks of a spec that is valid: whether it can work, and as it was meant.
+
+Each yields a `SpecWarning`, with the number that shows it, for each thing it finds.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from pydantic import BaseModel
+
+from tetractl.core.poses import Floats, wrap
+from tetractl.core.setup import Setup
+from tetractl.experiment.yaml.problems import Loc
+from tetractl.model import bounds
+from tetractl.model.bounds import reach
+from tetractl.model.free_space import clearance, shut_out
+from tetractl.run.plausibility.context import CheckContext, SpecWarning
+
+COARSE = 2.0
+"""a T beyond which the headings of (6) overshoot further at every step."""
+OVERSHOOTING = ("euler", "arc")
+"""The motions whose heading advances by (6)."""
+TURN = 2 * math.pi
+
+
+def angles(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Angles beyond a whole turn, which look like degrees."""
+    for loc, value in _radians(spec.experiment, ()):
+        if abs(value) > TURN:
+            yield SpecWarning(
+                loc,
+                "is more than a whole turn, 6.283 rad",
+                f"if these are degrees, write {math.radians(value):.4g}",
+            )
+
+
+def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
+    """Yield every number of a section, and of those in it, whose description says [rad]."""
+    for name, field in type(part).model_fields.items():
+        value = getattr(part, name)
+        for step, item in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
+            at = (*loc, name) if step is None else (*loc, name, step)
+            if isinstance(item, BaseModel):
+                yield from _radians(item, at)
+            elif isinstance(item, float) and "[rad]" in (field.description or ""):
+                yield at, item
+
+
+def plan_outlasts_trial(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Plans that are longer than a trial."""
+    if spec.signals_max is None:
+        return
+    seconds = spec.signals_max * spec.signal_s
+    if seconds > spec.longest_s * (1 + 1e-9):
+        yield SpecWarning(
+            ("controller", "horizon_max"),
+            f"plans of {seconds:.4g} s outlast the trial, which ends after steps_max + 1 control "
+            f"steps, {spec.longest_s:.4g} s",
+            "raise controller.steps_max, or lower horizon_max to "
+            f"{max(int(spec.longest_s / spec.signal_s * (1 + 1e-9)), 1)}",
+        )
+
+
+def coarse_period(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Signals held so long that robots have turned, or have overshot, before the next."""
+    turned = spec.setup.a * spec.signal_s
+    quick = np.flatnonzero(turned > COARSE)
+    if not quick.size:
+        return
+    i = int(turned.argmax())
+    if spec.motion in OVERSHOOTING:
+        effect = "by (6) it overshoots a held direction further at every step"
+    elif len(quick) > 1:
+        slowest = float(turned[quick].min())
+        effect = (
+            f"{len(quick)} robots do {-100 * math.expm1(-slowest):.3g} % of a turn or more in T"
+        )
+    else:  # predicted exactly for any period, and one quick robot still differs from the others
+        return
+    yield SpecWarning(
+        ("controller", "period"),
+        f"a T = {turned[i]:.3g} for {spec.setup.names[i]}, with signals held for T = "
+        f"{spec.signal_s:.4g} s, is above 2: {effect}",
+        f"hold signals for less than {COARSE / spec.setup.a[i]:.3g} s",
+    )
+
+
+def unknown_dead_time(spec: CheckContext) -> Iterator[SpecWarning]:
+    """A dead time that the controller is wrong about by over a control period, and not to find."""
+    true = getattr(spec.experiment.plant, "dead_time", None)
+    assumed = getattr(spec.experiment.controller, "dead_time", 0.0)
+    period, identified = (
+        spec.setup.period_s,
+        getattr(spec.experiment.controller, "estimate", False),
+    )
+    if true is not None and not identified and abs(true - assumed) > period:
+        yield SpecWarning(
+            ("plant", "dead_time"),
+            f"is {true:.4g} s and the controller counts on {assumed:.4g} s: every command acts "
+            f"{abs(true - assumed) / period:.2g} control periods from when it is meant to",
+            f"set controller.dead_time to {true:.4g}",
+        )
+
+
+ALIKE = 0.05
+"""Relative difference of a, and difference of start headings [rad], up to which robots count as
+alike."""
+
+
+def out_of_reach(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Targets that a robot cannot come to in a trial, at full speed along a straight line."""
+    for i, left in enumerate(reach(spec.setup, spec.longest_s)):
+        if left > spec.tolerance:
+            yield SpecWarning(
+                ("robots", i, "target"),
+                f"is {_way(spec, i)} away; in the {spec.longest_s:.4g} s of a trial the robot "
+                f"drives {spec.setup.speed[i] * spec.longest_s:.4g} {spec.unit}, "
+                f"{left:.4g} too few",
+                "raise controller.steps_max, or bring the target nearer",
+            )
+
+
+def beyond_the_plan(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Targets that no plan of the first step can end at, though a trial lasts long enough."""
+    if spec.signals_max is None:
+        return
+    seconds = spec.signals_max * spec.signal_s
+    left = reach(spec.setup, seconds)
+    far = (left > spec.tolerance) & (reach(spec.setup, spec.longest_s) <= spec.tolerance)
+    if not far.any():
+        return
+    speed = np.where(far, spec.setup.speed, 1.0)
+    needed = np.where(far, left / speed + seconds, 0.0)
+    i = int(needed.argmax())
+    yield SpecWarning(
+        ("controller", "horizon_max"),
+        f"{spec.setup.names[i]} is {_way(spec, i)} from its target; in {spec.signals_max} signals, "
+        f"{seconds:.4g} s, it drives {speed[i] * seconds:.4g} {spec.unit}, {left[i]:.4g} too few",
+        f"set it to more than {math.ceil(needed[i] / spec.signal_s)}",
+    )
+
+
+def _way(spec: CheckContext, i: int) -> str:
+    gap = float(np.linalg.norm(spec.setup.targets[i] - spec.setup.starts.xy[i]))
+    return f"{gap:.4g} {spec.unit}"
+
+
+def robots_alike(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Robots that one signal cannot separate, with targets that ask for it."""
+    for group in _alike(spec.setup):
+        some = spec.setup.only(group)
+        least = bounds.least_total_error(some, spec.longest_s, alike=True)
+        if least <= max(len(group) * spec.tolerance, 1e-6 * _size(spec.setup)):
+            continue
+        first, *others = (spec.setup.names[i] for i in group)
+        spread = float(np.ptp(some.a) / some.a.mean())
+        turned = float(np.abs(wrap(some.starts.heading - some.starts.heading[0])).max())
+        if spread == 0 and turned < 1e-9:
+            message = (
+                f"is that of {first}, and so is the start heading: {_and(others)} can only follow "
+                f"in parallel, and the least total error of the {len(group)} is"
+            )
+        else:
+            message = (
+                f"{_and(others)} and {first} differ by {100 * spread:.2g} % in a and "
+                f"{turned:.2g} rad in start heading, too little to separate them for certain: if "
+                f"they did not differ, the least total error of the {len(group)} would be"
+            )
+        yield SpecWarning(
+            ("robots", group[1], "a"),
+            f"{message} {least:.4g} {spec.unit}",
+            "give them different a, or targets that lie to each other as the starts do",
+        )
+
+
+def _and(names: Sequence[str]) -> str:
+    """Return names as in a sentence, very many cut short."""
+    shown = list(names) if len(names) < 4 else [*names[:2], f"{len(names) - 2} more"]
+    return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
+
+
+def _alike(setup: Setup) -> Iterator[list[int]]:
+    """Yield groups of robots that hardly differ in a and start heading from the first of them."""
+    left = np.ones(len(setup.a), dtype=np.bool_)
+    for i in range(len(setup.a)):
+        if not left[i]:
+            continue
+        near = np.abs(setup.a - setup.a[i]) <= ALIKE * np.maximum(setup.a, setup.a[i])
+        near &= np.abs(wrap(setup.starts.heading - setup.starts.heading[i])) <= ALIKE
+        group = np.flatnonzero(near & left)
+        left[group] = False
+        if len(group) > 1:
+            yield group.tolist()
+
+
+def error_left(spec: CheckContext) -> Iterator[SpecWarning]:
+    """A total error that no plan can undercut, from all robots together."""
+    least = spec.least_total_error
+    count = len(spec.setup.a)
+    if least > max(count * spec.tolerance, 1e-6 * _size(spec.setup)):
+        yield SpecWarning(
+            ("robots",),
+            f"least total error of any plan: {least:.4g} {spec.unit}",
+            "no controller can do better with these a, speeds, starts and targets",
+        )
+
+
+def _size(setup: Setup) -> float:
+    return max(setup.arena.width, setup.arena.height)
+
+
+def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Targets with no way to them past the obstacles, or none that keeps the margin."""
+    if not spec.experiment.obstacles:
+        return
+    apart = shut_out(spec.setup, 0.0, spec.walls)
+    for i in np.flatnonzero(apart > 0):
+        yield SpecWarning(
+            ("robots", int(i), "target"),
+            f"is walled off: past the obstacles, the robot comes within {apart[i]:.4g} {spec.unit}",
+            "open a gap between the obstacles",
+        )
+    if spec.margin > 0:
+        squeezed = shut_out(spec.setup, spec.margin, spec.walls)
+        ends = np.minimum(
+            *(_clearances(spec, xy) for xy in (spec.setup.starts.xy, spec.setup.targets))
+        )
+        for i in np.flatnonzero((squeezed > 0) & (apart == 0) & (ends > spec.margin)):
+            yield SpecWarning(
+                ("robots", int(i), "target"),
+                f"has no way to it that keeps {spec.margin:.4g} {spec.unit} from the obstacles: "
+                f"the robot comes within {squeezed[i]:.4g} {spec.unit}",
+                "lower controller.collision.margin or radius, or widen the gap",
+            )
+
+
+def inside_margin(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Starts and targets nearer to an obstacle than the planner's paths may come."""
+    if spec.margin == 0 or spec.yields:
+        return
+    for field, points in (("start", spec.setup.starts.xy), ("target", spec.setup.targets)):
+        gaps = _clearances(spec, points)
+        for i in np.flatnonzero(gaps <= spec.margin):
+            yield SpecWarning(
+                ("robots", int(i), field),
+                f"is {gaps[i]:.4g} {spec.unit} from the nearest obstacle or wall; the plans keep "
+                f"{spec.margin:.4g}",
+                "move it, or lower controller.collision.margin or radius",
+            )
+
+
+def _clearances(spec: CheckContext, points: Floats) -> Floats:
+    return clearance(spec.setup, points[:, 0], points[:, 1], spec.walls)
+
+
+def too_close(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Starts or targets nearer to each other than the lab lets robots come."""
+    setup = spec.setup
+    for section in ("plant", "lab"):
+        limits = getattr(getattr(spec.experiment, section), "limits", None)
+        if limits is None:
+            continue
+        per_mm = 1e-3 / setup.metres
+        least = limits.separation_mm * per_mm
+        for field, points in (("start", setup.starts.xy), ("target", setup.targets)):
+            for i in range(1, len(points)):
+                gaps = np.linalg.norm(points[:i] - points[i], axis=1)
+                if gaps.min() < least:
+                    yield SpecWarning(
+                        ("robots", i, field),
+                        f"is {gaps.min() / per_mm:.4g} mm from the {field} of "
+                        f"{setup.names[int(gaps.argmin())]}; the lab aborts when robots "
+                        f"come nearer than {limits.separation_mm:.4g} mm",
+                        f"move them apart, or lower {section}.limits.separation_mm",
+                    )

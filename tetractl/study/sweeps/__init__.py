@@ -1,1 +1,0 @@
-"""The kinds of sweep: which values the fields of a spec take, arm by arm."""

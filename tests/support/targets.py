@@ -41,7 +41,7 @@ from tetractl.log.read.salvage import scan
 
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
-SELDOM = 40  # one input in so many is drawn
+SELDOM = 200  # one input in so many is drawn
 
 
 class Target(NamedTuple):

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.core.errors import Exit, TetractlError, UsageError
+from tetractl.core.errors import Exit, UsageError
+from tetractl.core.files import save_whole
 
 if TYPE_CHECKING:
     from tetractl.replay.identification.identify import Found
@@ -103,7 +104,4 @@ def refuse_existing(out: Path | None) -> None:
 
 def write(path: Path, text: str) -> None:
     """Write a file of text; TetractlError says why it cannot be written."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise TetractlError(f"{path}: cannot be written: {error.strerror}") from error
+    save_whole(path, text.encode())

@@ -8,7 +8,8 @@ import typer
 
 from tetractl.cli import lab_emulate
 from tetractl.cli.options import Sets, Yes, require_confirmation
-from tetractl.core.errors import Exit, TetractlError, UsageError
+from tetractl.core.errors import Exit, UsageError
+from tetractl.core.files import save_whole
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -164,10 +165,7 @@ def calibrate(
         camera=dict(found.camera),
         actuator=dict(found.actuator),
     )
-    try:
-        output.write_text(calibration_yaml(calibration), encoding="utf-8")
-    except OSError as error:
-        raise TetractlError(f"{output}: cannot be written: {error.strerror}") from error
+    save_whole(output, calibration_yaml(calibration).encode())
     for line in found.lines:
         typer.echo(line)
     typer.echo(f"wrote {output}; name it in the spec: lab.calibration", err=True)

@@ -85,16 +85,11 @@ class Rerun:
         """Return the optimiser that does the logged searches by this one."""
         return _Repeated(optimizer, self)
 
-    def next(self, length: int) -> tuple[int, Search]:
-        """Return the next logged search and its index in its step.
-
-        Where searches are given back it is the next of this length: earlier versions of tetractl
-        searched them in another order.
-        """
+    def next(self) -> tuple[int, Search]:
+        """Return the next logged search and its index in its step."""
         if not self._left:
             raise NoSearchError
-        alike = (n for n, (_, one) in enumerate(self._left) if one.length == length)
-        return self._left.pop(0 if self.search_again else next(alike, 0))
+        return self._left.pop(0)
 
 
 class _Repeated:
@@ -107,7 +102,7 @@ class _Repeated:
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
         """Do the next logged search."""
-        index, logged = self._rerun.next(length)
+        index, logged = self._rerun.next()
         if not self._rerun.search_again:
             self._evaluate(problem, length, warm is not None, limits, index, logged)
             return logged
@@ -228,8 +223,6 @@ def recompute(
             return Difference(step.k, "generator", text)
         if step.plan.estimate is None and (log.damage or not estimated):
             decision = replace(decision, estimate=None)  # lost, or written before there were any
-        if decision.search is step.plan.search:  # earlier versions searched other lengths as well
-            decision = replace(decision, searches=step.plan.searches, chosen=step.plan.chosen)
         found = next(iter(rerun.wrong), first_difference(decision, step.plan, tolerance))
         if found:
             return Difference(step.k, *found)

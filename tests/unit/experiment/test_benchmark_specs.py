@@ -22,5 +22,6 @@ def test_an_instance_is_valid_and_told_of(path):
     assert "../experiment.schema.json" in path.read_text("utf-8").splitlines()[0]
 
 
-def test_there_are_a_dozen():
-    assert len(SPECS) == 12
+def test_there_are_as_many_as_the_readme_says():
+    assert len(SPECS) == 13
+    assert "Thirteen fixed experiments" in (FOLDER / "README.md").read_text("utf-8")

@@ -28,7 +28,6 @@ from mcap.records import (
     MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 from mcap.well_known import SchemaEncoding
 from mcap_protobuf.schema import build_file_descriptor_set
@@ -154,15 +153,9 @@ class McapFile:
         )
         begin, self._crc = self._at, 0
         groups = (self._schemas, self._channels, [statistics], chunks, attachments, metadata)
-        offsets = []
         for records in groups:
-            if records:
-                data = b"".join(map(_record, records))
-                offsets.append(_record(SummaryOffset(data[0], self._at, len(data))))
-                self._write(data)
-        middle = self._at
-        self._write(b"".join(offsets))
-        footer = _record(Footer(begin, middle, 0))[:-4]  # which states the checksum with its head
+            self._write(b"".join(map(_record, records)))
+        footer = _record(Footer(begin, 0, 0))[:-4]  # which states the checksum with its head
         self._write(footer)
         self._write(self._crc.to_bytes(4, "little") + MAGIC)
 

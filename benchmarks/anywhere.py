@@ -1,0 +1,193 @@
+"""Measure robots that are to go from anywhere to anywhere, each to a target of its own.
+
+    python benchmarks/anywhere.py                   50 random instances of 2 to 6 robots in the loop
+    python benchmarks/anywhere.py --undisturbed     the same, with nothing disturbed
+    python benchmarks/anywhere.py --free            targets dealt out to the robots (assign: free)
+    python benchmarks/anywhere.py --predict         with what `tetractl analyze` predicts of each
+    python benchmarks/anywhere.py --part crowd      first plans for many robots, undisturbed
+
+Instance i has 2 + i mod 5 robots in 2.4 x 2.4 m: starts, headings and targets anywhere at least
+150 mm from the edge and 250 mm from each other, one to three rectangles at least 200 mm from all of
+them, a from 2 to 6 rad/s, speeds from 150 to 200 mm/s; walls and margins as in `three_m3pi.yaml`.
+It is driven once, by the recommended controller, in the plant of `disturbed.py --part hurting`.
+An instance is solved where the mean error of a robot is within 1 % of the arena, 24 mm.
+"""
+
+import argparse
+import time
+from typing import Any
+
+import numpy as np
+from disturbed import HURT, run
+from scipy.stats import spearmanr
+from solverbench.problems import OURS
+from solverbench.problems import experiment as load_experiment
+from solverbench.report import load, progress
+
+from tetractl.analysis.closed_loop import Noise
+from tetractl.analysis.steering import planner, steering
+from tetractl.control.lengths import Searcher, choose, least_length
+from tetractl.control.optimizers.multistart import Multistart
+from tetractl.core.plan import Limits
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.problem import Problem
+from tetractl.experiment.experiment import Experiment
+from tetractl.model.obstacles import Obstacles
+from tetractl.results.estimate import percent, proportion_interval
+
+ARENA_MM = 2400.0
+EDGE_MM, BETWEEN_MM, CLEAR_MM = 150.0, 250.0, 200.0
+SOLVED_MM = 0.01 * ARENA_MM  # a robot
+ACCEPT_MM = 5.0  # a robot
+CONTROLLER = ("controller.horizon_max=200", "controller.steps_max=800")
+SIZES = (2, 3, 4, 5, 6)
+
+
+def instance(number: int, seed: int, disturbed: bool, free: bool) -> Experiment:
+    """Return one random instance as an experiment."""
+    rng, count = np.random.default_rng([seed, number]), SIZES[number % len(SIZES)]
+    starts, targets = _scattered(rng, count), _scattered(rng, count)
+    base = load_experiment(OURS, *CONTROLLER, *(HURT if disturbed else ()))
+    data = base.model_dump(mode="json", exclude={"lab", "scale", "reference"})
+    data["arena"] = {"left": 0, "bottom": 0, "width": ARENA_MM, "height": ARENA_MM}
+    data["robots"] = tuple(
+        {
+            "name": f"r{i}",
+            "start": tuple(starts[i]),
+            "heading": float(rng.uniform(-np.pi, np.pi)),
+            "target": tuple(targets[i]),
+            "a": float(a),
+            "speed": float(rng.uniform(150, 200)),
+        }
+        for i, a in enumerate(rng.permutation(np.geomspace(2, 6, count)))
+    )
+    data["obstacles"] = _obstacles(rng, np.vstack([starts, targets]))
+    data["controller"]["accept"] = ACCEPT_MM * count
+    data["assign"] = "free" if free else "given"
+    data["trials"] = {"count": 1, "seed": seed + number}
+    return Experiment.model_validate(data)
+
+
+def _scattered(rng: np.random.Generator, count: int) -> Floats:
+    """Draw points (count, 2) that are BETWEEN_MM from each other."""
+    found: list[Floats] = []
+    while len(found) < count:
+        point = rng.uniform(EDGE_MM, ARENA_MM - EDGE_MM, 2)
+        if all(np.hypot(*(point - other)) >= BETWEEN_MM for other in found):
+            found.append(point)
+    return np.array(found)
+
+
+def _obstacles(rng: np.random.Generator, points: Floats) -> tuple[dict[str, Any], ...]:
+    """Draw one to three rectangles that are CLEAR_MM from all points."""
+    found: list[dict[str, Any]] = []
+    for _ in range(1000 * (several := int(rng.integers(1, 4)))):
+        size = rng.uniform(150, 350, 2)
+        corner = rng.uniform(0, ARENA_MM - size)
+        off = np.maximum(np.maximum(corner - points, points - corner - size), 0.0)
+        if np.hypot(*off.T).min() >= CLEAR_MM and len(found) < several:
+            (left, bottom), (width, height) = corner.tolist(), size.tolist()
+            sizes = {"left": left, "bottom": bottom, "width": width, "height": height}
+            found.append({"type": "rectangle", **sizes})
+    return tuple(found)
+
+
+def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool) -> None:
+    """Drive every instance once, and print a row for each number of robots."""
+    solved: dict[int, list[bool]] = {size: [] for size in SIZES}
+    unsafe, predicted, measured, none = 0, [], [], 0
+    for number in numbers:
+        progress(f"instance {number}")
+        spec = instance(number, seed, disturbed, free)
+        count = len(spec.robots)
+        (result,) = run(spec, 1)
+        solved[count].append(result.total_error <= SOLVED_MM * count)
+        unsafe += result.entered_obstacle or result.left_arena
+        print(
+            f"<!-- {number}: {count} robots, {result.total_error / count:.1f} mm a robot, "
+            f"{result.duration_s:.0f} s, {result.outcome.value} -->",
+            flush=True,
+        )
+        if predict:
+            noise = Noise.of(spec.plant)
+            found = steering(planner(spec), spec.setup, noise, spec.trials.seed, 3)
+            if found is None:
+                none += 1
+            else:
+                predicted.append(found.error)
+                measured.append(result.total_error)
+    print("\n| robots | solved | 95 % interval of the share |\n|---|---|---|")
+    every = [one for some in solved.values() for one in some]
+    for name, some in (*solved.items(), ("all", every)):
+        share = percent(proportion_interval(sum(some), len(some))).strip(" ()")
+        print(f"| {name} | {sum(some)} of {len(some)} | {share} |")
+    print(f"\n{unsafe} of {len(every)} entered an obstacle or left the arena.")
+    if predict:
+        rank = float(spearmanr(predicted, measured).statistic)
+        print(f"Predicted: rank correlation {rank:.2f} over {len(measured)}; no plan for {none}.")
+
+
+def crowd(robots: int, seed: int) -> Problem:
+    """Robots anywhere in 2 x 2 m; 1 m in one direction for all, and each 0.2 m or so by itself."""
+    rng = np.random.default_rng([robots, seed])
+    speed, starts = rng.uniform(150, 200, robots), rng.uniform(0, 2000, (robots, 2))
+    bearing = rng.uniform(-np.pi, np.pi)
+    shift = 1000 * np.array([np.cos(bearing), np.sin(bearing)])
+    return Problem(
+        poses=Poses(*starts.T.copy(), np.zeros(robots)),
+        targets=starts + shift + 200 * rng.standard_normal((robots, 2)),
+        a=np.linspace(2, 6, robots),
+        speed=speed,
+        motion="exact",
+        period=0.2,
+        first_period=0.2,
+        obstacles=Obstacles(()),
+        obstacle_weight=1000.0,
+        swept=False,
+    )
+
+
+def crowds(trials: int) -> None:
+    """First plans for many robots, each an instance of its own, up to 80 s long."""
+    print("| robots | optimiser | solved to 1 mm | signals, median | first plan [s], p50 / p95 |")
+    print("|---|---|---|---|---|")
+    for robots in (3, 5, 8, 12, 16):
+        for name, optimizer in (
+            ("grows", Multistart(rounds=2)),
+            ("does not", Multistart(rounds=2, grows=False)),
+        ):
+            optimizer.search(crowd(robots, trials), 10, None, 0, Limits())  # compile
+            solved, signals, seconds = 0, [], []
+            for seed in range(trials):
+                problem, begin = crowd(robots, seed), time.thread_time()
+                searcher = Searcher(optimizer, optimizer, problem, seed)
+                searcher.search_spread(least_length(problem), 400, optimizer.good_enough)
+                seconds.append(time.thread_time() - begin)
+                best = searcher.found[choose(searcher.found, optimizer.good_enough, 0)]
+                solved += best.cost <= 1
+                signals.append(best.length)
+            p50, p95 = np.quantile(seconds, [0.5, 0.95])
+            cells = robots, name, f"{solved} of {trials}", f"{np.median(signals):.0f}"
+            print(f"| {' | '.join(map(str, cells))} | {p50:.2f} / {p95:.2f} |", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--part", choices=("drive", "crowd"), default="drive")
+    parser.add_argument("--trials", type=int, default=50, help="instances")
+    parser.add_argument("--seed", type=int, default=6200)
+    parser.add_argument("--undisturbed", action="store_true")
+    parser.add_argument("--free", action="store_true")
+    parser.add_argument("--predict", action="store_true")
+    chosen = parser.parse_args()
+    if chosen.part == "crowd":
+        crowds(chosen.trials)
+        return
+    world = "undisturbed" if chosen.undisturbed else "the plant of disturbed.py --part hurting"
+    print(f"Simulated, seed {chosen.seed}, {chosen.trials} instances, {world}. {load()}.\n")
+    numbers = range(chosen.trials)
+    drive(numbers, chosen.seed, not chosen.undisturbed, chosen.free, chosen.predict)
+
+
+if __name__ == "__main__":
+    main()

@@ -33,11 +33,11 @@ import numpy as np
 
 from tetractl.control.cost import Foreseen, evaluate, foresee
 from tetractl.control.delay import driven
+from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, best_stop, longer
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.filter import warm_up as warm_up_filter
-from tetractl.control.given import given_search
-from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, longer
+from tetractl.control.fixed_sequence import given_search
 from tetractl.control.lengths import (
     Candidate,
     Searcher,
@@ -219,10 +219,10 @@ class Mpc:
             searcher.search_all(wanted, enough, count)
         least = min(search.cost for search in searcher.found)
         if self.warm is not None and least > self.accept > 0:
-            self._go_around(searcher)
+            self._detour(searcher)
         chosen = choose(searcher.found, good_enough, count)
         if self.warm is not None and searcher.found[chosen].length > count + 1:
-            self.accept *= 1 + RELENTS
+            self.accept *= 1 + ACCEPT_GROWTH
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
         return replace(plan, estimate=self.estimator.estimate)
 
@@ -235,7 +235,7 @@ class Mpc:
         end = self.timer() + round(self.section.deadline * SECOND)
         return lambda: self.timer() >= end
 
-    def _go_around(self, searcher: Searcher) -> None:
+    def _detour(self, searcher: Searcher) -> None:
         """Search longer sequences until one is good enough, as far as horizon and steps allow."""
         assert self.warm is not None
         section = self.section

@@ -44,7 +44,7 @@ class StopReason(StrEnum):
     TARGET = "target"  # a cost that is good enough was found
     EVALUATIONS = "evaluations"  # no further one fits into the limit
     DEADLINE = "deadline"  # the time was up
-    GIVEN = "given"  # there was none: the sequence is the spec's
+    FIXED = "given"  # there was none: the sequence is the spec's
 
     @classmethod
     def read(cls, text: str) -> "StopReason | str":

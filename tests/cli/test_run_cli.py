@@ -15,7 +15,6 @@ from support.running import (
     HEAVY,
     PATIENCE_S,
     QUICK,
-    TETRACTL,
     Running,
     assert_interrupted,
     environment,
@@ -354,34 +353,3 @@ def test_help_imports_nothing_heavy(tmp_path, args):
     if args[0] == "run":
         heavy.remove("pydantic")  # typer's own, to read a command's options
     assert heavy & imported == set()
-
-
-COMMANDS = {"run", "rerun", "validate", "schema", "info", "replay", "plot", "stats"}
-
-
-@pytest.mark.system
-@pytest.mark.parametrize(
-    ("shell", "words"),
-    [
-        ("bash", {"COMP_WORDS": "tetractl ", "COMP_CWORD": "1"}),
-        ("zsh", {"_TYPER_COMPLETE_ARGS": "tetractl "}),
-        ("fish", {"_TYPER_COMPLETE_ARGS": "tetractl ", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}),
-    ],
-)
-def test_shells_complete_commands(tmp_path, shell, words):
-    script = cli.process(tmp_path, env={"_TETRACTL_COMPLETE": f"source_{shell}"})
-    assert script.returncode == 0
-    assert f"_TETRACTL_COMPLETE=complete_{shell}" in script.stdout
-    found = cli.process(tmp_path, env=words | {"_TETRACTL_COMPLETE": f"complete_{shell}"})
-    assert all(command in found.stdout for command in COMMANDS)
-
-
-def test_bash_completes_options_once_it_is_told_how(tmp_path):
-    told = f'eval "$({TETRACTL} --show-completion)"; complete -p tetractl'
-    done = subprocess.run(
-        ["bash", "-c", told], cwd=tmp_path, env=environment(), capture_output=True, text=True
-    )
-    assert done.stdout == "complete -o default -F _tetractl_completion tetractl\n"
-    words = {"COMP_WORDS": "tetractl run --res", "COMP_CWORD": "2"}
-    found = cli.process(tmp_path, env=words | {"_TETRACTL_COMPLETE": "complete_bash"})
-    assert found.stdout.split() == ["--resume"]

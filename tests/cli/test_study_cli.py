@@ -56,7 +56,7 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_a_figure_a_field(whole):
     assert "expected duration" in done.stderr
     assert "40 of 40 trials" in done.stderr
     assert "quick: total error [mm]" in done.stdout
-    assert done.stdout.count("disturbed simulation") == 8
+    assert done.stdout.count("disturbed") == 8
     assert "assumed in the spec" in done.stdout
 
 
@@ -87,7 +87,7 @@ def test_a_study_interrupted_is_gone_on_with(whole, tmp_path):
         running.until_rows(out, 5)
         running.process.send_signal(signal.SIGINT)
         assert running.end() == 130
-    told = (tmp_path / "err").read_text().splitlines()
+    told = running.err.read_text().splitlines()
     assert told[-1] == "interrupted"
     assert "trials are lacking; go on with the same command" in told[-2]
     assert 5 <= len(table(out)) < 40
@@ -130,7 +130,7 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     [
         (["--shard", "3/2"], "--shard 3/2: must be i/n"),
         (["--logs", "some"], "--logs some: must be all, failed, sample:N or none"),
-        (["nowhere"], "--merge and the folders to gather go together"),
+        (["nowhere"], "--merge and the folders of the shares go together"),
         (["--merge", "nowhere"], "nowhere: holds no trial of this study"),
         (["--trial", "many"], "--trial many: must be ARM/N"),
         (["--trial", "few-dead_time=0.1-a=3/0"], "it has no row in"),

@@ -45,17 +45,15 @@ def environment():
     return {k: v for k, v in os.environ.items() if not k.startswith(("COLUMNS", "_TETRACTL"))}
 
 
-class Running:
-    """A run in a session of its own, with what it prints in files."""
+class Started:
+    """A command in a session of its own, with what it prints in files."""
 
-    def __init__(self, folder, spec, *args):
-        self.logs = folder / "logs"
-        (folder / "spec.yaml").write_text(spec)
-        self.out, self.err = folder / "out", folder / "err"
+    def __init__(self, cwd, *words):
+        self.out, self.err = cwd / "out-said", cwd / "err-said"
         with self.out.open("w") as out, self.err.open("w") as err:
             self.process = subprocess.Popen(
-                [TETRACTL, "run", "spec.yaml", "--out", "logs", *args],
-                cwd=folder,
+                [TETRACTL, *map(str, words)],
+                cwd=cwd,
                 env=environment(),
                 stdout=out,
                 stderr=err,
@@ -70,6 +68,28 @@ class Running:
             assert time.monotonic() < deadline
             with suppress(subprocess.TimeoutExpired):
                 self.process.wait(0.02)
+
+    def end(self):
+        code = self.process.wait(PATIENCE_S)
+        assert "Traceback" not in self.err.read_text(), self.err.read_text()
+        return code
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+
+class Running(Started):
+    """A run of a spec, with its logs in `logs`."""
+
+    def __init__(self, folder, spec, *args):
+        self.logs = folder / "logs"
+        (folder / "spec.yaml").write_text(spec)
+        super().__init__(folder, "run", "spec.yaml", "--out", "logs", *args)
 
     def until_logging(self, trials, size=0):
         """Until so many trials have written more than `size` bytes of log."""
@@ -89,18 +109,9 @@ class Running:
         return found
 
     def end(self):
-        code = self.process.wait(PATIENCE_S)
-        assert "Traceback" not in self.err.read_text(), self.err.read_text()
+        code = super().end()
         assert self._parts() == []
         return code
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        with suppress(ProcessLookupError):
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
 
 
 def assert_interrupted(running, trials, reason=""):

@@ -1,14 +1,9 @@
 """A quick study, and `tetractl study` in a process of its own that can be killed."""
 
-import os
-import signal
-import subprocess
-import time
-from contextlib import suppress
 from typing import Any, NamedTuple
 
 from support import cli
-from support.running import PATIENCE_S, QUICK, TETRACTL, environment
+from support.running import QUICK, Started
 
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import on_this_machine
@@ -65,45 +60,14 @@ def results(out):
     return {path.name: path.read_bytes() for path in paths}
 
 
-class Running:
+class Running(Started):
     """A study in a session of its own."""
 
     def __init__(self, cwd, *args):
-        self.err = cwd / "err"
-        with self.err.open("w") as err:
-            self.process = subprocess.Popen(
-                [TETRACTL, "study", *map(str, args)],
-                cwd=cwd,
-                env=environment(),
-                stdout=subprocess.DEVNULL,
-                stderr=err,
-                start_new_session=True,
-            )
+        super().__init__(cwd, "study", *args)
 
     def until_rows(self, out, count):
         self.until(lambda: rows(out) >= count)
-
-    def until(self, condition):
-        """Watch until something can be seen."""
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert self.process.poll() is None, self.err.read_text()
-            assert time.monotonic() < deadline
-            with suppress(subprocess.TimeoutExpired):
-                self.process.wait(0.01)
-
-    def end(self):
-        code = self.process.wait(PATIENCE_S)
-        assert "Traceback" not in self.err.read_text(), self.err.read_text()
-        return code
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        with suppress(ProcessLookupError):
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
 
 
 def run(folder, study=STUDY, spec=QUICK, out="out", **options):

@@ -60,7 +60,7 @@ def _agreed(questions: "Sequence[str]") -> bool:
     import sys
 
     if questions and not sys.stdin.isatty():
-        typer.echo("not answered: add --yes where nobody can be asked", err=True)
+        typer.echo("not answered: add --yes where there is no terminal", err=True)
         return False
     return all(typer.confirm(question, err=True) for question in questions)
 

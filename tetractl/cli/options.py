@@ -56,10 +56,10 @@ def refuse(found: "Sequence[PlacedWarning]") -> None:
 
 
 def require_confirmation(yes: bool) -> None:
-    """Raise UsageError where robots would move, nobody can be asked, and `--yes` is not given."""
+    """Raise UsageError where robots would move, and neither a terminal nor `--yes` confirms it."""
     if not yes and (sys.stdin is None or not sys.stdin.isatty()):
         raise UsageError(
-            "robots would move, and without a terminal nobody can be asked",
+            "robots would move, and there is no terminal to ask at",
             "add --yes to move them all the same",
         )
 

@@ -53,7 +53,7 @@ def study(
         typer.Option(metavar="I/N", help="Run only the I-th of N shares, in a folder of its own."),
     ] = None,
     merge: Annotated[
-        bool, typer.Option("--merge", help="Run nothing: gather the trials of the folders DIR.")
+        bool, typer.Option("--merge", help="Run nothing: collect the trials of the folders DIR.")
     ] = False,
     cluster: Annotated[
         str | None,
@@ -90,7 +90,7 @@ def study(
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
     if merge != bool(folders):
-        raise UsageError("--merge and the folders to gather go together")
+        raise UsageError("--merge and the folders of the shares go together")
     if sum([shard is not None, merge, trial is not None, slurm is not None]) > 1:
         raise UsageError("--shard, --merge, --trial and --slurm exclude each other: give one")
     rule, share = Logs.parse(logs), Shard.parse(shard) if shard else Shard()

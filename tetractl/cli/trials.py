@@ -146,7 +146,7 @@ def stoppable(
 ) -> "Iterator[Interrupt]":
     """Compile the controller, then yield an interrupt that signals request inside the block.
 
-    In the lab a run that nobody can watch any more is one of them, unless `unattended`.
+    In the lab the loss of every reader of the output is one of them, unless `unattended`.
     """
     from tetractl.cli.streams import first_signal_callback, hung_up_unread
     from tetractl.control.build import warm_up

@@ -64,6 +64,7 @@ CAMERAS = Registry(
     {
         "optitrack": "tetractl.lab.cameras.optitrack.section:OptitrackSection",
         "apriltag": "tetractl.lab.cameras.apriltag.section:AprilTagSection",
+        "cells": "tetractl.lab.cameras.cells.section:CellsSection",
     },
     "tetractl.experiment.lab:CameraSection",
 )

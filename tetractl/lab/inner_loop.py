@@ -45,6 +45,7 @@ class InnerLoop:
         self.guard, self.frames = guard, FrameBuffer()
         self.last: Transmission | None = None
         self._camera, self._actuator, self._clock = camera, actuator, clock
+        self._on_signal = getattr(camera, "steered", None)
         self._wake, self._emergency = wake, emergency
         self._lock = threading.Lock()
         self._direction = 0.0  # rad, held while steering
@@ -193,6 +194,8 @@ class InnerLoop:
 
     def _note(self, sent: Transmission) -> None:
         self.last = sent
+        if self._on_signal is not None:  # a camera that knows robots by how they answer it
+            self._on_signal(sent.direction, sent.sent_ns)
         self._sent.append(sent)
         self.guard.sent(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
 

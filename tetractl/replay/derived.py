@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
 
 from tetractl.core.text import printable
 from tetractl.experiment.load import resolved_yaml
@@ -118,7 +119,10 @@ def _entry_difference(
         return Difference(None, name, f"stamped {entry[1:3]}, the records make it {made[1:3]}")
     if not same_host and made.topic in DRAWN:
         return None
-    ours, logged = (CHANNELS[made.topic].FromString(one.data) for one in (made, entry))
+    try:
+        ours, logged = (CHANNELS[made.topic].FromString(one.data) for one in (made, entry))
+    except DecodeError:
+        return Difference(None, name, "is no message of its channel")
     found = first_difference(ours, logged, EXACT if same_host else NEARLY)
     if found is None:
         return Difference(None, name, "holds other bytes") if same_host else None

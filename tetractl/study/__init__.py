@@ -1,1 +1,1 @@
-"""Studies: many arms of trials in the same worlds, run anywhere, gathered in one table."""
+"""Studies: many arms of trials with paired seeds, run anywhere, collected in one table."""

@@ -13,7 +13,7 @@ from tetractl.study.sweep import Path, Sweep
 
 class Study(Model):
     """One study, as read from a YAML file. Each point of the sweep is run with each controller;
-    every such arm has the same seeds, so that its trials happen in the same worlds."""
+    every such arm has the same seeds, so that trials of one number are pairs."""
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     """Name of the study, which its folder is called after: letters without accents
@@ -21,7 +21,7 @@ class Study(Model):
     description: str = ""
     """One or two sentences for people."""
     base: str = Field(min_length=1, max_length=1000)
-    """File of the spec that every arm starts from, beside the study's own."""
+    """File of the spec that every arm starts from, by its path from the study's file."""
     sweep: Annotated[Sweep, KindSection(SWEEPS)] | None = None
     """The fields that take several values, and which; without it the base's values are kept."""
     controllers: dict[Name, dict[Path, Any]] = Field(default={}, max_length=1000)

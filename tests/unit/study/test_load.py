@@ -57,7 +57,7 @@ def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
 @pytest.mark.parametrize(
     ("study", "told"),
     [
-        ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: file of the spec that every arm starts from, beside the study's own"]),
+        ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: file of the spec that every arm starts from, by its path from the study's file"]),
         ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no such file: {}/other.yaml"]),
         (HEAD + "swep: {}\n", ["study.yaml:3:1: swep: unknown key; did you mean 'sweep'?"]),
         (HEAD + "sweep: {type: gird, fields: {}}\n", ["study.yaml:3:15: sweep.type: gird: must be one of grid, list, random, sobol; did you mean 'grid'?"]),

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from mcap.records import Attachment, Metadata
+from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.well_known import MessageEncoding
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import HOST, HOST_TIMING, RECOVERED, TIMING, Entry
+from tetractl.log.format.channels import CHANNELS_1, HOST, HOST_TIMING, RECOVERED, TIMING, Entry
 from tetractl.log.format.metadata import damage_metadata
 from tetractl.log.read.bounds import file_limit
 from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX
@@ -17,6 +18,7 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, frame_gaps, step_gaps
+from tetractl.log.write.mcap_file import protobuf_schema
 from tetractl.log.write.sink import Sink
 
 PART_SUFFIX = ".recovering"
@@ -107,6 +109,11 @@ def _write(contents: RawLog, damage: Damage, path: Path) -> None:
 
 
 def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
+    for topic, message in CHANNELS_1.items():  # the channels of a log that lost those records
+        if topic not in contents.channels and contents.by_topic[topic]:
+            name, encoding, data = protobuf_schema(message)
+            channel = Channel(0, topic, MessageEncoding.Protobuf, {}, 0)
+            sink.channel(channel, Schema(0, data, encoding, name))
     for channel, schema in contents.channels.values():
         sink.channel(channel, schema)
     for messages, records in groupby(contents.records, lambda one: isinstance(one, Entry)):

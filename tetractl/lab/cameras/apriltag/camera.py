@@ -1,43 +1,23 @@
-"""The `apriltag` camera: one thread reads the source, another finds the tags."""
+"""The `apriltag` camera: robots by their tags in pictures."""
 
-import queue
-import threading
-from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
-from typing import Self
 
-import cv2
-
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import Clock
 from tetractl.core.commands import Health
-from tetractl.core.errors import AbortError
-from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
-from tetractl.lab.cameras.apriltag.health import LOOKS, Look, State, judged
+from tetractl.lab.cameras.apriltag.detect import Grey
+from tetractl.lab.cameras.apriltag.health import State, judged
 from tetractl.lab.cameras.apriltag.section import AprilTagSection
-from tetractl.lab.cameras.apriltag.source import (
-    Feed,
-    Picture,
-    SourceEndedError,
-    decoded,
-    open_feed,
-)
-from tetractl.lab.cameras.apriltag.track import Tracker
-
-KEPT = 4096  # frames not fetched yet
-WAIT_S = 0.05
-CLOSE_S = 2.0
+from tetractl.lab.cameras.apriltag.track import Seen, Tracker
+from tetractl.lab.cameras.picture_camera import PictureCamera
 
 
-class AprilTagCamera:
+class AprilTagCamera(PictureCamera[Seen]):
     """Tracks N robots by their tags; a `Camera`.
 
-    `wake` is called, in the finding thread, after every new frame. A frame is numbered by its
-    picture: where a live source outruns the finding, numbers are missing. A robot is not tracked
-    (None) while its tag is not seen, seen twice, or not of its size, and none is while the floor is
-    not known. Frames never carry a `fault`.
+    A robot is not tracked (None) while its tag is not seen, seen twice, or not of its size, and
+    none is while the floor is not known.
     """
 
     def __init__(
@@ -47,75 +27,13 @@ class AprilTagCamera:
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
     ) -> None:
+        super().__init__(section, clock, wake)
         self.section = section
-        self._clock, self._wake = clock, wake
         self._tracker = Tracker(section, setup.names, setup.metres)
-        self._newest: CameraFrame | None = None
-        self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
-        self._looks: deque[Look] = deque(maxlen=LOOKS)
-        self._feed: Feed | None = None
-        self._size: tuple[int, ...] | None = None
-        self._next: queue.Queue[tuple[int, Picture]] = queue.Queue(maxsize=1)
-        self._unread = 0  # pictures that could not be decoded
-        self._skipped = 0
-        self._ended = ""
-        self._changed = threading.Condition()
-        self._closing = threading.Event()
-        self._threads: list[threading.Thread] = []
-
-    @property
-    def newest(self) -> CameraFrame | None:
-        """The newest frame, None before the first."""
-        return self._newest
-
-    @property
-    def damaged(self) -> int:
-        """Parts of the stream and pictures that could not be read."""
-        return self._unread + (0 if self._feed is None else self._feed.damaged)
-
-    def frames(self) -> list[CameraFrame]:
-        """Return, once, every frame since the last call, oldest first."""
-        fresh: list[CameraFrame] = []
-        while self._fresh:
-            fresh.append(self._fresh.popleft())
-        return fresh
-
-    def __enter__(self) -> Self:
-        """Open the source and wait for a first frame; AbortError where none comes."""
-        patience = self.section.connect
-        self._feed = open_feed(self.section.source, self._clock, patience)
-        self._threads = [
-            threading.Thread(target=self._read, args=(self._feed,), name="pictures", daemon=True),
-            threading.Thread(target=self._find, name="apriltag", daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
-        if not self._wait(lambda: self._newest is not None, patience):
-            self.__exit__()
-            damaged = f"{self.damaged} pictures were damaged" if self.damaged else None
-            raise AbortError(
-                f"no picture comes from {self.section.source_name} ({patience:g} s)",
-                self._ended or damaged,
-            )
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End both threads and close the source."""
-        self._closing.set()
-        if self._feed is not None:
-            self._feed.interrupt()
-        for thread in self._threads:
-            thread.join(CLOSE_S)
 
     def check(self) -> Health:
         """Look at some pictures and return what is wrong with source, floor and tags."""
-        first = self._looks[-1].number if self._looks else 0
-
-        def enough() -> bool:
-            newest = self._looks[-1].number if self._looks else 0
-            return newest >= first + LOOKS or bool(self._ended)
-
-        self._wait(enough, self.section.connect)
+        looks = self._look()
         floor = self._tracker.floor
         state = State(
             source=self.section.source_name,
@@ -127,62 +45,8 @@ class AprilTagCamera:
             damaged=self.damaged,
             skipped=self._skipped,
         )
-        found = judged(self.section, self._tracker.robots, tuple(self._looks), state)
-        return replace(found, emulated=self._feed is not None and self._feed.emulated)
+        found = judged(self.section, self._tracker.robots, looks, state)
+        return replace(found, emulated=self.emulated)
 
-    def _read(self, feed: Feed) -> None:
-        """Offer every picture; of a live source only the newest waits to be searched."""
-        number = 0
-        try:
-            while not self._closing.is_set():
-                picture = feed.read()
-                number += 1
-                self._offer((number, picture), feed.live)
-        except SourceEndedError as error:
-            self._ended = str(error)
-            with self._changed:
-                self._changed.notify_all()
-        finally:
-            feed.close()
-
-    def _offer(self, picture: tuple[int, Picture], live: bool) -> None:
-        while not self._closing.is_set():
-            try:
-                self._next.put(picture, timeout=None if live else WAIT_S, block=not live)
-                return
-            except queue.Full:
-                if live:
-                    with suppress(queue.Empty):
-                        self._next.get_nowait()
-                        self._skipped += 1
-
-    def _find(self) -> None:
-        while not self._closing.is_set():
-            with suppress(queue.Empty):
-                number, picture = self._next.get(timeout=WAIT_S)
-                self._search(number, picture)
-
-    def _search(self, number: int, picture: Picture) -> None:
-        began = self._clock.now()
-        try:
-            grey = decoded(picture, self._size)
-            if grey is None or (self._size is not None and grey.shape != self._size):
-                self._unread += 1  # of another size, it does not fit the calibration
-                return
-            seen = self._tracker.see(grey)
-        except cv2.error:  # OpenCV refuses the picture or what is in it
-            self._unread += 1
-            return
-        self._size = grey.shape
-        exposed = picture.received_ns - round(self.section.latency * SECOND)
-        frame = CameraFrame(number, exposed, picture.received_ns, seen.poses, seen.strangers)
-        self._fresh.append(frame)
-        self._newest = frame
-        self._looks.append(Look(number, picture.received_ns, self._clock.now() - began, seen))
-        with self._changed:
-            self._changed.notify_all()
-        self._wake()
-
-    def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        with self._changed:
-            return self._changed.wait_for(done, timeout_s)
+    def _see(self, picture: Grey, exposed_ns: int) -> Seen:
+        return self._tracker.see(picture)

@@ -5,32 +5,18 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tetractl.core.clock import SECOND
 from tetractl.core.commands import Health
 from tetractl.lab.cameras.apriltag.floor import MISFIT_MM
 from tetractl.lab.cameras.apriltag.plane import Plane
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 from tetractl.lab.cameras.apriltag.track import ODD_SIZE, Seen
+from tetractl.lab.cameras.looks import Look, rate_hz, search_ms, stream_lines
 
-LOOKS = 20  # pictures
-SILENT_NS = SECOND // 2
-SLOW_HZ = 20.0  # below, one lost picture looks like a lost stream
-SLOWER = 0.8  # of the declared rate
 BLURRED = 0.36  # modules: from here on, tags begin not to be read
 ODD = 0.03  # a tag of another size than the spec says, as a share
 MISPLACED_MM = 3.0
 DOUBTFUL_MM = 3.0
 OFTEN = 0.5  # a tag seen in fewer of the pictures is not seen
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """One picture: its number, arrival, the time that searching it took, and what it shows."""
-
-    number: int
-    received_ns: int
-    search_ns: int
-    seen: Seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +38,12 @@ class State:
 
 
 def judged(
-    section: AprilTagSection, robots: Sequence[RobotTag], looks: Sequence[Look], state: State
+    section: AprilTagSection, robots: Sequence[RobotTag], looks: Sequence[Look[Seen]], state: State
 ) -> Health:
     """Return the health of a camera from its last looks, oldest first."""
-    problems, warnings = _stream(looks, state)
+    problems, warnings = stream_lines(
+        looks, state.source, state.ended, state.now_ns, state.rate_hz, state.damaged
+    )
     seen, twice = _seen(looks)
     floor = [tag.tag for tag in section.floor]
     for each in (
@@ -73,40 +61,7 @@ Lines = tuple[list[str], list[str]]
 """Problems and warnings."""
 
 
-def rate_hz(looks: Sequence[Look]) -> float | None:
-    """Return how many pictures a second came, skipped ones included."""
-    if len(looks) < 2 or looks[-1].received_ns <= looks[0].received_ns:
-        return None
-    span = looks[-1].received_ns - looks[0].received_ns
-    return (looks[-1].number - looks[0].number) * SECOND / span
-
-
-def _stream(looks: Sequence[Look], state: State) -> Lines:
-    problems: list[str] = []
-    warnings: list[str] = []
-    if state.ended:
-        problems.append(state.ended)
-    elif not looks or state.now_ns - looks[-1].received_ns > SILENT_NS:
-        problems.append(f"no picture comes from {state.source} any more")
-    rate = rate_hz(looks)
-    if rate is not None and state.rate_hz is not None and rate < SLOWER * state.rate_hz:
-        warnings.append(
-            f"{rate:.0f} pictures a second come instead of {state.rate_hz:.0f}: too little light "
-            "for short exposures, or too slow a cable?"
-        )
-    elif rate is not None and rate < SLOW_HZ:
-        warnings.append(f"only {rate:.0f} pictures a second come: {SLOW_HZ:.0f} or more are wanted")
-    if looks and (missed := looks[-1].number - looks[0].number + 1 - len(looks)):
-        warnings.append(
-            f"{missed} of the last {len(looks) + missed} pictures were not searched: searching one "
-            f"takes {_search_ms(looks):.0f} ms"
-        )
-    if state.damaged:
-        warnings.append(f"{state.damaged} pictures were damaged")
-    return problems, warnings
-
-
-def _seen(looks: Sequence[Look]) -> tuple[list[int], list[int]]:
+def _seen(looks: Sequence[Look[Seen]]) -> tuple[list[int], list[int]]:
     """Return the tags seen in most pictures, and those seen twice in any."""
     counts = Counter(tag for look in looks for tag in set(look.seen.tags))
     twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
@@ -143,7 +98,10 @@ def _floor_placed(plane: Plane | None, estimated: bool) -> Lines:
 
 
 def _robots(
-    robots: Sequence[RobotTag], looks: Sequence[Look], seen: Sequence[int], twice: Sequence[int]
+    robots: Sequence[RobotTag],
+    looks: Sequence[Look[Seen]],
+    seen: Sequence[int],
+    twice: Sequence[int],
 ) -> Lines:
     problems: list[str] = []
     warnings: list[str] = []
@@ -166,7 +124,7 @@ def _robots(
     return problems, warnings
 
 
-def _sharpness(looks: Sequence[Look]) -> Lines:
+def _sharpness(looks: Sequence[Look[Seen]]) -> Lines:
     blurs = [look.seen.blur for look in looks if look.seen.blur is not None]
     sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
     if not blurs or statistics.median(blurs) <= BLURRED:
@@ -177,14 +135,14 @@ def _sharpness(looks: Sequence[Look]) -> Lines:
     ]
 
 
-def _facts(section: AprilTagSection, looks: Sequence[Look], state: State) -> dict[str, str]:
+def _facts(section: AprilTagSection, looks: Sequence[Look[Seen]], state: State) -> dict[str, str]:
     facts = {"source": state.source, "latency": f"{section.latency:g} s, as the spec says"}
     if state.size is not None:
         facts["resolution"] = f"{state.size[1]}x{state.size[0]}"
     if (rate := rate_hz(looks)) is not None:
         facts["rate"] = f"{rate:.1f} Hz"
     if looks:
-        facts["search"] = f"{_search_ms(looks):.1f} ms"
+        facts["search"] = f"{search_ms(looks):.1f} ms"
     if (plane := state.plane) is not None:
         facts["floor_error"] = f"{plane.error_mm:.2f} mm"
         origin = "the spec's" if section.lens is not None else "estimated"
@@ -195,10 +153,6 @@ def _facts(section: AprilTagSection, looks: Sequence[Look], state: State) -> dic
     facts["damaged"] = str(state.damaged)
     facts["skipped"] = str(state.skipped)
     return facts
-
-
-def _search_ms(looks: Sequence[Look]) -> float:
-    return statistics.median(look.search_ns for look in looks) / 1e6
 
 
 def _tags(numbers: Sequence[int]) -> str:

@@ -59,6 +59,17 @@ class MjpegSource(Model):
 Source = Annotated[DeviceSource | FileSource | MjpegSource, Field(discriminator="type")]
 
 
+def named(source: Source) -> str:
+    """Return the name of a source, for people."""
+    match source:
+        case DeviceSource(index=index):
+            return f"camera {index}"
+        case FileSource(path=path):
+            return path
+        case MjpegSource(url=url):
+            return url
+
+
 class Lens(Model):
     """A calibrated lens, for pictures of the size that the source delivers."""
 
@@ -135,13 +146,7 @@ class AprilTagSection(CameraSection):
     @property
     def source_name(self) -> str:
         """Name of the source, for people."""
-        match self.source:
-            case DeviceSource(index=index):
-                return f"camera {index}"
-            case FileSource(path=path):
-                return path
-            case MjpegSource(url=url):
-                return url
+        return named(self.source)
 
     def ordered(self, names: Sequence[str]) -> tuple[RobotTag, ...]:
         """Return the tags of robots in the order of their names; SpecError where one has none."""

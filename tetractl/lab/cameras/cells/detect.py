@@ -33,8 +33,8 @@ class Blob:
     """Something in a picture: x, y [px] of its middle, `axis` [rad] mod pi, columns and rows.
 
     `long` and `wide` [px] are the axes of the ellipse with the same moments, `strength` its mean
-    difference [grey levels]. `pixels` (M, 3) are columns, rows and weights, for blobs of several
-    cells. `at_edge`: it is cut by the picture's edge.
+    difference [grey levels]. `body` is 1 where the blob is, in a rectangle whose upper left pixel
+    is at `corner`. `at_edge`: it is cut by the picture's edge.
     """
 
     x: float
@@ -43,8 +43,15 @@ class Blob:
     long: float
     wide: float
     strength: float
-    pixels: Floats
+    body: Grey
+    corner: tuple[int, int]
     at_edge: bool
+
+    @property
+    def pixels(self) -> Floats:
+        """Columns and rows of its pixels (M, 2)."""
+        rows, columns = np.nonzero(self.body)
+        return np.column_stack([columns + self.corner[0], rows + self.corner[1]]).astype(float)
 
     @property
     def area(self) -> float:
@@ -82,6 +89,7 @@ class BlobFinder:
     _background: NDArray[np.float32] | None = field(default=None, init=False)
     _flat: Grey | None = field(default=None, init=False)
     _stripe: int = field(default=0, init=False)
+    _smooth: Grey | None = field(default=None, init=False)
 
     @property
     def size(self) -> tuple[int, ...] | None:
@@ -115,7 +123,7 @@ class BlobFinder:
     def find(self, picture: Grey) -> list[Blob]:
         """Return the blobs of a picture (height, width), largest first."""
         assert self._flat is not None, "learn() comes first"
-        smooth = cv2.GaussianBlur(picture, (5, 5), 0)
+        self._smooth = smooth = _grey(cv2.GaussianBlur(picture, (5, 5), 0))
         seen, known = _sparse(smooth), np.maximum(_sparse(self._flat), 1)
         gain = float(np.median(seen / known))
         gain = gain if 0.05 < gain < 20 else 1.0
@@ -139,18 +147,19 @@ class BlobFinder:
         self.light = Light(gain, noise, contrast, changed, lost)
         return blobs
 
-    def follow(self, picture: Grey, keep: Sequence[tuple[int, int, int, int]]) -> None:
-        """Bring a stripe of the background up to date, but not within `keep`.
+    def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
+        """Bring a stripe of the background up to date by the last picture, but not within `keep`.
 
         Those are rectangles left, top, right and bottom [px].
         """
         assert self._background is not None and self._flat is not None, "learn() comes first"
+        assert self._smooth is not None, "find() comes first"
         height = self._background.shape[0]
         top = self._stripe * height // STRIPES
         bottom = (self._stripe + 1) * height // STRIPES
         self._stripe = (self._stripe + 1) % STRIPES
         old = self._background[top:bottom]
-        new = cv2.GaussianBlur(picture[top:bottom], (5, 5), 0)
+        new = self._smooth[top:bottom]
         mask = np.full(new.shape, 255, np.uint8)
         for left, upper, right, lower in keep:
             mask[max(0, upper - top) : max(0, lower - top), max(0, left) : max(0, right)] = 0
@@ -186,8 +195,6 @@ class BlobFinder:
         xy = moments["mu11"] / mass
         spread = math.hypot((xx - yy) / 2, xy)
         mean = (xx + yy) / 2
-        rows, columns = np.nonzero(kept)
-        shades = part[rows, columns].astype(float)
         height, width = difference.shape
         return Blob(
             x=left + x,
@@ -195,8 +202,9 @@ class BlobFinder:
             axis=0.5 * math.atan2(2 * xy, xx - yy),
             long=4 * math.sqrt(mean + spread),
             wide=4 * math.sqrt(max(mean - spread, 1e-3)),
-            strength=float(shades.mean()),
-            pixels=np.column_stack([columns + left, rows + top, shades]).astype(float),
+            strength=cv2.mean(part, kept)[0],
+            body=_grey(kept),
+            corner=(left, top),
             at_edge=left == 0 or top == 0 or left + wide == width or top + tall == height,
         )
 

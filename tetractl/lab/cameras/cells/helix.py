@@ -36,6 +36,7 @@ SLOWEST_UM_S = 60.0  # slower, a cell rests: then its helix tells nothing of its
 BACKWARDS_UM_S = -60.0  # so fast backwards, the heading was the wrong way round
 # growth of deviations in a second's root: x, y, heading, speed, c, s, rate, a, bias
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
+RESTING = ((HEADING, 0.5), (SPEED, 150.0))  # growth besides: it may go on, anywhere
 TURN_S = 0.5  # after which unexplained turning is forgotten
 TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0  # its deviation [rad/s] with and without a known field
 TAIL = 8.0  # degrees of freedom: outliers cost a logarithm of their size
@@ -168,10 +169,12 @@ class HelixFilter:
         m = self.mean[rows]
         half = seconds / 2
         towards, slope = _field(m[:, HEADING] + m[:, BIAS], ux, uy)
-        rate, bend = m[:, A] * towards + m[:, TURN], m[:, A] * slope
+        resting = m[:, SPEED] < SLOWEST_UM_S  # the field does not turn what does not swim
+        towards, a = np.where(resting, 0.0, towards), np.where(resting, 0.0, m[:, A])
+        rate, bend = a * towards + m[:, TURN], a * slope
         middle = m[:, HEADING] + rate * half
         towards_2, slope_2 = _field(middle + m[:, BIAS], ux, uy)
-        bend_2 = m[:, A] * slope_2
+        towards_2, bend_2 = np.where(resting, 0.0, towards_2), a * slope_2
         f = np.zeros((len(rows), STATES, STATES))
         f[:, range(STATES), range(STATES)] = 1
         # slopes of the heading in the middle, which moves the cell, and at the end
@@ -193,11 +196,13 @@ class HelixFilter:
         f[:, TURN, TURN] = forget
         m[:, X] += (m[:, SPEED] * cos + m[:, FLOW_X]) * seconds
         m[:, Y] += (m[:, SPEED] * sin + m[:, FLOW_Y]) * seconds
-        m[:, HEADING] += (m[:, A] * towards_2 + m[:, TURN]) * seconds
+        m[:, HEADING] += (a * towards_2 + m[:, TURN]) * seconds
         m[:, C], m[:, S] = c, s
         m[:, TURN] *= forget
         noise = np.zeros((len(rows), STATES))
         noise[:, : len(GROWTH)] = np.square(self.growth[rows]) * seconds
+        for state, deviation in RESTING:
+            noise[:, state] += deviation**2 * seconds * resting
         noise[:, TURN] = (TURN_KNOWN if self.known else TURN_UNKNOWN) ** 2 * (1 - forget**2)
         if not self.known:
             noise[:, A] = 0.0

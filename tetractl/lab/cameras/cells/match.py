@@ -125,8 +125,7 @@ def _gap(place: Floats, blob: Blob) -> float:
     """Return how far a place is from the nearest pixel of a blob [px]."""
     if math.hypot(blob.x - place[0], blob.y - place[1]) > blob.long + 20:
         return math.inf
-    away = np.hypot(blob.pixels[:, 0] - place[0], blob.pixels[:, 1] - place[1])
-    return float(away.min())
+    return float(np.linalg.norm(blob.pixels - place, axis=1).min())
 
 
 def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> Floats:

@@ -102,8 +102,8 @@ class CellTracker:
         else:
             self._match(blobs, seconds, passed)
         self._give_up(picture.shape[1])
-        self.finder.follow(picture, self._kept())
-        return [self._shown(cell) for cell in self._cells if cell.missed_s < HIDDEN_S]
+        self.finder.follow(self._kept())
+        return self._shown([cell for cell in self._cells if cell.missed_s < HIDDEN_S])
 
     def _match(self, blobs: Sequence[Blob], seconds: float, passed: float) -> None:
         """Give each cell its blob, and take from it what it says."""
@@ -231,36 +231,46 @@ class CellTracker:
 
     def _points(self, blob: Blob) -> Floats:
         """Return where the pixels of a blob are (M, 2) [um]."""
-        up = self._height - 0.5 - blob.pixels[:, 1]
-        return np.column_stack([blob.pixels[:, 0] + 0.5, up]) * self.um_px
+        pixels = blob.pixels
+        up = self._height - 0.5 - pixels[:, 1]
+        return np.column_stack([pixels[:, 0] + 0.5, up]) * self.um_px
 
     def _kept(self) -> list[tuple[int, int, int, int]]:
         """Return rectangles [px] round the cells, which the background does not learn."""
+        rows = [cell.row for cell in self._cells]
         found = []
-        for cell in self._cells:
-            column, row = self._pixels(self.bank.mean[cell.row][None, :2])[0].tolist()
+        for cell, (column, row) in zip(
+            self._cells, self._pixels(self.bank.mean[rows, :2]).tolist(), strict=True
+        ):
             reach = 0.8 * cell.long / self.um_px + 4
             left, top = round(column - reach), round(row - reach)
             found.append((left, top, round(column + reach), round(row + reach)))
         return found
 
-    def _shown(self, cell: FollowedCell) -> SeenCell:
-        seen, _ = self.bank.seen(np.array([cell.row]))
-        x, y, axis = seen[0].tolist()
-        open_share = 1.0 if cell.question is None else cell.question.best()[1]
-        return SeenCell(
-            identity=cell.identity,
-            x=x,
-            y=y,
-            axis=axis,
-            heading=float(self.bank.mean[cell.row, HEADING]),
-            mean=self.bank.mean[cell.row].copy(),
-            covariance=self.bank.covariance[cell.row].copy(),
-            probability=cell.certainty * open_share,
-            found=cell.blob is not None,
-            merged=cell.merged,
-            long_um=cell.long,
-            wide_um=cell.wide,
-            track=cell.track,
-            measured=cell.measured,
-        )
+    def _shown(self, cells: Sequence[FollowedCell]) -> list[SeenCell]:
+        rows = np.array([cell.row for cell in cells], int)
+        seen, _ = self.bank.seen(rows)
+        means, covariances = self.bank.mean[rows], self.bank.covariance[rows]
+        found = []
+        for i, cell in enumerate(cells):
+            x, y, axis = seen[i].tolist()
+            open_share = 1.0 if cell.question is None else cell.question.best()[1]
+            found.append(
+                SeenCell(
+                    identity=cell.identity,
+                    x=x,
+                    y=y,
+                    axis=axis,
+                    heading=float(means[i, HEADING]),
+                    mean=means[i],
+                    covariance=covariances[i],
+                    probability=cell.certainty * open_share,
+                    found=cell.blob is not None,
+                    merged=cell.merged,
+                    long_um=cell.long,
+                    wide_um=cell.wide,
+                    track=cell.track,
+                    measured=cell.measured,
+                )
+            )
+        return found

@@ -1,0 +1,252 @@
+"""How well cells are found, followed and told from each other in synthetic films.
+
+    python benchmarks/cells.py films       position, axis, heading, F1, wrong identities, ms
+    python benchmarks/cells.py identity    who is who after a full merge, by how far a is apart
+    python benchmarks/cells.py intervals   how often 95 % intervals of `tetractl track` hold
+    python benchmarks/cells.py time        ms a picture of 1024 and of 2048 px
+
+Every picture is synthetic, by `tetractl.emulate.dish`, which the same hands wrote. Seeds from 9000
+on are those of the published figures; smaller ones were used in development. --count says how many
+films, or pairs of cells; --seconds how long each film is.
+"""
+
+import argparse
+import math
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import beta
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from support.dish_films import Reel, record, who
+
+from tetractl.emulate.dish.picture import Look
+from tetractl.emulate.dish.synthetic import FilmScript, SyntheticFilm
+from tetractl.film.fit import summarise
+from tetractl.film.follow import follow
+from tetractl.lab.cameras.cells.helix import HelixFilter
+from tetractl.lab.cameras.cells.identity import opened
+from tetractl.lab.cameras.cells.tracking import CellTracker
+from tetractl.model.swimmers import Swimmers, bodies
+
+FIRST_SEED = 9000
+REACH_UM = 25.0
+GAP = 3  # pictures out of sight, after which a cell may have another number
+STEP_S = 1 / 240
+
+
+def share(hits: int, count: int) -> str:
+    """A share with its interval after Clopper and Pearson."""
+    low = beta.ppf(0.025, hits, count - hits + 1) if hits else 0.0
+    high = beta.ppf(0.975, hits + 1, count - hits) if hits < count else 1.0
+    return f"{hits}/{count} = {hits / max(count, 1):.4f} [{low:.4f}, {high:.4f}]"
+
+
+def film(
+    seed: int, seconds: float, side: int, um_px: float | None, **script: object
+) -> SyntheticFilm:
+    look = Look.drawn(np.random.default_rng(seed), side, um_px)
+    return SyntheticFilm(FilmScript(seconds=seconds, **script), look, seed)
+
+
+def matched(made: SyntheticFilm, k: int, cells: list, last: dict[int, int]) -> dict[int, int]:
+    """Which cell shown is which true one; who was matched before stays so within reach."""
+    places = np.nan_to_num(made.body[k, :, :2], nan=1e6)
+    there = np.array([(c.x, c.y) for c in cells]).reshape(-1, 2)
+    gaps = np.linalg.norm(places[:, None] - there[None], axis=-1)
+    cost = np.minimum(gaps, 1e5)
+    for i, number in last.items():
+        for j, cell in enumerate(cells):
+            if cell.identity == number and gaps[i, j] < REACH_UM:
+                cost[i, j] -= 1e6
+    own, found = linear_sum_assignment(cost)
+    return {int(i): int(j) for i, j in zip(own, found, strict=True) if gaps[i, j] < REACH_UM}
+
+
+def films(count: int, seconds: float) -> None:
+    position, axis, heading = [], [], []
+    hits = misses = extra = wrong = seen_frames = 0
+    times, doubtful = [], []
+    for seed in range(FIRST_SEED, FIRST_SEED + count):
+        made = film(seed, seconds, 1024, 2.3, strangers=seed % 11)
+        found = follow(reel := Reel(made), made.look.um_px, record(made))
+        times += timed(made, reel)
+        shown = [[] for _ in made.times]
+        for path in found.paths:
+            for k, cell in zip(path.frames, path.seen, strict=True):
+                shown[k].append(cell)
+        last, when = {}, {}
+        divides, rests = made.script.cells - 2, made.script.cells - 1
+        for k, cells in enumerate(shown):
+            seen = [int(i) for i in np.flatnonzero(made.seen[k])]
+            for i in list(last):
+                if i not in seen and k - when[i] > GAP:
+                    del last[i]
+            pairs = matched(made, k, cells, last)
+            hits += sum(i in pairs for i in seen)
+            misses += sum(i not in pairs for i in seen)
+            extra += len(cells) - len(pairs)
+            for i in seen:
+                if i not in pairs:
+                    continue
+                cell = cells[pairs[i]]
+                if last.get(i, cell.identity) != cell.identity and i != divides:
+                    wrong += 1
+                    doubtful.append(cell.probability)
+                last[i], when[i] = cell.identity, k
+                seen_frames += 1
+                if not cell.found or cell.merged:
+                    continue
+                position.append((cell.x - made.body[k, i, 0], cell.y - made.body[k, i, 1]))
+                axis.append((cell.axis - made.body[k, i, 2] + math.pi / 2) % math.pi - math.pi / 2)
+                off = (cell.heading - made.heading[k, i] + math.pi) % (2 * math.pi) - math.pi
+                heading += [off] if i != rests else []
+        hours = seen_frames / made.script.rate / 3600
+        print(
+            f"seed {seed}: F1 {2 * hits / (2 * hits + misses + extra):.4f}, {wrong} wrong",
+            flush=True,
+        )
+
+    def rms(values: list) -> float:
+        return float(np.sqrt(np.mean(np.square(values))))
+
+    quiet = float(np.quantile(np.abs(axis), 0.95))
+    print(f"{count} synthetic films of {seconds:g} s, 20 cells and 0 to 10 strangers, 2.3 um/px")
+    print(f"position RMSE {rms(position):.2f} um a coordinate, n {len(position)}")
+    print(f"axis RMSE {rms(axis):.3f} rad, 95 % within {quiet:.3f}")
+    middle = np.median(np.abs(heading))
+    print(f"heading of the helix RMSE {rms(heading):.3f} rad, median {middle:.3f}")
+    f1 = 2 * hits / (2 * hits + misses + extra)
+    print(f"F1 {f1:.4f}: {hits} found, {misses} not, {extra} extra")
+    stated = np.round(doubtful, 2).tolist()
+    print(f"changed numbers {wrong} in {hours:.3f} cell-hours; stated {stated}")
+    p50, p99 = np.quantile(times, (0.5, 0.99))
+    print(f"picture to pose: median {p50:.1f}, p99 {p99:.1f} ms of CPU")
+
+
+def timed(made: SyntheticFilm, reel: Reel, jpeg: bool = False) -> list[float]:
+    """CPU time of one thread a picture [ms], as a live camera has it."""
+    tracker = CellTracker(made.look.um_px, known=True)
+    tracker.learn(reel.pictures[:: max(1, len(reel.pictures) // 20)])
+    field, found = record(made), []
+    for t, picture in zip(made.times, reel.pictures, strict=True):
+        data = cv2.imencode(".jpg", picture)[1] if jpeg else None
+        began = time.thread_time()
+        shot = picture if data is None else cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+        tracker.see(shot, float(t), field.pieces)
+        found.append(1e3 * (time.thread_time() - began))
+    return found
+
+
+def times(count: int, seconds: float) -> None:
+    for side in (1024, 2048):
+        plain, coded = [], []
+        for seed in range(FIRST_SEED, FIRST_SEED + count):
+            made = film(seed, seconds, side, 2.3)
+            reel = Reel(made)
+            plain += timed(made, reel)
+            coded += timed(made, reel, jpeg=True)
+        for name, values in (("grey", plain), ("JPEG", coded)):
+            p50, p99 = np.quantile(values, (0.5, 0.99))
+            print(f"{side} px, {name}: median {p50:.1f}, p99 {p99:.1f} ms of CPU, n {len(values)}")
+
+
+def identity(count: int, seconds: float) -> None:
+    """Two cells leave a full merge at one place and heading, alike but for a; blobs of usual noise.
+
+    Before the merge each is followed for 10 s by itself. The field changes every 0.3 to 1.2 s.
+    """
+    for apart, limit in ((0.3, 1.5), (0.15, 3.0), (0.05, 3.0)):
+        right = sure_wrong = sure = 0
+        for pair in range(count):
+            order, probability = after_merge(FIRST_SEED + pair, apart, limit)
+            right += order == (0, 1)
+            if probability > 0.9:
+                sure += 1
+                sure_wrong += order != (0, 1)
+        wrong = share(sure_wrong, max(sure, 1))
+        print(
+            f"a apart by {100 * apart:g} %, {limit:g} s after a full merge: right "
+            f"{share(right, count)}; stated above 0.9 in {sure}, wrong in {wrong}"
+        )
+
+
+def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...], float]:
+    """The likeliest order of two cells and its probability, `limit` seconds after their merge."""
+    random = np.random.default_rng(seed)
+    cells = Swimmers.drawn(random, 2)
+    a = random.uniform(3.0, 5.0)
+    cells.a[:] = a * (1 + apart / 2), a * (1 - apart / 2)
+    for name in ("speed", "length", "width", "helix_um", "helix_hz", "bias", "phase", "heading"):
+        getattr(cells, name)[1] = getattr(cells, name)[0]
+    cells.bias[:] = 0.0
+    bank, deviation = HelixFilter(True), np.tile((0.86, 0.86, 0.04), (2, 1))
+    rows = np.array([bank.add(0.0, 0.0, cells.heading[i], cells.speed[i]) for i in range(2)])
+    question, direction, left, frame = None, 0.0, 0.0, 0
+    for k in range(round((10.0 + limit) / STEP_S)):
+        t = k * STEP_S
+        if left <= 0:
+            direction, left = random.uniform(-math.pi, math.pi), random.uniform(0.3, 1.2)
+        if question is None and t >= 10.0:  # at one place with one heading
+            cells.x[:], cells.y[:], cells.heading[1] = 0.0, 0.0, cells.heading[0]
+            cells.phase[1] = cells.phase[0]
+            bank.mean[rows, :2] = bank.mean[rows[0], :2] - bank.mean[rows[0], :2]
+            bank.mean[rows, 2] = cells.heading[0]
+            bank.mean[rows[1], 4:6] = bank.mean[rows[0], 4:6]
+            question = opened(bank, (0, 1), rows.tolist(), t)
+        field = (math.cos(direction), math.sin(direction))
+        cells.swim(field, STEP_S, random)
+        bank.predict([(STEP_S, *field)])
+        left -= STEP_S
+        frame += 1
+        if frame % 8:
+            continue
+        seen = bodies(cells)
+        blobs = np.column_stack([seen.x, seen.y, seen.axis])
+        blobs += random.normal(0, 1, (2, 3)) * (0.4, 0.4, 0.02)
+        if question is None:
+            bank.update(rows, blobs, deviation)
+        else:
+            for track in range(2):
+                likelihood, _ = bank.update(
+                    question.rows[track], np.tile(blobs[track], (2, 1)), deviation
+                )
+                question.add(track, likelihood)
+    assert question is not None
+    return question.best()
+
+
+def intervals(count: int, seconds: float) -> None:
+    inside, found = [], 0
+    for seed in range(FIRST_SEED, FIRST_SEED + count):
+        made = film(seed, seconds, 768, 3.0, cells=12, strangers=1, events=False)
+        seen = follow(Reel(made), made.look.um_px, record(made))
+        for path, cell in zip(seen.paths, summarise(seen, record(made))[0], strict=True):
+            i = who(made, path)
+            if i is None or cell.a is None or cell.speed is None:
+                continue
+            found += 1
+            truth = made.cells.a[i], made.cells.speed[i]
+            inside.append(
+                [e.low < v < e.high for e, v in zip((cell.a, cell.speed), truth, strict=True)]
+            )
+        print(f"seed {seed}: {found} cells, inside {np.mean(inside, axis=0).round(3)}", flush=True)
+    a, speed = np.sum(inside, axis=0)
+    print(f"{count} synthetic films of {seconds:g} s, cells seen for 2 s or more")
+    print(f"95 % interval of a holds: {share(int(a), found)}")
+    print(f"95 % interval of the speed holds: {share(int(speed), found)}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("part", choices=("films", "identity", "intervals", "time"))
+    parser.add_argument("--count", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    chosen = parser.parse_args()
+    cv2.setNumThreads(1)
+    parts = {"films": films, "identity": identity, "intervals": intervals, "time": times}
+    parts[chosen.part](chosen.count, chosen.seconds)

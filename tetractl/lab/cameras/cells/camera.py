@@ -1,0 +1,176 @@
+"""The `cells` camera: swimming cells in a microscope's pictures."""
+
+import math
+import threading
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Health
+from tetractl.core.poses import Pose
+from tetractl.core.setup import Setup
+from tetractl.lab.cameras.cells.cell import SeenCell
+from tetractl.lab.cameras.cells.detect import Grey, Light
+from tetractl.lab.cameras.cells.health import DishState, cell_health
+from tetractl.lab.cameras.cells.helix import Piece
+from tetractl.lab.cameras.cells.section import CellsSection
+from tetractl.lab.cameras.cells.tracking import CellTracker
+from tetractl.lab.cameras.picture_camera import PictureCamera
+
+BACKGROUND = 15  # pictures
+SIGNALS = 4096  # directions that are remembered
+
+
+@dataclass(frozen=True, slots=True)
+class SeenDish:
+    """One picture: the robots' poses, other cells, what the picture is like, and how sharp.
+
+    `sure` is the least probability that a robot's cell is that cell; `level` the picture's median
+    [grey levels]. `sharpness` is the steepest slope at a cell's rim over its contrast [1/px], the
+    median of the cells; None without any.
+    """
+
+    poses: tuple[Pose | None, ...]
+    strangers: tuple[Pose, ...]
+    light: Light
+    level: float
+    sharpness: float | None
+    sure: float
+
+
+class CellCamera(PictureCamera[SeenDish]):
+    """Tracks N cells; a `Camera`.
+
+    The robots are the cells that are nearest to their starts when as many as there are robots are
+    seen for the first time. A cell that is lost is not tracked any more: another one that appears
+    is a stranger. `steered` lets the camera know the common direction, without which cells that
+    have met are told from each other by their ways alone.
+    """
+
+    def __init__(
+        self,
+        section: CellsSection,
+        setup: Setup,
+        clock: Clock,
+        wake: Callable[[], None] = lambda: None,
+    ) -> None:
+        super().__init__(section, clock, wake)
+        self.section = section
+        self._setup = setup
+        self._tracker = CellTracker(section.um_px, known=True, bright=section.bright)
+        self._first: list[Grey] = []
+        self._first_ns: int | None = None
+        self._identities: list[int] | None = None  # of the robots, once all are seen
+        self._lock = threading.Lock()
+        self._signals: deque[tuple[int, float | None]] = deque(maxlen=SIGNALS)
+
+    def steered(self, direction: float | None, sent_ns: int) -> None:
+        """Take note of the direction sent at a time [rad in the spec's axes], None for no field."""
+        with self._lock:
+            if not self._signals or self._signals[-1][1] != direction:
+                self._signals.append((sent_ns, direction))
+
+    def check(self) -> Health:
+        """Look at some pictures and return what is wrong with source, light, focus and cells."""
+        looks = self._look()
+        state = DishState(
+            source=self.section.source_name,
+            ended=self._ended,
+            now_ns=self._clock.now(),
+            rate_hz=None if self._feed is None else self._feed.rate_hz,
+            size=self._size,
+            damaged=self.damaged,
+            skipped=self._skipped,
+            um_px=self.section.um_px,
+            emulated=self.emulated,
+        )
+        return cell_health(self._setup.names, looks, state)
+
+    def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
+        if self._tracker.finder.background is None:
+            self._learn(picture, exposed_ns)
+            return None
+        cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
+        identities = self._bound(cells)
+        found = {cell.identity: cell for cell in cells}
+        robots = [found.get(identity) for identity in identities]
+        return SeenDish(
+            poses=tuple(None if cell is None else self._posed(cell) for cell in robots),
+            strangers=tuple(self._posed(c) for c in cells if c.identity not in identities),
+            light=self._tracker.light,
+            level=float(np.median(picture[::8, ::8])),
+            sharpness=_sharpness(picture, cells, self.section.um_px, self._tracker.light),
+            sure=min((cell.probability for cell in robots if cell is not None), default=0.0),
+        )
+
+    def _learn(self, picture: Grey, exposed_ns: int) -> None:
+        """Keep pictures, spread over the time of learning; then make the background of them."""
+        if self._first_ns is None:
+            self._first_ns = exposed_ns
+        passed = (exposed_ns - self._first_ns) / SECOND
+        if passed >= len(self._first) * self.section.learning / BACKGROUND:
+            fits = not self._first or picture.shape == self._first[0].shape
+            self._first = [*self._first, picture] if fits else [picture]
+        if passed >= self.section.learning and len(self._first) >= BACKGROUND // 2:
+            self._tracker.learn(self._first)
+            self._first = []
+
+    def _bound(self, cells: Sequence[SeenCell]) -> list[int]:
+        """Return the cells that are the robots; -1 before all of them were seen at once."""
+        if self._identities is not None:
+            return self._identities
+        count = len(self._setup.names)
+        if len(cells) < count:
+            return [-1] * count
+        starts = self._setup.starts.array()[:, :2]
+        places = np.array([self.section.placed(c.x, c.y, self._setup.metres) for c in cells])
+        gaps = np.linalg.norm(starts[:, None] - places[None], axis=-1)
+        chosen = linear_sum_assignment(gaps)[1]
+        self._identities = [cells[int(j)].identity for j in chosen]
+        return self._identities
+
+    def _posed(self, cell: SeenCell) -> Pose:
+        x, y = self.section.placed(cell.x, cell.y, self._setup.metres)
+        return Pose(x, y, cell.heading + self.section.rotation)
+
+    def _field(self, start: float, end: float) -> Sequence[Piece]:
+        """Return the field between two times [s] by the directions sent, in the picture's axes."""
+        with self._lock:
+            signals = list(self._signals)
+        times = [sent / SECOND for sent, _ in signals]
+        first, last = bisect_right(times, start), bisect_right(times, end)
+        cuts = [start, *times[first:last], end]
+        found: list[Piece] = []
+        for i in range(len(cuts) - 1):
+            now = first + i - 1
+            direction = signals[now][1] if now >= 0 else None
+            part = cuts[i + 1] - cuts[i]
+            if direction is None:
+                found.append((part, 0.0, 0.0))
+            else:
+                own = direction - self.section.rotation
+                found.append((part, math.cos(own), math.sin(own)))
+        return found
+
+
+def _sharpness(
+    picture: Grey, cells: Sequence[SeenCell], um_px: float, light: Light
+) -> float | None:
+    """Return the median of the steepest slopes of cells over their contrast [1/px]."""
+    if not light.contrast:
+        return None
+    found = []
+    for cell in cells[:8]:
+        column, row = round(cell.x / um_px), round(picture.shape[0] - cell.y / um_px)
+        reach = round(0.7 * cell.long_um / um_px)
+        part = picture[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
+        if min(part.shape) > 6:
+            smooth = part[:, :-2].astype(float) + part[:, 1:-1] + part[:, 2:]
+            slopes = np.abs(smooth[2:, 2:] - smooth[2:, :-2]) / 6
+            found.append(float(np.quantile(slopes, 0.98)) / light.contrast)
+    return float(np.median(found)) if found else None

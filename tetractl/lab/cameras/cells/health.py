@@ -1,0 +1,116 @@
+"""What is wrong with a microscope's pictures of cells, in words that help; no I/O."""
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tetractl.core.commands import Health
+from tetractl.lab.cameras.looks import Look, rate_hz, search_ms, stream_lines
+
+if TYPE_CHECKING:
+    from tetractl.lab.cameras.cells.camera import SeenDish
+
+DARK, SATURATED = 12.0, 245.0  # grey levels of the medium
+FAINT = 6.0  # contrast over noise: below, cells are lost now and then
+BLURRED = 0.1  # 1/px: the rim of a cell is wider than ten pixels
+SMALL_PX = 8.0  # of a cell's width
+BODY_UM = 26.3
+UNSURE = 0.9  # probability of who is who
+
+
+@dataclass(frozen=True, slots=True)
+class DishState:
+    """The camera, besides its pictures; `ended` says why the source ended, "" where it has not."""
+
+    source: str
+    ended: str
+    now_ns: int
+    rate_hz: float | None
+    size: tuple[int, ...] | None
+    damaged: int
+    skipped: int
+    um_px: float
+    emulated: bool
+
+
+def cell_health(
+    names: Sequence[str], looks: "Sequence[Look[SeenDish]]", state: DishState
+) -> Health:
+    """Return the health of a camera from its last looks, oldest first."""
+    problems, warnings = stream_lines(
+        looks, state.source, state.ended, state.now_ns, state.rate_hz, state.damaged
+    )
+    if looks:
+        for lines, found in (
+            (problems, _problems(names, looks)),
+            (warnings, _warnings(looks, state)),
+        ):
+            lines += found
+    facts = {"source": state.source, "scale": f"{state.um_px:g} um/px"}
+    if state.size is not None:
+        facts["resolution"] = f"{state.size[1]}x{state.size[0]}"
+    if (rate := rate_hz(looks)) is not None:
+        facts["rate"] = f"{rate:.1f} Hz"
+    if looks:
+        facts["search"] = f"{search_ms(looks):.1f} ms"
+        facts["cells"] = str(_cells(looks))
+    facts |= {"damaged": str(state.damaged), "skipped": str(state.skipped)}
+    return Health(tuple(problems), tuple(warnings), facts, emulated=state.emulated)
+
+
+def _problems(names: Sequence[str], looks: "Sequence[Look[SeenDish]]") -> list[str]:
+    found: list[str] = []
+    level = statistics.median(look.seen.level for look in looks)
+    if level < DARK:
+        found.append(f"the picture is black (median {level:.0f} of 255): is the lamp on?")
+    elif level > SATURATED:
+        found.append(
+            f"the picture is saturated (median {level:.0f} of 255): less light, or a shorter "
+            "exposure"
+        )
+    if looks[-1].seen.light.lost:
+        found.append(
+            f"{100 * looks[-1].seen.light.changed:.0f} % of the picture differs from the "
+            "background: was the stage or the lamp moved? Start again"
+        )
+    lost = [name for name, pose in zip(names, looks[-1].seen.poses, strict=True) if pose is None]
+    if lost:
+        seen = _cells(looks)
+        found.append(
+            f"{', '.join(lost)} not tracked: {seen} cells swim in view, {len(names)} are wanted"
+        )
+    return found
+
+
+def _warnings(looks: "Sequence[Look[SeenDish]]", state: DishState) -> list[str]:
+    found: list[str] = []
+    ratios = [
+        look.seen.light.contrast / max(look.seen.light.noise, 1.0)
+        for look in looks
+        if look.seen.light.contrast is not None
+    ]
+    if ratios and statistics.median(ratios) < FAINT:
+        found.append(
+            f"cells differ from the medium by {statistics.median(ratios):.1f} times the noise "
+            "only: more light, a stop further closed, or phase contrast"
+        )
+    sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
+    if sharp and statistics.median(sharp) < BLURRED:
+        found.append("the rims of cells are blurred: focus, or shorten the exposure")
+    if BODY_UM / state.um_px < SMALL_PX:
+        found.append(
+            f"a cell is {BODY_UM / state.um_px:.0f} px wide only: {SMALL_PX:.0f} or more are wanted"
+        )
+    if looks[-1].seen.sure < UNSURE and not any(pose is None for pose in looks[-1].seen.poses):
+        found.append("cells have met, and who is who is not sure: let the field turn a few times")
+    return found
+
+
+def _cells(looks: "Sequence[Look[SeenDish]]") -> int:
+    """Return how many cells are in view, in the median."""
+    counts = [
+        sum(pose is not None for pose in look.seen.poses) + len(look.seen.strangers)
+        for look in looks
+    ]
+    return round(statistics.median(counts))

@@ -1,0 +1,71 @@
+"""The last pictures that a camera searched, and what their stream is like; no I/O."""
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from tetractl.core.clock import SECOND
+
+LOOKS = 20  # pictures
+SILENT_NS = SECOND // 2
+SLOW_HZ = 20.0  # below, one lost picture looks like a lost stream
+SLOWER = 0.8  # of the declared rate
+
+S = TypeVar("S")
+
+
+@dataclass(frozen=True, slots=True)
+class Look(Generic[S]):
+    """One picture: its number, arrival, the time that searching it took, and what it shows."""
+
+    number: int
+    received_ns: int
+    search_ns: int
+    seen: S
+
+
+def rate_hz(looks: Sequence[Look[Any]]) -> float | None:
+    """Return how many pictures a second came, skipped ones included."""
+    if len(looks) < 2 or looks[-1].received_ns <= looks[0].received_ns:
+        return None
+    span = looks[-1].received_ns - looks[0].received_ns
+    return (looks[-1].number - looks[0].number) * SECOND / span
+
+
+def search_ms(looks: Sequence[Look[Any]]) -> float:
+    """Return how long searching a picture took, in the median [ms]."""
+    return statistics.median(look.search_ns for look in looks) / 1e6
+
+
+def stream_lines(
+    looks: Sequence[Look[Any]],
+    source: str,
+    ended: str,
+    now_ns: int,
+    declared_hz: float | None,
+    damaged: int,
+) -> tuple[list[str], list[str]]:
+    """Return problems and warnings of a stream of pictures, for people."""
+    problems: list[str] = []
+    warnings: list[str] = []
+    if ended:
+        problems.append(ended)
+    elif not looks or now_ns - looks[-1].received_ns > SILENT_NS:
+        problems.append(f"no picture comes from {source} any more")
+    rate = rate_hz(looks)
+    if rate is not None and declared_hz is not None and rate < SLOWER * declared_hz:
+        warnings.append(
+            f"{rate:.0f} pictures a second come instead of {declared_hz:.0f}: too little light "
+            "for short exposures, or too slow a cable?"
+        )
+    elif rate is not None and rate < SLOW_HZ:
+        warnings.append(f"only {rate:.0f} pictures a second come: {SLOW_HZ:.0f} or more are wanted")
+    if looks and (missed := looks[-1].number - looks[0].number + 1 - len(looks)):
+        warnings.append(
+            f"{missed} of the last {len(looks) + missed} pictures were not searched: searching one "
+            f"takes {search_ms(looks):.0f} ms"
+        )
+    if damaged:
+        warnings.append(f"{damaged} pictures were damaged")
+    return problems, warnings

@@ -18,10 +18,16 @@ import numpy as np
 from scipy import stats
 
 from tetractl.core.poses import Floats
-from tetractl.results.difference import from_both_intervals, paired_t, welch
-from tetractl.results.effects import deviation_ratio, standardised
+from tetractl.results.difference import (
+    deviation_ratio,
+    from_both_intervals,
+    paired_t,
+    rank_sum,
+    signed_rank,
+    standardised,
+    welch,
+)
 from tetractl.results.estimate import Interval, distributions
-from tetractl.results.ranks import rank_sum, signed_rank
 from tetractl.view.figures.ecdf import band
 
 SIZES = (5, 8, 20, 50)

@@ -10,26 +10,25 @@ import numpy as np
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.batch import counts
+from tetractl.results.batch import counts, differences
 from tetractl.results.describe import Group
 from tetractl.results.difference import (
     Effect,
     MeanDifference,
-    cliffs_delta,
-    from_both_intervals,
-    paired_t,
-    welch,
-)
-from tetractl.results.effects import (
     Ratio,
+    cliffs_delta,
     detectable,
     detectable_between,
     deviation_ratio,
+    from_both_intervals,
+    holm,
+    paired_t,
+    rank_sum,
+    signed_rank,
     standardised,
+    welch,
 )
 from tetractl.results.estimate import CONFIDENCE, Interval
-from tetractl.results.ranks import holm, rank_sum, signed_rank
-from tetractl.results.same_experiment import differences
 
 ENOUGH = 8
 """Fewest trials on each side, or pairs, for a verdict."""

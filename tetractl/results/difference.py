@@ -1,14 +1,21 @@
-"""Differences of two batches: of their means, paired or not, and as an effect size."""
+"""Differences of two batches: of their means, in deviations, of their deviations, and by ranks.
+
+Tests by ranks assume no distribution. Their p-values are two-sided and exact as long as there are
+at most EXACT values: the distribution of the sum of ranks is counted out over all equally probable
+cases, tied values sharing their mean rank. With more values it is taken as normal, with the
+variance that the ties leave.
+"""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from tetractl.core.poses import Floats
-from tetractl.results.estimate import Distribution, Interval, Z, t_quantile
+from tetractl.results.estimate import CONFIDENCE, Distribution, Interval, Z, t_quantile
 
 _NAN = math.nan
 
@@ -127,3 +134,176 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
     from scipy import optimize  # slow to import, and needed by comparisons alone
 
     return float(optimize.root_scalar(function, bracket=(low, high), method="brentq").root)
+
+
+POWER = 0.8
+_FEWEST = 5  # values a side for a ratio of deviations
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """A ratio of two standard deviations, the first over the second, and p for its being 1."""
+
+    value: float
+    ci95: Interval
+    p_value: float
+
+
+def standardised(differences: Floats) -> Effect:
+    """Return the mean of the differences (n,) of pairs over their own standard deviation, d.
+
+    The interval is d -+ z sqrt(1/n + d^2 / 2(n - 1)), for large n (Hedges and Olkin, 1985).
+    """
+    n = len(differences)
+    if n < 2:
+        return Effect(math.nan, Interval.none("needs two pairs"))
+    ordered = np.sort(differences)  # the order of the pairs must not matter
+    std = float(ordered.std(ddof=1))
+    if not std > 0:
+        return Effect(math.nan, Interval.none("all pairs differ alike"))
+    value = float(ordered.mean()) / std
+    half = Z * math.sqrt(1 / n + value**2 / (2 * (n - 1)))
+    return Effect(value, Interval(value - half, value + half, "Hedges"))
+
+
+def deviation_ratio(ours: Floats, theirs: Floats) -> Ratio:
+    """Compare the standard deviations of values (m,) and (n,), which need not be normal.
+
+    By the jackknife of Miller (Ann. Math. Statist. 39, 1968): each value of a side of n has the
+    pseudo-value n ln s^2 - (n - 1) ln s_i^2, with the variance s_i^2 of the others; the difference
+    of their means, by Welch's t, is that of the two ln s^2.
+    """
+    sides = [np.sort(ours), np.sort(theirs)]  # the order of the trials must not matter
+    if min(map(len, sides)) < _FEWEST:
+        return Ratio(math.nan, Interval.none(f"needs {_FEWEST} values on each side"), math.nan)
+    one, other = (float(side.std(ddof=1)) for side in sides)
+    pseudo = [_pseudo_values(side) for side in sides]
+    if not (one > 0 and other > 0) or not all(np.isfinite(values).all() for values in pseudo):
+        why = "all values of a side, or all but one, are equal"
+        return Ratio(math.nan, Interval.none(why), math.nan)
+    (m, mean, std), (n, mean2, std2) = (
+        (len(values), float(values.mean()), float(values.std(ddof=1))) for values in pseudo
+    )
+    found = welch(m, mean, std, n, mean2, std2)
+    if not found.ci95.known:
+        return Ratio(one / other, found.ci95, math.nan)
+    low, high = math.exp(found.ci95.low / 2), math.exp(found.ci95.high / 2)
+    return Ratio(one / other, Interval(low, high, "jackknife"), found.p_value)
+
+
+def _pseudo_values(values: Floats) -> Floats:
+    n = len(values)
+    squares = (values - values.mean()) ** 2
+    without = squares.sum() - squares * n / (n - 1)  # of the others about their own mean
+    with np.errstate(divide="ignore", invalid="ignore"):
+        every = np.log(squares.sum() / (n - 1))
+        return n * every - (n - 1) * np.log(without / (n - 2))
+
+
+def detectable(pairs: int, tests: int = 1) -> float:
+    """Return the mean difference, in deviations of the differences, that `pairs` show in POWER of
+    all studies, at the strictest level that Holm's correction of `tests` asks for.
+
+    NaN for fewer than 2 pairs. By the noncentral t distribution.
+    """
+    return _detectable(pairs - 1, math.sqrt(pairs), tests) if pairs > 1 else math.nan
+
+
+def detectable_between(m: int, n: int, tests: int = 1) -> float:
+    """Return, as `detectable`, the difference of two means, in deviations of the values, that m and
+    n values show."""
+    if min(m, n) < 2:
+        return math.nan
+    return _detectable(m + n - 2, math.sqrt(m * n / (m + n)), tests)
+
+
+def _detectable(degrees: int, root: float, tests: int) -> float:
+    from scipy import optimize  # slow to import, and needed by comparisons alone
+
+    bound = t_quantile(degrees, 1 - (1 - CONFIDENCE) / tests)
+
+    def missing(size: float) -> float:
+        low, high = special.nctdtr(degrees, size * root, [-bound, bound])
+        return float(1 - high + np.nan_to_num(low)) - POWER  # NaN far out, where it is nothing
+
+    found = optimize.root_scalar(missing, bracket=(0.0, (1.5 * bound + 3) / root), method="brentq")
+    return float(found.root)
+
+
+EXACT = 60  # values
+
+
+def signed_rank(differences: Floats) -> float:
+    """Return the p-value of Wilcoxon's signed-rank test that differences (n,) lie round 0.
+
+    Differences of exactly 0 are left out. NaN where none is left.
+    """
+    kept = differences[differences != 0]
+    n = len(kept)
+    if n == 0:
+        return math.nan
+    double = _double_ranks(np.abs(kept))  # whole numbers, where mean ranks may be halves
+    positive, total = int(double[kept > 0].sum()), int(double.sum())
+    if n > EXACT:
+        variance = float((double.astype(float) ** 2).sum()) / 4
+        return _normal(positive - total / 2, variance)
+    ways = np.zeros(total + 1)  # of reaching each sum, as probabilities
+    ways[0] = 1.0
+    for rank in double.tolist():
+        ways[rank:] = (ways[rank:] + ways[: total + 1 - rank]) / 2
+        ways[:rank] /= 2
+    return _two_sided(ways, positive)
+
+
+def rank_sum(ours: Floats, theirs: Floats) -> float:
+    """Return the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) that values (m,) are as
+    large as values (n,). NaN where a side is empty."""
+    m, n = len(ours), len(theirs)
+    if min(m, n) == 0:
+        return math.nan
+    double = _double_ranks(np.concatenate([ours, theirs]))
+    mine = int(double[:m].sum())
+    expected = m * (m + n + 1)
+    if m + n > EXACT:
+        spread = float(((double - double.mean()) ** 2).sum())
+        variance = m * n * spread / ((m + n) * (m + n - 1)) if m + n > 1 else 0.0
+        return _normal(mine - expected, variance)
+    total = int(double.sum())
+    ways = np.zeros((m + 1, total + 1))  # of reaching each sum with so many ranks
+    ways[0, 0] = 1.0
+    for rank in double.tolist():
+        ways[1:, rank:] += ways[:-1, : total + 1 - rank]
+    return _two_sided(ways[m] / ways[m].sum(), mine)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values corrected for being several, by Holm (Scand. J. Statist. 6, 1979).
+
+    The i-th smallest of k is multiplied by k - i + 1, and is at least the one before. NaN stays,
+    and does not count.
+    """
+    order = sorted((p, i) for i, p in enumerate(p_values) if not math.isnan(p))
+    found, least = [math.nan] * len(p_values), 0.0
+    for rank, (p, i) in enumerate(order):
+        least = max(least, min(1.0, p * (len(order) - rank)))
+        found[i] = least
+    return found
+
+
+def _double_ranks(values: Floats) -> NDArray[np.int64]:
+    """Return twice the rank of each value, ties sharing their mean rank."""
+    ordered = np.sort(values)
+    below, up_to = (np.searchsorted(ordered, values, side) for side in ("left", "right"))
+    return below + up_to + 1
+
+
+def _two_sided(probability: Floats, seen: int) -> float:
+    """Return the probability of a sum at least as far out as the one seen, on either side."""
+    tails = probability[: seen + 1].sum(), probability[seen:].sum()
+    return min(1.0, 2 * float(min(tails)))
+
+
+def _normal(off: float, variance: float) -> float:
+    if variance <= 0:
+        return 1.0
+    return 2 * float(special.ndtr(-abs(off) / math.sqrt(variance)))

@@ -10,8 +10,7 @@ from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.batch import Batch, counts
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group, Scaled
-from tetractl.results.difference import Effect, MeanDifference
-from tetractl.results.effects import Ratio
+from tetractl.results.difference import Effect, MeanDifference, Ratio
 from tetractl.results.estimate import Interval
 from tetractl.results.flagged import flagged
 from tetractl.results.kinds import statistics

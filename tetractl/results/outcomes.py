@@ -1,10 +1,19 @@
-"""How the trials of a batch ended: counts and shares of trials."""
+"""How the trials of a batch ended, how near their robots came to trouble, and times of solving.
+
+Distances are of the true paths of the robots' centres; percentiles are over every step of every
+trial.
+"""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
+import numpy as np
+
+from tetractl.core.clock import MILLISECOND
+from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
-from tetractl.core.table.numbers import NONE
+from tetractl.core.table.numbers import NONE, digits, lengths
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.statistic import Statistic, Value, count, share
 
@@ -40,4 +49,63 @@ INTERRUPTED = count(
 RECOVERED = Statistic(
     count("recovered", "read from damaged logs", lambda trial: trial.recovered).of_batch,
     lambda trial: {"recovered": trial.recovered},
+)
+
+
+Distances = Callable[[Verdict], Sequence[float]]
+"""The least distance of each robot in a trial [length unit]; empty where the log has none."""
+
+
+def least(key: str, label: str, of: Distances) -> Statistic:
+    """Return the least of a distance over all robots and trials, as a statistic.
+
+    A trial whose log has no such distance is left out; its column is empty.
+    """
+
+    def of_trial(trial: ResultSummary) -> dict[str, Any]:
+        found = min(of(trial.result.verdict), default=float("inf"))
+        return {key: found if found < float("inf") else None}
+
+    def of_batch(trials: Sequence[ResultSummary]) -> Value:
+        known = [value for trial in trials if (value := of_trial(trial)[key]) is not None]
+        unit = trials[0].experiment.units.length
+        nearest = min(known, default=None)
+        text = NONE if nearest is None else lengths(nearest)(nearest)
+        return Value({key: nearest}, ((f"{label} [{unit}]", text),))
+
+    return Statistic(of_batch, of_trial)
+
+
+_LEFT = share("left_arena", "left the arena", lambda trial: trial.result.left_arena)
+LEFT_ARENA = Statistic(_LEFT.of_batch, lambda trial: {"outside_arena": trial.result.left_arena})
+CLEARANCE = least("clearance", "nearest to an obstacle", lambda verdict: verdict.clearance)
+EDGE = least("edge", "nearest to the arena's edge", lambda verdict: verdict.edge)
+APART = least("apart", "nearest to one another", lambda verdict: verdict.apart)
+
+
+PERCENTILES = {"p50": 50, "p99": 99, "max": 100}
+
+
+def _solve_ms(trials: Sequence[ResultSummary]) -> Value:
+    solve_ns = [ns for trial in trials for ns in trial.result.solve_ns]
+    found: dict[str, float | None] = dict.fromkeys(PERCENTILES)
+    if solve_ns:
+        solve_ms = np.array(solve_ns, dtype=float) / MILLISECOND
+        values = np.percentile(solve_ms, list(PERCENTILES.values())).tolist()
+        found = dict(zip(PERCENTILES, values, strict=True))
+    rows = [
+        (f"solve time {name} [ms]", NONE if value is None else digits(value))
+        for name, value in found.items()
+    ]
+    return Value({"solve_ms": found}, tuple(rows))
+
+
+def _deadline_misses(trials: Sequence[ResultSummary]) -> Value:
+    misses = sum(trial.result.deadline_misses for trial in trials)
+    return Value({"deadline_misses": misses}, (("deadline misses", str(misses)),))
+
+
+SOLVE_MS = Statistic(_solve_ms)
+DEADLINE_MISSES = Statistic(
+    _deadline_misses, lambda trial: {"deadline_misses": trial.result.deadline_misses}
 )

@@ -29,6 +29,7 @@ from tetractl.log.format.channels import (
     RUN,
     STEP,
 )
+from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
@@ -321,6 +322,15 @@ def test_a_trial_number_that_cannot_be_is_told(tmp_path: Path, contents: RawLog)
 
     found = verify(rewrite(contents, tmp_path / "changed.mcap", {}, change))
     assert found.problems[0].field == "seed"
+
+
+def test_on_another_processor_a_history_has_to_fall(tmp_path: Path, contents: RawLog) -> None:
+    entry = next(e for e in contents.entries if e.topic == STEP)
+    step = ControllerStep.FromString(entry.data)
+    step.searches[0].history[0] = step.searches[0].cost - 1.0
+    changed = {entry: entry._replace(data=step.SerializeToString())}
+    found = verify(rewrite(contents, tmp_path / "changed.mcap", changed, elsewhere))
+    assert found.problems[0].field == "searches.0.history"
 
 
 def test_what_viewers_cannot_decode_is_noticed(tmp_path: Path, contents: RawLog) -> None:

@@ -9,7 +9,7 @@ from support.batches import DISTURBED, batch, experiment, group
 from tetractl.core.errors import UsageError
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.contrast import contrast
-from tetractl.results.effects import (
+from tetractl.results.difference import (
     detectable,
     detectable_between,
     deviation_ratio,

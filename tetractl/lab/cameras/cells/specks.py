@@ -13,6 +13,7 @@ BORN = 5  # blobs in a row until something is a cell
 SWIM_UM_S, SWIM_UM = 60.0, 12.0  # a cell moves so fast, and so far, in that time
 STRAY_UM = 5.0  # from a straight line, meanwhile
 ALONG = 0.75  # least cosine between a cell's axis and its path
+ROUND = 1.3  # length over width
 EVEN = 0.2  # a share of its size, which is steady
 NEAR_UM = 40.0  # to a cell: what appears there is a part of it, unless it stays
 NEAR_BORN = 7
@@ -56,7 +57,8 @@ class Speck:
         strayed = np.sqrt(np.mean(np.square(path[:, 1:3] - fitted)))
         sway = np.abs(np.cos(path[:, 3] - math.atan2(line[1, 1], line[1, 0])))
         even = np.std(path[:, 4]) < EVEN * long and np.std(path[:, 5]) < EVEN * wide
-        return bool(even and strayed < STRAY_UM and np.median(sway) > ALONG)
+        along = long < ROUND * wide or np.median(sway) > ALONG  # a round one has no axis
+        return bool(even and strayed < STRAY_UM and along)
 
 
 @dataclass(slots=True)

@@ -241,10 +241,11 @@ def test_without_a_compiler_the_error_says_so(tmp_path, monkeypatch):
 @needs_compiler
 def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
     monkeypatch.setattr(firmware, "cache_folder", lambda: tmp_path)
-    firmware.load("m3pi")
+    load = firmware.load.__wrapped__  # a process loads it once
+    load("m3pi")
     (built,) = tmp_path.iterdir()
     monkeypatch.setattr(firmware, "compiler", lambda: None)
-    assert firmware.load("m3pi").m3pi_size() > 0
+    assert load("m3pi").m3pi_size() > 0
     assert list(tmp_path.iterdir()) == [built]
 
 

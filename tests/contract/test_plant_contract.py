@@ -188,6 +188,26 @@ def test_stop_is_idempotent(make):
     rig.plant.stop()
 
 
+def test_robots_stand_in_a_pause_and_drive_on_with_the_next_direction(make):
+    rig = make(1)
+    with opened(rig):
+        for direction in (0.7, None, 0.7):
+            if direction is None:
+                assert rig.plant.pause().stops
+                rig.clock.sleep_until(rig.clock.now() + SECOND // 2)
+            for _ in range(0 if direction is None else 6):
+                assert not rig.plant.steer(direction).stops
+                rig.clock.sleep_until(rig.clock.now() + PERIOD)
+            before = rig.plant.observe()
+            rig.clock.sleep_until(rig.clock.now() + PERIOD)
+            after = rig.plant.observe()
+            way = np.hypot(*(after.poses.xy - before.poses.xy).T)
+            if direction is None:
+                assert way.max() <= 2 * rig.true_to + 1e-6
+            else:
+                assert way.min() > 5
+
+
 def test_stop_and_close_need_no_open(make):
     rig = make(1)
     rig.plant.stop()

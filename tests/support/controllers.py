@@ -34,7 +34,6 @@ MPC: dict[str, dict[str, Any]] = {
         "optimizer": MULTISTART,
         "motion": "exact",
         "estimate": True,
-        "losses": True,
         "first_lengths": "spread",
         "accept": 40,
         "stop_between": True,

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import costs_along, predict
-from tetractl.control.given import plain_problem, search_of
+from tetractl.control.fixed_sequence import plain_problem, search_of
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command

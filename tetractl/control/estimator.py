@@ -8,6 +8,8 @@ bank of filters identifies them while they drive.
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from tetractl.control.delay import Held, Predictor, advance
 from tetractl.control.filter import FilterBank, Prior
 from tetractl.core.clock import SECOND
@@ -69,9 +71,10 @@ class StateEstimator:
 
     def sent(self, command: Command) -> None:
         """Add how a direction was sent."""
-        if command.direction is not None:
-            self._last_sent = command.sent_ns
-            self.predictor.sent(self._newest_ns, command.direction)
+        if not command.field_off:
+            u = np.nan if command.direction is None else command.direction
+            self._last_sent = None if command.direction is None else command.sent_ns
+            self.predictor.sent(self._newest_ns, u)
         if self.filter is not None:
             self.filter.sent(command)
 

@@ -1,6 +1,6 @@
 """The searches of one control step: which lengths are tried, within which limits, and the choice.
 
-Lines 2-5 and 10-23 of Algorithm 2, and, beyond it, longer sequences (`tetractl.control.go_around`).
+Lines 2-5 and 10-23 of Algorithm 2, and, beyond it, longer sequences (`tetractl.control.detour`).
 """
 
 import math

@@ -33,10 +33,11 @@ import numpy as np
 
 from tetractl.control.cost import Foreseen, evaluate, foresee
 from tetractl.control.delay import driven
+from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, best_stop, longer
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.filter import warm_up as warm_up_filter
-from tetractl.control.go_around import ENOUGH, RELENTS, best_stop, longer
+from tetractl.control.fixed_sequence import given_search
 from tetractl.control.lengths import (
     Candidate,
     Searcher,
@@ -57,6 +58,8 @@ from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import OptimizerSection, Square, same
 
+RESTED_S = 2.0
+"""Time after a pause before there is another one because no safe plan was found [s]."""
 LATE = 2.0
 """Dead times that a stop may come late: it may be lost once."""
 
@@ -89,6 +92,7 @@ class Mpc:
         self.k = 0
         self.warm: Floats | None = None  # u_(warm), None before step 0
         self.blocked = False  # whether the last plan touches an obstacle or its margin
+        self.began = 0  # k at which a plan was made from standing
         self.resume = 0  # length from which to go on where the time for longer ones was up
 
     def plan(
@@ -98,7 +102,9 @@ class Mpc:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Do one control step: decide u_(opt), or that the trial is over."""
-        phase = self.k % self.section.hold  # control periods since the last knot of the plan
+        phase = (
+            self.k - self.began
+        ) % self.section.hold  # control periods since the last knot of the plan
         if self.warm is not None and phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
         first_period = (self.section.hold - phase) * self.section.period
@@ -110,12 +116,36 @@ class Mpc:
             return Outcome.ARRIVED
         if self.k > self.section.steps_max:  # line 9
             return Outcome.STEPS_MAX
+        if self.warm is None and self.k > 0 and float(gaps.sum()) <= self.accept:
+            return Outcome.NOTHING_BETTER  # at rest, and near enough
+        wary = self.blocked and self.section.collision.stop
+        if wary and self.warm is not None and self._enters(problem, observation, self.warm):
+            return self._pause(problem)
         if ended := self._ended(problem, observation, gaps):
             return ended
         plan = self._decide(problem)
-        self.warm, self.blocked = plan.signals, plan.obstacle_cost > 0
+        self.blocked = plan.obstacle_cost > 0
+        if self.blocked and self.k > 0 and self.section.collision.stop:
+            if self.warm is None and self._enters(problem, observation, plan.signals):
+                return Outcome.NOTHING_BETTER  # nothing can move safely
+            rested = (self.k - self.began) * self.section.period
+            if self.warm is not None and plan.cost > self.accept > 0 and rested > RESTED_S:
+                return self._pause(problem, plan)
+        if self.warm is None:
+            self.began = self.k
+        self.warm = plan.signals
         self.k += 1
         return plan
+
+    def _pause(self, problem: Problem, found: Plan | None = None) -> Plan:
+        """Return the plan to stop all robots and to plan from standing next; `found` holds the
+        searches that found nothing better."""
+        step_key = mix(self.key, self.k)
+        if found is None:
+            found = make_plan(problem, [given_search(problem, np.zeros(1))], 0, step_key)
+        self.warm, self.blocked, self.resume = None, False, 0
+        self.k += 1
+        return replace(found, estimate=self.estimator.estimate, pauses=True)
 
     def _problem(self, known: Problem, first_period: float) -> Problem:
         """Pose the problem where a direction decided now will act, for the robots as known."""
@@ -143,9 +173,6 @@ class Mpc:
         """
         if self.warm is None:
             return None
-        wary = self.blocked and self.section.collision.stop
-        if wary and self._enters(problem, observation, self.warm):
-            return Outcome.NOTHING_BETTER
         if len(self.warm) > 0 and self.section.accept == 0:
             return None
         period = self.section.period if self.section.stop_between else 0.0
@@ -160,8 +187,8 @@ class Mpc:
         return End(outcome, stopping.delay_ns) if stopping.delay_ns else outcome
 
     def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
-        """Return whether a robot enters an obstacle before the next stop could act, under the plan
-        under way or, where that is used up, the direction held."""
+        """Return whether a robot enters an obstacle before the next stop could act, under a plan
+        or, where that is used up, the direction held."""
         held = self.estimator.held_at_action(observation)
         ahead = np.full_like(held, warm[0]) if len(warm) else held
         seconds = self.section.period + LATE * self.estimator.dead_time_s
@@ -192,10 +219,10 @@ class Mpc:
             searcher.search_all(wanted, enough, count)
         least = min(search.cost for search in searcher.found)
         if self.warm is not None and least > self.accept > 0:
-            self._go_around(searcher)
+            self._detour(searcher)
         chosen = choose(searcher.found, good_enough, count)
         if self.warm is not None and searcher.found[chosen].length > count + 1:
-            self.accept *= 1 + RELENTS
+            self.accept *= 1 + ACCEPT_GROWTH
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
         return replace(plan, estimate=self.estimator.estimate)
 
@@ -208,7 +235,7 @@ class Mpc:
         end = self.timer() + round(self.section.deadline * SECOND)
         return lambda: self.timer() >= end
 
-    def _go_around(self, searcher: Searcher) -> None:
+    def _detour(self, searcher: Searcher) -> None:
         """Search longer sequences until one is good enough, as far as horizon and steps allow."""
         assert self.warm is not None
         section = self.section

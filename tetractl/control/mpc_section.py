@@ -37,8 +37,10 @@ class Collision(Model):
     by what is known of it, and shrinks to the room there is where a robot or a target is within
     it."""
     stop: bool = False
-    """Whether all robots stop, and the trial ends, where the best plan found touches an obstacle or
-    its margin and a robot is about to enter one. For robots that can stand still."""
+    """Whether all robots pause where the best plan found touches an obstacle or its margin and a
+    robot is about to enter one, or no plan within `accept` keeps clear; from standing they are
+    planned for again, and the trial ends where nothing can move safely. For robots that can stand
+    still."""
 
 
 class PriorSection(Model):

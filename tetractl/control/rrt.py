@@ -17,9 +17,9 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import evaluate
+from tetractl.control.detour import best_stop
 from tetractl.control.estimator import StateEstimator
-from tetractl.control.given import given_search, plain_problem
-from tetractl.control.go_around import best_stop
+from tetractl.control.fixed_sequence import given_search, plain_problem
 from tetractl.control.mpc import make_plan
 from tetractl.control.rng import mix, uniform
 from tetractl.core.commands import Command

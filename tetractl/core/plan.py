@@ -44,12 +44,16 @@ class StopReason(StrEnum):
     TARGET = "target"  # a cost that is good enough was found
     EVALUATIONS = "evaluations"  # no further one fits into the limit
     DEADLINE = "deadline"  # the time was up
-    GIVEN = "given"  # there was none: the sequence is the spec's
+    FIXED = "given"  # there was none: the sequence is the spec's
 
     @classmethod
     def read(cls, text: str) -> "StopReason | str":
         """Return the reason that a log states; the text itself where it is none of these."""
         return next((reason for reason in cls if reason.value == text), text)
+
+
+PAUSE_S = 0.5
+"""How much longer than a control period the robots stand in a pause [s]."""
 
 
 def never() -> bool:
@@ -124,7 +128,7 @@ class Plan:
     `chosen` indexes the best. `generator` is the key all random draws of this step came from.
     `estimate` is what the plan was made with, None where the controller estimates nothing. With
     `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
-    then not sent.
+    then not sent. With `pauses` all robots are stopped instead, and stand for PAUSE_S.
     """
 
     signals: Floats
@@ -137,11 +141,12 @@ class Plan:
     generator: int
     estimate: Estimate | None = None
     field_off: bool = False
+    pauses: bool = False
 
     @property
     def direction(self) -> float | None:
-        """The direction to be sent in this step [rad], None where the field is switched off."""
-        return None if self.field_off else float(self.signals[0])
+        """The direction to be sent in this step [rad], None where none is sent."""
+        return None if self.field_off or self.pauses else float(self.signals[0])
 
     @property
     def search(self) -> Search:

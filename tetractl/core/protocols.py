@@ -44,6 +44,10 @@ class Plant(Protocol):
         """
         ...
 
+    def pause(self) -> Command:
+        """Stop every robot until the next `steer`; only asked of plants whose robots can stand."""
+        ...
+
     def samples(self) -> list[Sample]:
         """Return, once, every camera frame since the last call, oldest first."""
         ...

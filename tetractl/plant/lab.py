@@ -115,13 +115,18 @@ class LabPlant:
     def stop(self) -> Command:
         """Stop every robot, ten times over 200 ms."""
         if self._stop is None:
-            loop = self.rig.loop
-            loop.stop()
-            reached = (self.rig.actuator.failure is None,) * len(self.setup.names)
-            stopped = loop.last is not None and loop.last.direction is None
-            wheels = (loop.last.left, loop.last.right) if loop.last and stopped else (None, None)
-            self._stop = Command(None, self.clock.now(), reached, *wheels)
+            self._stop = self.pause()
         return self._stop
+
+    def pause(self) -> Command:
+        """Stop every robot as `stop` does, until the next direction."""
+        loop = self.rig.loop
+        loop.stop()
+        self._observed_ns = None
+        reached = (self.rig.actuator.failure is None,) * len(self.setup.names)
+        stopped = loop.last is not None and loop.last.direction is None
+        wheels = (loop.last.left, loop.last.right) if loop.last and stopped else (None, None)
+        return Command(None, self.clock.now(), reached, *wheels)
 
     def settle(self) -> Verdict:
         """Wait until the camera shows every robot, standing where it can, and check the path.

@@ -214,30 +214,34 @@ class SimPlant:
         The stop is repeated until every robot has heard it.
         """
         if self._stop is None:
-            seen = self.observe()
-            now = self._plan()
-            count = self.a.size
-            zeros = np.zeros(count)
-            if isinstance(self._drive, WheelDrive):
-                self._drive.host.halt()
-            heard = np.zeros(count, dtype=np.bool_)
-            for i in range(STOPS_MAX if self._repeats_stops else 1):
-                if i >= STOPS and heard.all():
-                    break
-                sent = now + i * STOP_GAP_NS
-                command = DelayedCommand(
-                    sent,
-                    self._due_ns(seen, sent),
-                    None,
-                    np.ones(count, dtype=np.bool_),
-                    headings=seen.poses.heading,
-                    wheels=np.zeros((2, count)),
-                )
-                heard |= self._motion.dispatch(command).reached
-            still = None if self.setup.wheel_radius is None else zeros
-            self._stop = Command(None, now, tuple(heard.tolist()), still, still)
-            self._motion.advance(now)
+            self._stop = self.pause()
         return self._stop
+
+    def pause(self) -> Command:
+        """Stop every robot as `stop` does, until the next direction."""
+        seen = self.observe()
+        now = self._plan()
+        count = self.a.size
+        zeros = np.zeros(count)
+        if isinstance(self._drive, WheelDrive):
+            self._drive.host.halt()
+        heard = np.zeros(count, dtype=np.bool_)
+        for i in range(STOPS_MAX if self._repeats_stops else 1):
+            if i >= STOPS and heard.all():
+                break
+            sent = now + i * STOP_GAP_NS
+            command = DelayedCommand(
+                sent,
+                self._due_ns(seen, sent),
+                None,
+                np.ones(count, dtype=np.bool_),
+                headings=seen.poses.heading,
+                wheels=np.zeros((2, count)),
+            )
+            heard |= self._motion.dispatch(command).reached
+        still = None if self.setup.wheel_radius is None else zeros
+        self._motion.advance(now)
+        return Command(None, now, tuple(heard.tolist()), still, still)
 
     def settle(self) -> Verdict:
         """Wait until the robots stand and for a camera frame of it, and check the true path."""

@@ -109,7 +109,8 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
         same_time = sent.get(command.sent_ns, ())
         if all(first_difference(command, one) for one in same_time) and not log.damage:
             yield Difference(k, "command", "differs from what is on /commands")
-        late = k > 0 and step.solve_ns > period_ns
+        standing = k == 0 or (before is not None and before.plan.pauses)
+        late = not standing and step.solve_ns > period_ns
         if step.deadline_missed != late:
             text = f"{step.deadline_missed} for {milliseconds(step.solve_ns):.3f} ms"
             yield Difference(k, "timing.deadline_missed", text)

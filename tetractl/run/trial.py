@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Note, PlantInfo, Sample
 from tetractl.core.errors import TetractlError
-from tetractl.core.plan import End, Outcome, Plan
+from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.trial import Result, Start, Step
@@ -88,16 +88,17 @@ class Trial:
             decision = self._plan_driving(observation, info, self.first_plan)
         else:
             decision = self._plan_standing(observation, info)
-        began = self.clock.now()
+        began, standing = self.clock.now(), True
         for k in itertools.count():
             if isinstance(decision, Outcome):
                 return decision, ""
             if isinstance(decision, End):
                 self._sleep_until(self.clock.now() + decision.delay_ns)
                 return decision.outcome, ""
-            command = self._steer(decision.direction)
+            command = self._pause() if decision.pauses else self._steer(decision.direction)
             self._solve_ns.append(self._solving_ns)
-            missed = k > 0 and self._solving_ns > period
+            missed = not standing and self._solving_ns > period
+            standing = decision.pauses
             self._misses += missed
             self._pass_samples()
             step = Step(k, observation, decision, command, self._solving_ns, missed)
@@ -108,6 +109,7 @@ class Trial:
             late = self.clock.now() - (began + round(k * period_s * SECOND))
             if late > period:  # an overrun is not made up for by a burst of steps
                 began += late
+            began += round(PAUSE_S * SECOND) if standing else 0
             self._sleep_until(began + round((k + 1) * period_s * SECOND))
             last, observation = observation, self.plant.observe()
             decision = self._plan(observation, command, self._frames_between(last, observation))
@@ -184,6 +186,14 @@ class Trial:
             self._pass_samples()
             if self.interrupt.requested:
                 raise KeyboardInterrupt
+
+    def _pause(self) -> Command:
+        """Stop the robots for a while, and note it."""
+        command = self.plant.pause()
+        note = Note(command.sent_ns, "info", "all robots pause, and a plan is made from standing")
+        for observer in self.observers:
+            observer.on_note(note)
+        return command
 
     def _steer(self, direction: float | None) -> Command:
         command = self.plant.steer(direction)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -345,7 +346,11 @@ def test_robots_stop_rather_than_leave_where_every_plan_found_does():
     """Green drives 36 mm in a control period."""
     controller, there = beside_a_wall(30)
     controller.blocked = True
-    assert controller.plan(there) is Outcome.NOTHING_BETTER
+    assert controller.plan(there).pauses
+    stopped = Command(None, 200_000_000, (True,) * 3)
+    there = replace(there, sampled_ns=900_000_000, received_ns=900_000_000)
+    again = controller.plan(there, stopped)  # from standing
+    assert again is Outcome.NOTHING_BETTER or not again.pauses
 
 
 @pytest.mark.parametrize(
@@ -355,7 +360,9 @@ def test_robots_stop_rather_than_leave_where_every_plan_found_does():
 def test_robots_drive_on_where_a_plan_keeps_clear_or_no_wall_is_reached(gap, blocked, stop):
     controller, there = beside_a_wall(gap, stop)
     controller.blocked = blocked
-    assert isinstance(controller.plan(there), Plan)
+    plan = controller.plan(there)
+    assert isinstance(plan, Plan)
+    assert not plan.pauses
 
 
 def test_a_plan_that_touches_an_obstacle_or_its_margin_is_known_as_blocked():

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.options import KERNEL, PIECE, inlined
+from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import wrap
 
@@ -59,7 +59,7 @@ class Bank(NamedTuple):
     next: NDArray[np.int64]  # (B,) the command that acts next
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _advance(model, i, z, cov, u, scale, seconds):
     """Predict one hypothesis of robot i by (1)-(3), midpoint rule, with its covariance."""
     left = seconds
@@ -108,7 +108,7 @@ def _advance(model, i, z, cov, u, scale, seconds):
                 cov[k, k] += more
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _correct(z, cov, n, index, factor, off, var):
     """Update by one number, h z with n entries h[index] = factor, that is `off` from it.
 
@@ -130,7 +130,7 @@ def _correct(z, cov, n, index, factor, off, var):
     return total
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _measure(model, i, z, cov, scale, pose, squares):
     """Update one hypothesis by a pose (3,); return the ln of its likelihood.
 
@@ -182,7 +182,7 @@ def _measure(model, i, z, cov, scale, pose, squares):
     return found
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _copy(bank, b, i, source, slot):
     """Copy the state of one hypothesis to another."""
     for k in range(SIZE):
@@ -191,7 +191,7 @@ def _copy(bank, b, i, source, slot):
             bank.cov[b, i, slot, k, m] = bank.cov[b, i, source, k, m]
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _best(weight, most):
     """Return the slot below `most` of the greatest weight."""
     found = 0
@@ -201,7 +201,7 @@ def _best(weight, most):
     return found
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _rate(model, i, z, u):
     """Return how fast robot i turns under direction u [rad/s]."""
     if math.isnan(u):
@@ -209,7 +209,7 @@ def _rate(model, i, z, u):
     return model.a[i] * math.exp(z[LN_A]) * math.sin(u + z[BIAS] - z[HEADING])
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _switch(bank, model, b, i, u, step):
     """Let a command act: robot i follows it from its best hypothesis on, or did not hear it.
 
@@ -241,7 +241,7 @@ def _switch(bank, model, b, i, u, step):
     held[place], weight[place] = u, most + math.log(1 - LOST)
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _stick(bank, b, i, seconds):
     """Let robot i get stuck, or come free, with the probabilities of so many seconds."""
     weight, held = bank.weight[b, i], bank.u[b, i]
@@ -261,7 +261,7 @@ def _stick(bank, b, i, seconds):
     weight[STUCK] = stays
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _weigh(bank, b, i, model, pose, seconds):
     """Update all hypotheses of robot i by a measured pose; return the ln of their likelihood."""
     weight, scale = bank.weight[b, i], bank.scale[b, i]
@@ -294,7 +294,7 @@ def _weigh(bank, b, i, model, pose, seconds):
     return total
 
 
-@compiled(**KERNEL)
+@compiled(**ENTRY_FAST)
 def place(bank, b, i, model, pose):
     """Take the pose of every hypothesis of robot i from the camera."""
     bank.unfit[b, i] = 0.0
@@ -308,7 +308,7 @@ def place(bank, b, i, model, pose):
             cov[j, j] = 4 * model.noise[j, i] ** 2
 
 
-@compiled(**KERNEL)
+@compiled(**ENTRY_FAST)
 def follow(bank, model, step, since, until, when, u, poses, seen):
     """Predict every filter from `since` to `until` [s] and update it by what a frame shows.
 

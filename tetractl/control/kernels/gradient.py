@@ -21,7 +21,7 @@ import numpy as np
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.motion import derivatives, turned
-from tetractl.control.kernels.options import PIECE, inlined
+from tetractl.control.kernels.options import INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
 
@@ -45,7 +45,7 @@ def width(length: int) -> int:
     return -(-length // VECTOR) * VECTOR
 
 
-def room(headings: Floats, length: int) -> Trace:
+def workspace(headings: Floats, length: int) -> Trace:
     """Return the arrays for robots that start with these headings (N,) [rad]."""
     count, across = len(headings), width(length)
     cos, sin = np.ones((count + 1, across)), np.zeros((count + 1, across))
@@ -53,7 +53,7 @@ def room(headings: Floats, length: int) -> Trace:
     return Trace(cos, sin, np.empty((2, count, across)), np.empty((5, count, across)))
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
     """Predict under signals u (L,) from start (N, 3), with a and v (N,) and drift (4, N).
 
@@ -117,7 +117,7 @@ def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
             y[i, j] = y[i, j - 1] + y[i, j] + fy * period
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def backward(gradients, i, last, east, north, row):
     """Write to row (L,) how east * x + north * y of robot i after signal `last` depends on u."""
     by_heading = 0.0

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.gradient import Trace, backward, room, trace
+from tetractl.control.kernels.gradient import Trace, backward, trace, workspace
 from tetractl.control.kernels.motion import constants
 from tetractl.control.kernels.obstacles import count_deepest, outward
-from tetractl.control.kernels.options import PIECE
+from tetractl.control.kernels.options import INLINE_FAST
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 
@@ -77,7 +77,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         first=first,
         rest=rest,
         obstacles=packs,
-        traced=room(problem.poses.heading, length),
+        traced=workspace(problem.poses.heading, length),
         depths=np.empty((count, obstacles)),
         where=np.empty((count, obstacles), dtype=np.int64),
         separation=float(problem.separation),
@@ -92,14 +92,14 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
     )
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _trace(work, u):
     """Predict path and gradients under signals u."""
     t0, t = work.first_period, work.period
     trace(u, work.start, work.a, work.v, work.drift, t0, t, work.first, work.rest, work.traced)
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _merit(work):
     """The bound of f(u) + DEPTH_WEIGHT times the depth of each robot and obstacle, and meeting."""
     path, length = work.traced.path, work.rows.shape[1]
@@ -121,7 +121,7 @@ def _merit(work):
     return merit
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _find_meetings(work):
     """Find where each pair of robots is nearest, and how far within the separation."""
     path, m = work.traced.path, 0
@@ -137,7 +137,7 @@ def _find_meetings(work):
             m += 1
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _linearise(work, floor, slack):
     """Fill residuals and Jacobian of the path `_merit` has just seen; return the rows in use.
 
@@ -175,7 +175,7 @@ def _linearise(work, floor, slack):
     return r
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _linearise_meetings(work, floor, slack, r):
     """Add a residual and its row for each pair of robots within the separation; return the rows."""
     path, gradients, m = work.traced.path, work.traced.gradients, 0
@@ -197,7 +197,7 @@ def _linearise_meetings(work, floor, slack, r):
     return r
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _gram(work, r):
     """J J' of the first r rows."""
     rows, gram = work.rows, work.gram
@@ -209,7 +209,7 @@ def _gram(work, r):
             gram[p, q] = total
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _solve(gram, residual, step, r, damping, factor):
     """Solve (gram + damping I) step = residual by Cholesky in `factor`; False if it fails."""
     for p in range(r):
@@ -236,7 +236,7 @@ def _solve(gram, residual, step, r, damping, factor):
     return True
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def _propose(work, u, r):
     """Write to work.trial the sequence u - J' step, no signal moved by more than LARGEST_STEP."""
     largest = 0.0
@@ -251,7 +251,7 @@ def _propose(work, u, r):
         work.trial[j] = u[j] - shrink * work.trial[j]
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def polish(work, u, tolerance, slack, iterations, patience, budget, factor, history):
     """Improve u (L,) in place; returns (merit, iterations used, evaluations).
 

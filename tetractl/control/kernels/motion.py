@@ -11,7 +11,7 @@ from typing import Any
 
 from numba.extending import overload
 
-from tetractl.control.kernels.options import PIECE, entries, inlined
+from tetractl.control.kernels.options import INLINE_FAST, entries, inlined
 from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
 
@@ -35,7 +35,7 @@ def advance(lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: A
     """Advance robot i of every particle by one signal."""
 
 
-@overload(advance, jit_options=PIECE)
+@overload(advance, jit_options=INLINE_FAST)
 def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
     kind = lanes.instance_class
     step, columns = inlined(kind.advance, x.dtype), tuple(range(kind.size))
@@ -55,7 +55,7 @@ def turned(lanes: Any, c: Any, s: Any, cu: Any, su: Any, i: int) -> Any:
     """Return cos and sin of the heading of robot i after one signal."""
 
 
-@overload(turned, jit_options=PIECE)
+@overload(turned, jit_options=INLINE_FAST)
 def _turned(lanes, c, s, cu, su, i):
     kind = lanes.instance_class
     step, columns = inlined(kind.advance), tuple(range(kind.size))
@@ -73,7 +73,7 @@ def derivatives(lanes: Any, c: Any, s: Any, cu: Any, su: Any, a: Any, v: Any, t:
     """Return one step of one robot and its derivatives, by the motion of `lanes`."""
 
 
-@overload(derivatives, jit_options=PIECE)
+@overload(derivatives, jit_options=INLINE_FAST)
 def _derivatives(lanes, c, s, cu, su, a, v, t):
     step = inlined(lanes.instance_class.differentiate)
     return lambda lanes, c, s, cu, su, a, v, t: step(c, s, cu, su, a, v, t)
@@ -86,7 +86,7 @@ def turn(lanes: Any, heading: Any, u: Any, a: Any, t: Any) -> Any:
     """
 
 
-@overload(turn, jit_options=PIECE)
+@overload(turn, jit_options=INLINE_FAST)
 def _turn(lanes, heading, u, a, t):
     kind = lanes.instance_class
     if hasattr(kind, "turn"):

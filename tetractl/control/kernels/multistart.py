@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.levenberg import Integers, polish
-from tetractl.control.kernels.options import KERNEL, PLAIN, PLAIN_KERNEL
+from tetractl.control.kernels.options import ENTRY_FAST, ENTRY_STRICT, INLINE_STRICT
 from tetractl.control.kernels.rollout import evaluate
 from tetractl.control.kernels.update import GOLDEN, mixed
 from tetractl.core.poses import Floats
@@ -27,7 +27,7 @@ class Polished(NamedTuple):
     merits: Floats  # (K, steps_max + 1) after each iteration
 
 
-def room(count: int, length: int, steps_max: int) -> Polished:
+def workspace(count: int, length: int, steps_max: int) -> Polished:
     """Return the arrays for so many starts."""
     return Polished(
         signals=np.empty((count, length)),
@@ -38,10 +38,10 @@ def room(count: int, length: int, steps_max: int) -> Polished:
     )
 
 
-_wrap = compiled(**PLAIN)(polynomials.wrap)
+_wrap = compiled(**INLINE_STRICT)(polynomials.wrap)
 
 
-@compiled(**PLAIN_KERNEL)
+@compiled(**ENTRY_STRICT)
 def scatter(key, below, share, middle, warm, knots, starts):
     """Write smooth random sequences to starts (L, P), bit for bit those of NumPy's arithmetic.
 
@@ -66,7 +66,7 @@ def scatter(key, below, share, middle, warm, knots, starts):
             starts[j, n] = _wrap(around if n % 2 == 0 else middle + math.pi * starts[j, n])
 
 
-@compiled(**KERNEL)
+@compiled(**ENTRY_FAST)
 def polish_each(work, one, starts, tolerance, slack, patience, budget, factor, polished):
     """Polish starts (K, L) until one costs at most `tolerance`, within `budget` evaluations.
 

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 from numba.extending import overload
 
-from tetractl.control.kernels.options import PIECE, entries, inlined
+from tetractl.control.kernels.options import INLINE_FAST, entries, inlined
 
 
-class Sole(NamedTuple):
+class SingleShape(NamedTuple):
     """The only obstacle there is, tested at the samples in the loop that moves the robots."""
 
     shape: Any  # PackedShapes of one row
@@ -23,7 +23,7 @@ def row(pack: Any, o: int) -> Any:
     """Return the numbers of obstacle o of a kind: a tuple, or an array where rows differ."""
 
 
-@overload(row, jit_options=PIECE)
+@overload(row, jit_options=INLINE_FAST)
 def _row(pack, o):
     size = pack.instance_class.size
     if size is None:
@@ -42,7 +42,7 @@ def count_hits(
     """
 
 
-@overload(count_hits, jit_options=PIECE)
+@overload(count_hits, jit_options=INLINE_FAST)
 def _count_hits(packs, x0, y0, x, y, i, swept, gap, hits):
     def count_hits(packs, x0, y0, x, y, i, swept, gap, hits):
         narrow(packs, x0, y0, x, y, i, swept, gap)
@@ -58,7 +58,7 @@ def narrow(packs: Any, x0: Any, y0: Any, x: Any, y: Any, i: int, swept: bool, ga
     """Bring gap (P,) down to the least gap of robot i to any obstacle; as `count_hits`."""
 
 
-@overload(narrow, jit_options=PIECE)
+@overload(narrow, jit_options=INLINE_FAST)
 def _narrow(packs, x0, y0, x, y, i, swept, gap):
     if len(packs) == 0:
         return lambda packs, x0, y0, x, y, i, swept, gap: None
@@ -89,7 +89,7 @@ def count_deepest(packs: Any, path: Any, length: int, depths: Any, where: Any) -
     raise NotImplementedError("called by compiled code only")
 
 
-@overload(count_deepest, jit_options=PIECE)
+@overload(count_deepest, jit_options=INLINE_FAST)
 def _count_deepest(packs, path, length, depths, where):
     if len(packs) == 0:
         return lambda packs, path, length, depths, where: 0
@@ -116,7 +116,7 @@ def outward(packs: Any, o: int, x: float, y: float) -> Any:
     """Return the unit vector that leads (x, y) out of obstacle o of them all."""
 
 
-@overload(outward, jit_options=PIECE)
+@overload(outward, jit_options=INLINE_FAST)
 def _outward(packs, o, x, y):
     if len(packs) == 0:
         return lambda packs, o, x, y: (0.0, 0.0)

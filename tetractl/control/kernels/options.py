@@ -10,13 +10,13 @@ from numba import njit, types
 from numba.extending import overload
 
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
-PIECE: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "forceinline": True}
+INLINE_FAST: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "forceinline": True}
 """Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
 been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
 the cache: two machine codes, and results that differ in the last bits from run to run."""
-KERNEL: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy"}
-PLAIN: Any = {"nogil": True, "error_model": "numpy", "forceinline": True}
-PLAIN_KERNEL: Any = {"nogil": True, "error_model": "numpy"}
+ENTRY_FAST: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy"}
+INLINE_STRICT: Any = {"nogil": True, "error_model": "numpy", "forceinline": True}
+ENTRY_STRICT: Any = {"nogil": True, "error_model": "numpy"}
 """The same for what has to round as NumPy does."""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """Of functions of scalars: compiled as if they were written where they are called."""
@@ -54,7 +54,7 @@ def entries(rows: Any, i: int, columns: Any) -> Any:
     """Return rows[i, c] for each c in a tuple of columns, as a tuple."""
 
 
-@overload(entries, jit_options=PIECE)
+@overload(entries, jit_options=INLINE_FAST)
 def _entries(rows, i, columns):
     def several(rows, i, columns):
         a, b, c = columns[:3]

@@ -4,10 +4,10 @@ import math
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.motion import derivatives
-from tetractl.control.kernels.options import KERNEL
+from tetractl.control.kernels.options import ENTRY_FAST
 
 
-@compiled(**KERNEL)
+@compiled(**ENTRY_FAST)
 def predict(u, a, v, drift, first_period, period, motion, path):
     """Fill path (L + 1, N, 3), whose first row is the start, with the poses under u (L,).
 

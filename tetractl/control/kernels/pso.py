@@ -8,7 +8,7 @@ from numba import types
 from numba.extending import overload
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.options import KERNEL, PIECE
+from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 from tetractl.control.kernels.rollout import Rollout, add_up, begin, evaluate, follow, views
 from tetractl.control.kernels.update import move
 from tetractl.core.poses import Floats
@@ -17,7 +17,7 @@ CRITERION, ITERATIONS, TARGET, EVALUATIONS, PAUSED, NOT_FINITE = range(6)
 BUDGET_STOP, PAPER_STOP, RELATIVE_STOP, TARGET_STOP = range(4)
 
 
-class Judge(NamedTuple):
+class DoublePrecisionCheck(NamedTuple):
     """What tells J of one sequence in double precision."""
 
     rollout: Rollout  # of one particle
@@ -59,7 +59,7 @@ class SwarmRules(NamedTuple):
     target: float
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def update_local_bests(swarm, least):
     """Apply (18), marking in `better` who improved; return who is best and its J.
 
@@ -77,7 +77,7 @@ def update_local_bests(swarm, least):
     return leader, least
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def copy_best(swarm, leader, to):
     """Copy the best of a particle: its coordinate now, or the one it started with."""
     for j in range(to.size):
@@ -85,7 +85,7 @@ def copy_best(swarm, leader, to):
         to[j] = swarm.u[j, leader] if fresh else swarm.best[j, leader]
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def judge_best(swarm, leader):
     """Return J of the best of a particle in double precision, left in the judge's signals.
 
@@ -105,7 +105,7 @@ def update_bests(swarm: Any, z: int) -> None:
     """Apply (18)-(19) after move z."""
 
 
-@overload(update_bests, jit_options=PIECE)
+@overload(update_bests, jit_options=INLINE_FAST)
 def _update_bests(swarm, z):
     fields = dict(zip(swarm.fields, swarm.types, strict=True))
 
@@ -127,7 +127,7 @@ def _update_bests(swarm, z):
     return update if fields["judge"] == types.none else update_judged
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def stop_reason(history, z, rules):
     """Return why to stop after iteration z, else PAUSED: the twin of `tetractl.control.stop`."""
     if rules.stop == TARGET_STOP and history[z] <= rules.target:
@@ -147,7 +147,7 @@ def stop_reason(history, z, rules):
     return PAUSED
 
 
-@compiled(**KERNEL)
+@compiled(**ENTRY_FAST)
 def iterate(rollout, swarm, rules, z, pause):
     """Run iterations z + 1, ... until something stops the search or iteration `pause` is done.
 

@@ -12,8 +12,8 @@ from numba.extending import overload
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.motion import advance, constants
-from tetractl.control.kernels.obstacles import Sole, count_hits, row
-from tetractl.control.kernels.options import KERNEL, PIECE, entries, inlined
+from tetractl.control.kernels.obstacles import SingleShape, count_hits, row
+from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, entries, inlined
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.model.motion.polynomials import sincos
@@ -28,7 +28,7 @@ class Rollout(NamedTuple):
     target: Floats  # (2, N)
     first: Any  # constants of the motion, `Lanes`: for the first signal
     rest: Any  # and for the others
-    obstacles: Any  # `Sole`, or a tuple of `PackedShapes`
+    obstacles: Any  # `SingleShape`, or a tuple of `PackedShapes`
     weight: Any  # a scalar of the kind of the arrays
     swept: bool
     separation: Any
@@ -61,7 +61,7 @@ def lay_out(problem: Problem, particles: int, kind: Any = np.float64) -> Rollout
     sole = len(filled) == len(filled[0].rows) == 1 if filled else False
     drifts = problem.bias is not None or problem.flow is not None
     if sole and not (problem.swept or problem.separation or drifts):
-        packs = Sole(filled[0])
+        packs = SingleShape(filled[0])
     return Rollout(
         start=np.array([p.x, p.y, np.cos(p.heading), np.sin(p.heading)], kind),
         target=np.ascontiguousarray(problem.targets.T, kind),
@@ -83,13 +83,13 @@ def _drift(problem: Problem, kind: Any) -> Any:
     return np.concatenate([drift[:2], *ways]).astype(kind)
 
 
-@compiled(**KERNEL)
+@compiled(**ENTRY_FAST)
 def costs(rollout, signals, total):
     """Write J of each column of signals (L, P) to total (P,); return whether all are finite."""
     return evaluate(rollout, signals, total)
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def evaluate(rollout, signals, total):
     """As `costs`, for kernels."""
     lanes, scratch = views(rollout)
@@ -99,7 +99,7 @@ def evaluate(rollout, signals, total):
     return add_up(rollout, lanes, total)
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def views(rollout):
     """Return (x, y, cos, sin, hits) and (cos_u, sin_u, x0, y0, gap, own_cos_u, own_sin_u).
 
@@ -109,7 +109,7 @@ def views(rollout):
     return (a[0], a[1], a[2], a[3], a[4]), (b[0], b[1], b[2], b[3], b[4], b[5], b[6])
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def begin(rollout, lanes, scratch):
     """Put every particle's robots at their start."""
     x, y, cos, sin, hits = lanes
@@ -126,11 +126,11 @@ def follow(rollout: Any, lanes: Any, scratch: Any, signals: Any, j: int) -> None
     """Move every robot by signal j of every particle, and count who is in an obstacle."""
 
 
-@overload(follow, jit_options=PIECE)
+@overload(follow, jit_options=INLINE_FAST)
 def _follow(rollout, lanes, scratch, signals, j):
     fields = dict(zip(rollout.fields, rollout.types, strict=True))
-    if getattr(fields["obstacles"], "instance_class", None) is Sole:
-        return _follow_past_sole(fields["rest"], fields["obstacles"], signals.dtype)
+    if getattr(fields["obstacles"], "instance_class", None) is SingleShape:
+        return _follow_past_one(fields["rest"], fields["obstacles"], signals.dtype)
     sincos_of = inlined(sincos, signals.dtype)
 
     def follow(rollout, lanes, scratch, signals, j):
@@ -161,7 +161,7 @@ def _follow(rollout, lanes, scratch, signals, j):
     return follow
 
 
-def _follow_past_sole(constants, obstacles, number):
+def _follow_past_one(constants, obstacles, number):
     """Return `follow` for a sole obstacle, tested at the samples: one loop does it all."""
     kind, shape = constants.instance_class, obstacles[0].instance_class
     step, gap_of = inlined(kind.advance, number), inlined(shape.gap, number)
@@ -202,7 +202,7 @@ def _follow_past_sole(constants, obstacles, number):
     return follow
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def count_meetings(x, y, separation, hits):
     """Add 1 to hits[i, n] for each robot before i that is within the separation of it."""
     least = separation * separation
@@ -214,7 +214,7 @@ def count_meetings(x, y, separation, hits):
                 hits[i, n] += one if dx * dx + dy * dy <= least else zero
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def add_up(rollout, lanes, total):
     """Write (7) of each particle to total (P,); return whether all are finite."""
     x, y, hits, target, weight = lanes[0], lanes[1], lanes[4], rollout.target, rollout.weight

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.options import PIECE
+from tetractl.control.kernels.options import INLINE_FAST
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -15,7 +15,7 @@ UNIT_31 = 2.0**-31
 SPAN = 2 * math.pi  # |ub - lb|, (15)
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def mixed(z):
     """Return the 64 bits that the generator makes of its state z; see `tetractl.control.rng`."""
     z = (z ^ (z >> S30)) * MIX_1
@@ -23,7 +23,7 @@ def mixed(z):
     return z ^ (z >> S31)
 
 
-@compiled(**PIECE)
+@compiled(**INLINE_FAST)
 def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
     """(14)-(17) of signal j of every particle, with draws first, first + 1, ...
 

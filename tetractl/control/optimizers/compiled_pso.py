@@ -70,7 +70,7 @@ def scatter(
     if warm is None and not single:
         u_gb, history[0] = best[:, leader].copy(), best_cost[leader]
     else:
-        judge = kernel.Judge(lay_out(problem, 1), np.empty((length, 1)), np.empty(1))
+        judge = kernel.DoublePrecisionCheck(lay_out(problem, 1), np.empty((length, 1)), np.empty(1))
         u_gb = np.clip(best[:, leader], LOWER, UPPER, dtype=float) if warm is None else warm.copy()
         costs(judge.rollout, np.ascontiguousarray(u_gb[:, None]), judge.cost)
         require_finite(judge.cost)

@@ -128,7 +128,7 @@ class _PolishedProgress(Progress):
         self.factor = np.empty((rows, rows))
         self.patience = round(section.patience * growth)
         steps = round(section.polish_steps * growth)
-        self.polished = multistart.room(section.polished, length, steps)
+        self.polished = multistart.workspace(section.polished, length, steps)
 
     def select(self, key: int) -> Floats:
         """Scatter and evaluate a round, and return its best sequences (K, length), best first."""

@@ -228,6 +228,7 @@ def decode_step(
         generator=message.generator,
         estimate=_decode_estimate(estimate, robots) if estimate else None,
         field_off=command.field_off,
+        pauses=command.stops,
     )
     return Step(
         k=message.k,

@@ -11,7 +11,7 @@ from support import problems
 from tetractl.control.cost import evaluate
 from tetractl.control.curves import interpolate, places
 from tetractl.control.kernels.levenberg import lay_out_polish, polish
-from tetractl.control.kernels.multistart import polish_each, room, scatter
+from tetractl.control.kernels.multistart import polish_each, scatter, workspace
 from tetractl.control.kernels.rollout import lay_out
 from tetractl.control.rng import uniform
 from tetractl.core.poses import wrap
@@ -46,7 +46,7 @@ def test_starts_are_scattered_as_numpy_computes_them_to_the_last_bit(
 def polished(problem, starts, tolerance=TOLERANCE, budget=MUCH):
     """Return how many of the starts were polished, and what became of them."""
     count, length = starts.shape
-    work, found = lay_out_polish(problem, length), room(count, length, STEPS)
+    work, found = lay_out_polish(problem, length), workspace(count, length, STEPS)
     rows = len(work.residual)
     done = polish_each(
         work,

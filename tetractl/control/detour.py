@@ -20,12 +20,12 @@ from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
-RELENTS = 0.1  # share by which the accepted error grows each time the robots go round
+ACCEPT_GROWTH = 0.1  # share by which the accepted error grows each time the robots go round
 MOMENTS = 40  # of the coming control period that are looked at for the stop
 
 
 @dataclass(frozen=True, slots=True)
-class Stopping:
+class StopForecast:
     """A stop `delay_ns` from now, the sum of distances to the targets it is predicted to leave."""
 
     delay_ns: int
@@ -40,7 +40,7 @@ def longer(count: int, most: int) -> Iterator[int]:
         length = max(length + 1, round(GROWTH * length))
 
 
-def best_stop(problem: Problem, direction: Floats, period_s: float) -> Stopping:
+def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForecast:
     """Return the best moment of the coming control period for a stop.
 
     The robots are at the problem's poses when a stop sent now acts, and follow `direction` (N,)
@@ -51,4 +51,4 @@ def best_stop(problem: Problem, direction: Floats, period_s: float) -> Stopping:
     targets = problem.targets
     errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)
     best = int(np.argmin(errors))
-    return Stopping(round(float(delays[best]) * SECOND), float(errors[best]))
+    return StopForecast(round(float(delays[best]) * SECOND), float(errors[best]))

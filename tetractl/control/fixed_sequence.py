@@ -34,4 +34,4 @@ def given_search(problem: Problem, signals: Floats) -> Search:
 
 def search_of(signals: Floats, cost: float) -> Search:
     """Return the record of given signals (L,) [rad] of a known cost."""
-    return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.GIVEN)
+    return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)

@@ -1,0 +1,44 @@
+"""A stop that goes on: robots pause before a wall, and are planned for from standing."""
+
+import pytest
+from support.paths import ROOT
+
+from tetractl.core.plan import PAUSE_S
+from tetractl.experiment.load import load_spec
+from tetractl.log.read.reader import read_trial
+from tetractl.replay.verify import verify
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
+
+SILENT = (
+    "trials.seed=7000",
+    "plant.dead_time=0.11",
+    "plant.a_error=0.2",
+    "plant.speed_error=0.1",
+    "plant.heading_noise=0.03",
+    "plant.measurement_noise={position: 0.3, heading: 0.004}",
+    "plant.lost_commands=0.02",
+    "plant.disturbances=[{type: silent-radio, times: 3, duration: 1, between: [1, 14]}]",
+)
+
+
+@pytest.mark.slow
+def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", SILENT)
+    result = run_trial(spec, tmp_path, 5, (), Interrupt())
+    log = read_trial(log_path(tmp_path, 5))
+    pauses = [k for k, step in enumerate(log.steps) if step.plan.pauses]
+    assert pauses
+    assert [note.text for note in log.notes if "pause" in note.text] == [
+        "all robots pause, and a plan is made from standing"
+    ] * len(pauses)
+    for k in pauses:
+        assert log.steps[k].command.stops
+        waited = log.steps[k + 1].observation.sampled_ns - log.steps[k].command.sent_ns
+        assert waited / 1e9 > PAUSE_S
+        assert not log.steps[k + 1].deadline_missed
+    assert result.total_error < 30
+    assert not (result.entered_obstacle or result.left_arena)
+    found = verify(log_path(tmp_path, 5))
+    assert found.problems == ()
+    assert found.checked == len(log.steps)

@@ -93,7 +93,7 @@ def begun(folder, fault, spec=SPEC):
     return lab, found, lab._device_of(found)
 
 
-@pytest.mark.parametrize(("spec", "fault", "read", "during"), ROWS, ids=lambda v: str(v)[:30])
+@pytest.mark.parametrize(("spec", "fault", "read", "during"), ROWS, ids=[row[1] for row in ROWS])
 def test_a_fault_changes_its_device_and_takes_it_back(tmp_path, spec, fault, read, during):
     if spec == APRILTAG_SPEC:
         pytest.importorskip("cv2")

@@ -1,4 +1,4 @@
-"""How well cells are found, followed and told from each other in synthetic films.
+"""How well cells are found, followed and distinguished in synthetic films.
 
     python benchmarks/cells.py films       position, axis, heading, F1, wrong identities, ms
     python benchmarks/cells.py identity    who is who after a full merge, by how far a is apart

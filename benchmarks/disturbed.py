@@ -2,7 +2,7 @@
 
     python benchmarks/disturbed.py                          the ablation, 20 trials a row
     python benchmarks/disturbed.py --trials 100 --rate 20   more trials, control at 20 Hz
-    python benchmarks/disturbed.py --part knowledge         what wrong beliefs cost
+    python benchmarks/disturbed.py --part knowledge         what wrong assumptions cost
     python benchmarks/disturbed.py --part accept --figure accept.svg    time against error
     python benchmarks/disturbed.py --part hurting --trials 100      realisations that hurt
     python benchmarks/disturbed.py --bench three_m3pi_bench.yaml    another world: its `plant`
@@ -39,8 +39,8 @@ from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.plant.simulation import SimPlant
 from tetractl.results.estimate import distributions, percent
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
-from tetractl.run.trial import Trial
 
 WORLD = (
     "plant.dead_time=0.14",
@@ -72,20 +72,20 @@ def _more(disturbance: str) -> str:
 
 ABLATION: list[Row] = [
     ("whole", ()),
-    ("without identification, dead time told", ("controller.estimate=false", TOLD)),
-    ("without identification, dead time not told", ("controller.estimate=false",)),
+    ("without identification, dead time given", ("controller.estimate=false", TOLD)),
+    ("without identification, dead time not given", ("controller.estimate=false",)),
     ("without going round", ("controller.accept=0",)),
     ("without a stop between steps", ("controller.stop_between=false",)),
     ("without margins that follow: 20 mm and the radius", NOT_KEPT),
     ("all lengths at step 0", ("controller.first_lengths=all",)),
-    ("none of them, dead time told", (*PLAIN, TOLD)),
-    ("none of them, dead time not told", PLAIN),
+    ("none of them, dead time given", (*PLAIN, TOLD)),
+    ("none of them, dead time not given", PLAIN),
 ]
 KNOWLEDGE: list[Row] = [
-    ("dead time told", (TOLD,)),
-    ("dead time believed 0", ()),
-    ("dead time believed 50 ms less", (f"{TOLD}-0.05",)),
-    ("dead time believed 50 ms more", (f"{TOLD}+0.05",)),
+    ("dead time given", (TOLD,)),
+    ("dead time assumed 0", ()),
+    ("dead time assumed 50 ms less", (f"{TOLD}-0.05",)),
+    ("dead time assumed 50 ms more", (f"{TOLD}+0.05",)),
     ("a up to 30 % off", ("plant.a_error=0.3",)),
     ("two a 5 % apart, heading walk 0.05", ("robots.2.a=4.2", "plant.heading_noise=0.05")),
 ]
@@ -149,7 +149,7 @@ class Knowing(Mpc):
 
 
 def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
-    """The same controller with the true a, speed and dead time, told of every lost command."""
+    """The same controller with the true a, speed and dead time, given every lost command."""
     true = {"estimate": False}
     section = spec.controller.model_copy(update=true)
     setup = replace(spec.setup, a=plant.a, speed=plant.speed)
@@ -266,7 +266,7 @@ def table(rows: list[Row], world: "World", trials: int, published: bool) -> dict
         print(row(name, found[name]), flush=True)
     progress("floor")
     spec = world.spec(OURS, (TOLD,))
-    print(row("floor: told a, speed, dead time, losses", run(spec, trials, knowing)), flush=True)
+    print(row("floor: given a, speed, dead time, losses", run(spec, trials, knowing)), flush=True)
     if published:
         print(row("the paper's, 5 Hz", run(world.spec(PAPER, (), slow=True), trials)))
         print(row("undisturbed", run(load_experiment(OURS, *world.fast), trials)), flush=True)

@@ -31,8 +31,8 @@ from solverbench.report import progress
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
-from tetractl.results.difference import holm, paired_t, signed_rank
 from tetractl.results.estimate import distributions, proportion_interval
+from tetractl.results.mean_difference import holm, paired_t, signed_rank
 
 SETTING = Mapping[str, Any]
 PUBLISHED: SETTING = {

@@ -18,7 +18,8 @@ import numpy as np
 from scipy import stats
 
 from tetractl.core.poses import Floats
-from tetractl.results.difference import (
+from tetractl.results.estimate import Interval, distributions
+from tetractl.results.mean_difference import (
     deviation_ratio,
     from_both_intervals,
     paired_t,
@@ -27,7 +28,6 @@ from tetractl.results.difference import (
     standardised,
     welch,
 )
-from tetractl.results.estimate import Interval, distributions
 from tetractl.view.figures.ecdf import band
 
 SIZES = (5, 8, 20, 50)

@@ -54,12 +54,12 @@ from tetractl.log.write import sink  # noqa: E402
 from tetractl.log.write.writer import LogWriter  # noqa: E402
 from tetractl.replay.verify import verify  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
+from tetractl.run.run_trial import Trial  # noqa: E402
 from tetractl.run.task import (  # noqa: E402
     log_path,
     run_trial,
     trial_seeds,
 )
-from tetractl.run.trial import Trial  # noqa: E402
 
 SMALL = """
 name: small

@@ -35,8 +35,8 @@ from tetractl.experiment.controller import Square
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
 from tetractl.plant.simulation import SimSection
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
-from tetractl.run.trial import Trial
 
 SPEC = Path(__file__).parents[1] / "experiments" / "three_m3pi_paper.yaml"
 SEED = 648

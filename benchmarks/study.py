@@ -18,9 +18,9 @@ from tetractl.run.batch import Ending, run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import Task
-from tetractl.study.load import load_study
+from tetractl.study.load_study import load_study
 from tetractl.study.options import Logs, Shard, lacking
-from tetractl.study.store import Store
+from tetractl.study.row_store import Store
 
 ROOT = Path(__file__).parents[1]
 CASES = {

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from tetractl.replay.verify import Verification
-    from tetractl.results.batch import Batch
     from tetractl.results.contrast import GroupComparison
     from tetractl.results.describe import Group
+    from tetractl.results.open_batch import Batch
     from tetractl.run.batch import Ending
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.task import Task
@@ -132,7 +132,7 @@ def read_batch(*paths: str | Path) -> "Batch":
     The batch has `trials`, earlier `attempts` at them, and what is `damaged`. Trials of a study
     that have no log are read from its rows. Raises UsageError for a path without a trial.
     """
-    from tetractl.results.batch import open_batch
+    from tetractl.results.open_batch import open_batch
 
     return open_batch(paths)
 

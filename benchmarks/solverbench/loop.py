@@ -19,8 +19,8 @@ from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
-from tetractl.run.trial import Trial
 
 from . import shooting
 from .peers import available

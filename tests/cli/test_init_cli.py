@@ -12,7 +12,7 @@ from support.paths import ROOT
 
 from tetractl.experiment.examples import example_names
 from tetractl.experiment.load import load_spec
-from tetractl.study.load import load_study
+from tetractl.study.load_study import load_study
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 

@@ -12,7 +12,7 @@ from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.trial_log import Origin
-from tetractl.plant.lab import LabPlant
+from tetractl.plant.lab_plant import LabPlant
 
 DIRECTIONS = (0.5, -0.4, 0.6)
 PERIOD = SECOND // 5

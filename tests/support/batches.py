@@ -11,8 +11,8 @@ from tetractl.core.poses import Poses
 from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.results.batch import Batch, Damaged
 from tetractl.results.describe import Group, describe
+from tetractl.results.open_batch import Batch, Damaged
 
 REFERENCE = {"source": "Figure 5", "n": 20, "mean": 648.6, "std": 225.1}
 DISTURBED = {"type": "sim", "heading_noise": 0.05}

@@ -27,8 +27,8 @@ from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.plant.disturbances.start_error import StartErrorSection
 from tetractl.plant.simulation import SimSection
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
-from tetractl.run.trial import Trial
 
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 PLAIN = (

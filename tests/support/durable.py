@@ -36,7 +36,7 @@ from tetractl.core.supervision import LabSupervision
 from tetractl.core.commands import PlantInfo
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import trial_seeds
-from tetractl.run.trial import Trial
+from tetractl.run.run_trial import Trial
 from tetractl.experiment.load import parse_spec, start_of
 
 spec = parse_spec(sys.argv[1], "spec.yaml")

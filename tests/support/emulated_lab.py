@@ -4,7 +4,7 @@ import socket
 from dataclasses import replace
 from pathlib import Path
 
-from tetractl.emulate.lab import EmulatedLab
+from tetractl.emulate.emulated_lab import EmulatedLab
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.script import NOTHING, parse_script
 from tetractl.emulate.sides import Options

@@ -1,8 +1,8 @@
 """The current driver's firmware core once more, in Python, from docs/reference/wires.md."""
 
-from tetractl.emulate.firmware import Event
+from tetractl.emulate.firmware import CoreEvent
 from tetractl.lab import cobs
-from tetractl.lab.actuators.field.protocol import (
+from tetractl.lab.actuators.field.driver_protocol import (
     VERSION,
     DriverStatus,
     FieldFlag,
@@ -10,7 +10,7 @@ from tetractl.lab.actuators.field.protocol import (
     decode_command,
     encode_reply,
 )
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 
 def towards_zero(numerator, denominator):
@@ -45,11 +45,11 @@ class Twin:
     def judge(self, frame, now_ms):
         try:
             if cobs.checked_payload(frame)[0] != 0x53:
-                return Event.FOREIGN
+                return CoreEvent.FOREIGN
             command = decode_command(frame)
         except WireError:
             self.rejected = (self.rejected + 1) % 65_536
-            return Event.REJECTED
+            return CoreEvent.REJECTED
         self.received = (self.received + 1) % 65_536
         is_new = self.silent or 1 <= (command.sequence - self.sequence) % 256 <= 127
         runs = FieldFlag.RUN in command.flags
@@ -69,7 +69,7 @@ class Twin:
             self.sequence, self.heard, self.silent = command.sequence, now_ms, False
         if FieldFlag.POLL in command.flags and (is_new or not runs):
             self.reply = command.sequence
-        return Event.ACCEPTED if is_new else Event.STALE
+        return CoreEvent.ACCEPTED if is_new else CoreEvent.STALE
 
     def stop(self):
         self.wished = (0, 0)

@@ -12,11 +12,11 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
 from tetractl.core.supervision import LabSupervision
-from tetractl.experiment.lab import LabLimits
+from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import wheel_speeds
-from tetractl.plant.lab import LabPlant
+from tetractl.plant.lab_plant import LabPlant
 
 STEP_NS = SECOND // 500
 CAMERA_HZ = 120.0

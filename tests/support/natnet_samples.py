@@ -8,7 +8,7 @@ import pytest
 from tetractl.emulate.optitrack.server_wire import pack_modeldef, packed_body, section, suffix
 from tetractl.lab.cameras.optitrack.cursor import packed, packed_name
 from tetractl.lab.cameras.optitrack.frame import SIZED
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     BodyName,
     MessageKind,
     ModelDef,

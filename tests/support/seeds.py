@@ -11,7 +11,7 @@ from tetractl.experiment.plants import Calibration, calibration_yaml
 from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import frames as xbee
 from tetractl.lab.actuators.xbee import framing
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     BodyName,
     EchoResponse,
     ModelDef,

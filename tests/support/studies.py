@@ -8,10 +8,10 @@ from support.running import QUICK, Started
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
-from tetractl.study.load import load_study
+from tetractl.study.arm_table import counted_rows, write_tables
+from tetractl.study.load_study import load_study
 from tetractl.study.options import Logs, Shard, lacking
-from tetractl.study.store import Store
-from tetractl.study.table import counted_rows, write_tables
+from tetractl.study.row_store import Store
 
 STUDY = """\
 name: quick

@@ -73,8 +73,8 @@ def lab_log(folder: Path) -> Path:
     from tetractl.experiment.load import load_spec, start_of
     from tetractl.experiment.plants import on_plant
     from tetractl.log.write.writer import LogWriter
+    from tetractl.run.run_trial import Trial
     from tetractl.run.task import trial_seeds
-    from tetractl.run.trial import Trial
 
     loaded = load_spec(LAB, ["controller.steps_max=8", "controller.horizon_max=8"])
     spec, experiment, path = on_plant(loaded, "lab"), loaded.experiment, log_path(folder, 0)

@@ -28,11 +28,17 @@ from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import framing
-from tetractl.lab.cameras.optitrack.messages import Bare, Connect, EchoRequest, MessageKind, Request
+from tetractl.lab.cameras.optitrack.natnet_messages import (
+    Bare,
+    Connect,
+    EchoRequest,
+    MessageKind,
+    NatNetRequest,
+)
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 from tetractl.log.read.overview import overview
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, read_trial
@@ -132,7 +138,7 @@ def natnet(data: bytes) -> None:
     at = count = 0
     while at < len(rest):
         size = 4 + int.from_bytes(rest[at + 2 : at + 4], "little")
-        fed.asked(Request((UP_AXIS, FRAME_RATE)[count % 2]))
+        fed.asked(NatNetRequest((UP_AXIS, FRAME_RATE)[count % 2]))
         fed.feed(rest[at : at + size], 500 * MS * count)
         at, count = at + size, count + 1
     seen = fed.counts

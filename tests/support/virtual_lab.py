@@ -23,13 +23,13 @@ from tetractl.core.supervision import LabSupervision
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.m3pi.robot import EmulatedRobot
 from tetractl.emulate.m3pi.side import EmulatedM3pi, M3piSettings
-from tetractl.emulate.optitrack.server import Streaming
+from tetractl.emulate.optitrack.natnet_server import Streaming
 from tetractl.emulate.sides import Options, Stage
 from tetractl.experiment.experiment import Experiment
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.inner_loop import IDLE_S
 from tetractl.lab.rig import Rig
-from tetractl.plant.lab import LabPlant
+from tetractl.plant.lab_plant import LabPlant
 
 
 class EmulatedEye:

@@ -17,7 +17,7 @@ from support.virtual_wires import LabClock, Network, VirtualLoop, virtual_wires
 
 from tetractl.control.build import build_controller
 from tetractl.core.clock import SECOND
-from tetractl.emulate.lab import EmulatedLab
+from tetractl.emulate.emulated_lab import EmulatedLab
 from tetractl.emulate.script import NOTHING
 from tetractl.emulate.sides import Options
 from tetractl.experiment.load import load_spec

@@ -25,10 +25,10 @@ STEP_NS = SECOND // 1000
 PATIENCE_S = 10.0
 HOST_CLOCKS = (
     "tetractl.core.clock",
-    "tetractl.experiment.lab",
+    "tetractl.experiment.lab_section",
     "tetractl.lab.actuators.m3pi.calibrate",
-    "tetractl.lab.actuators.m3pi.stop",
-    "tetractl.plant.lab",
+    "tetractl.lab.actuators.m3pi.stop_sequence",
+    "tetractl.plant.lab_plant",
 )
 Address = tuple[str, int]
 

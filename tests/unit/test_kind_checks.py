@@ -12,7 +12,7 @@ from tetractl.control.optimizers.mppi import Mppi
 from tetractl.core.protocols import Health
 from tetractl.experiment.base import Positive
 from tetractl.experiment.kinds import MOTIONS
-from tetractl.experiment.lab import ActuatorSection, CameraSection
+from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.load import parse_spec
 from tetractl.kind_checks import (
     check_actuator,

@@ -38,11 +38,11 @@ def analyze(
     from rich.console import Console
     from rich.progress import Progress
 
+    from tetractl.analysis.analysis_text import advice, tables
+    from tetractl.analysis.analysis_text import as_json as items
     from tetractl.analysis.analyze import analyze as found_of
-    from tetractl.analysis.text import advice, tables
-    from tetractl.analysis.text import as_json as items
     from tetractl.core.table.data import json_text
-    from tetractl.core.table.show import print_tables
+    from tetractl.core.table.terminal_table import print_tables
     from tetractl.core.text import printable
 
     if out:

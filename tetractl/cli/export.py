@@ -42,7 +42,7 @@ def export(
     from rich.progress import track
 
     from tetractl.core.errors import LogError
-    from tetractl.core.table.files import TableFiles
+    from tetractl.core.table.table_files import TableFiles
     from tetractl.log.read.find import find_logs
     from tetractl.results.trial_tables import of_log
 
@@ -68,7 +68,7 @@ def export(
 
 def _files(output: Path, table: str | None, kind: str | None) -> tuple[dict[str, Path], str]:
     """Return the file of each table, and the format."""
-    from tetractl.core.table.files import FORMATS, check_format
+    from tetractl.core.table.table_files import FORMATS, check_format
     from tetractl.results.trial_tables import TABLES
 
     if table is not None and table not in TABLES:

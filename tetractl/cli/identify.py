@@ -11,7 +11,7 @@ from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
 if TYPE_CHECKING:
-    from tetractl.replay.identification.identify import Found
+    from tetractl.replay.identification.identify import IdentifiedRobots
     from tetractl.replay.identification.tracks import Track
 
 NewFile = Annotated[
@@ -78,10 +78,10 @@ def identify(
     return Exit.FAILED if damaged else Exit.DONE
 
 
-def show_found(found: "Found", out: Path | None, as_json: bool) -> None:
+def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print what was found, and write it as a file for specs if one is named."""
     from tetractl.core.table.data import json_text
-    from tetractl.core.table.show import print_tables
+    from tetractl.core.table.terminal_table import print_tables
     from tetractl.experiment.identified import identified_yaml
     from tetractl.replay.identification import report
 

@@ -45,8 +45,8 @@ def _list(as_json: bool) -> int:
     from tetractl.core.table.data import json_text
     from tetractl.emulate.sides import ACTUATORS, CAMERAS
     from tetractl.experiment.kinds import SEAMS
-    from tetractl.results.kinds import STATISTICS
-    from tetractl.study.kinds import SWEEPS
+    from tetractl.results.statistic_kinds import STATISTICS
+    from tetractl.study.sweep_kinds import SWEEPS
     from tetractl.view.figures.kinds import FIGURES
 
     problems: dict[str, str] = {}

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tetractl.core.setup import Setup
-    from tetractl.experiment.lab import LabSection
+    from tetractl.experiment.lab_section import LabSection
     from tetractl.lab.actuators.xbee.section import XbeeSection
 
 HELP = "Check, calibrate, stop or emulate the lab of a spec."
@@ -95,7 +95,7 @@ def stop(
         lab, setup = _lab(spec, sets)
         stop_all = partial(lab.actuator.stop_all, setup)
     else:
-        from tetractl.lab.actuators.m3pi import stop as m3pi
+        from tetractl.lab.actuators.m3pi import stop_sequence as m3pi
 
         stop_all = partial(m3pi.stop_all, _xbee(port or "", baud, mode))
     try:

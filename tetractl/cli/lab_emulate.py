@@ -62,7 +62,7 @@ def emulate(
     import signal
 
     from tetractl.cli.options import load
-    from tetractl.emulate.lab import EmulatedLab
+    from tetractl.emulate.emulated_lab import EmulatedLab
     from tetractl.emulate.script import NOTHING, load_script
     from tetractl.emulate.sides import Options
     from tetractl.experiment.plants import lab_of

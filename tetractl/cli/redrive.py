@@ -39,7 +39,7 @@ def redrive(
     Example: tetractl redrive trial-000.mcap --plant sim --plot apart.svg
     """
     from tetractl.cli.trials import drive
-    from tetractl.core.table.show import print_tables
+    from tetractl.core.table.terminal_table import print_tables
     from tetractl.log.read.find import find_log
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec

@@ -19,7 +19,7 @@ def schema(
     from tetractl.experiment.yaml.schema import experiment_schema, schema_json
 
     if study:
-        from tetractl.study.load import study_schema
+        from tetractl.study.load_study import study_schema
 
         text = schema_json(study_schema())
     else:

@@ -11,9 +11,9 @@ import typer
 from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
-    from tetractl.results.batch import Source
     from tetractl.results.contrast import GroupComparison
     from tetractl.results.describe import Group
+    from tetractl.results.open_batch import Source
 
 Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
 
@@ -57,9 +57,9 @@ def stats(
 
     Example: tetractl stats logs/slip
     """
-    from tetractl.results.batch import one_source, sources
     from tetractl.results.contrast import contrast
-    from tetractl.results.show import show
+    from tetractl.results.open_batch import one_source, sources
+    from tetractl.results.show_statistics import show
 
     if plot:
         from tetractl.view.style import file_format

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from tetractl.run.task import Task
-    from tetractl.study.load import LoadedStudy
+    from tetractl.study.load_study import LoadedStudy
     from tetractl.study.options import Shard
-    from tetractl.study.store import Store
+    from tetractl.study.row_store import Store
 
 STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\n"
 
@@ -82,10 +82,10 @@ def study(
 
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """
-    from tetractl.study.load import load_study
+    from tetractl.study.load_study import load_study
     from tetractl.study.options import Logs, Shard, lacking
+    from tetractl.study.row_store import Store
     from tetractl.study.slurm import job_script
-    from tetractl.study.store import Store
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
@@ -176,9 +176,9 @@ def _conclude(
 ) -> int:
     """Write tables and figures, print the errors, say what is lacking and `how` to go on; return
     the exit code."""
-    from tetractl.core.table.show import print_tables
+    from tetractl.core.table.terminal_table import print_tables
+    from tetractl.study.arm_table import arms_table, counted_rows, write_tables
     from tetractl.study.figure import write_figures
-    from tetractl.study.table import arms_table, counted_rows, write_tables
 
     rows = [row for _, row in counted_rows(loaded, store)]
     if rows:

@@ -55,7 +55,7 @@ def track(
     from rich.progress import Progress
 
     from tetractl.core.table.data import json_text
-    from tetractl.core.table.show import print_tables
+    from tetractl.core.table.terminal_table import print_tables
     from tetractl.film.field import read_field
     from tetractl.film.fit import summarise
     from tetractl.film.follow import follow
@@ -96,7 +96,7 @@ def _write(
     cells: "Sequence[CellSummary]",
 ) -> None:
     """Write the tables, the log and the film with the tracks."""
-    from tetractl.core.table.files import TableFiles
+    from tetractl.core.table.table_files import TableFiles
     from tetractl.film.files import write_log, write_overlay
     from tetractl.film.tables import pose_table, summary_table
 

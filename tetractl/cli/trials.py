@@ -187,7 +187,7 @@ def run_trials(
         unit = loaded.experiment.units.length
         return run_in_lab(tasks, store, unit, console, interrupt, live, yes, served, unattended)
     if live:
-        from tetractl.view.terminal.live import LiveView
+        from tetractl.view.terminal.live_screen import LiveView
 
         with LiveView(console) as view:
             return run_batch(tasks, store, Here(interrupt, [view, *served]), view, fail_fast=True)
@@ -260,10 +260,10 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
 
 
 def _print_statistics(folder: Path, json: bool) -> None:
-    from tetractl.results.batch import open_batch
     from tetractl.results.contrast import contrast
     from tetractl.results.describe import describe
-    from tetractl.results.show import show
+    from tetractl.results.open_batch import open_batch
+    from tetractl.results.show_statistics import show
     from tetractl.run.interrupt import interrupted_once
 
     with interrupted_once():

@@ -56,7 +56,7 @@ def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
     """Yield what will be run: specs, one arm of each controller of studies, or the templates."""
     from tetractl.cli.init import template
     from tetractl.experiment.load import parse_spec
-    from tetractl.study.load import is_study, load_study
+    from tetractl.study.load_study import is_study, load_study
 
     if not files:
         for kind in ("robots", "cells"):

@@ -38,7 +38,7 @@ def what_if(
     Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
     """
     from tetractl.core.table.data import json_text
-    from tetractl.core.table.show import print_tables
+    from tetractl.core.table.terminal_table import print_tables
     from tetractl.core.text import printable
     from tetractl.log.read.find import find_logs
     from tetractl.log.read.reader import read_trial

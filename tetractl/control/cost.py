@@ -20,7 +20,7 @@ from tetractl.core.errors import ControlError
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.experiment.kinds import MOTIONS
-from tetractl.model.motion.base import Motion
+from tetractl.model.motion.motion import Motion
 
 
 @dataclass(frozen=True, slots=True)

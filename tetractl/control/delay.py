@@ -17,7 +17,7 @@ Held = tuple[int, int, Floats]
 
 @dataclass(slots=True)
 class Sent:
-    """A direction u [rad] sent to N robots at `sent_ns`; `arrived` (N,) is what is believed."""
+    """A direction u [rad] sent to N robots at `sent_ns`; `arrived` (N,) is what is inferred."""
 
     sent_ns: int
     u: float
@@ -44,7 +44,7 @@ class Predictor:
         return round(self.dead_time_s * SECOND)
 
     def sent(self, sent_ns: int, u: float) -> None:
-        """Add a direction, believed to arrive."""
+        """Add a direction, assumed to arrive."""
         self.recent.append(Sent(sent_ns, u, np.ones(self._count, dtype=np.bool_)))
 
     def held(self, since: int, until: int) -> list[Held]:

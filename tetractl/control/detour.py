@@ -21,7 +21,7 @@ from tetractl.core.problem import Problem
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
 ACCEPT_GROWTH = 0.1  # share by which the accepted error grows each time the robots go round
-MOMENTS = 40  # of the coming control period that are looked at for the stop
+MOMENTS = 40  # of the coming control period that are tried for the stop
 
 
 @dataclass(frozen=True, slots=True)

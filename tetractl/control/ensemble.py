@@ -154,7 +154,7 @@ class Ensemble:
 def _ahead(problem: Problem, poses: Poses, u: float | None, seconds: float) -> Poses:
     """Return the poses after a time [s] under a direction u [rad], or without a field.
 
-    Nobody turns who is told to go where it heads.
+    No robot turns if the direction is its heading.
     """
     towards = poses.heading if u is None else np.array(u)
     return Poses(

@@ -18,7 +18,7 @@ Where each line of Algorithm 2 is:
 
 Beyond Algorithm 2, each by a field of its own: the plan's grid may be coarser than the control's
 (`hold`), the state may be predicted over the dead time, the motion identified while the robots
-drive (`estimate`) and lost commands believed in (`losses`), margins may follow the uncertainty
+drive (`estimate`) and lost commands inferred (`losses`), margins may follow the uncertainty
 (`collision.adaptive`), robots stop before an obstacle that no plan avoids (`collision.stop`),
 longer sequences be searched where no short one ends at the targets (`accept`), the stop come
 between two steps (`stop_between`), an optimiser may count costs as equally good, and the searches
@@ -67,7 +67,7 @@ LATE = 2.0
 class Mpc:
     """The controller of one trial; `key` is the root of all its random draws.
 
-    `timer` [ns] is only looked at where the section sets a deadline.
+    `timer` [ns] is read only if the section sets a deadline.
     """
 
     def __init__(

@@ -121,7 +121,7 @@ class Rrt:
         """Return the direction of the next corner [rad]; where it is blocked, of a new path's.
 
         Inside an obstacle grown by the margin no path begins: the robot keeps to the one it has. A
-        robot beside its target, nearer than it can turn to it, would circle it for ever: it goes
+        robot next to its target, nearer than it can turn to it, would circle it for ever: it goes
         straight on instead until it is far enough to come back.
         """
         here, region = problem.poses.xy[0], problem.obstacles

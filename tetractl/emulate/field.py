@@ -23,10 +23,10 @@ from tetractl.emulate.port import PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.lab.actuators.field.coils import Coils, Pair
-from tetractl.lab.actuators.field.protocol import DriverStatus, decode_command
+from tetractl.lab.actuators.field.driver_protocol import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver
 LAG_S = 0.004  # 20 mH over 5 ohm

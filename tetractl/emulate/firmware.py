@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 from tetractl.core.cache import cache_folder, digest
 from tetractl.core.errors import TetractlError
-from tetractl.lab.actuators.field.protocol import UNKNOWN_TEMPERATURE, DriverStatus
+from tetractl.lab.actuators.field.driver_protocol import UNKNOWN_TEMPERATURE, DriverStatus
 from tetractl.lab.actuators.m3pi.broadcast import Counts, Status
 
 _P, _U8, _I16 = ctypes.c_void_p, ctypes.c_uint8, ctypes.c_int16
@@ -100,7 +100,7 @@ def _build(codes: list[Path], path: Path) -> None:
         built.replace(path)  # in one step: other processes see all of it or nothing
 
 
-class Event(IntEnum):
+class CoreEvent(IntEnum):
     """What a byte completed."""
 
     NOTHING = 0
@@ -120,11 +120,11 @@ class _Core:
         self._library = library or load(self.name)
         self._core = ctypes.create_string_buffer(self._call("size"))
 
-    def push(self, data: bytes, now_ms: int) -> list[Event]:
+    def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
         """Read bytes from radio or line; return what they completed."""
         push = getattr(self._library, f"{self.name}_push")
-        events = [Event(push(self._core, byte, now_ms)) for byte in data]
-        return [event for event in events if event is not Event.NOTHING]
+        events = [CoreEvent(push(self._core, byte, now_ms)) for byte in data]
+        return [event for event in events if event is not CoreEvent.NOTHING]
 
     def take_reply(self, now_ms: int) -> bytes:
         """Return the reply due now, once, or nothing."""

@@ -13,7 +13,7 @@ from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault
 from tetractl.emulate.loop import Loop, Timeline
 from tetractl.experiment.base import Model
-from tetractl.experiment.lab import LabSection
+from tetractl.experiment.lab_section import LabSection
 
 Facts = dict[str, Any]
 

@@ -13,7 +13,7 @@ from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.experiment.base import Finite, Length, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.kinds import CONTROLLERS, PLANTS, SHAPES
-from tetractl.experiment.lab import LabSection
+from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.shape import ShapeSection

@@ -12,7 +12,7 @@ from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
 
 
-class Value(Model):
+class IdentifiedValue(Model):
     """A value and its 95 % interval; an end that is not known is left out."""
 
     value: Finite
@@ -26,19 +26,19 @@ class Value(Model):
 class IdentifiedRobot(Model):
     """One robot; lengths in the file's unit."""
 
-    a: Value
+    a: IdentifiedValue
     """Turning rate [rad/s]; takes the place of the spec's."""
-    speed: Value
+    speed: IdentifiedValue
     """Speed [length unit/s]; takes the place of the spec's."""
-    heading_bias: Value
+    heading_bias: IdentifiedValue
     """Angle between the direction sent and the one the robot turns to [rad]."""
-    track_radius: Value | None = None
+    track_radius: IdentifiedValue | None = None
     """Distance from a wheel to the robot's centre [length unit]."""
-    position_noise: Value
+    position_noise: IdentifiedValue
     """Deviation of the camera's positions [length unit]."""
-    heading_noise: Value
+    heading_noise: IdentifiedValue
     """Deviation of the camera's headings [rad]."""
-    heading_walk: Value
+    heading_walk: IdentifiedValue
     """Random walk of the heading [rad/sqrt(s)]."""
 
 
@@ -53,7 +53,7 @@ class Identified(Model):
     """The logs."""
     unit: str
     """Length unit of the numbers here."""
-    dead_time: Value
+    dead_time: IdentifiedValue
     """From the sending of a direction until it acts [s]."""
     frame_age: NonNegative = 0.0
     """From the exposure of the frame that a direction answers to its sending [s]."""

@@ -54,7 +54,7 @@ PLANTS = Registry(
     "plant",
     {
         "sim": "tetractl.plant.simulation:SimSection",
-        "lab": "tetractl.plant.lab:LabPlantSection",
+        "lab": "tetractl.plant.lab_plant:LabPlantSection",
     },
     "tetractl.experiment.plant:PlantSection",
 )
@@ -66,7 +66,7 @@ CAMERAS = Registry(
         "apriltag": "tetractl.lab.cameras.apriltag.section:AprilTagSection",
         "cells": "tetractl.lab.cameras.cells.section:CellsSection",
     },
-    "tetractl.experiment.lab:CameraSection",
+    "tetractl.experiment.lab_section:CameraSection",
 )
 ACTUATORS = Registry(
     "tetractl.actuators",
@@ -75,7 +75,7 @@ ACTUATORS = Registry(
         "m3pi-xbee": "tetractl.lab.actuators.m3pi.section:M3piSection",
         "field": "tetractl.lab.actuators.field.section:FieldSection",
     },
-    "tetractl.experiment.lab:ActuatorSection",
+    "tetractl.experiment.lab_section:ActuatorSection",
 )
 DISTURBANCES = Registry(
     "tetractl.disturbances",

@@ -13,7 +13,7 @@ from tetractl.experiment.base import Model
 from tetractl.experiment.consistency import section_contradictions
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.kinds import PLANTS
-from tetractl.experiment.lab import LabSection
+from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, attach
 from tetractl.experiment.registry_fields import STRICT, KindSection
 from tetractl.experiment.yaml.core_yaml import dump

@@ -9,7 +9,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.files import read_csv
+from tetractl.core.table.table_files import read_csv
 from tetractl.lab.cameras.cells.helix import Piece
 
 TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"

@@ -41,7 +41,7 @@ class CellPath:
 class Followed:
     """The cells of a film. `pictures` were read and `damaged` could not be.
 
-    `doubtful` are pairs of cells that could not be told from each other after they met, and how
+    `doubtful` are pairs of cells that could not be distinguished after they met, and how
     probable the answer is that was taken.
     """
 

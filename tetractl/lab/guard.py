@@ -17,7 +17,7 @@ from enum import StrEnum
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.frames import AcceptedFrame
+from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.motion_check import REPEATS, MotionCheck
 from tetractl.lab.pose_filter import MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector

@@ -4,7 +4,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Poses
 from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.model.motion.base import Held, Motion
+from tetractl.model.motion.motion import Held, Motion
 
 NEVER = 2**62
 """A time after the end of every trial [ns]."""

@@ -23,7 +23,7 @@ def due_ns(first: int, rate_hz: float, until: int) -> Integers:
 
 
 class MeasurementNoise(Model):
-    """Standard deviations of what the camera measures, drawn anew in every frame."""
+    """Standard deviations of what the camera measures, drawn again in every frame."""
 
     position: NonNegative = 0.0
     """Of x and of y [length unit]."""

@@ -16,7 +16,7 @@ from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
 from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
 from tetractl.experiment.kinds import DISTURBANCES, MOTIONS
-from tetractl.experiment.lab import STOP_GAP_NS, STOPS
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
@@ -24,8 +24,8 @@ from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
 from tetractl.plant.true_motion import TrueMotion
+from tetractl.plant.wheel_drive import WheelDrive
 from tetractl.plant.wheel_host import WheelDriveSection
-from tetractl.plant.wheels import WheelDrive
 
 NO_FRAME_S = 60
 STOPS_MAX = 3000  # repetitions of a stop that some robot has not heard: one minute

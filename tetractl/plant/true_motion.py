@@ -14,7 +14,7 @@ from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overrid
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import SimCamera, due_ns
-from tetractl.plant.wheels import WheelDrive
+from tetractl.plant.wheel_drive import WheelDrive
 
 UNCHECKED = 200  # stretches of the path that are checked together
 

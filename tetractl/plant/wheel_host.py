@@ -1,7 +1,7 @@
 """The host's side of two-wheeled robots in a simulation: wheel speeds, computed and sent.
 
 They are (24)-(25) at the headings of the newest frame received, rounded to wheel counts, and sent
-anew at the radio's rate or once a control step.
+again at the radio's rate or once a control step.
 """
 
 from typing import Annotated
@@ -32,7 +32,7 @@ class WheelDriveSection(Model):
     """Transmissions a second under a held direction [Hz]. One is sent at once with each new
     direction, and by default only that; with a rate, it takes the place of the next one due."""
     recompute: bool = True
-    """Whether each transmission computes the wheel speeds anew from the newest frame; else it
+    """Whether each transmission computes the wheel speeds again from the newest frame; else it
     repeats those of the control step."""
     lead: NonNegative | None = None
     """The host predicts the headings over the age of the frame and this much more [s]; by default

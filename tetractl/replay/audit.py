@@ -11,7 +11,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.setup import MM
 from tetractl.core.trial import Result, Step
-from tetractl.experiment.lab import LabSection
+from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.rest_check import REST_NS
 from tetractl.log.format.metadata import FORMAT, run_metadata
 from tetractl.log.read.reader import path_verdict, trial_path

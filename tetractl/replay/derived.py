@@ -21,7 +21,7 @@ from tetractl.log.format.codec import Frames
 from tetractl.log.format.metadata import WARNINGS
 from tetractl.log.format.scene import decode_note, encode_note
 from tetractl.log.format.tetractl_pb2 import CameraFrames
-from tetractl.log.read import bounds
+from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.messages import Messages
@@ -63,11 +63,11 @@ def _messages(
     What is made for /log is appended to `called_for`.
     """
     left = {topic: iter(raw.by_topic[topic]) for topic in CHANNELS if topic != channels.LOG}
-    count, until = dict.fromkeys(left, 0), time.perf_counter() + bounds.seconds_limit()
+    count, until = dict.fromkeys(left, 0), time.perf_counter() + limits.seconds_limit()
     for made in _encoded(raw, log):
         if time.perf_counter() > until:
-            text = f"not encoded again: takes over {bounds.seconds_limit():g} s"
-            yield Difference(None, made.topic, f"{text}; {bounds.FACTOR}=2 allows twice as much")
+            text = f"not encoded again: takes over {limits.seconds_limit():g} s"
+            yield Difference(None, made.topic, f"{text}; {limits.FACTOR}=2 allows twice as much")
             return
         if made.topic == channels.LOG:
             called_for.append(made)

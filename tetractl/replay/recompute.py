@@ -23,7 +23,7 @@ from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.controller import OptimizerSection
-from tetractl.log.read import bounds
+from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
 from tetractl.run.task import trial_seeds
@@ -175,7 +175,7 @@ class _Countdown:
 def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: int) -> None:
     """Raise _TooLongError where a round of a search takes more than a log may ask for."""
     robots, obstacles = problem.a.size, len(problem.obstacles.shapes)
-    if optimizer.evaluations_min * length * robots * (1 + obstacles) > bounds.swarm_limit():
+    if optimizer.evaluations_min * length * robots * (1 + obstacles) > limits.swarm_limit():
         raise _TooLongError
 
 
@@ -192,7 +192,7 @@ def recompute(
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
         return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.start.seed}")
-    setup, limit_s = log.start.setup, bounds.seconds_limit()
+    setup, limit_s = log.start.setup, limits.seconds_limit()
     rerun = Rerun(search_again, wall, limit_s)
     if not search_again:
         rerun.start()
@@ -208,7 +208,7 @@ def recompute(
                 raise _TooLongError
         except (_TooLongError, MemoryError):
             text = f"not decided again: from here on it takes over {limit_s:g} s or much memory"
-            return Difference(step.k, "plan", f"{text}; {bounds.FACTOR}=2 allows twice as much")
+            return Difference(step.k, "plan", f"{text}; {limits.FACTOR}=2 allows twice as much")
         except NoSearchError:
             found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
             return Difference(step.k, *found)

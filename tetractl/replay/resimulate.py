@@ -19,13 +19,13 @@ from tetractl.core.poses import Observation
 from tetractl.core.protocols import Plant
 from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import Result, Step, TrialRecords
-from tetractl.log.read import bounds
+from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.recorder import Recorder
 from tetractl.replay.difference import Difference, Tolerance, trial_difference
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
-from tetractl.run.trial import Trial
 
 ROUGHLY = Tolerance(1e-6, 1e-6)
 """Of what another processor computes."""
@@ -43,9 +43,9 @@ def resimulate(log: TrialLog, same_host: bool) -> Difference | None:
         return Difference(None, "run.mode", f"states {mode!r}, but the spec's plant is another")
     if not plant.simulated or log.damage or log.stop is None:
         return None
-    if _samples(log) > bounds.simulation_limit():
+    if _samples(log) > limits.simulation_limit():
         text = "not simulated again: it has too many samples of robots and obstacles"
-        return Difference(None, "plant", f"{text}; {bounds.FACTOR}=2 allows twice as many")
+        return Difference(None, "plant", f"{text}; {limits.FACTOR}=2 allows twice as many")
     try:
         recorder = _repeat(log, log.stop)
     except (TetractlError, ValueError, OverflowError) as error:

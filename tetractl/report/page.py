@@ -12,18 +12,18 @@ from typing import Any
 from tetractl.core.errors import LogError
 from tetractl.core.table.data import plain
 from tetractl.core.table.numbers import NONE, lengths
-from tetractl.core.table.show import html
 from tetractl.core.table.table import Column, Table
+from tetractl.core.table.terminal_table import html
 from tetractl.core.text import unit_of
 from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report import figures
 from tetractl.report.trial_data import trial_data
-from tetractl.results.batch import sources
 from tetractl.results.contrast import GroupComparison, contrast
 from tetractl.results.describe import Group, describe
 from tetractl.results.items import as_items
+from tetractl.results.open_batch import sources
 from tetractl.results.tables import page_trials, tables
 
 ASSETS = files("tetractl.report") / "assets"

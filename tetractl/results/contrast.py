@@ -10,9 +10,9 @@ import numpy as np
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.batch import counts, differences
 from tetractl.results.describe import Group
-from tetractl.results.difference import (
+from tetractl.results.estimate import CONFIDENCE, Interval
+from tetractl.results.mean_difference import (
     Effect,
     MeanDifference,
     Ratio,
@@ -28,7 +28,7 @@ from tetractl.results.difference import (
     standardised,
     welch,
 )
-from tetractl.results.estimate import CONFIDENCE, Interval
+from tetractl.results.open_batch import counts, differences
 
 ENOUGH = 8
 """Fewest trials on each side, or pairs, for a verdict."""
@@ -159,7 +159,7 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
 
 
 def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
-    """Return one minus other of trials of the same seed and number, where their worlds match.
+    """Return one minus other of trials of the same seed and number, where their disturbances match.
 
     Where there are no pairs the text says why; it is "" where there are. The world of a trial is
     all of the spec but the controller; from it and the seed a simulation draws its disturbances.

@@ -9,11 +9,11 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment, Reference, Scale
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.batch import Batch, counts, experiment_of
-from tetractl.results.difference import MeanDifference, welch
 from tetractl.results.estimate import Distribution, Interval, distributions
-from tetractl.results.kinds import statistics
+from tetractl.results.mean_difference import MeanDifference, welch
+from tetractl.results.open_batch import Batch, counts, experiment_of
 from tetractl.results.statistic import Value
+from tetractl.results.statistic_kinds import statistics
 
 
 @dataclass(frozen=True, slots=True)

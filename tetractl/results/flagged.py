@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from tetractl.core.plan import Outcome
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.batch import Batch, counts
+from tetractl.results.open_batch import Batch, counts
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,13 @@ from typing import Any
 from tetractl.core.table.data import flat
 from tetractl.core.table.table import Table
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.results.batch import Batch, counts
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group, Scaled
-from tetractl.results.difference import Effect, MeanDifference, Ratio
 from tetractl.results.estimate import Interval
 from tetractl.results.flagged import flagged
-from tetractl.results.kinds import statistics
+from tetractl.results.mean_difference import Effect, MeanDifference, Ratio
+from tetractl.results.open_batch import Batch, counts
+from tetractl.results.statistic_kinds import statistics
 
 _NOT_COMPARED = MeanDifference(math.nan, Interval.none("not compared"), math.nan, math.nan)
 

@@ -10,8 +10,8 @@ import numpy as np
 from tetractl.core.table.numbers import lengths
 from tetractl.core.trial import Result
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.batch import counts
 from tetractl.results.estimate import distributions, percent, proportion_interval
+from tetractl.results.open_batch import counts
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,11 @@ from tetractl.core.table.numbers import NONE, digits, fixed, lengths, p_value
 from tetractl.core.table.table import Column, Table
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.batch import listing
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group
 from tetractl.results.estimate import FAR, Distribution, Interval, known_distribution
 from tetractl.results.flagged import flagged
+from tetractl.results.open_batch import listing
 
 _SHOWN = 20  # flagged trials, before a table gets too long to read
 _OTHER_SCALE = 100.0  # times the least mean, from which on an error has six digits of its own

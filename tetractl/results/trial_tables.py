@@ -14,8 +14,8 @@ import numpy as np
 from tetractl.core.table.table import Column, Table
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.trial_log import ResultSummary, TrialLog
-from tetractl.results.batch import Batch
 from tetractl.results.items import trials_table
+from tetractl.results.open_batch import Batch
 
 _WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
 

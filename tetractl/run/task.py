@@ -24,7 +24,7 @@ from tetractl.log.write.recorder import Recorder
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.relay import Relay
-from tetractl.run.trial import Trial
+from tetractl.run.run_trial import Trial
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ from tetractl.log.format.channels import CHANNELS
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.write.messages import Messages
 from tetractl.replay.player import Playback, Player
+from tetractl.serve.foxglove_protocol import PlaybackState, Request
 from tetractl.serve.live import Viewers
-from tetractl.serve.protocol import Request, State
 
 FRAME_NS = SECOND // 60
 
@@ -58,7 +58,7 @@ class ServedReplay:
         state = player.state, player.rate
         if (jumped or state != self._announced) and player.state is not Playback.QUIT:
             self._announced = state
-            self.viewers.announce(State(player.state, now_ns, player.rate, jumped))
+            self.viewers.announce(PlaybackState(player.state, now_ns, player.rate, jumped))
 
     def play(self, wall: Clock) -> None:
         """Follow the player until it quits."""
@@ -66,11 +66,11 @@ class ServedReplay:
             self.follow()
             wall.sleep_until(wall.now() + FRAME_NS)
 
-    def _asked(self, request: Request) -> State:
+    def _asked(self, request: Request) -> PlaybackState:
         self._requests.put(request)
         time_ns = self._start_ns + self.player.now if request.seek_ns is None else request.seek_ns
         playback = Playback.PLAYING if request.playing else Playback.PAUSED
-        return State(playback, time_ns, request.rate, request.seek_ns is not None)
+        return PlaybackState(playback, time_ns, request.rate, request.seek_ns is not None)
 
 
 class ServedRun:

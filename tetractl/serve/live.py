@@ -23,8 +23,8 @@ from websockets.server import ServerProtocol
 from websockets.typing import Subprotocol
 
 from tetractl.log.format.channels import LOG, Entry
-from tetractl.serve import protocol
-from tetractl.serve.protocol import Request, State
+from tetractl.serve import foxglove_protocol
+from tetractl.serve.foxglove_protocol import PlaybackState, Request
 
 BACKLOG = 2048
 """Messages that may wait for one viewer: three seconds of a trial with a camera of 120 Hz."""
@@ -49,15 +49,15 @@ class Viewers:
         self,
         name: str,
         span_ns: tuple[int, int] | None = None,
-        asked: Callable[[Request], State] | None = None,
+        asked: Callable[[Request], PlaybackState] | None = None,
     ) -> None:
         self._asked = asked
-        self._greeting = protocol.greeting(name, span_ns)
+        self._greeting = foxglove_protocol.greeting(name, span_ns)
         self._lock = threading.Lock()  # of what is below; never held while a viewer is waited for
         self._clients: set[_Client] = set()
         self._newest: dict[str, Entry] = {}
         self._time_ns = 0  # until there is any
-        self._state: State | None = None
+        self._state: PlaybackState | None = None
 
     @property
     def watched(self) -> bool:
@@ -79,11 +79,11 @@ class Viewers:
             for entry in entries:
                 self._publish(entry)
 
-    def announce(self, state: State) -> None:
+    def announce(self, state: PlaybackState) -> None:
         """Send the state of the playback."""
         with self._lock:
             self._state = state
-            self._put(protocol.playback_state(state))
+            self._put(foxglove_protocol.playback_state(state))
 
     def close(self) -> None:
         """End the connections; waits for at most twice `CLOSE_S`."""
@@ -110,10 +110,10 @@ class Viewers:
             for said in self._greeting:
                 client.put(said)
             if self._time_ns:
-                client.put(protocol.time(self._time_ns))
+                client.put(foxglove_protocol.time(self._time_ns))
             if self._state:
                 now = replace(self._state, time_ns=self._time_ns, sought=False)
-                client.put(protocol.playback_state(now))
+                client.put(foxglove_protocol.playback_state(now))
             self._clients.add(client)
         sender = threading.Thread(target=client.send, name="viewer", daemon=True)
         sender.start()
@@ -132,21 +132,21 @@ class Viewers:
 
     def _obey(self, client: "_Client", said: str | bytes) -> None:
         if isinstance(said, bytes):
-            found = protocol.control(said)
+            found = foxglove_protocol.control(said)
             if found and self._asked:
                 request, name = found
-                client.put(protocol.playback_state(self._asked(request), name))
+                client.put(foxglove_protocol.playback_state(self._asked(request), name))
             return
         asked: dict[str, Any] = json.loads(said)
         with self._lock:
             if asked["op"] == "subscribe":
                 for one in asked["subscriptions"]:
-                    topic = protocol.TOPICS[one["channelId"]]
-                    client.subscriptions[topic] = protocol.subscription(one["id"])
+                    topic = foxglove_protocol.TOPICS[one["channelId"]]
+                    client.subscriptions[topic] = foxglove_protocol.subscription(one["id"])
                     if topic in self._newest and topic != LOG:  # a text would be shown twice
                         client.message(self._newest[topic])
             elif asked["op"] == "unsubscribe":
-                ended = set(map(protocol.subscription, asked["subscriptionIds"]))
+                ended = set(map(foxglove_protocol.subscription, asked["subscriptionIds"]))
                 kept = client.subscriptions.items()
                 client.subscriptions = {topic: one for topic, one in kept if one not in ended}
 
@@ -159,7 +159,7 @@ class Viewers:
 
     def _go_to(self, time_ns: int) -> None:
         self._time_ns = time_ns
-        self._put(protocol.time(time_ns))
+        self._put(foxglove_protocol.time(time_ns))
 
     def _put(self, message: bytes) -> None:
         for client in self._clients:
@@ -180,7 +180,7 @@ class _Client:
     def message(self, entry: Entry) -> None:
         """Have a message sent where its topic is subscribed to."""
         if subscription := self.subscriptions.get(entry.topic):
-            self.put(protocol.message(subscription, entry))
+            self.put(foxglove_protocol.message(subscription, entry))
 
     def put(self, message: str | bytes) -> None:
         """Have a message sent."""
@@ -214,7 +214,9 @@ class _Link:
     def __init__(self, connection: socket.socket, request: bytes) -> None:
         self._connection, self._lock = connection, threading.Lock()
         self._websocket = ServerProtocol(
-            subprotocols=[Subprotocol(protocol.PROTOCOL)], max_size=REQUEST_BYTES, logger=_QUIET
+            subprotocols=[Subprotocol(foxglove_protocol.PROTOCOL)],
+            max_size=REQUEST_BYTES,
+            logger=_QUIET,
         )
         self._websocket.receive_data(request)
         for event in self._websocket.events_received():

@@ -12,9 +12,9 @@ from matplotlib.transforms import ScaledTranslation
 from tetractl.core.colors import PALETTE
 from tetractl.core.text import unit_of
 from tetractl.study.arm import as_yaml, shown
-from tetractl.study.load import LoadedStudy
-from tetractl.study.store import Store
-from tetractl.study.table import FieldValue, field_values, numeric, origins
+from tetractl.study.arm_table import FieldValue, field_values, numeric, origins
+from tetractl.study.load_study import LoadedStudy
+from tetractl.study.row_store import Store
 from tetractl.view import style
 
 DECADES = 1.5  # that positive values must span to be drawn on a logarithmic axis

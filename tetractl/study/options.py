@@ -7,8 +7,8 @@ from typing import Self
 
 from tetractl.core.errors import UsageError
 from tetractl.run.task import Task
-from tetractl.study.load import LoadedStudy
-from tetractl.study.store import Store
+from tetractl.study.load_study import LoadedStudy
+from tetractl.study.row_store import Store
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from tetractl.run.interrupt import Interrupt, interrupted_once
 from tetractl.run.store import set_aside
 from tetractl.run.task import log_path, run_trial
 from tetractl.study.arm import Arm
-from tetractl.study.load import LoadedStudy, spec_of
-from tetractl.study.store import Store
+from tetractl.study.load_study import LoadedStudy, spec_of
+from tetractl.study.row_store import Store
 
 
 def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:

@@ -7,8 +7,8 @@ from pydantic import Field
 from tetractl.experiment.base import Model, Name
 from tetractl.experiment.experiment import Trials
 from tetractl.experiment.registry_fields import KindSection
-from tetractl.study.kinds import SWEEPS
 from tetractl.study.sweep import Path, Sweep
+from tetractl.study.sweep_kinds import SWEEPS
 
 
 class Study(Model):

@@ -75,7 +75,7 @@ def write_video(
     """
     ending = check_file(path)
     rate = FORMATS[ending]
-    frames = Frames(log, width)
+    frames = FilmFrames(log, width)
     recording = frames.recording
     end_s = max(recording.elapsed_s(recording.end_ns), 0.0)
     speed = next((s for s in SPEEDS if end_s / s <= LONGEST_S), SPEEDS[-1])
@@ -139,7 +139,7 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
             raise OSError(said.splitlines()[-1] if said else "ffmpeg failed")
 
 
-class Frames:
+class FilmFrames:
     """Draws instants of a trial as pictures (height, width, 3), both even numbers.
 
     LogError for a log without control steps.

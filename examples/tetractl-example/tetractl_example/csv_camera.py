@@ -19,7 +19,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Positive
-from tetractl.experiment.lab import CameraSection
+from tetractl.experiment.lab_section import CameraSection
 
 POSE = ("x", "y", "heading")
 Frame = tuple[float, tuple[Pose | None, ...]]

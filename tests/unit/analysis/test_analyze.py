@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from support.trials import THREE_M3PI, experiment
 
+from tetractl.analysis.analysis_text import NO_PLAN, advice, as_json, tables
 from tetractl.analysis.analyze import Change, analyze, best_change, respaced, smallest_gap
 from tetractl.analysis.steering import planner
-from tetractl.analysis.text import NO_PLAN, advice, as_json, tables
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.ellipse import ellipse
 from tetractl.core.errors import UsageError

@@ -15,10 +15,10 @@ from support.paths import ROOT
 
 from tetractl.core.errors import UsageError
 from tetractl.core.table.data import flat, json_text
-from tetractl.core.table.files import TableFiles, csv_text, read_csv
 from tetractl.core.table.numbers import fixed
-from tetractl.core.table.show import TEXTS, WIDTH, html, print_tables
 from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table_files import TableFiles, csv_text, read_csv
+from tetractl.core.table.terminal_table import TEXTS, WIDTH, html, print_tables
 
 LONG = "words " * 60
 TABLE = Table(
@@ -139,4 +139,4 @@ def test_no_other_module_writes_tables():
         for path in (ROOT / "tetractl").rglob("*.py")
         if re.search(writers, path.read_text("utf-8"))
     }
-    assert found == {"tetractl/core/table/files.py", "tetractl/core/table/show.py"}
+    assert found == {"tetractl/core/table/table_files.py", "tetractl/core/table/terminal_table.py"}

@@ -11,7 +11,7 @@ from tetractl.emulate.faults import Visible
 from tetractl.emulate.optitrack.tracked_body import expose
 from tetractl.emulate.script import Sides
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
-from tetractl.lab.cameras.optitrack.messages import Version
+from tetractl.lab.cameras.optitrack.natnet_messages import Version
 
 RUN = ((60, 60), (60, 60))
 

@@ -13,8 +13,8 @@ from support.emulated_lab import Client, emulated, turn_until
 from tetractl.core.errors import TetractlError
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.optitrack.motive import Motive
-from tetractl.emulate.optitrack.server import ServerClock, Streaming
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.emulate.optitrack.natnet_server import ServerClock, Streaming
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     Connect,
     EchoRequest,
@@ -22,7 +22,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     MessageKind,
     ModelDef,
     NatNetFrame,
-    Request,
+    NatNetRequest,
     Response,
     ServerInfo,
     Version,
@@ -89,15 +89,15 @@ def test_axes_origin_rotation_and_heading_offset(opened):
 
 def test_requests(opened):
     _lab, client = opened()
-    assert response_float(client.ask(Request("FrameRate"), Response)) == 120.0
-    assert response_float(client.ask(Request("UnitsToMillimeters"), Response)) == 1000.0
-    assert response_int(client.ask(Request("UpAxis"), Response)) == UpAxis.Y
-    assert client.ask(Request("MakeTea"), Bare).kind is MessageKind.UNRECOGNIZED
+    assert response_float(client.ask(NatNetRequest("FrameRate"), Response)) == 120.0
+    assert response_float(client.ask(NatNetRequest("UnitsToMillimeters"), Response)) == 1000.0
+    assert response_int(client.ask(NatNetRequest("UpAxis"), Response)) == UpAxis.Y
+    assert client.ask(NatNetRequest("MakeTea"), Bare).kind is MessageKind.UNRECOGNIZED
 
 
 def test_up_axis_may_be_unknown(opened):
     _, client = opened(script="emulation: {camera: {knows_up_axis: false}}")
-    assert client.ask(Request("UpAxis"), Bare).kind is MessageKind.UNRECOGNIZED
+    assert client.ask(NatNetRequest("UpAxis"), Bare).kind is MessageKind.UNRECOGNIZED
 
 
 def test_echo_tells_a_clock_of_its_own(opened):
@@ -119,7 +119,7 @@ def test_a_client_can_pin_the_version(opened):
     assert client.next(NatNetFrame).ticks is not None
     client.version = Version(2, 9)
     client.got.clear()
-    client.send(Request("Bitstream,2.9"))
+    client.send(NatNetRequest("Bitstream,2.9"))
     turn_until(lab, lambda: next(iter(lab.camera.motive.server.clients.values())).version == (2, 9))
     while True:  # a frame of the old version may still be on its way
         try:
@@ -143,7 +143,7 @@ def test_unicast_clients_time_out_and_are_kept_alive(opened):
     turn_until(lab, lambda: not lab.camera.motive.server.clients)
     assert lab.camera.motive.counts.timed_out == 1
     client.send(Bare(MessageKind.KEEPALIVE))  # too late: it has to connect again
-    client.ask(Request("FrameRate"), Response)
+    client.ask(NatNetRequest("FrameRate"), Response)
     assert not lab.camera.motive.server.clients
     client.ask(Connect(), ServerInfo)
     client.next(NatNetFrame)

@@ -6,7 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tetractl.emulate.m3pi.robot import Battery, EmulatedRobot, FirmwareProgram, SlaveProgram
+from tetractl.emulate.m3pi.robot import (
+    EmulatedBattery,
+    EmulatedRobot,
+    FirmwareProgram,
+    SlaveProgram,
+)
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
 from tetractl.lab.actuators.m3pi.slave import encode_wheels
 from tetractl.model.wheels import Drivetrain, Wheel
@@ -110,7 +115,7 @@ def test_a_robot_that_veers_still_stops():
 
 
 def test_the_battery_sags_under_load_and_drains():
-    battery = Battery(5000.0, sag_mv=200.0, drain_mv_s=1.0)
+    battery = EmulatedBattery(5000.0, sag_mv=200.0, drain_mv_s=1.0)
     assert battery.voltage_mv(0.5) == 4900
     battery.draw(1.0, 100.0)
     assert battery.voltage_mv(0.0) == 4900

@@ -11,7 +11,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.trial import EPOCH_NS
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.trial import Trial
+from tetractl.run.run_trial import Trial
 
 STEPS, PERIOD_S, REMAINDER_S = 8, 0.2, 0.15
 

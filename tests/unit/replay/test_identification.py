@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
-from tetractl.replay.identification.chain import LIMIT, Chain, Noise
+from tetractl.replay.identification.chain import LIMIT, Chain, ChainNoise
 from tetractl.replay.identification.csv_tracks import csv_tracks
 from tetractl.replay.identification.design import propose
 from tetractl.replay.identification.identify import identify
@@ -152,7 +152,7 @@ def test_the_deviance_is_that_of_the_covariance():
     t, slope = rng.uniform(0.03, 0.05, size), rng.uniform(0.8, 1.1, size)
     linked = np.arange(size) != 7
     linked[0] = False
-    noise, r = Noise(0.02, 0.3), rng.normal(0, 0.05, size)
+    noise, r = ChainNoise(0.02, 0.3), rng.normal(0, 0.05, size)
     covariance = np.diag(
         noise.measured**2 * (1 + slope**2) + noise.walk**2 * t * (1 + 4 * slope + slope**2) / 6
     )
@@ -182,7 +182,7 @@ def test_the_ends_of_a_noise_interval_are_where_the_profile_rises_to_the_limit()
     assert low < 0.01 < high and walk_low < 0.03 < walk_high
     walks = np.linspace(1e-6, 0.1, 400)
     for end in (low, high):
-        profile = min(chain.deviance(Noise(end, walk), r, nothing) for walk in walks)
+        profile = min(chain.deviance(ChainNoise(end, walk), r, nothing) for walk in walks)
         assert profile - chain.deviance(best, r, nothing) == pytest.approx(LIMIT, abs=0.15)
 
 

@@ -9,13 +9,13 @@ from support.batches import DISTURBED, batch, experiment, group
 from tetractl.core.errors import UsageError
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.contrast import contrast
-from tetractl.results.difference import (
+from tetractl.results.items import as_items, contrast_items, data_table
+from tetractl.results.mean_difference import (
     detectable,
     detectable_between,
     deviation_ratio,
     standardised,
 )
-from tetractl.results.items import as_items, contrast_items, data_table
 from tetractl.results.tables import detects, tables
 
 RNG = np.random.default_rng(8)

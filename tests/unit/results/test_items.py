@@ -9,10 +9,10 @@ from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, grou
 
 from tetractl.core.plan import Outcome
 from tetractl.core.table.data import json_text
-from tetractl.core.table.files import csv_text
-from tetractl.results.batch import Damaged
+from tetractl.core.table.table_files import csv_text
 from tetractl.results.contrast import contrast
 from tetractl.results.items import as_items, data_table
+from tetractl.results.open_batch import Damaged
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 SPEC_PLAIN = experiment()

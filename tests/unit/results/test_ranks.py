@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from tetractl.results.difference import EXACT, holm, rank_sum, signed_rank
+from tetractl.results.mean_difference import EXACT, holm, rank_sum, signed_rank
 
 values = st.lists(st.floats(-1e3, 1e3, allow_subnormal=False), min_size=2, max_size=25)
 tied = st.lists(st.integers(-3, 3), min_size=2, max_size=8)

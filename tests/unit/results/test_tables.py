@@ -8,7 +8,7 @@ from rich.console import Console
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result
 
 from tetractl.core.plan import Outcome
-from tetractl.core.table.show import WIDTH, latex, markdown, print_tables
+from tetractl.core.table.terminal_table import WIDTH, latex, markdown, print_tables
 from tetractl.results.contrast import contrast
 from tetractl.results.tables import tables
 

@@ -12,7 +12,7 @@ from tetractl.replay.player import RATE_MAX, Playback, Player
 from tetractl.replay.recording import Recording
 from tetractl.serve import feeds
 from tetractl.serve.feeds import ServedReplay
-from tetractl.serve.protocol import Request
+from tetractl.serve.foxglove_protocol import Request
 
 MS = 1_000_000
 

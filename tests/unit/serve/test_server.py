@@ -16,8 +16,8 @@ from tetractl.log.format.channels import CHANNELS, FRAMES, LOG, SCENE, TRANSFORM
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.messages import Messages
 from tetractl.replay.player import Playback
+from tetractl.serve.foxglove_protocol import PlaybackState, Request
 from tetractl.serve.live import BACKLOG, Viewers
-from tetractl.serve.protocol import Request, State
 from tetractl.serve.server import LoopbackServer
 
 START_NS = 1_600_000_000_000_000_000
@@ -188,7 +188,7 @@ def test_a_playback_is_moved_with_the_link_alone():
 
     def answer(request):
         asked.append(request)
-        return State(Playback.PLAYING, START_NS, request.rate)
+        return PlaybackState(Playback.PLAYING, START_NS, request.rate)
 
     with live((START_NS, START_NS + 1), answer) as server:
         where = urlsplit(server.live_url)

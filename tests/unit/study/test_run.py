@@ -17,7 +17,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import OtherCodeError, log_path, run_trial
 from tetractl.study.options import Logs, Shard
 from tetractl.study.repeat import repeat
-from tetractl.study.store import rows_of
+from tetractl.study.row_store import rows_of
 
 ALL, NONE, FAILED = Logs(float("inf"), True), Logs(0, False), Logs(0, True)
 ARM = "dead_time=0.1"

@@ -10,7 +10,7 @@ from PIL import Image
 from support.trials import cut_short, three_robots
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.view.film import FORMATS, HOLD_S, Frames, check_file, write_video
+from tetractl.view.film import FORMATS, HOLD_S, FilmFrames, check_file, write_video
 
 WIDTH = 320
 LASTS_S = 1.0  # of the trial
@@ -58,12 +58,12 @@ def test_an_mp4_lasts_as_long_too(tmp_path, log):
 
 
 def test_each_picture_shows_its_instant(log):
-    frames = Frames(log, WIDTH)
+    frames = FilmFrames(log, WIDTH)
     start, later, start_again = (frames.at(t).copy() for t in (0.0, 0.9, 0.0))
     assert start.shape[1:] == (WIDTH, 3)
     assert np.array_equal(start, start_again)
     assert (start != later).any()
-    still = Frames(replace(log, steps=log.steps[:1]), WIDTH)
+    still = FilmFrames(replace(log, steps=log.steps[:1]), WIDTH)
     assert still.at(0.0).any()
 
 

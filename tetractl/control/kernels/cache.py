@@ -29,7 +29,7 @@ _SUM = hashlib.sha256().digest_size
 def sources() -> Iterator[Path]:
     """Yield the files that kernels are compiled from.
 
-    Of a motion or shape that is installed with another package these are all modules beside its own
+    Of a motion or shape that is installed with another package these are all modules near its own
     in the package, or its own alone where it is in none.
     """
     yield from Path(__file__).parent.glob("*.py")
@@ -88,7 +88,7 @@ class KernelCache:
             return CompileResult._rebuild(target_context, *payload) if kept == key else None
         except FileNotFoundError:
             return None
-        except Exception as error:  # whatever it is, compiling anew is the remedy
+        except Exception as error:  # whatever it is, compiling again is the remedy
             say_once(f"{path.parent}: damaged, compiled again: {error}")
             return None
 

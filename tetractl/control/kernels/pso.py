@@ -63,7 +63,7 @@ class SwarmRules(NamedTuple):
 def update_local_bests(swarm, least):
     """Apply (18), marking in `better` who improved; return who is best and its J.
 
-    That is -1 and `least` where nobody is below `least`.
+    That is -1 and `least` where no particle is below `least`.
     """
     leader = -1
     one, zero = swarm.better.dtype.type(1), swarm.better.dtype.type(0)
@@ -87,9 +87,9 @@ def copy_best(swarm, leader, to):
 
 @compiled(**INLINE_FAST)
 def judge_best(swarm, leader):
-    """Return J of the best of a particle in double precision, left in the judge's signals.
+    """Return J of the best of a particle in double precision, left in the check's signals.
 
-    It replaces the particle's own opinion, so that nobody is judged twice for the same sequence.
+    It replaces the particle's own opinion, so that no sequence of a particle is evaluated twice.
     """
     judge = swarm.judge
     signals = judge.signals[:, 0]

@@ -22,8 +22,8 @@ from pydantic import Field
 
 from tetractl.control.curves import bearing, interpolate
 from tetractl.control.evaluate import compiled_costs
-from tetractl.control.progress import Progress
 from tetractl.control.rng import normal
+from tetractl.control.search_progress import Progress
 from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.problem import Problem

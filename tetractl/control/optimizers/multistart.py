@@ -19,8 +19,8 @@ from pydantic import Field
 from tetractl.control.cost import require_finite
 from tetractl.control.curves import bearing, places
 from tetractl.control.evaluate import compiled_costs
-from tetractl.control.progress import Progress
 from tetractl.control.rng import mix
+from tetractl.control.search_progress import Progress
 from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem

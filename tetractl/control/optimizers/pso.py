@@ -1,4 +1,4 @@
-"""Particle swarm optimisation, Algorithm 1 with (14)-(20), readable beside the paper.
+"""Particle swarm optimisation, Algorithm 1 with (14)-(20), readable next to the paper.
 
 `pso` is the reference. `Pso.search` runs its compiled twin, `compiled_pso`, which must agree with
 it.

@@ -145,7 +145,7 @@ class SlaveProgram:
 
 
 @dataclass(slots=True)
-class Battery:
+class EmulatedBattery:
     """Four NiMH cells: the voltage sags with the load and sinks as charge is drawn."""
 
     open_mv: float = 5100.0
@@ -178,7 +178,7 @@ class EmulatedRobot:
     y: float
     heading: float
     lag_s: float = 0.04
-    battery: Battery = field(default_factory=Battery)
+    battery: EmulatedBattery = field(default_factory=EmulatedBattery)
     left: float = 0.0  # wheel speeds [mm/s]
     right: float = 0.0
     powered: bool = True

@@ -18,9 +18,9 @@ from tetractl.emulate.faults import (
     switching,
 )
 from tetractl.emulate.loop import Loop
-from tetractl.emulate.m3pi.radio import EmulatedRadio, ModuleSettings
+from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio, ModuleSettings
 from tetractl.emulate.m3pi.robot import (
-    Battery,
+    EmulatedBattery,
     EmulatedRobot,
     FirmwareProgram,
     Motor,
@@ -38,7 +38,7 @@ from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSec
 from tetractl.lab.actuators.xbee.frames import Transmit16
 from tetractl.lab.actuators.xbee.framing import Decoder
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 Note = Callable[..., None]
 
@@ -301,7 +301,7 @@ def _robot(stage: Stage, section: M3piSection, robot: M3piRobot, truth: TrueRobo
     boot: Callable[[], Program] = partial(FirmwareProgram, section.index(robot.name))
     if isinstance(section.protocol, SlaveSection):
         boot = SlaveProgram
-    battery = Battery(float(truth.battery_mv))
+    battery = EmulatedBattery(float(truth.battery_mv))
     wheels = drivetrain(section, true)
     found = EmulatedRobot(robot.name, boot, wheels, radius, 0, 0, 0, truth.lag, battery)
     found.now_ns = stage.timeline.now_ns

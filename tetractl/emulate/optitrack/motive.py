@@ -10,7 +10,7 @@ from functools import partial
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.emulate.loop import Timeline
-from tetractl.emulate.optitrack.server import (
+from tetractl.emulate.optitrack.natnet_server import (
     Address,
     MotiveServer,
     ServerCounts,
@@ -18,7 +18,7 @@ from tetractl.emulate.optitrack.server import (
     Trouble,
 )
 from tetractl.emulate.optitrack.server_wire import pack_answer, pack_modeldef, parse_request
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     NEWEST,
     OLDEST,
     BodyName,
@@ -31,7 +31,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     Version,
 )
 from tetractl.lab.cameras.optitrack.wire import datagram
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 MODELS_CHANGED, EDIT_MODE = 2, 4
 GROWN = bytes(24)  # what descriptions of bodies are longer by, above 4.3

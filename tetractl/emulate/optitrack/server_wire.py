@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from tetractl.lab.cameras.optitrack.cursor import packed, packed_name
 from tetractl.lab.cameras.optitrack.frame import SIZED
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.modeldef import RIGID_BODY
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     BodyName,
     Connect,
@@ -14,7 +15,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     MessageKind,
     ModelDef,
     NatNetFrame,
-    Request,
+    NatNetRequest,
     Response,
     RigidBody,
     ServerInfo,
@@ -22,7 +23,6 @@ from tetractl.lab.cameras.optitrack.messages import (
     Vec3,
     Version,
 )
-from tetractl.lab.cameras.optitrack.modeldef import RIGID_BODY
 from tetractl.lab.cameras.optitrack.wire import (
     SENDER,
     datagram,
@@ -33,7 +33,7 @@ from tetractl.lab.cameras.optitrack.wire import (
     split,
     u64,
 )
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 CONNECT_4 = SENDER + 5  # from 4.x clients: u8 subscribed only, bitstream version[4]
 MEAN_ERROR_M = 0.0002  # of the markers of a tracked body
@@ -51,7 +51,7 @@ def parse_request(received: bytes) -> Message:
             subscribed = payload[SENDER] != 0
             return Connect(*read_sender(payload), subscribed, quad(payload, SENDER + 1))
         case MessageKind.REQUEST:
-            return Request(read_text(payload))
+            return NatNetRequest(read_text(payload))
         case MessageKind.ECHO_REQUEST:
             return EchoRequest(u64(payload, 0, 8))
         case _:

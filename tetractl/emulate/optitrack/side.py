@@ -12,11 +12,11 @@ from tetractl.core.errors import SpecError
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.optitrack.motive import Motive
-from tetractl.emulate.optitrack.server import ServerClock, Streaming, Trouble
+from tetractl.emulate.optitrack.natnet_server import ServerClock, Streaming, Trouble
 from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
-from tetractl.lab.cameras.optitrack.messages import BodyName, Version
+from tetractl.lab.cameras.optitrack.natnet_messages import BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
 

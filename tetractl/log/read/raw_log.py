@@ -23,7 +23,7 @@ from tetractl.log.format.metadata import (
     read_damage,
     read_run,
 )
-from tetractl.log.read.bounds import FACTOR, Budget, file_limit
+from tetractl.log.read.limits import FACTOR, Budget, file_limit
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
 

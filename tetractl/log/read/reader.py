@@ -23,8 +23,8 @@ from tetractl.log.format import channels, codec
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.codec import Frames
 from tetractl.log.format.scene import decode_note
-from tetractl.log.read import bounds
-from tetractl.log.read.bounds import TooMuchError
+from tetractl.log.read import limits
+from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
@@ -159,7 +159,7 @@ def path_verdict(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> V
     """Return the verdict of `check_path` on a path; LogError for too long a one."""
     setup = trial.start.setup
     samples, robots = path.shape[:2]
-    if samples * robots * (len(setup.obstacles) + robots) > bounds.path_limit():
+    if samples * robots * (len(setup.obstacles) + robots) > limits.path_limit():
         raise LogError(f"{trial.path}: {TooMuchError('it holds very many poses and obstacles')}")
     return check_path(setup, path, known, final)
 
@@ -262,7 +262,7 @@ def _frames_1(contents: RawLog, robots: int) -> Frames:
 
 
 def _spend_frames(contents: RawLog, robots: int, count: int) -> None:
-    contents.budget.spend(bounds.NUMBER_COST * (7 * robots + 3) * count, "very many camera frames")
+    contents.budget.spend(limits.NUMBER_COST * (7 * robots + 3) * count, "very many camera frames")
 
 
 def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
@@ -283,7 +283,7 @@ def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
         searches = message.searches
         numbers = sum(len(search.signals) + len(search.history) for search in searches)
         numbers += len(message.signals) + 3 * len(message.path_x)
-        cost = bounds.STEP_COST + bounds.SEARCH_COST * len(searches) + bounds.NUMBER_COST * numbers
+        cost = limits.STEP_COST + limits.SEARCH_COST * len(searches) + limits.NUMBER_COST * numbers
         contents.budget.spend(cost, "very many searches")
         k = message.k
         step = codec.decode_step(message, timings.get(k), estimates.get(k), robots)
@@ -302,6 +302,6 @@ def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:
 def _messages(contents: RawLog, topic: str) -> list[bytes]:
     found = [entry.data for entry in contents.by_topic[topic]]
     longest = max(map(len, found), default=0)
-    if longest > bounds.MESSAGE:
+    if longest > limits.MESSAGE:
         raise TooMuchError(f"a message on {topic} has {longest} bytes")
     return found

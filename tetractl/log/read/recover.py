@@ -12,8 +12,8 @@ from mcap.well_known import MessageEncoding
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import CHANNELS_1, HOST, HOST_TIMING, RECOVERED, TIMING, Entry
 from tetractl.log.format.metadata import damage_metadata
-from tetractl.log.read.bounds import file_limit
 from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX
+from tetractl.log.read.limits import file_limit
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan

@@ -34,8 +34,8 @@ from mcap.records import (
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import CHANNELS, CHANNELS_1, METADATA, RUN, TIMING, Entry
 from tetractl.log.format.metadata import FORMAT, checksum_ok
-from tetractl.log.read import bounds
-from tetractl.log.read.bounds import TooMuchError
+from tetractl.log.read import limits
+from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog, read_file
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -157,7 +157,7 @@ class _Scan:
         self._summary = offset
         while 0 < offset < body - _HEAD:
             opcode, end = self._head(offset)
-            self._spend(bounds.RECORD_COST, "very many records in its index")
+            self._spend(limits.RECORD_COST, "very many records in its index")
             if opcode == Opcode.CHANNEL and channels:
                 channel = Channel.read(self._stream(offset + _HEAD))
                 self._topics[channel.id] = channel.topic
@@ -193,7 +193,7 @@ class _Scan:
                 raise
             except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other ancestor
                 why = str(error).splitlines()[0] if str(error) else type(error).__name__
-                if len(self._problems) < bounds.PROBLEMS:
+                if len(self._problems) < limits.PROBLEMS:
                     self._problems.append(f"the record at byte {offset} is damaged: {why}")
             offset = end
         self._problems.append(f"the file breaks off in the record at byte {offset}")
@@ -229,8 +229,8 @@ class _Scan:
 
     def _verify(self, offset: int, opcode: int) -> None:
         """Decode and keep the record at an offset; raise where its checksum does not match."""
-        self._spend(bounds.RECORD_COST, "very many records")
-        if self._read > bounds.OVERLAP * len(self._data):
+        self._spend(limits.RECORD_COST, "very many records")
+        if self._read > limits.OVERLAP * len(self._data):
             raise ValueError("too many records claim the same bytes")
         _, end = self._head(offset)
         stream = self._stream(offset + _HEAD)
@@ -249,7 +249,7 @@ class _Scan:
             self._messages[offset] = messages
             self._found[offset] = len(messages)
         elif opcode == Opcode.ATTACHMENT:
-            if size > bounds.ATTACHMENT:
+            if size > limits.ATTACHMENT:
                 raise ValueError(f"an attachment of {size} bytes is more than tetractl reads")
             attachment = Attachment.read(stream)
             if self._data[end - 4 : end] != self._crc(offset + _HEAD, end - 4).to_bytes(
@@ -259,13 +259,13 @@ class _Scan:
             self._spend(size, "very large attachments")
             self._found[offset] = attachment
         elif opcode == Opcode.METADATA:
-            if size > bounds.TIMING:
+            if size > limits.TIMING:
                 raise ValueError(f"metadata of {size} bytes are more than tetractl reads")
             metadata = Metadata.read(stream)
-            if size > bounds.METADATA and metadata.name != TIMING:
+            if size > limits.METADATA and metadata.name != TIMING:
                 raise ValueError(f"metadata of {size} bytes are more than tetractl reads")
             items = metadata.metadata
-            if len(items) > bounds.KEYS or max(map(len, [metadata.name, *items])) > bounds.KEY:
+            if len(items) > limits.KEYS or max(map(len, [metadata.name, *items])) > limits.KEY:
                 raise ValueError("its metadata have more or longer keys than tetractl reads")
             if metadata.name.startswith("tetractl.") and not checksum_ok(items):
                 raise ValueError("its checksum does not match")
@@ -278,7 +278,7 @@ class _Scan:
             size = max(size, zstandard.frame_content_size(chunk.data))
         elif chunk.compression:
             raise ValueError(f"its compression {chunk.compression[:20]!r} is not known")
-        if size > bounds.CHUNK:
+        if size > limits.CHUNK:
             raise ValueError(f"it claims to unpack to {size} bytes")
         if chunk.uncompressed_crc == 0:
             raise ValueError("it has no checksum")
@@ -289,8 +289,8 @@ class _Scan:
             raise ValueError("its checksum does not match")
         schemas, channels, messages = _inside(data)
         self._spend(len(data), "chunks that unpack to very much")
-        self._spend(bounds.RECORD_COST * (len(schemas) + len(channels)), "very many channels")
-        self._spend(bounds.MESSAGE_COST * len(messages), "very many messages")
+        self._spend(limits.RECORD_COST * (len(schemas) + len(channels)), "very many channels")
+        self._spend(limits.MESSAGE_COST * len(messages), "very many messages")
         return schemas, channels, messages
 
     def _collect(self) -> None:

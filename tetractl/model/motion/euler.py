@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.base import Derivatives, Held, Motion, Strides, Time, XYHeading
+from tetractl.model.motion.motion import Derivatives, Held, Motion, Strides, Time, XYHeading
 from tetractl.model.motion.polynomials import sincos, sincos_quarter, wrap
 
 

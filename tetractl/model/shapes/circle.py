@@ -13,7 +13,7 @@ CORNERS = 64  # of the polygon that draws a disc
 
 
 class PackedCircles(NamedTuple):
-    """Discs as the kernels take them; see `tetractl.model.shapes.base.PackedShapes`."""
+    """Discs as the kernels take them; see `tetractl.model.shapes.shape.PackedShapes`."""
 
     rows: Floats  # (M, 3): centre x, y, radius
     size = 3

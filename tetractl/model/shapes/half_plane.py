@@ -9,7 +9,7 @@ from tetractl.core.poses import Bools, Floats
 
 
 class PackedHalfPlanes(NamedTuple):
-    """Half-planes as the kernels take them; see `tetractl.model.shapes.base.PackedShapes`."""
+    """Half-planes as the kernels take them; see `tetractl.model.shapes.shape.PackedShapes`."""
 
     rows: Floats  # (M, 3): the normal's x and y, and the edge's offset along it
     size = 3
@@ -66,7 +66,7 @@ class HalfPlane:
         return replace(self, offset=self.offset + margin)
 
     def outline(self) -> Floats:
-        """Return no corners: nobody draws it."""
+        """Return no corners: it is not drawn."""
         return np.empty((0, 2))
 
     def row(self) -> tuple[float, float, float]:

@@ -77,7 +77,7 @@ def nearest_edge(x: float, y: float, p: Any) -> tuple[float, float, float, int]:
 
 
 class PackedPolygons(NamedTuple):
-    """Polygons as the kernels take them; see `tetractl.model.shapes.base.PackedShapes`."""
+    """Polygons as the kernels take them; see `tetractl.model.shapes.shape.PackedShapes`."""
 
     rows: Floats
     """(M, 6 + 2 V): margin, number of vertices, the box around the grown polygon (left, bottom,

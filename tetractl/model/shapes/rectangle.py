@@ -10,7 +10,7 @@ from tetractl.experiment.shape import ShapeSection
 
 
 class PackedRectangles(NamedTuple):
-    """Rectangles as the kernels take them; see `tetractl.model.shapes.base.PackedShapes`."""
+    """Rectangles as the kernels take them; see `tetractl.model.shapes.shape.PackedShapes`."""
 
     rows: Floats  # (M, 4): left, bottom, right, top
     size = 4

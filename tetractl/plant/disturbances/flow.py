@@ -17,7 +17,7 @@ class FlowSection(DisturbanceSection):
     speed: NonNegative
     """Of the flow [length unit/s]."""
     direction: Finite | None = None
-    """Where it flows to, anticlockwise from +x [rad]; drawn anew in every trial by default."""
+    """Where it flows to, anticlockwise from +x [rad]; drawn again in every trial by default."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Flow":
         """Return the flow of one trial."""

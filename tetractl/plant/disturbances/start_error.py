@@ -11,7 +11,7 @@ from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
 
 class StartErrorSection(DisturbanceSection):
-    """Each robot is put down near its start, uniformly distributed, anew in every trial."""
+    """Each robot is put down near its start, uniformly distributed, again in every trial."""
 
     type: Literal["start-error"]
     position: NonNegative = 0.0

@@ -7,9 +7,9 @@ random by w a root second. What an interval of t seconds misses the model by is 
 
 where F_k is the derivative of the model's end by its begin: what walks early in an interval has
 changed by F_k at its end (Simpson's rule for the integral of F_k^(2 x), x from 0 to 1). The
-covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k beside it
+covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next to it
 where interval k begins with the frame that interval k - 1 ended with. G_k is F_k, but for what is
-measured in two dimensions and looked at along a way: the cosine of the angle between the ways of
+measured in two dimensions and projected along a way: the cosine of the angle between the ways of
 both intervals. With A = L L^T, y = L^-1 r are independent and of deviation 1, and
 
     -2 ln likelihood = sum y^2 + 2 sum ln L_kk + a constant.
@@ -38,7 +38,7 @@ LEAST = 1e-7  # of a deviation, relative to the residuals' own
 
 
 @dataclass(frozen=True, slots=True)
-class Interval:
+class SampleInterval:
     """A value and its 95 % interval; an end is infinite where the motion does not bound it."""
 
     value: float
@@ -47,7 +47,7 @@ class Interval:
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class ChainNoise:
     """The deviation `measured` of a measurement, and `walk` of a random walk a root second."""
 
     measured: float
@@ -68,12 +68,12 @@ class Chain:
     linked: Bools
     coupling: Floats | None = None
 
-    def variance(self, noise: Noise) -> Floats:
+    def variance(self, noise: ChainNoise) -> Floats:
         """Return the diagonal of A (K,)."""
         walked = self.t * np.maximum(1 + 4 * self.slope + self.slope**2, 0.0) / 6
         return noise.measured**2 * (1 + self.slope**2) + noise.walk**2 * walked + 1e-300
 
-    def factor(self, noise: Noise) -> Floats:
+    def factor(self, noise: ChainNoise) -> Floats:
         """Return L as its diagonal and the one below, (2, K); an interval not used has L = 1."""
         both = self.linked & self.used & np.append(False, self.used[:-1])
         banded = np.zeros((2, self.t.size))
@@ -92,7 +92,7 @@ class Chain:
         assert info == 0, "the diagonal of L is positive"
         return found
 
-    def deviance(self, noise: Noise, r: Floats, by: Floats) -> float:
+    def deviance(self, noise: ChainNoise, r: Floats, by: Floats) -> float:
         """Return -2 ln restricted likelihood of residuals (K,); `by` (K, P) is X."""
         factor = self.factor(noise)
         whitened = self.whiten(factor, np.column_stack([r, by]))
@@ -105,7 +105,7 @@ class Chain:
         explained = right @ np.linalg.solve(normal, right)
         return float(total - explained + np.linalg.slogdet(normal)[1])
 
-    def noise_of(self, r: Floats, by: Floats) -> Noise:
+    def noise_of(self, r: Floats, by: Floats) -> ChainNoise:
         """Return the most likely noise of residuals (K,); `by` is as in `deviance`."""
         size = _size(r[self.used])
         begin = np.log([0.5 * size, size])
@@ -118,7 +118,7 @@ class Chain:
         return _noise(best.x, size)
 
     def noise_intervals(
-        self, r: Floats, by: Floats, best: Noise
+        self, r: Floats, by: Floats, best: ChainNoise
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the 95 % profile intervals of both deviations: (low, high) of each."""
         size = _size(r[self.used])
@@ -161,6 +161,6 @@ def _size(r: Floats) -> float:
     return float(np.std(r)) + 1e-12 if r.size else 1.0
 
 
-def _noise(logarithms: Floats, size: float) -> Noise:
+def _noise(logarithms: Floats, size: float) -> ChainNoise:
     measured, walk = np.exp(np.clip(logarithms, np.log(LEAST * size), np.log(size) + 20))
-    return Noise(float(measured), float(walk))
+    return ChainNoise(float(measured), float(walk))

@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools
-from tetractl.core.table.files import read_csv
+from tetractl.core.table.table_files import read_csv
 from tetractl.replay.identification.tracks import Track
 
 ORIGIN = "CSV"

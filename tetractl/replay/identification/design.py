@@ -21,12 +21,12 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 from tetractl.model.motion.exact import step
 from tetractl.model.obstacles import Obstacles
-from tetractl.replay.identification.chain import Noise
+from tetractl.replay.identification.chain import ChainNoise
 from tetractl.replay.identification.tracks import SHORTEST_S, Track, drives_of
 from tetractl.replay.identification.turning import Turning, Turns
 
 HOLD_S = 0.4  # for which a direction is held at least
-NOISE = Noise(0.01, 0.03)  # of headings [rad], and their random walk [rad/sqrt(s)]
+NOISE = ChainNoise(0.01, 0.03)  # of headings [rad], and their random walk [rad/sqrt(s)]
 CANDIDATES, CHANGES = 60, 120
 TRIES, GIVE_UP, GIVEN_UP = (
     60,
@@ -34,7 +34,7 @@ TRIES, GIVE_UP, GIVEN_UP = (
     3,
 )  # of random directions: how many a direction, and when to go back
 SAMPLE_S = 0.05
-TURN = 2.0  # rad at most between two directions: a robot told to turn back may turn either way
+TURN = 2.0  # rad at most between two directions: a robot commanded to turn back may turn either way
 WEAK = np.array([0.5, 2.0, 1.0])  # deviations of dead time, ln a and bias before the motion
 AWAY = 0.15  # margin, relative to the arena's shorter side, but for robots that start nearer
 

@@ -1,7 +1,7 @@
 """A dead time shared by all robots, and each robot's a and heading bias, by maximum likelihood.
 
 The start is what the controller's filters find as the robots drive (`control.filter`), from each of
-RATES. From there on: commands that were lost are told by how the
+RATES. From there on: commands that were lost are inferred from how the
 robots turn, intervals that miss the model by more than OUTLYING deviations are left out, the noise
 of the measurement and the random walk of the headings are fitted, and the parameters by Gauss-
 Newton steps on the whitened residuals; and that ROUNDS times. A parameter's 95 % interval holds the
@@ -18,7 +18,7 @@ from tetractl.control.filter import FilterBank, Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.poses import Bools, Floats, Observation, Poses
-from tetractl.replay.identification.chain import LIMIT, Chain, Noise
+from tetractl.replay.identification.chain import LIMIT, Chain, ChainNoise
 from tetractl.replay.identification.tracks import Drives, Track
 from tetractl.replay.identification.turning import Turning, Turns
 
@@ -44,7 +44,7 @@ class Fitted:
     high: Turning
     turns: Turns
     chains: list[Chain]
-    noises: list[Noise]
+    noises: list[ChainNoise]
     used: Bools
 
 
@@ -86,7 +86,7 @@ class _Fit:
         self._step = np.concatenate([[STEP[0]], STEP[1] * each, STEP[2] * each])
         self._center = start.vector()
         self._chains: list[Chain] = []
-        self._noises: list[Noise] = []
+        self._noises: list[ChainNoise] = []
         self._factors: list[Floats] = []
 
     def misfit(self) -> float:
@@ -101,7 +101,7 @@ class _Fit:
             r = self.turns.missed(self.p)
             spread = [_spread(r[usable[:, i], i]) for i in range(r.shape[1])]
             self._chains = self.turns.chains(self.p, usable)
-            self._noises = [Noise(one / np.sqrt(2), one) for one in spread]
+            self._noises = [ChainNoise(one / np.sqrt(2), one) for one in spread]
         self.turns.believe(self.p, self._chains, self._noises)
         r = self.turns.missed(self.p)
         limits = [

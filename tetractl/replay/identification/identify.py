@@ -7,7 +7,7 @@ import numpy as np
 from tetractl.control.filter import Prior
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.chain import Chain, Interval, Noise
+from tetractl.replay.identification.chain import Chain, ChainNoise, SampleInterval
 from tetractl.replay.identification.fit import Fitted, fit
 from tetractl.replay.identification.tracks import Drives, Track, drives_of
 from tetractl.replay.identification.turning import Turning
@@ -29,24 +29,24 @@ class RobotFound:
     `heading_noise` [rad] and `position_noise` [length unit] are the deviations of the camera, the
     latter along the robot's way; `heading_walk` [rad/sqrt(s)] is the random walk of the heading and
     `track_radius` [length unit] the distance from a wheel to the robot's centre, None where no
-    wheel speeds were logged or robots did not hold them. `lost` counts commands believed lost, and
+    wheel speeds were logged or robots did not hold them. `lost` counts commands inferred lost, and
     `intervals` those between two frames that were used.
     """
 
     name: str
-    a: Interval
-    speed: Interval
-    heading_bias: Interval
-    track_radius: Interval | None
-    position_noise: Interval
-    heading_noise: Interval
-    heading_walk: Interval
+    a: SampleInterval
+    speed: SampleInterval
+    heading_bias: SampleInterval
+    track_radius: SampleInterval | None
+    position_noise: SampleInterval
+    heading_noise: SampleInterval
+    heading_walk: SampleInterval
     lost: int
     intervals: int
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class IdentifiedRobots:
     """What was identified from some tracks.
 
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is how much earlier the
@@ -57,12 +57,12 @@ class Found:
     sources: tuple[str, ...]
     unit: str
     commands: int
-    dead_time: Interval
+    dead_time: SampleInterval
     frame_age: float | None
     robots: tuple[RobotFound, ...]
 
 
-def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> Found:
+def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> IdentifiedRobots:
     """Identify the robots of some tracks, all of the same robots.
 
     `a` (N,) [rad/s] and the dead time [s] are what is expected, within a factor of some 5 and
@@ -88,24 +88,24 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
         robots.append(
             RobotFound(
                 name=name,
-                a=Interval(*(float(np.exp(p.ln_a[i])) for p in _three(fitted))),
+                a=SampleInterval(*(float(np.exp(p.ln_a[i])) for p in _three(fitted))),
                 speed=speed,
-                heading_bias=Interval(*(float(p.beta[i]) for p in _three(fitted))),
+                heading_bias=SampleInterval(*(float(p.beta[i]) for p in _three(fitted))),
                 track_radius=radii[i],
                 position_noise=position,
-                heading_noise=Interval(fitted.noises[i].measured, *of_heading),
-                heading_walk=Interval(fitted.noises[i].walk, *of_walk),
+                heading_noise=SampleInterval(fitted.noises[i].measured, *of_heading),
+                heading_walk=SampleInterval(fitted.noises[i].walk, *of_walk),
                 lost=round(float(fitted.turns.lost[:, i].sum())),
                 intervals=int(fitted.used[:, i].sum()),
             )
         )
     ages = [track.frame_age for track in tracks if track.frame_age is not None]
-    return Found(
+    return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
         sources=tuple(track.source for track in tracks),
         unit=tracks[0].unit,
         commands=len(drives.directions.u),
-        dead_time=Interval(*(p.tau for p in _three(fitted))),
+        dead_time=SampleInterval(*(p.tau for p in _three(fitted))),
         frame_age=float(np.median(ages)) if ages else None,
         robots=tuple(robots),
     )
@@ -129,7 +129,7 @@ def _prior(drives: Drives, a: Floats | None, dead_time: float) -> Prior:
     )
 
 
-def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[Interval, Interval]:
+def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[SampleInterval, SampleInterval]:
     """Return speed and position noise of a robot, from its displacements along the way predicted.
 
     An interval's displacement along the predicted one is speed times the latter's length a unit of
@@ -144,7 +144,7 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[Interval, Interv
     coupling = np.append(1.0, (way[1:] * way[:-1]).sum(axis=1))
     along = (drives.moved[:, robot] * way).sum(axis=1)
     speed = float(np.median(along[usable] / length[usable]))
-    used, noise, chain, std = usable, Noise(0.0, 1.0), None, np.inf
+    used, noise, chain, std = usable, ChainNoise(0.0, 1.0), None, np.inf
     for _ in range(SPEED_ROUNDS):
         r = along - speed * length
         if chain is None:
@@ -159,5 +159,5 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[Interval, Interv
     assert chain is not None
     of_position, _ = chain.noise_intervals(along - speed * length, length[:, None], noise)
     # the deviance is a parabola in the speed: its profile is the normal interval
-    interval = Interval(speed, speed - 1.96 * std, speed + 1.96 * std)
-    return interval, Interval(noise.measured, *of_position)
+    interval = SampleInterval(speed, speed - 1.96 * std, speed + 1.96 * std)
+    return interval, SampleInterval(noise.measured, *of_position)

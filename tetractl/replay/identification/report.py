@@ -4,9 +4,9 @@ import math
 
 from tetractl.core.table.numbers import NONE
 from tetractl.core.table.table import Column, Table
-from tetractl.experiment.identified import Identified, IdentifiedRobot, Value
-from tetractl.replay.identification.chain import Interval
-from tetractl.replay.identification.identify import Found
+from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
+from tetractl.replay.identification.chain import SampleInterval
+from tetractl.replay.identification.identify import IdentifiedRobots
 
 QUANTITIES = {
     "a": "rad/s",
@@ -22,7 +22,7 @@ _ABREAST = 3  # robots in one table
 MOST = 6  # decimals
 
 
-def identified(found: Found, when: str) -> Identified:
+def identified(found: IdentifiedRobots, when: str) -> Identified:
     """Return what `Identified` holds of it; `when` is a time in words."""
     return Identified(
         identified=when,
@@ -46,7 +46,7 @@ def identified(found: Found, when: str) -> Identified:
     )
 
 
-def tables(found: Found) -> list[Table]:
+def tables(found: IdentifiedRobots) -> list[Table]:
     """Return each value with its 95 % interval, a column per robot."""
     logs = "1 log" if len(found.sources) == 1 else f"{len(found.sources)} logs"
     since = "" if found.frame_age is None else f"; its frame is {found.frame_age:.4f} s older"
@@ -74,7 +74,7 @@ def _label(name: str, unit: str) -> str:
     return f"{name.replace('_', ' ')} [{QUANTITIES[name].format(unit=unit)}]"
 
 
-def cell(interval: Interval | None) -> str:
+def cell(interval: SampleInterval | None) -> str:
     """Return a value and the ends of its interval, with the digits that the interval leaves."""
     if interval is None:
         return NONE
@@ -87,6 +87,6 @@ def cell(interval: Interval | None) -> str:
     return f"{interval.value:.{digits}f} ({low} to {high})"
 
 
-def _value(interval: Interval) -> Value:
+def _value(interval: SampleInterval) -> IdentifiedValue:
     low, high = (one if math.isfinite(one) else None for one in (interval.low, interval.high))
-    return Value(value=interval.value, low=low, high=high)
+    return IdentifiedValue(value=interval.value, low=low, high=high)

@@ -22,7 +22,7 @@ class Track:
     `time` (M,) is when each frame was exposed, `poses` (M, N, 3) are x, y [length unit] and heading
     [rad], `valid` (M, N) is False where a robot was not tracked. `sent` (C,) is when each command
     was sent and `u` (C,) its direction [rad]; `left`, `right` (C, N) are the wheel speeds sent
-    [length unit/s], NaN where there are none. Nothing after `until` counts: the robots are told to
+    [length unit/s], NaN where there are none. Nothing after `until` counts: the robots receive a
     stop. `frame_age` is the median time from the exposure of the frame that a command answers to
     its sending [s], None where that is not known.
     """
@@ -127,7 +127,7 @@ def require_field(log: TrialLog) -> None:
 
 
 def stopped_ns(log: TrialLog) -> int | None:
-    """Return when the robots were first told to stop for good [ns], None where that is not known.
+    """Return when the robots first received a stop for good [ns], None where that is not known.
 
     A lab repeats its stop, and the log's own stop is the last of them.
     """

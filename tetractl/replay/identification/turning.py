@@ -2,7 +2,7 @@
 
 A direction acts `tau` after it was sent, at a robot with turning rate a and heading bias beta as
 the closed form of (1)-(3) says. The model begins each interval at the heading measured. A robot
-that lost a direction follows the one before; how likely that is, is told by how the robot turns.
+that lost a direction follows the one before; its probability is inferred from how the robot turns.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.model.motion.exact import step
-from tetractl.replay.identification.chain import Chain, Noise
+from tetractl.replay.identification.chain import Chain, ChainNoise
 from tetractl.replay.identification.tracks import Directions, Drives, pieces
 
 NUDGE_S, NUDGE = 0.001, 1e-4  # of tau [s], and of ln a, beta and headings, for derivatives
@@ -93,7 +93,7 @@ class Turns:
         seconds, after = self.drives.seconds, self.drives.after
         return [Chain(seconds, slopes[:, i], used[:, i], after) for i in range(used.shape[1])]
 
-    def believe(self, p: Turning, chains: list[Chain], noises: list[Noise]) -> None:
+    def believe(self, p: Turning, chains: list[Chain], noises: list[ChainNoise]) -> None:
         """Find how likely each robot lost each command, by its turns under it.
 
         By Bayes: the likelihood of the turns under the direction, and under the one before, and the

@@ -9,11 +9,11 @@ explains the turns better than the wheel speeds do, and no distance is given.
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats, wrap
-from tetractl.replay.identification.chain import Chain, Interval, Noise
+from tetractl.replay.identification.chain import Chain, ChainNoise, SampleInterval
 from tetractl.replay.identification.fit import Fitted
 from tetractl.replay.identification.tracks import Directions, Drives, pieces
 
-STEP_S, LATEST_S = 0.004, 0.3  # of the dead times looked at
+STEP_S, LATEST_S = 0.004, 0.3  # of the dead times tried
 LAG_STEP_S, LAG_MAX_S = 0.01, 0.1  # and of the lags
 TAIL = 4.0  # lags after which nothing is left of a wheel speed
 OUTLYING = 4.0  # deviations
@@ -21,7 +21,7 @@ ROUNDS = 3
 WORSE = 1.5  # times as far off as the direction's model, at most
 
 
-def track_radii(drives: Drives, fitted: Fitted) -> list[Interval | None]:
+def track_radii(drives: Drives, fitted: Fitted) -> list[SampleInterval | None]:
     """Return r of each robot [length unit], None where wheel speeds do not explain its turns."""
     known: Bools = ~np.isnan(drives.left.sum(axis=0) + drives.right.sum(axis=0))
     count = known.size
@@ -51,7 +51,7 @@ def track_radii(drives: Drives, fitted: Fitted) -> list[Interval | None]:
         )
     )
     by_direction = np.abs(fitted.turns.missed(fitted.best))
-    found: list[Interval | None] = []
+    found: list[SampleInterval | None] = []
     for i in range(count):
         interval = None
         if known[i] and _rate(turned[:, i], driven[:, i], usable[:, i]) > 0:
@@ -102,7 +102,7 @@ def _misfit(turned: Floats, driven: Floats, usable: Bools, known: Bools) -> floa
     return total
 
 
-def _radius(drives: Drives, robot: int, columns: Floats) -> tuple[Interval, float]:
+def _radius(drives: Drives, robot: int, columns: Floats) -> tuple[SampleInterval, float]:
     """Return r of a robot, and the median of what its turns miss the wheel speeds' by [rad].
 
     `columns` (K, 3) are the integrals, and their derivatives by the dead time and by the lag, which
@@ -119,7 +119,7 @@ def _radius(drives: Drives, robot: int, columns: Floats) -> tuple[Interval, floa
             deviation = np.full(len(turned), float(np.median(np.abs(r[usable]))) / 0.6745)
         used = usable & (np.abs(r) <= OUTLYING * deviation + 1e-9)
         chain = Chain(drives.seconds, np.ones_like(r), used, drives.after)
-        noise: Noise = chain.noise_of(r, driven[:, None])
+        noise: ChainNoise = chain.noise_of(r, driven[:, None])
         deviation = np.sqrt(2 * noise.measured**2 + noise.walk**2 * drives.seconds)
         y, *by = chain.whiten(
             chain.factor(noise), np.column_stack([r, driven, rate * columns[:, 1:]])
@@ -130,5 +130,5 @@ def _radius(drives: Drives, robot: int, columns: Floats) -> tuple[Interval, floa
         rate, shifts = rate + float(change[0]), shifts + change[1:]
         std = float(np.sqrt(np.linalg.inv(normal)[0, 0]))
     low, high = rate + 1.96 * std, rate - 1.96 * std
-    interval = Interval(1 / rate, 1 / low, 1 / high if high > 0 else np.inf)
+    interval = SampleInterval(1 / rate, 1 / low, 1 / high if high > 0 else np.inf)
     return interval, float(np.median(np.abs(r[usable])))

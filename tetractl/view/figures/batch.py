@@ -13,9 +13,9 @@ from tetractl.core.colors import BLUE, PALETTE, RED
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
 from tetractl.core.text import unit_of
-from tetractl.results.batch import counts
 from tetractl.results.describe import Group
 from tetractl.results.estimate import Distribution, published_distribution
+from tetractl.results.open_batch import counts
 from tetractl.view import style
 
 COLORS = [BLUE, *(color for color in PALETTE if color not in (BLUE, RED))]

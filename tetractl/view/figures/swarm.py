@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from tetractl.core.colors import BLUE, GREEN
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.swarm import Frame, SwarmHistory, first_swarm
+from tetractl.replay.swarm_history import Frame, SwarmHistory, first_swarm
 from tetractl.view import style
 from tetractl.view.figures.axes import need_steps, one_trial
 

@@ -5,8 +5,8 @@ from typing import Any
 from rich.console import Console
 
 from tetractl.core.table.numbers import NONE, fixed
-from tetractl.core.table.show import print_tables
 from tetractl.core.table.table import Column, Table
+from tetractl.core.table.terminal_table import print_tables
 from tetractl.lab.preflight import Preflight
 
 ANSWERS = {True: "yes", False: "no", None: "cannot"}

@@ -9,7 +9,7 @@ from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.trial import Result, Start, Step
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
-from tetractl.view.terminal.live import LiveView
+from tetractl.view.terminal.live_screen import LiveView
 from tetractl.view.terminal.progress import trial_line
 
 

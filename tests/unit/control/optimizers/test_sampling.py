@@ -14,7 +14,7 @@ from tetractl.control.curves import bearing, interpolate
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.optimizers.cem import CrossEntropy
 from tetractl.control.optimizers.mppi import Mppi
-from tetractl.control.progress import Progress
+from tetractl.control.search_progress import Progress
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits, StopReason
 from tetractl.experiment.load import load_spec

@@ -35,14 +35,14 @@ from tetractl.log.format.tetractl_pb2 import (
     StepTiming,
     WheelCommand,
 )
-from tetractl.log.read import bounds
+from tetractl.log.read import limits
 from tetractl.log.read.overview import overview
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import MAGIC, scan
 from tetractl.replay.verify import verify
-from tetractl.results.batch import counts, open_batch
+from tetractl.results.open_batch import counts, open_batch
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def with_chunks(log: Path, path: Path, chunks: list[bytes]) -> Path:
 
 @pytest.mark.parametrize("said", [None, 100])
 def test_a_bomb_is_not_unpacked(log: Path, tmp_path: Path, said: int | None) -> None:
-    bomb = chunk(b"\0" * (bounds.CHUNK + 1), said)
+    bomb = chunk(b"\0" * (limits.CHUNK + 1), said)
     assert len(bomb) < 10_000
     found = scan(with_chunks(log, tmp_path / "bomb.mcap", [bomb]))
     assert any("claims to unpack to 16777217 bytes" in problem for problem in found.problems)

@@ -16,8 +16,8 @@ from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.recover import PART_SUFFIX, recover, recovered_path
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.sink import Sink
-from tetractl.results.batch import open_batch
 from tetractl.results.describe import describe
+from tetractl.results.open_batch import open_batch
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from tetractl.core.poses import Floats, Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.field.coils import Pair, approach
 from tetractl.lab.actuators.field.driver import HINT, Driver
-from tetractl.lab.actuators.field.protocol import (
+from tetractl.lab.actuators.field.driver_protocol import (
     UNKNOWN_TEMPERATURE,
     VERSION,
     DriverStatus,

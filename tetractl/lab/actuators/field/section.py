@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from tetractl.experiment.base import Finite, Model, NonNegative, Positive, inconsistent
-from tetractl.experiment.lab import ActuatorSection
+from tetractl.experiment.lab_section import ActuatorSection
 from tetractl.lab.actuators.field.coils import Coils
 
 FRAMES_PER_WATCHDOG = 3

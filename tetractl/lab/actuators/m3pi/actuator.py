@@ -10,8 +10,8 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.poses import Pose
 from tetractl.core.setup import MM, Setup
-from tetractl.lab.actuators.m3pi.protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
+from tetractl.lab.actuators.m3pi.serial_protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import (

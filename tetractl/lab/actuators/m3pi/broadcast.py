@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 from tetractl.lab.cobs import checked_payload, frame_with_crc
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 from tetractl.model.wheels import COUNT_MAX, Counts
 
 COMMAND, REPLY = 0x51, 0x52

@@ -19,7 +19,7 @@ from tetractl.core.clock import SECOND, MonotonicClock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab import LabSection, Measured
+from tetractl.experiment.lab_section import LabSection, Measured
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.rig import Rig

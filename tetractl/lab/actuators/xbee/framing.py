@@ -5,7 +5,7 @@ be data: after a frame that does not check, the search goes on behind its delimi
 """
 
 from tetractl.lab.actuators.xbee.frames import Other, XbeeFrame, pack_content, parse_content
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 START, ESCAPE = 0x7E, 0x7D
 _ESCAPED = frozenset((START, ESCAPE, 0x11, 0x13))  # 0x11 and 0x13: XON, XOFF

@@ -14,7 +14,7 @@ from tetractl.core.errors import AbortError, SpecError
 from tetractl.core.protocols import Camera
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, NonNegative, Point, Positive, inconsistent
-from tetractl.experiment.lab import CameraSection, RobotPart, mismatches
+from tetractl.experiment.lab_section import CameraSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
 
 TAGS = 587  # of the family 36h11, numbered from 0

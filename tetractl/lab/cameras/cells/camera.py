@@ -49,7 +49,7 @@ class CellCamera(PictureCamera[SeenDish]):
     The robots are the cells that are nearest to their starts when as many as there are robots are
     seen for the first time. A cell that is lost is not tracked any more: another one that appears
     is a stranger. `steered` lets the camera know the common direction, without which cells that
-    have met are told from each other by their ways alone.
+    have met are distinguished by their paths alone.
     """
 
     def __init__(

@@ -77,7 +77,7 @@ def stopped(
     owner: dict[int, int],
     specks: set[int],
 ) -> list[int]:
-    """Give cells that are not where they should be the blobs near them that nobody has.
+    """Give cells that are not where they should be the blobs near them that no cell has.
 
     A cell that stops or turns by itself is so found again. Returns these cells.
     """

@@ -11,7 +11,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Camera
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, NonNegative, Point, Positive
-from tetractl.experiment.lab import CameraSection
+from tetractl.experiment.lab_section import CameraSection
 from tetractl.lab.cameras.apriltag.section import Source, named
 
 

@@ -25,7 +25,7 @@ from tetractl.lab.cameras.cells.match import (
 from tetractl.lab.cameras.cells.merges import Merges
 from tetractl.lab.cameras.cells.specks import BORN, Speck, Specks
 
-LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are looked at
+LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are considered
 LARGE = 1.45  # a blob so much larger than its cell shows more than that
 CELLS = 64  # that are followed at most
 LOST_S = 0.7  # without a blob: a cell is given up

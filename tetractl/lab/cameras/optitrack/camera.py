@@ -20,7 +20,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.optitrack import diagnosis
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     NEWEST,
     OLDEST,
     Bare,
@@ -29,7 +29,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     Message,
     MessageKind,
     NatNetFrame,
-    Request,
+    NatNetRequest,
     ServerInfo,
     Version,
 )
@@ -247,11 +247,11 @@ class OptitrackCamera:
             self._every("connect", ASK_NS, lambda: self._connect())
             return
         if stream.up is None:
-            self._every("ask", ASK_NS, lambda: Request(UP_AXIS))
+            self._every("ask", ASK_NS, lambda: NatNetRequest(UP_AXIS))
         else:
             for text, known in ((UNITS, stream.unit_mm), (FRAME_RATE, stream.camera_rate_hz)):
                 if known is None and self._asked[text] < ASKED_MAX:
-                    self._asked[text] += self._every("ask", ASK_NS, partial(Request, text))
+                    self._asked[text] += self._every("ask", ASK_NS, partial(NatNetRequest, text))
                     break
         self._ask_models()
         if self._unicast:

@@ -4,7 +4,7 @@ import struct
 from struct import Struct
 from typing import Any
 
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 I32 = Struct("<i")
 NAME_MAX = 255  # bytes, without the closing NUL

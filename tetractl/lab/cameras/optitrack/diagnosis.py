@@ -3,12 +3,12 @@
 from tetractl.core.errors import AbortError
 from tetractl.core.text import printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
-from tetractl.lab.cameras.optitrack.messages import NEWEST, OLDEST, ModelDef, Version
+from tetractl.lab.cameras.optitrack.natnet_messages import NEWEST, OLDEST, ModelDef, Version
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 LAYOUTS = tuple(Version(*v) for v in ((2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
 """The first version of each layout that frames have."""

@@ -10,8 +10,14 @@ from dataclasses import dataclass
 from struct import Struct
 
 from tetractl.lab.cameras.optitrack.cursor import Cursor
-from tetractl.lab.cameras.optitrack.messages import OLDEST, NatNetFrame, RigidBody, Ticks, Version
-from tetractl.lab.errors import WireError
+from tetractl.lab.cameras.optitrack.natnet_messages import (
+    OLDEST,
+    NatNetFrame,
+    RigidBody,
+    Ticks,
+    Version,
+)
+from tetractl.lab.lab_errors import WireError
 
 SIZED = Version(4, 1)  # from here on sections state their size
 POSE = Struct("<i7f")

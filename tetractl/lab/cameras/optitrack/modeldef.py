@@ -8,8 +8,8 @@ has to be measured; one of a type whose layout is not known ends the reading, an
 
 from tetractl.lab.cameras.optitrack.cursor import Cursor
 from tetractl.lab.cameras.optitrack.frame import SIZED
-from tetractl.lab.cameras.optitrack.messages import OLDEST, BodyName, ModelDef, Version
-from tetractl.lab.errors import WireError
+from tetractl.lab.cameras.optitrack.natnet_messages import OLDEST, BodyName, ModelDef, Version
+from tetractl.lab.lab_errors import WireError
 
 MARKER_SET, RIGID_BODY, SKELETON, FORCE_PLATE, DEVICE, CAMERA = range(6)
 _PLATE = (2 + 3 + 12 * 12 + 4 * 3) * 4 + 8  # width, length, origin, matrix, corners, two types

@@ -8,7 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Point, Positive
-from tetractl.experiment.lab import CameraSection, RobotPart, mismatches
+from tetractl.experiment.lab_section import CameraSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
 
 Ipv4 = Annotated[

@@ -8,7 +8,7 @@ NatNet signs nothing: packets from the server's address and port are trusted.
 from collections import Counter
 from dataclasses import dataclass
 
-from tetractl.lab.cameras.optitrack.messages import MessageKind
+from tetractl.lab.cameras.optitrack.natnet_messages import MessageKind
 
 KINDS_KEPT = 64  # senders that refused datagrams are distinguished by, at most
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     Connect,
     EchoRequest,
@@ -18,7 +18,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     MessageKind,
     ModelDef,
     NatNetFrame,
-    Request,
+    NatNetRequest,
     Response,
     ServerInfo,
     Version,
@@ -26,7 +26,7 @@ from tetractl.lab.cameras.optitrack.messages import (
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.sync import ClockSync
 from tetractl.lab.cameras.optitrack.wire import parse, response_float, response_int
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
 MISTIMED = 5  # impossible times of exposure in a row: no damage, but the clock
@@ -121,7 +121,7 @@ class Stream:
     def asked(self, message: Message) -> None:
         """Note a message of ours: its answer will be taken, any other is counted and dropped."""
         match message:
-            case Request(text):
+            case NatNetRequest(text):
                 self._asked = text
             case Connect():
                 self._awaited[ServerInfo] += 1

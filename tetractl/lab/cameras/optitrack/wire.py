@@ -4,21 +4,21 @@ import struct
 
 from tetractl.lab.cameras.optitrack.cursor import packed, packed_name
 from tetractl.lab.cameras.optitrack.frame import parse_frame
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.modeldef import parse_modeldef
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     Connect,
     EchoRequest,
     EchoResponse,
     Message,
     MessageKind,
+    NatNetRequest,
     Quad,
-    Request,
     Response,
     ServerInfo,
     Version,
 )
-from tetractl.lab.cameras.optitrack.modeldef import parse_modeldef
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 HEADER = 4  # u16 message id, u16 payload bytes
 DATAGRAM_MAX = 65_507
@@ -57,7 +57,7 @@ def pack(message: Message) -> bytes:
             if message.bitstream is not None:
                 payload += packed("?4B", message.subscribed_only, *message.bitstream)
             return datagram(MessageKind.CONNECT, payload)
-        case Request(text):
+        case NatNetRequest(text):
             return datagram(MessageKind.REQUEST, packed_name(text))
         case EchoRequest(client):
             return datagram(MessageKind.ECHO_REQUEST, packed("Q", client))

@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from support.field_twin import Twin
 
 from tetractl.emulate import firmware
-from tetractl.emulate.firmware import DriverCore, DriverLimits, Event
+from tetractl.emulate.firmware import CoreEvent, DriverCore, DriverLimits
 from tetractl.lab import cobs
-from tetractl.lab.actuators.field.protocol import (
+from tetractl.lab.actuators.field.driver_protocol import (
     DriverStatus,
     FieldCommand,
     FieldFlag,
@@ -114,7 +114,7 @@ def test_the_watchdog_ramps_the_field_down_after_its_time_and_not_before():
     assert core.status(250) == DriverStatus.SILENT
     assert core.currents_ua(255) == (50_000, 25_000)
     assert core.currents_ua(260) == (0, 0)
-    assert core.push(run(1, 100, 50), 300) == [Event.ACCEPTED]  # a restarted controller
+    assert core.push(run(1, 100, 50), 300) == [CoreEvent.ACCEPTED]  # a restarted controller
 
 
 def test_repeated_and_damaged_frames_do_not_feed_the_watchdog():
@@ -123,8 +123,8 @@ def test_repeated_and_damaged_frames_do_not_feed_the_watchdog():
     bad = bytearray(run(6, 100, 50))
     bad[4] ^= 2
     for now in range(1, 250):
-        assert core.push(bytes(bad), now) == [Event.REJECTED]
-        assert core.push(run(5, 900, 900), now) == [Event.STALE]
+        assert core.push(bytes(bad), now) == [CoreEvent.REJECTED]
+        assert core.push(run(5, 900, 900), now) == [CoreEvent.STALE]
     assert core.currents_ua(249) == (100_000, 50_000)
     assert core.status(250) == DriverStatus.SILENT
 
@@ -133,7 +133,7 @@ def test_a_stop_is_obeyed_even_when_old():
     core = DriverCore(LIMITS)
     core.push(run(9, 100, 50), 0)
     core.currents_ua(20)
-    assert core.push(run(8, 100, 50, FieldFlag(0)), 20) == [Event.STALE]
+    assert core.push(run(8, 100, 50, FieldFlag(0)), 20) == [CoreEvent.STALE]
     assert core.currents_ua(25) == (50_000, 25_000)
     assert core.currents_ua(30) == (0, 0)
 

@@ -14,7 +14,7 @@ from tetractl.emulate.field import Cell, CurrentDriver, Dish
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.port import PseudoPort
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.protocol import DriverStatus
+from tetractl.lab.actuators.field.driver_protocol import DriverStatus
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 

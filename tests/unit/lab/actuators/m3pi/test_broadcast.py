@@ -16,7 +16,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 u8, u16 = st.integers(0, 255), st.integers(0, 65535)
 counts = st.integers(-127, 127)

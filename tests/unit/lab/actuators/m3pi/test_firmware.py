@@ -10,7 +10,7 @@ from support.paths import ROOT
 
 from tetractl.core.errors import TetractlError
 from tetractl.emulate import firmware
-from tetractl.emulate.firmware import Event, RobotCore
+from tetractl.emulate.firmware import CoreEvent, RobotCore
 from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
     ROBOTS_MAX,
@@ -25,7 +25,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_reply,
 )
 from tetractl.lab.cobs import decode, encode, frame_with_crc
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 FOLDER = ROOT / "firmware"
@@ -47,7 +47,7 @@ def test_every_robot_obeys_its_own_wheels(library):
         wheels = [(rng.randint(-127, 127), rng.randint(-127, 127)) for _ in range(robots)]
         for index in {0, max(0, robots - 1), robots, 255}:
             core = RobotCore(index, library)
-            assert core.push(run(robots, *wheels), 0) == [Event.ACCEPTED]
+            assert core.push(run(robots, *wheels), 0) == [CoreEvent.ACCEPTED]
             assert core.wheels(0) == (wheels[index] if index < robots else (0, 0))
 
 
@@ -55,7 +55,7 @@ def test_every_robot_obeys_its_own_wheels(library):
 def test_core_and_codec_agree_on_what_a_frame_is(library):
     rng = random.Random(2)
     core = RobotCore(0, library)
-    seen = dict.fromkeys(Event, 0)
+    seen = dict.fromkeys(CoreEvent, 0)
     for _ in range(30_000):
         frame = damaged(rng)
         expected = None
@@ -66,20 +66,20 @@ def test_core_and_codec_agree_on_what_a_frame_is(library):
         for event in events:
             seen[event] += 1
         if expected is None:
-            assert events in ([], [Event.REJECTED], [Event.FOREIGN])
+            assert events in ([], [CoreEvent.REJECTED], [CoreEvent.FOREIGN])
             assert core.wheels(0) == before
         else:
-            assert events in ([Event.ACCEPTED], [Event.STALE])
+            assert events in ([CoreEvent.ACCEPTED], [CoreEvent.STALE])
             runs = expected.flags & (Flag.RUN | Flag.EMERGENCY_STOP) == Flag.RUN
             if not runs:
                 assert core.wheels(0) == (0, 0)
-            elif events == [Event.ACCEPTED]:
+            elif events == [CoreEvent.ACCEPTED]:
                 assert core.wheels(0) == (expected.wheels or ((0, 0),))[0]
             else:
                 assert core.wheels(0) == before
             if Flag.EMERGENCY_STOP in expected.flags or rng.random() < 0.05:
                 core = RobotCore(0, library)
-    assert min(count for event, count in seen.items() if event is not Event.NOTHING) > 200
+    assert min(count for event, count in seen.items() if event is not CoreEvent.NOTHING) > 200
 
 
 def damaged(rng):
@@ -106,10 +106,10 @@ def damaged(rng):
 def test_bytes_behind_the_longest_frame_spoil_it(library):
     core = RobotCore(0, library)
     longest = run(1, *[(5, 5)] * ROBOTS_MAX)
-    assert core.push(encode(decode(longest[:-1]) + b"x"), 0) == [Event.REJECTED]
-    assert core.push(encode(decode(longest[:-1]) + b"\0"), 0) == [Event.REJECTED]
+    assert core.push(encode(decode(longest[:-1]) + b"x"), 0) == [CoreEvent.REJECTED]
+    assert core.push(encode(decode(longest[:-1]) + b"\0"), 0) == [CoreEvent.REJECTED]
     assert core.wheels(0) == (0, 0)
-    assert core.push(longest, 0) == [Event.ACCEPTED]
+    assert core.push(longest, 0) == [CoreEvent.ACCEPTED]
 
 
 @needs_compiler
@@ -134,8 +134,8 @@ def test_damaged_and_stale_frames_do_not_feed_the_watchdog(library):
     bad = bytearray(run(6, (50, 60)))
     bad[3] ^= 2
     for now in range(1, WATCHDOG_MS):
-        assert core.push(bytes(bad), now) == [Event.REJECTED]
-        assert core.push(run(5, (1, 1)), now) == [Event.STALE]
+        assert core.push(bytes(bad), now) == [CoreEvent.REJECTED]
+        assert core.push(run(5, (1, 1)), now) == [CoreEvent.STALE]
     assert core.wheels(WATCHDOG_MS - 1) == (50, 60)
     assert core.wheels(WATCHDOG_MS) == (0, 0)
 
@@ -148,7 +148,7 @@ def test_sequence_numbers_wrap_round(library, last):
         core.push(run(last, (1, 1)), 0)
         events = core.push(run((last + ahead) % 256, (2, 2)), 1)
         is_new = 1 <= ahead <= 127
-        assert events == [Event.ACCEPTED if is_new else Event.STALE]
+        assert events == [CoreEvent.ACCEPTED if is_new else CoreEvent.STALE]
         assert core.wheels(1) == ((2, 2) if is_new else (1, 1))
 
 
@@ -158,7 +158,7 @@ def test_a_restarted_controller_is_taken_up_once_the_robot_stands(library):
     core.push(run(100, (9, 9)), 0)
     taken_up = None
     for step, now in enumerate(range(20, 400, 20)):
-        if core.push(run(step, (1, 1)), now) == [Event.ACCEPTED]:
+        if core.push(run(step, (1, 1)), now) == [CoreEvent.ACCEPTED]:
             taken_up = now
             break
         assert core.wheels(now) == (9, 9)
@@ -169,7 +169,7 @@ def test_a_restarted_controller_is_taken_up_once_the_robot_stands(library):
 def test_a_stop_is_obeyed_even_when_old(library):
     core = RobotCore(0, library)
     core.push(run(100, (9, 9)), 0)
-    assert core.push(run(99, (9, 9), flags=Flag(0)), 1) == [Event.STALE]
+    assert core.push(run(99, (9, 9), flags=Flag(0)), 1) == [CoreEvent.STALE]
     assert core.wheels(1) == (0, 0)
     assert core.status(1) == Status(0)
 
@@ -194,7 +194,7 @@ def test_polled_robots_answer_once_each_in_its_slot(library):
     poll = run(0, flags=Flag.POLL)
     for index, core in enumerate(cores):
         core.set_battery(4900 + index)
-        assert core.push(b"\x05rubbish\0" + poll, 10) == [Event.REJECTED, Event.ACCEPTED]
+        assert core.push(b"\x05rubbish\0" + poll, 10) == [CoreEvent.REJECTED, CoreEvent.ACCEPTED]
     answers = {}
     for now in range(10, 100):
         for index, core in enumerate(cores):
@@ -205,7 +205,7 @@ def test_polled_robots_answer_once_each_in_its_slot(library):
         reply = decode_reply(raw[:-1])
         assert reply == Reply(index, 0, Status(0), 4900 + index, 1, 1)
         assert encode_reply(reply) == raw
-        assert cores[0].push(raw, 200) == [Event.FOREIGN]
+        assert cores[0].push(raw, 200) == [CoreEvent.FOREIGN]
     assert cores[0].take_reply(200) == b""
 
 

@@ -10,7 +10,7 @@ from tetractl.lab.actuators.m3pi.slave import (
     decode_battery,
     encode_wheels,
 )
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 counts = st.integers(-127, 127)
 

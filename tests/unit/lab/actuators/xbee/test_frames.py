@@ -18,7 +18,7 @@ from tetractl.lab.actuators.xbee.frames import (
     parse_content,
 )
 from tetractl.lab.actuators.xbee.framing import CONTENT_MAX, Decoder, encode
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 FAR = 0x0013A20012345678
 VECTORS = [

@@ -11,7 +11,7 @@ from support.virtual_wires import LabClock, MemoryPort, MemorySerial
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.m3pi.broadcast import Reply, Status, decode_command, encode_reply
-from tetractl.lab.actuators.m3pi.protocols import BroadcastProtocol, SlaveProtocol
+from tetractl.lab.actuators.m3pi.serial_protocols import BroadcastProtocol, SlaveProtocol
 from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
     AtResponse,

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Poses
 from tetractl.emulate.apriltag.mjpeg import EmulatedNetworkCamera
-from tetractl.experiment.lab import LabLimits
+from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.section import FloorTag
 from tetractl.lab.guard import Guard

@@ -11,7 +11,7 @@ from tetractl.core.errors import AbortError
 from tetractl.emulate.optitrack.server_wire import pack_answer
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import lab_of
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     BodyName,
     EchoResponse,
     ModelDef,

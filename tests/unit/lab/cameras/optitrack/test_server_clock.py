@@ -7,7 +7,7 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.emulate.optitrack.server_wire import pack_answer
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     Connect,
     EchoRequest,
     EchoResponse,

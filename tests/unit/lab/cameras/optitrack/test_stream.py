@@ -5,7 +5,7 @@ import pytest
 
 from tetractl.emulate.optitrack.server_wire import pack_answer
 from tetractl.lab.cameras.optitrack import diagnosis
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     BodyName,
     Connect,
@@ -14,7 +14,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     MessageKind,
     ModelDef,
     NatNetFrame,
-    Request,
+    NatNetRequest,
     Response,
     RigidBody,
     ServerInfo,
@@ -191,7 +191,7 @@ def test_an_id_twice_that_is_no_robots_is_two_strangers():
 )
 def test_a_server_that_streams_in_another_unit_than_metres_is_a_fault(told, unit_mm, fault):
     stream = connected()
-    stream.asked(Request(UNITS))
+    stream.asked(NatNetRequest(UNITS))
     stream.feed(pack_answer(Response(struct.pack("<f", told))), 0)
     stream.feed(frame(1, body(11, 1.0, 1.0)), 0)
     assert stream.unit_mm == unit_mm
@@ -211,7 +211,7 @@ def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
     """Regression: x up was answered by a hint to set y or z in the spec."""
     stream = connected(up=None)
     if answer is not None:
-        stream.asked(Request(UP_AXIS))
+        stream.asked(NatNetRequest(UP_AXIS))
         stream.feed(pack_answer(Response(struct.pack("<i", answer))), 0)
     error = diagnosis.no_up_axis(stream)
     assert stream.up is None
@@ -263,12 +263,12 @@ def test_the_server_answers_axis_and_rate():
     stream = connected(up=None)
     stream.feed(frame(1, body(11, 1.0, 1.0)), 0)
     assert stream.newest.poses == (None, None)
-    stream.asked(Request(UP_AXIS))
+    stream.asked(NatNetRequest(UP_AXIS))
     stream.feed(pack_answer(Response(struct.pack("<i", 1))), 0)
     assert stream.up is UpAxis.Y
-    stream.asked(Request(FRAME_RATE))
+    stream.asked(NatNetRequest(FRAME_RATE))
     stream.feed(pack_answer(Response(struct.pack("<f", 120.0))), 0)
     assert stream.camera_rate_hz == 120
-    stream.asked(Request(FRAME_RATE))
+    stream.asked(NatNetRequest(FRAME_RATE))
     stream.feed(pack_answer(Response(b"Unrecognized request")), 0)
     assert (stream.camera_rate_hz, stream.counts.bad) == (120, 1)

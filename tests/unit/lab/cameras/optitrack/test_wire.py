@@ -21,7 +21,7 @@ from tetractl.emulate.optitrack.server_wire import (
     pack_modeldef,
     parse_request,
 )
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     BodyName,
     Connect,
@@ -30,7 +30,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     MessageKind,
     ModelDef,
     NatNetFrame,
-    Request,
+    NatNetRequest,
     Response,
     RigidBody,
     ServerInfo,
@@ -44,7 +44,7 @@ from tetractl.lab.cameras.optitrack.wire import (
     response_float,
     response_int,
 )
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 f32 = st.floats(width=32, allow_nan=False)
 f64 = st.floats(allow_nan=False)
@@ -166,13 +166,13 @@ SENT = (
         (Bare(MessageKind.UNRECOGNIZED), 4),
         (EchoRequest(2**64 - 1), 12),
         (EchoResponse(1, 2**64 - 1), 20),
-        (Request("FrameRate"), 14),
+        (NatNetRequest("FrameRate"), 14),
         (Response(b"\0\0\xf0\x42"), 8),
     ],
     ids=lambda value: type(value).__name__,
 )
 def test_handshake_messages_round_trip_in_their_sizes(message, size):
-    ours = isinstance(message, Connect | EchoRequest | Request) or message in SENT
+    ours = isinstance(message, Connect | EchoRequest | NatNetRequest) or message in SENT
     packed = (pack if ours else pack_answer)(message)
     assert len(packed) == size
     assert (parse_request if ours else parse)(packed) == message
@@ -237,7 +237,7 @@ def test_counts_beyond_the_datagram_are_refused(version, count):
         (ModelDef((BodyName("x" * 256, 1),)), Version(3, 0)),
         (ModelDef((BodyName("a\0b", 1),)), Version(3, 0)),
         (NatNetFrame(0, (RigidBody(1, (0, 0, 0), (0, 0, 0, 1), True),) * 2000), Version(3, 0)),
-        (Request("x" * 256), None),
+        (NatNetRequest("x" * 256), None),
         (EchoRequest(-1), None),
     ],
 )

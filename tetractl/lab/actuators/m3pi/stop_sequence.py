@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from tetractl.core.clock import MonotonicClock
-from tetractl.experiment.lab import STOP_GAP_NS, STOPS
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.actuators.m3pi import slave
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
 from tetractl.lab.actuators.xbee.link import Link

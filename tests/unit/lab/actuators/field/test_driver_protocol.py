@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from support.paths import ROOT
 
 from tetractl.lab import cobs
-from tetractl.lab.actuators.field.protocol import (
+from tetractl.lab.actuators.field.driver_protocol import (
     DriverStatus,
     FieldCommand,
     FieldFlag,
@@ -14,7 +14,7 @@ from tetractl.lab.actuators.field.protocol import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 
 WIRES = ROOT / "docs" / "reference" / "wires.md"
 COMMAND = FieldCommand(7, FieldFlag.RUN | FieldFlag.POLL, 300, -250)

@@ -7,7 +7,7 @@ from typing import Literal
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import EMULATED_NAME
-from tetractl.lab.cameras.optitrack.messages import (
+from tetractl.lab.cameras.optitrack.natnet_messages import (
     MULTICAST_GROUP,
     Bare,
     BodyName,
@@ -17,7 +17,7 @@ from tetractl.lab.cameras.optitrack.messages import (
     Message,
     MessageKind,
     ModelDef,
-    Request,
+    NatNetRequest,
     Response,
     ServerInfo,
     Version,
@@ -149,9 +149,9 @@ class MotiveServer:
                 return self._info()
             case EchoRequest(client):
                 return EchoResponse(client, self.clock.ticks(now_ns))
-            case Request(text) if text.startswith("Bitstream,"):
+            case NatNetRequest(text) if text.startswith("Bitstream,"):
                 return self._change_version(text.removeprefix("Bitstream,"), sender)
-            case Request(text):
+            case NatNetRequest(text):
                 return self._reply(text)
             case Bare(MessageKind.REQUEST_MODELDEF):
                 self._counts.models_asked += 1

@@ -145,7 +145,7 @@ class ServerInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class NatNetRequest:
     """A remote command, such as `FrameRate`, `UpAxis` or `UnitsToMillimeters`."""
 
     text: str
@@ -185,7 +185,7 @@ Message = (
     | ModelDef
     | Connect
     | ServerInfo
-    | Request
+    | NatNetRequest
     | Response
     | EchoRequest
     | EchoResponse

@@ -6,10 +6,10 @@ from support.studies import STUDY, write
 
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.experiment.yaml.schema import schema_json
-from tetractl.study.kinds import SWEEPS
-from tetractl.study.load import load_study, spec_of, study_schema
+from tetractl.study.load_study import load_study, spec_of, study_schema
 from tetractl.study.study import Study
 from tetractl.study.sweep import Range
+from tetractl.study.sweep_kinds import SWEEPS
 
 HEAD = "name: quick\nbase: spec.yaml\n"
 

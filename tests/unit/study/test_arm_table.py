@@ -7,9 +7,9 @@ from support.studies import FAILING, STUDY, run
 
 from tetractl.results.estimate import distributions
 from tetractl.study.arm import arm_name, as_cell, as_yaml, shown
+from tetractl.study.arm_table import arms_table, error_of, field_values, write_tables
 from tetractl.study.figure import error_figure, write_figures
 from tetractl.study.options import Logs, Shard
-from tetractl.study.table import arms_table, error_of, field_values, write_tables
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.trial import Result
 from tetractl.run.batch import Ending, RunObserver
 from tetractl.run.task import Task
-from tetractl.view.terminal.live import LiveView
+from tetractl.view.terminal.live_screen import LiveView
 from tetractl.view.terminal.progress import BatchProgress, StudyProgress, duration
 
 

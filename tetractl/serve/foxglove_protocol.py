@@ -38,7 +38,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class PlaybackState:
     """The state of a playback at a time [Unix ns]; `sought` where the time has jumped there."""
 
     playback: Playback
@@ -89,7 +89,7 @@ def time(time_ns: int) -> bytes:
     return struct.pack("<BQ", _TIME, time_ns)
 
 
-def playback_state(state: State, request: bytes = b"") -> bytes:
+def playback_state(state: PlaybackState, request: bytes = b"") -> bytes:
     """Return the message of a state; `request` is the name of the request that it answers."""
     status = _STATUS[state.playback]
     fields = _STATE, status, state.time_ns, state.rate, state.sought, len(request)

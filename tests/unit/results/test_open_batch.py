@@ -9,7 +9,7 @@ from support.studies import FAILING, SMALL, run
 from tetractl.core.errors import UsageError
 from tetractl.log.read.find import ROWS
 from tetractl.log.read.rows import SPEC
-from tetractl.results.batch import Source, open_batch, sources
+from tetractl.results.open_batch import Source, open_batch, sources
 from tetractl.study.options import Logs
 
 ALL, FIRST, NONE = Logs(float("inf"), True), Logs(1, False), Logs(0, False)

@@ -12,7 +12,7 @@ from tetractl.emulate.faults import Fault, Injector
 from tetractl.emulate.loop import Loop, Timeline
 from tetractl.emulate.script import Script, Sides
 from tetractl.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
-from tetractl.experiment.lab import LabSection
+from tetractl.experiment.lab_section import LabSection
 
 TICK_NS = 2_000_000  # how often robots are checked
 FLUSH_NS = 200_000_000

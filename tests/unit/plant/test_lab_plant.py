@@ -10,7 +10,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Health, Note
 from tetractl.core.errors import AbortError
-from tetractl.experiment.lab import LabLimits
+from tetractl.experiment.lab_section import LabLimits
 
 PERIOD = SECOND // 5
 SETUP = experiment().setup

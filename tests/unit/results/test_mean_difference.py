@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from tetractl.results.difference import cliffs_delta, from_both_intervals, paired_t, welch
 from tetractl.results.estimate import distributions
+from tetractl.results.mean_difference import cliffs_delta, from_both_intervals, paired_t, welch
 
 lengths = st.floats(0, 5000, allow_subnormal=False)
 samples = st.lists(lengths, min_size=1, max_size=30)

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND
-from tetractl.core.table.files import TableFiles
 from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table_files import TableFiles
 from tetractl.log.read.rows import SIMULATED, Row
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.batch import Batch, counts
 from tetractl.results.estimate import Distribution, distributions
 from tetractl.results.items import trials_table
+from tetractl.results.open_batch import Batch, counts
 from tetractl.results.tables import error_table, processors_note
 from tetractl.study.arm import Arm, as_cell, as_yaml
-from tetractl.study.load import LoadedStudy
-from tetractl.study.store import Store
+from tetractl.study.load_study import LoadedStudy
+from tetractl.study.row_store import Store
 
 TRIALS, TIMES = "trials.csv", "times.csv"
 HOST_COLUMNS = ("deadline_misses",)

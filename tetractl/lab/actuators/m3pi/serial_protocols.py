@@ -17,7 +17,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
 from tetractl.lab.actuators.m3pi.section import M3piSection, SlaveSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.errors import WireError
+from tetractl.lab.lab_errors import WireError
 from tetractl.model.wheels import STOP
 
 TRIES = 5

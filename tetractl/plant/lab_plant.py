@@ -13,7 +13,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Observation, Pose, Poses
 from tetractl.core.setup import Setup
 from tetractl.core.supervision import LabSupervision
-from tetractl.experiment.lab import LabSection
+from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.guard import GuardState
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked

@@ -20,7 +20,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
 from tetractl.experiment.controller import OptimizerSection
-from tetractl.log.read import bounds
+from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recompute import NoSearchError, Rerun
 from tetractl.run.task import trial_seeds
@@ -92,7 +92,7 @@ def first_swarm(
     LogError for a search that was not by a particle swarm, has a single signal, does not follow
     from the log, or takes longer than `bounds` allows, as `wall` [s] tells it.
     """
-    rerun = Rerun(False, wall, bounds.seconds_limit())
+    rerun = Rerun(False, wall, limits.seconds_limit())
     rerun.start()
     asked = _chosen(log, rerun)
     section, logged = asked.optimizer, log.steps[0].plan.search
@@ -104,7 +104,7 @@ def first_swarm(
     if asked.length < 2:
         raise LogError(f"{log.path}: a plan of one signal has no two dimensions")
     rounds = section.particles * asked.length * asked.problem.a.size
-    if rounds * (1 + len(asked.problem.obstacles.shapes)) > bounds.swarm_limit():
+    if rounds * (1 + len(asked.problem.obstacles.shapes)) > limits.swarm_limit():
         raise LogError(f"{log.path}: a swarm this large takes too long to run again")
     return _run(log, asked, section, logged, shown, particle, rerun)
 

@@ -1,8 +1,8 @@
 """Prints results in a format: one path for every command that prints statistics."""
 
 from tetractl.core.table.data import json_text
-from tetractl.core.table.files import csv_text
-from tetractl.core.table.show import TEXTS, print_tables
+from tetractl.core.table.table_files import csv_text
+from tetractl.core.table.terminal_table import TEXTS, print_tables
 from tetractl.results.contrast import GroupComparison
 from tetractl.results.items import as_items, data_table
 from tetractl.results.tables import tables

@@ -52,10 +52,11 @@ def open_logs(
         print(f"warning: {problem}", file=sys.stderr)
     named = {f"{i}-{path.name}": path for i, path in enumerate(found)}
     server = LoopbackServer(port, html.encode(), layout_of(found), named)
+    in_viewer = answers(viewer)  # before Ctrl-C: interrupted in an import it would be lost
     with suppress(KeyboardInterrupt), interrupted_once(), server:
         print_forwarding(server)
         print(server.page_url, flush=True)
-        if answers(viewer):
+        if in_viewer:
             first = link(viewer, "remote-file", server.log_url(next(iter(named))))
             print(f"in Lichtblick: {first}\n  its layout: {server.layout_url}", flush=True)
         if browser:

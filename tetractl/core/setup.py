@@ -10,6 +10,7 @@ from tetractl.core.poses import Bools, Floats, Poses
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """Metres in each length unit a spec may declare."""
+MM = METRES["mm"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,12 +6,10 @@ from typing import Self
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.protocols import Actuator, Camera
-from tetractl.core.setup import Setup
+from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab import LabLimits, LabSection
 from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop
-
-MM = 1e-3  # m
 
 
 class Rig:

@@ -9,6 +9,7 @@ from tetractl.core.clock import SECOND, milliseconds, seconds
 from tetractl.core.commands import HALTS, Command, Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
+from tetractl.core.setup import MM
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.lab import LabSection
 from tetractl.lab.rest_check import REST_NS
@@ -22,7 +23,6 @@ REST = 1e-6  # relative to a coordinate: tolerance for the position of a robot a
 STOPPING_S = 1.0  # the longest time until a stop is sent, on a host under load
 LAST_FRAMES = 120  # of a lab trial, one of which shows the final poses
 SLACK = 2.0  # times the lab's limits: a few frames come between its last look and the log's end
-MM = 1e-3  # m
 
 
 @dataclass(slots=True)

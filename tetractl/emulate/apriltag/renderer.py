@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Poses
+from tetractl.core.setup import MM
 from tetractl.lab.cameras.apriltag.detect import MODULES, Grey, tag_picture
 from tetractl.lab.cameras.apriltag.section import FloorTag, RobotTag
-
-MM = 1e-3  # m
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.poses import Pose
-from tetractl.core.setup import Setup
+from tetractl.core.setup import MM, Setup
 from tetractl.lab.actuators.m3pi.protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
 from tetractl.lab.actuators.xbee.link import Link
@@ -26,7 +26,6 @@ from tetractl.model.wheels import (
     wheel_speeds,
 )
 
-MM = 1e-3  # m
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until the wheels have it
 AHEAD_MAX_NS = SECOND // 10  # further ahead no heading is predicted
 

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from tetractl.core.poses import Floats
+from tetractl.core.setup import MM
 from tetractl.lab.cameras.apriltag.section import FloorTag
 
-MM = 1e-3  # m
 # A tag's corners, in sides of the tag: top left first, clockwise; x is the direction of reading.
 SQUARE = np.array([(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)])
 

@@ -8,7 +8,7 @@ from numba import njit
 
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels import pso as kernel
-from tetractl.control.kernels.options import KERNEL, inlined
+from tetractl.control.kernels.options import ENTRY_FAST, inlined
 from tetractl.control.kernels.rollout import aligned, costs, lay_out
 from tetractl.control.optimizers import compiled_pso, pso
 from tetractl.core.plan import Limits
@@ -197,7 +197,7 @@ def floor(settings: Settings) -> Report:
 _A, _B, _C, _D, _E, _F = (
     tuple(1.0 / (k + i + 2) for k in range(count)) for i, count in enumerate((7, 7, 7, 7, 7, 8))
 )
-_LOOP = {**KERNEL, "cache": False}
+_LOOP = {**ENTRY_FAST, "cache": False}
 
 
 @njit(**_LOOP)

@@ -1,11 +1,15 @@
 """A stop that goes on: robots pause before a wall, and are planned for from standing."""
 
+import json
+
 import pytest
 from support.paths import ROOT
 
 from tetractl.core.plan import PAUSE_S
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
+from tetractl.replay.identification.identify import identify
+from tetractl.replay.identification.tracks import track_of
 from tetractl.replay.verify import verify
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
@@ -39,6 +43,9 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
         assert not log.steps[k + 1].deadline_missed
     assert result.total_error < 30
     assert not (result.entered_obstacle or result.left_arena)
+    robots = identify([track_of(log)], log.start.setup.a).robots
+    true = json.loads(log.start.plant.facts["true_speed"])
+    assert [one.speed.value for one in robots] == pytest.approx(true, rel=0.01)
     found = verify(log_path(tmp_path, 5))
     assert found.problems == ()
     assert found.checked == len(log.steps)

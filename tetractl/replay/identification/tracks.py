@@ -12,6 +12,7 @@ from tetractl.log.read.trial_log import TrialLog
 
 SHORTEST_S = 0.035  # of an interval: frames that come faster are left out
 DRIVING = 0.5  # share of the robot's usual travel from which on a robot drives
+SETTLED_S = 0.5  # from the first direction after a pause until all robots drive again
 APART_S = 1000.0  # between two tracks that are put one behind the other
 
 
@@ -107,7 +108,7 @@ def track_of(log: TrialLog) -> Track:
         names=setup.names,
         time=log.mocap_ns / SECOND,
         poses=log.mocap,
-        valid=log.valid,
+        valid=log.valid & ~_paused(log)[:, None],
         sent=np.array([one.sent_ns for one in sent], dtype=float) / SECOND,
         u=np.array([one.direction for one in sent], dtype=float),
         left=np.array([nothing if one.left is None else one.left for one in sent]),
@@ -115,6 +116,18 @@ def track_of(log: TrialLog) -> Track:
         until=last / SECOND,
         frame_age=float(np.median(ages)) / SECOND if ages else None,
     )
+
+
+def _paused(log: TrialLog) -> Bools:
+    """Return which frames (M,) show robots in a pause, or on the way into or out of one."""
+    sent = [one.sent_ns for one in log.commands if one.direction is not None]
+    found = np.zeros(len(log.mocap_ns), dtype=np.bool_)
+    for stop in (one.sent_ns for one in log.commands if one.stops):
+        again = min((one for one in sent if one > stop), default=None)
+        if again is not None:
+            until = again + round(SETTLED_S * SECOND)
+            found |= (log.mocap_ns >= stop) & (log.mocap_ns < until)
+    return found
 
 
 def require_field(log: TrialLog) -> None:

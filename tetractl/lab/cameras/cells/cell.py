@@ -15,7 +15,7 @@ class SeenCell:
     helix, which (3) turns. `covariance` (12, 12) is that of the filter's state `mean` (12,).
     `probability` is that of this being the cell of the number `identity`, and not another one.
     `found`: it has a blob; `merged`: it shares the blob with others. `track` is the number of the
-    path that it is on, of whichever cell. `measured` (6,) is what its blob says by itself: x, y, axis
+    path that it is on. `measured` (6,) is what its blob says by itself: x, y, axis
     and their deviations; None where it has none of its own.
     """
 

@@ -24,9 +24,9 @@ from scipy.stats import beta
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.dish_films import Reel, record, who
 
-from tetractl.emulate.dish.picture import Look
+from tetractl.emulate.dish.picture import PictureLook
 from tetractl.emulate.dish.synthetic import FilmScript, SyntheticFilm
-from tetractl.film.fit import summarise
+from tetractl.film.fit_cell import summarise
 from tetractl.film.follow import follow
 from tetractl.lab.cameras.cells.helix import HelixFilter
 from tetractl.lab.cameras.cells.identity import opened
@@ -49,7 +49,7 @@ def share(hits: int, count: int) -> str:
 def film(
     seed: int, seconds: float, side: int, um_px: float | None, **script: object
 ) -> SyntheticFilm:
-    look = Look.drawn(np.random.default_rng(seed), side, um_px)
+    look = PictureLook.drawn(np.random.default_rng(seed), side, um_px)
     return SyntheticFilm(FilmScript(seconds=seconds, **script), look, seed)
 
 

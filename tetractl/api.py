@@ -267,7 +267,7 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
     """Check and compile what a spec needs; give an interrupt that Ctrl-C requests."""
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt
-    from tetractl.run.limits import check
+    from tetractl.run.trial_limits import check
 
     experiment = spec.experiment
     if experiment.plant.type == "lab":

@@ -23,7 +23,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
 from tetractl.experiment.controller import OptimizerSection
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
-from tetractl.experiment.shape import ShapeSection
+from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.explain import words
 from tetractl.model.motion.motion import Held, Motion
 from tetractl.model.obstacles import Obstacles

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from support.needs_opencv import cv2
 
-from tetractl.emulate.dish.picture import Look
+from tetractl.emulate.dish.picture import PictureLook
 from tetractl.emulate.dish.synthetic import FilmScript, SyntheticFilm
-from tetractl.film.field import FieldRecord
+from tetractl.film.field_file import FieldRecord
 from tetractl.film.follow import follow
 
 REACH_UM = 25.0  # a cell is found by what is shown within half a body of it
@@ -30,10 +30,10 @@ class Reel:
 
 def film(seed=1, side=384, look=None, **script):
     """A film of a small picture; `look` are values that are not drawn."""
-    drawn = Look.drawn(np.random.default_rng(seed), side, 2.3)
+    drawn = PictureLook.drawn(np.random.default_rng(seed), side, 2.3)
     values = {name: getattr(drawn, name) for name in drawn.__slots__} | (look or {})
     options = {"seconds": 4.0, "cells": 4, "events": False} | script
-    return SyntheticFilm(FilmScript(**options), Look(**values), seed)
+    return SyntheticFilm(FilmScript(**options), PictureLook(**values), seed)
 
 
 def record(made):

@@ -10,7 +10,7 @@ import typer
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
-    from tetractl.film.fit import CellSummary
+    from tetractl.film.fit_cell import CellSummary
     from tetractl.film.follow import Followed
     from tetractl.film.pictures import FilmPictures
 
@@ -56,11 +56,11 @@ def track(
 
     from tetractl.core.table.data import json_text
     from tetractl.core.table.terminal_table import print_tables
-    from tetractl.film.field import read_field
-    from tetractl.film.fit import summarise
+    from tetractl.film.field_file import read_field
+    from tetractl.film.film_tables import as_items, cell_table
+    from tetractl.film.fit_cell import summarise
     from tetractl.film.follow import follow
     from tetractl.film.pictures import open_film
-    from tetractl.film.tables import as_items, cell_table
 
     if y_down and field is None:
         raise UsageError("--y-down belongs to --field")
@@ -97,8 +97,8 @@ def _write(
 ) -> None:
     """Write the tables, the log and the film with the tracks."""
     from tetractl.core.table.table_files import TableFiles
-    from tetractl.film.files import write_log, write_overlay
-    from tetractl.film.tables import pose_table, summary_table
+    from tetractl.film.film_files import write_log, write_overlay
+    from tetractl.film.film_tables import pose_table, summary_table
 
     files = {"cells": out / "cells.csv", "poses": out / "poses.csv"}
     with TableFiles(files, "csv") as tables:

@@ -80,8 +80,8 @@ def run_command(
     """
     from rich.console import Console
 
-    from tetractl.run.limits import check
     from tetractl.run.store import LogStore, default_folder
+    from tetractl.run.trial_limits import check
 
     experiment = loaded.experiment
     in_lab = not experiment.plant.simulated
@@ -119,9 +119,9 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
     from rich.console import Console
 
     from tetractl.core.plan import Outcome
-    from tetractl.run.limits import check
     from tetractl.run.store import LogStore
     from tetractl.run.task import log_path
+    from tetractl.run.trial_limits import check
 
     check(loaded.experiment)
     in_lab = not loaded.experiment.plant.simulated
@@ -201,8 +201,8 @@ def run_trials(
 def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
     """Print what a run would do; as YAML throughout, so that it can be kept as a spec."""
     from tetractl.experiment.load import resolved_yaml
-    from tetractl.run.limits import limits
     from tetractl.run.task import log_path
+    from tetractl.run.trial_limits import limits
 
     print(f"# {loaded.name} as it would be run; nothing is run or written")
     print(resolved_yaml(loaded.experiment), end="")

@@ -6,7 +6,7 @@ import numpy as np
 
 from tetractl.core.poses import Bools, Floats
 from tetractl.experiment.experiment import Arena, Experiment, Robot
-from tetractl.experiment.shape import ShapeSection
+from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
 MEMORY_MAX = 1_000_000_000

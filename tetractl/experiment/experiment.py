@@ -16,7 +16,7 @@ from tetractl.experiment.kinds import CONTROLLERS, PLANTS, SHAPES
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection
-from tetractl.experiment.shape import ShapeSection
+from tetractl.experiment.shape_section import ShapeSection
 
 
 class Units(Model):

@@ -7,10 +7,10 @@ import numpy as np
 
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Floats
-from tetractl.film.field import FieldRecord, no_field
+from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.pictures import FilmPictures
 from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.detect import Blob, BlobFinder, Grey
+from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Grey
 from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
 

@@ -15,7 +15,7 @@ from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.limits import directions
+from tetractl.run.trial_limits import directions
 
 AT_ONCE = "stopped at once by a second interruption"
 

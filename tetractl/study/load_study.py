@@ -16,8 +16,8 @@ from tetractl.experiment.yaml.document import Document, parse_document, read_tex
 from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
 from tetractl.experiment.yaml.schema import schema_of
-from tetractl.run.limits import check
 from tetractl.run.task import code_of
+from tetractl.run.trial_limits import check
 from tetractl.study.arm import Arm, arm_name, as_yaml
 from tetractl.study.study import Study
 from tetractl.study.sweep import Setting

@@ -111,7 +111,7 @@ class Range(Model):
         return math.floor(value) if self.whole else value
 
 
-class Sample(Sweep):
+class SampledSweep(Sweep):
     """Points drawn from the ranges of some fields, from the root seed of the study."""
 
     count: int = Field(ge=1, le=100_000)
@@ -134,7 +134,7 @@ class Sample(Sweep):
         ]
 
 
-class Random(Sample):
+class Random(SampledSweep):
     """Points drawn independently of one another."""
 
     type: Literal["random"]
@@ -144,7 +144,7 @@ class Random(Sample):
         return rng.random((self.count, len(self.fields)))
 
 
-class Sobol(Sample):
+class Sobol(SampledSweep):
     """Points of a scrambled Sobol sequence, which fill the ranges more evenly than random ones;
     most evenly where their number is a power of 2."""
 

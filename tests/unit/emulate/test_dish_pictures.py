@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from support.dish_films import film
 
-from tetractl.emulate.dish.picture import DishPainter, Look
+from tetractl.emulate.dish.picture import DishPainter, PictureLook
 from tetractl.model.swimmers import Swimmers, bodies
 
-PLAIN = Look(width=160, height=120, vignetting=0.0, noise=0.0)
+PLAIN = PictureLook(width=160, height=120, vignetting=0.0, noise=0.0)
 
 
 def drawn(look, seed=1, **values):
@@ -24,7 +24,7 @@ def drawn(look, seed=1, **values):
 @pytest.mark.parametrize("heading", [0.0, 1.0, 2.5])
 def test_the_middle_and_the_axis_of_a_body_are_where_they_are_said_to_be(bright, heading):
     light = 50.0 if bright else 160.0
-    look = Look(width=160, height=120, vignetting=0.0, noise=0.0, bright=bright, light=light)
+    look = PictureLook(width=160, height=120, vignetting=0.0, noise=0.0, bright=bright, light=light)
     picture, body = drawn(look, heading=heading)
     ink = np.abs(picture - light)
     rows, columns = np.indices(ink.shape)

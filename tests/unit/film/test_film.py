@@ -6,11 +6,11 @@ from support.dish_films import film, followed, record, who
 from support.needs_opencv import cv2
 
 from tetractl.core.errors import TetractlError, UsageError
-from tetractl.film.field import read_field
-from tetractl.film.fit import summarise
+from tetractl.film.field_file import read_field
+from tetractl.film.film_tables import as_items
+from tetractl.film.fit_cell import summarise
 from tetractl.film.follow import follow
 from tetractl.film.pictures import open_film
-from tetractl.film.tables import as_items
 
 
 def test_a_speeds_and_biases_are_within_their_intervals():

@@ -8,7 +8,7 @@ from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
-from tetractl.run.limits import check, directions, limits
+from tetractl.run.trial_limits import check, directions, limits
 
 SQUARE = {"type": "square", "side": 2.0}
 

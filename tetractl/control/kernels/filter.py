@@ -35,7 +35,7 @@ MEAN_CAPPED = 0.8  # of the square of a normal number, capped at 4
 _wrap = inlined(wrap)
 
 
-class Model(NamedTuple):
+class FilterModel(NamedTuple):
     """What is expected of N robots; `noise` and `walk` are standard deviations."""
 
     a: Floats  # (N,) rad/s

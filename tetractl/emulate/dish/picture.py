@@ -27,7 +27,7 @@ NOISE_SPARE = 64  # pixels by which the field of noise is larger than a picture
 
 
 @dataclass(frozen=True, slots=True)
-class Speck:
+class RenderedSpeck:
     """Debris or a bubble: an ellipse at x, y [um] that drifts [um/s]; a rim is brighter."""
 
     x: float
@@ -41,7 +41,7 @@ class Speck:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class PictureLook:
     """How a dish looks through an emulated microscope.
 
     `bright` cells are brighter than the medium. `light` is the grey level of the medium in the
@@ -63,7 +63,7 @@ class Look:
     noise: float = 3.0
     quality: int | None = None
     focus_um: float = 0.0
-    specks: tuple[Speck, ...] = ()
+    specks: tuple[RenderedSpeck, ...] = ()
 
     @classmethod
     def drawn(cls, random: np.random.Generator, side_px: int, um_px: float | None = None) -> Self:
@@ -73,7 +73,7 @@ class Look:
         span = side_px * scale
         specks = [_speck(random, span) for _ in range(random.integers(5, 51))]
         x, y = random.uniform(0, span, 2).tolist()
-        bubble = Speck(x, y, float(random.uniform(100, 250)), 1.0, 0.0, 0.1, rim=True)
+        bubble = RenderedSpeck(x, y, float(random.uniform(100, 250)), 1.0, 0.0, 0.1, rim=True)
         return cls(
             width=side_px,
             height=side_px,
@@ -91,10 +91,10 @@ class Look:
         )
 
 
-def _speck(random: np.random.Generator, span: float) -> Speck:
+def _speck(random: np.random.Generator, span: float) -> RenderedSpeck:
     x, y = random.uniform(0, span, 2).tolist()
     drift = random.uniform(-8, 8, 2).tolist() if random.random() < 0.3 else (0.0, 0.0)
-    return Speck(
+    return RenderedSpeck(
         x,
         y,
         size_um=float(random.uniform(5, 60)),
@@ -109,7 +109,7 @@ def _speck(random: np.random.Generator, span: float) -> Speck:
 class DishPainter:
     """Paints pictures of one look; the same seed gives the same pictures."""
 
-    look: Look
+    look: PictureLook
     seed: int = 0
     _still: Shades | None = None
     _noise: Shades | None = None
@@ -186,7 +186,7 @@ class DishPainter:
         up = row - np.arange(top, bottom, dtype=float)
         return (slice(top, bottom), slice(left, right)), across[None, :], up[:, None]
 
-    def _draw_speck(self, ink: Shades, speck: Speck) -> None:
+    def _draw_speck(self, ink: Shades, speck: RenderedSpeck) -> None:
         half = speck.size_um / 2 / self.look.um_px
         patch = self._patch(speck.x, speck.y, half * speck.stretch + 4)
         if patch is None:

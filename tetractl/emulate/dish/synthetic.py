@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats
-from tetractl.emulate.dish.picture import SUB_EXPOSURES, DishPainter, Grey, Look
+from tetractl.emulate.dish.picture import SUB_EXPOSURES, DishPainter, Grey, PictureLook
 from tetractl.model.swimmers import DRIFT_UM_S, Bodies, Swimmers, bodies
 
 STEP_S = 1 / 240
@@ -45,7 +45,7 @@ class SyntheticFilm:
     """
 
     script: FilmScript
-    look: Look
+    look: PictureLook
     seed: int
     cells: Swimmers | None = None
     times: Floats = field(init=False)

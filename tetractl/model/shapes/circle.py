@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.core.poses import Bools, Floats
 from tetractl.experiment.base import Point, Positive
-from tetractl.experiment.shape import ShapeSection
+from tetractl.experiment.shape_section import ShapeSection
 
 CORNERS = 64  # of the polygon that draws a disc
 

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from tetractl.core.poses import Bools, Floats
 from tetractl.experiment.base import Point, inconsistent
-from tetractl.experiment.shape import ShapeSection
+from tetractl.experiment.shape_section import ShapeSection
 
 HEAD = 6  # numbers of a row before the vertices
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tetractl.core.poses import Bools, Floats
 from tetractl.experiment.base import Finite, Positive
-from tetractl.experiment.shape import ShapeSection
+from tetractl.experiment.shape_section import ShapeSection
 
 
 class PackedRectangles(NamedTuple):

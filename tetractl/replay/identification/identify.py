@@ -11,7 +11,7 @@ from tetractl.replay.identification.chain import Chain, ChainNoise, SampleInterv
 from tetractl.replay.identification.fit import Fitted, fit
 from tetractl.replay.identification.tracks import Drives, Track, drives_of
 from tetractl.replay.identification.turning import Turning
-from tetractl.replay.identification.wheels import track_radii
+from tetractl.replay.identification.wheel_fit import track_radii
 
 LEAST = 20  # intervals of a robot, below which nothing is fitted
 OUTLYING = 4.0  # deviations

@@ -15,8 +15,8 @@ from tetractl.core.commands import Health
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.detect import Grey, Light
-from tetractl.lab.cameras.cells.health import DishState, cell_health
+from tetractl.lab.cameras.cells.cells_health import DishState, cell_health
+from tetractl.lab.cameras.cells.detect_cells import Grey, Light
 from tetractl.lab.cameras.cells.helix import Piece
 from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.cells.tracking import CellTracker

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from tetractl.core.poses import Floats
-from tetractl.lab.cameras.cells.detect import Blob
+from tetractl.lab.cameras.cells.detect_cells import Blob
 from tetractl.lab.cameras.cells.identity import Question
 
 
@@ -36,7 +36,7 @@ class SeenCell:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CellAnswer:
     """Who is who since a time [s]: the cell of each track, and the probability of this."""
 
     tracks: tuple[int, ...]

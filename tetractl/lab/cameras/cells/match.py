@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells.cell import FollowedCell
-from tetractl.lab.cameras.cells.detect import Blob
+from tetractl.lab.cameras.cells.detect_cells import Blob
 
 GATE = 6.0  # deviations from where a cell is expected
 GATE_UM = 12.0  # and as far as this in any case

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.poses import Floats
-from tetractl.lab.cameras.cells.cell import Answer, FollowedCell, Merge
+from tetractl.lab.cameras.cells.cell import CellAnswer, FollowedCell, Merge
 from tetractl.lab.cameras.cells.helix import HelixFilter
 from tetractl.lab.cameras.cells.identity import MOST, Question, opened
 from tetractl.lab.cameras.cells.match import second_best
@@ -22,7 +22,7 @@ class Merges:
     def __init__(self, bank: HelixFilter) -> None:
         self._bank = bank
         self._merges: list[Merge] = []
-        self.closed: list[Answer] = []
+        self.closed: list[CellAnswer] = []
 
     def join(self, together: Sequence[FollowedCell], cells: Sequence[FollowedCell]) -> None:
         """Remember who is in one blob, and let copies of them swim on by the signal alone."""
@@ -127,4 +127,4 @@ class Merges:
                 self._bank.drop(row)
         tracks = tuple(cell.track for cell in members)
         answer = tuple(cell.identity for cell in members)
-        self.closed.append(Answer(tracks, answer, question.since_s, probability))
+        self.closed.append(CellAnswer(tracks, answer, question.since_s, probability))

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.lab.cameras.cells.cell import Answer, Born, FollowedCell, SeenCell
-from tetractl.lab.cameras.cells.detect import Blob, BlobFinder, Grey, Light
+from tetractl.lab.cameras.cells.cell import Born, CellAnswer, FollowedCell, SeenCell
+from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Grey, Light
 from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, Piece
 from tetractl.lab.cameras.cells.match import (
     assigned,
@@ -83,7 +83,7 @@ class CellTracker:
         return self.finder.light
 
     @property
-    def closed(self) -> Sequence[Answer]:
+    def closed(self) -> Sequence[CellAnswer]:
         """The questions of identity that the newest picture answered."""
         return self._merges.closed
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.dish_films import film, followed, score
 
-from tetractl.film.field import no_field
-from tetractl.lab.cameras.cells.detect import BLOBS, BlobFinder
+from tetractl.film.field_file import no_field
+from tetractl.lab.cameras.cells.detect_cells import BLOBS, BlobFinder
 from tetractl.lab.cameras.cells.tracking import CellTracker
 
 

@@ -2,7 +2,7 @@ from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
-from tetractl.run.limits import limits
+from tetractl.run.trial_limits import limits
 
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 

@@ -17,7 +17,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.film.follow import Followed
 from tetractl.film.pictures import FilmPictures, opencv
 from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.detect import Grey
+from tetractl.lab.cameras.cells.detect_cells import Grey
 
 CROP_PX = 64
 PICTURES_S = 1.0  # between whole pictures in the log

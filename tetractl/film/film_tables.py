@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from tetractl.core.table.numbers import fixed
 from tetractl.core.table.table import Column, Table
-from tetractl.film.fit import CellSummary, Estimated
+from tetractl.film.fit_cell import CellSummary, Estimated
 from tetractl.film.follow import Followed
 
 

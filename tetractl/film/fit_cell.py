@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.film.field import FieldRecord, no_field
+from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.follow import CellPath, Followed
 from tetractl.lab.cameras.cells.helix import (
     BIAS,
@@ -83,7 +83,7 @@ class CellSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class TrackNoise:
     """The likeliest noise of each of N cells (N,); units are those of the lists above."""
 
     walk: Floats
@@ -92,13 +92,13 @@ class Noise:
     stray: Floats
 
     @classmethod
-    def usual(cls, count: int) -> "Noise":
+    def usual(cls, count: int) -> "TrackNoise":
         """Return noise to begin with."""
         return cls(*(np.full(count, value) for value in (0.07, 0.7, 3.0, 2.0)))
 
-    def repeated(self, times: int) -> "Noise":
+    def repeated(self, times: int) -> "TrackNoise":
         """Return the noise of the same cells, several times over."""
-        return Noise(*(np.tile(getattr(self, name), times) for name in self.__slots__))
+        return TrackNoise(*(np.tile(getattr(self, name), times) for name in self.__slots__))
 
     @property
     def growth(self) -> Floats:
@@ -114,12 +114,12 @@ def summarise(
     followed: Followed,
     field: FieldRecord | None,
     on_round: Callable[[], None] = lambda: None,
-) -> tuple[tuple[CellSummary, ...], Noise]:
+) -> tuple[tuple[CellSummary, ...], TrackNoise]:
     """Return what a film tells of each cell, and the noise found."""
     pieces = no_field if field is None else field.pieces
     long = [path for path in followed.paths if path.times[-1] - path.times[0] >= SHORTEST_S]
     fits: dict[int, tuple[Floats, Floats]] = {}
-    noise = Noise.usual(len(long))
+    noise = TrackNoise.usual(len(long))
     if long:
         table = _Measured.of(long, pieces)
         noise = _likeliest(table, field is not None, on_round)
@@ -178,7 +178,7 @@ class _Measured:
         return _Measured(values, deviations, np.tile(self.starts, (times, 1)), self.pieces)
 
     def filtered(
-        self, noise: Noise, known: bool, about: Floats | None = None
+        self, noise: TrackNoise, known: bool, about: Floats | None = None
     ) -> tuple[Floats, Floats, Floats]:
         """Return the last means (N, 12), covariances (N, 12, 12), and log-likelihoods (N,).
 
@@ -218,10 +218,10 @@ def _last(values: Floats) -> int:
     return int(known[-1]) if len(known) else -1
 
 
-def _likeliest(table: _Measured, known: bool, on_round: Callable[[], None]) -> Noise:
+def _likeliest(table: _Measured, known: bool, on_round: Callable[[], None]) -> TrackNoise:
     """Return the noise by which what was seen of each cell is likeliest, one kind after another."""
     count = table.values.shape[1]
-    best = Noise.usual(count)
+    best = TrackNoise.usual(count)
     for _ in range(ROUNDS):
         for name, options in (
             ("exactness", EXACTNESS),
@@ -278,4 +278,4 @@ def headings(path: CellPath) -> Floats:
     return np.array([cell.heading for cell in path.seen])
 
 
-assert HEADING == 2  # the order of Noise.growth is that of the filter's states
+assert HEADING == 2  # the order of TrackNoise.growth is that of the filter's states

@@ -51,6 +51,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+	$(BIN)/python docs/words.py
 
 clean:
 	rm -rf .venv .ruff_cache .import_linter_cache

@@ -39,7 +39,7 @@ class Hypothesis:
 class RobotFilter:
     """Robot i of a kernel's model with one dead time: hypotheses by slot, the stuck one last."""
 
-    def __init__(self, model: kernel.Model, i: int, z: Floats, cov: Floats) -> None:
+    def __init__(self, model: kernel.FilterModel, i: int, z: Floats, cov: Floats) -> None:
         self.a, self.v, self.helix = model.a[i], model.speed[i], model.helix
         self.noise, self.walk = model.noise[:, i], model.walk[:, i]
         self.scale = np.ones(2)

@@ -118,7 +118,7 @@ class FilterBank:
         walk[7:9] = FLOW_DRIFT * prior.flow_std
         walk[9:11] = 0.1 * prior.helix_radius
         helix = 2 * math.pi * prior.helix_frequency if prior.helix_radius > 0 else 0.0
-        self._model = kernel.Model(prior.a, prior.speed, noise, walk, helix)
+        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, helix)
         self._when, self._u = np.empty(0), np.empty(0)  # commands that may still act
         self._last: Observation | None = None  # the frame followed last
         self._from_ns: int | None = None if drive_first else 0  # robots are followed from here on

@@ -4,7 +4,8 @@ import numpy as np
 from support.oracle import World
 
 from tetractl.control.cost import evaluate
-from tetractl.control.optimizers.pso import Pso, Swarm
+from tetractl.control.optimizers.pso import Swarm
+from tetractl.control.optimizers.pso_section import Pso
 from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
 from tetractl.model.obstacles import Obstacles

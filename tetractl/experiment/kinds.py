@@ -12,7 +12,7 @@ OPTIMIZERS = Registry(
     "tetractl.optimizers",
     "optimizer",
     {
-        "pso": "tetractl.control.optimizers.pso:Pso",
+        "pso": "tetractl.control.optimizers.pso_section:Pso",
         "multistart": "tetractl.control.optimizers.multistart:Multistart",
         "cem": "tetractl.control.optimizers.cem:CrossEntropy",
         "mppi": "tetractl.control.optimizers.mppi:Mppi",

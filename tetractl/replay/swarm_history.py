@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.cost import evaluate
-from tetractl.control.optimizers.pso import LOWER, UPPER, Pso
+from tetractl.control.optimizers.pso import LOWER, UPPER
+from tetractl.control.optimizers.pso_section import Pso
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.core.plan import Limits, Search
 from tetractl.core.poses import Floats

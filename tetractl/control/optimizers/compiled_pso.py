@@ -5,7 +5,7 @@ import numpy as np
 from tetractl.control.cost import require_finite
 from tetractl.control.kernels import pso as kernel
 from tetractl.control.kernels.rollout import Rollout, aligned, costs, lay_out
-from tetractl.control.optimizers.pso import LOWER, UPPER, Pso, Swarm
+from tetractl.control.optimizers.pso import LOWER, UPPER, PsoFields, Swarm
 from tetractl.control.rng import mix
 from tetractl.control.stop import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
 from tetractl.core.plan import Limits, Search, StopReason
@@ -25,7 +25,12 @@ REASONS = {
 
 
 def pso(
-    section: Pso, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    section: PsoFields,
+    problem: Problem,
+    length: int,
+    warm: Floats | None,
+    key: int,
+    limits: Limits,
 ) -> Search:
     """Algorithm 1 with the same draws as the reference, to which it agrees but for rounding.
 
@@ -46,14 +51,19 @@ def pso(
     return Search(length, swarm.u_gb, float(history[-1]), history, evaluations, REASONS[reason])
 
 
-def lay_out_swarm(section: Pso, problem: Problem) -> Rollout:
+def lay_out_swarm(section: PsoFields, problem: Problem) -> Rollout:
     """Prepare the rollouts of the particles, in the precision they are to have."""
     kind = np.float32 if section.precision == "single" else np.float64
     return lay_out(problem, section.particles, kind)
 
 
 def scatter(
-    section: Pso, problem: Problem, rollout: Rollout, length: int, warm: Floats | None, key: int
+    section: PsoFields,
+    problem: Problem,
+    rollout: Rollout,
+    length: int,
+    warm: Floats | None,
+    key: int,
 ) -> tuple[kernel.SwarmArrays, int]:
     """Algorithm 1, lines 1-6: return the swarm and the evaluations spent."""
     drawn = Swarm.scatter(section, length, key)
@@ -83,7 +93,7 @@ def scatter(
     return swarm, evaluations
 
 
-def make_rules(section: Pso, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:
+def make_rules(section: PsoFields, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:
     """Return the parameters of (14)-(20) as the kernel reads them; `spent` counts evaluations."""
     stop, window, decrease, target = _stop(section.stop)
     return kernel.SwarmRules(

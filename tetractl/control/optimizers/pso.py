@@ -23,8 +23,8 @@ LOWER, UPPER = -np.pi, np.pi  # lb and ub, (12)
 SPAN = abs(UPPER - LOWER)  # |ub - lb|, (15)
 
 
-class Pso(OptimizerSection):
-    """Particle swarm of Algorithm 1, (14)-(19)."""
+class PsoFields(OptimizerSection):
+    """Fields of the particle swarm of Algorithm 1, (14)-(19)."""
 
     type: Literal["pso"] = "pso"
     particles: int = Field(default=100, ge=1, le=1_000_000)
@@ -58,14 +58,6 @@ class Pso(OptimizerSection):
         """Every particle in every iteration, and a warm start."""
         return (self.iterations + 1) * self.particles + 1
 
-    def search(
-        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
-    ) -> Search:
-        """Search sequences of `length` signals by Algorithm 1, compiled."""
-        from tetractl.control.optimizers import compiled_pso
-
-        return compiled_pso.pso(self, problem, length, warm, key, limits)
-
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
         """Yield "evaluations" and "stopped" where the history does not lead to them."""
         if not len(found.history):
@@ -90,7 +82,7 @@ class Swarm:
     J(u_lb,n); u_gb (L,) with cost J(u_gb).
     """
 
-    section: Pso
+    section: PsoFields
     key: int
     u: Floats
     v: Floats
@@ -101,7 +93,7 @@ class Swarm:
     z: int = 0
 
     @classmethod
-    def scatter(cls, section: Pso, length: int, key: int) -> "Swarm":
+    def scatter(cls, section: PsoFields, length: int, key: int) -> "Swarm":
         """Algorithm 1, line 1: draw u_n, v_n and u_lb,n uniformly in their search spaces."""
         n = section.particles
         draws = uniform(mix(key, 0), 0, 3 * length * n).reshape(3, length, n)
@@ -140,7 +132,12 @@ class Swarm:
 
 
 def pso(
-    section: Pso, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    section: PsoFields,
+    problem: Problem,
+    length: int,
+    warm: Floats | None,
+    key: int,
+    limits: Limits,
 ) -> Search:
     """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or from NULL.
 

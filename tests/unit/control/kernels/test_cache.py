@@ -15,7 +15,7 @@ from pathlib import Path
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.kernels.multistart import polish_each
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.control.optimizers.pso import Pso
+from tetractl.control.optimizers.pso_section import Pso
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
 

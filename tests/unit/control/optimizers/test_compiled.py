@@ -9,7 +9,8 @@ from support import problems
 
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels.rollout import costs, lay_out
-from tetractl.control.optimizers.pso import Pso, pso
+from tetractl.control.optimizers.pso import pso
+from tetractl.control.optimizers.pso_section import Pso
 from tetractl.core.plan import Limits
 
 MODELS = st.sampled_from(["euler", "arc", "exact"])

@@ -8,7 +8,7 @@ from support import oracle, problems
 
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers import pso
-from tetractl.control.optimizers.pso import Pso
+from tetractl.control.optimizers.pso_section import Pso
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits
 

@@ -14,7 +14,8 @@ from tetractl.control.cost import evaluate
 from tetractl.control.kernels import pso as kernel
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers import compiled_pso
-from tetractl.control.optimizers.pso import Pso, pso
+from tetractl.control.optimizers.pso import pso
+from tetractl.control.optimizers.pso_section import Pso
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec

@@ -5,7 +5,6 @@ import threading
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -15,7 +14,7 @@ from tetractl.core.commands import Health
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.cells_health import DishState, cell_health
+from tetractl.lab.cameras.cells.cells_health import DishState, SeenDish, cell_health
 from tetractl.lab.cameras.cells.detect_cells import Grey, Light
 from tetractl.lab.cameras.cells.helix import Piece
 from tetractl.lab.cameras.cells.section import CellsSection
@@ -24,23 +23,6 @@ from tetractl.lab.cameras.picture_camera import PictureCamera
 
 BACKGROUND = 15  # pictures
 SIGNALS = 4096  # directions that are remembered
-
-
-@dataclass(frozen=True, slots=True)
-class SeenDish:
-    """One picture: the robots' poses, other cells, what the picture is like, and how sharp.
-
-    `sure` is the least probability that a robot's cell is that cell; `level` the picture's median
-    [grey levels]. `sharpness` is the steepest slope at a cell's rim over its contrast [1/px], the
-    median of the cells; None without any.
-    """
-
-    poses: tuple[Pose | None, ...]
-    strangers: tuple[Pose, ...]
-    light: Light
-    level: float
-    sharpness: float | None
-    sure: float
 
 
 class CellCamera(PictureCamera[SeenDish]):

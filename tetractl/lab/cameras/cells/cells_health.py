@@ -3,13 +3,11 @@
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from tetractl.core.commands import Health
+from tetractl.core.poses import Pose
+from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.looks import Look, rate_hz, search_ms, stream_lines
-
-if TYPE_CHECKING:
-    from tetractl.lab.cameras.cells.camera import SeenDish
 
 DARK, SATURATED = 12.0, 245.0  # grey levels of the medium
 FAINT = 6.0  # contrast over noise: below, cells are lost now and then
@@ -17,6 +15,23 @@ BLURRED = 0.1  # 1/px: the rim of a cell is wider than ten pixels
 SMALL_PX = 8.0  # of a cell's width
 BODY_UM = 26.3
 UNSURE = 0.9  # probability of who is who
+
+
+@dataclass(frozen=True, slots=True)
+class SeenDish:
+    """One picture: the robots' poses, other cells, what the picture is like, and how sharp.
+
+    `sure` is the least probability that a robot's cell is that cell; `level` the picture's median
+    [grey levels]. `sharpness` is the steepest slope at a cell's rim over its contrast [1/px], the
+    median of the cells; None without any.
+    """
+
+    poses: tuple[Pose | None, ...]
+    strangers: tuple[Pose, ...]
+    light: Light
+    level: float
+    sharpness: float | None
+    sure: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +49,7 @@ class DishState:
     emulated: bool
 
 
-def cell_health(
-    names: Sequence[str], looks: "Sequence[Look[SeenDish]]", state: DishState
-) -> Health:
+def cell_health(names: Sequence[str], looks: Sequence[Look[SeenDish]], state: DishState) -> Health:
     """Return the health of a camera from its last looks, oldest first."""
     problems, warnings = stream_lines(
         looks, state.source, state.ended, state.now_ns, state.rate_hz, state.damaged
@@ -59,7 +72,7 @@ def cell_health(
     return Health(tuple(problems), tuple(warnings), facts, emulated=state.emulated)
 
 
-def _problems(names: Sequence[str], looks: "Sequence[Look[SeenDish]]") -> list[str]:
+def _problems(names: Sequence[str], looks: Sequence[Look[SeenDish]]) -> list[str]:
     found: list[str] = []
     level = statistics.median(look.seen.level for look in looks)
     if level < DARK:
@@ -83,7 +96,7 @@ def _problems(names: Sequence[str], looks: "Sequence[Look[SeenDish]]") -> list[s
     return found
 
 
-def _warnings(looks: "Sequence[Look[SeenDish]]", state: DishState) -> list[str]:
+def _warnings(looks: Sequence[Look[SeenDish]], state: DishState) -> list[str]:
     found: list[str] = []
     ratios = [
         look.seen.light.contrast / max(look.seen.light.noise, 1.0)
@@ -107,7 +120,7 @@ def _warnings(looks: "Sequence[Look[SeenDish]]", state: DishState) -> list[str]:
     return found
 
 
-def _cells(looks: "Sequence[Look[SeenDish]]") -> int:
+def _cells(looks: Sequence[Look[SeenDish]]) -> int:
     """Return how many cells are in view, in the median."""
     counts = [
         sum(pose is not None for pose in look.seen.poses) + len(look.seen.strangers)

@@ -11,8 +11,7 @@ from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Transmission
 from tetractl.core.errors import AbortError
 from tetractl.experiment.load import parse_spec
-from tetractl.lab.cameras.cells.camera import SeenDish
-from tetractl.lab.cameras.cells.cells_health import DishState, cell_health
+from tetractl.lab.cameras.cells.cells_health import DishState, SeenDish, cell_health
 from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.looks import Look
 from tetractl.lab.inner_loop import InnerLoop

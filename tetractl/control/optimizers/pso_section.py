@@ -1,0 +1,18 @@
+"""The section `type: pso`, which runs the compiled Algorithm 1 and imports it when it is needed."""
+
+from tetractl.control.optimizers.pso import PsoFields
+from tetractl.core.plan import Limits, Search
+from tetractl.core.poses import Floats
+from tetractl.core.problem import Problem
+
+
+class Pso(PsoFields):
+    """Particle swarm of Algorithm 1, (14)-(19)."""
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Search sequences of `length` signals by Algorithm 1, compiled."""
+        from tetractl.control.optimizers import compiled_pso
+
+        return compiled_pso.pso(self, problem, length, warm, key, limits)

@@ -24,7 +24,7 @@ from tetractl.log.write.recorder import Recorder
 
 HOST = {"solve_ns", "deadline_missed", "deadline_misses", "packages"}
 SETUP = {"setup", "start_unix_ns"}  # given by the text of the spec and by its hash
-TOLD = {"not_at_rest", "field_off"}  # by the result's reason, and by a command without direction
+TOLD = {"not_at_rest", "field_off", "pauses"}  # by the reason of the result, and by the command
 OTHERS = {Outcome.SEQUENCE_COMPLETED: Outcome.ARRIVED}
 
 

@@ -60,7 +60,6 @@ SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels
     "unit/plant/test_bench_agrees",
     "unit/run/test_soak",
     "unit/test_benchmarks",
-    "unit/view/film",
 )
 CELLS = re.compile(  # of the contracts: one cell a kind of promise is enough for every change
     r"test_plant_contract.py::.*\[sim, (?!undisturbed|everything|wheels, radio|dish)"

@@ -93,6 +93,7 @@ class Mpc:
         self.warm: Floats | None = None  # u_(warm), None before step 0
         self.blocked = False  # whether the last plan touches an obstacle or its margin
         self.began = 0  # k at which a plan was made from standing
+        self.stuck = False  # whether nothing could move safely from standing
         self.resume = 0  # length from which to go on where the time for longer ones was up
 
     def plan(
@@ -116,6 +117,8 @@ class Mpc:
             return Outcome.ARRIVED
         if self.k > self.section.steps_max:  # line 9
             return Outcome.STEPS_MAX
+        if self.stuck:
+            return Outcome.NOTHING_BETTER
         if self.warm is None and self.k > 0 and float(gaps.sum()) <= self.accept:
             return Outcome.NOTHING_BETTER  # at rest, and near enough
         wary = self.blocked and self.section.collision.stop
@@ -127,7 +130,8 @@ class Mpc:
         self.blocked = plan.obstacle_cost > 0
         if self.blocked and self.k > 0 and self.section.collision.stop:
             if self.warm is None and self._enters(problem, observation, plan.signals):
-                return Outcome.NOTHING_BETTER  # nothing can move safely
+                self.stuck = True  # ends the trial after a pause, whose step logs these searches
+                return self._pause(problem, plan)
             rested = (self.k - self.began) * self.section.period
             if self.warm is not None and plan.cost > self.accept > 0 and rested > RESTED_S:
                 return self._pause(problem, plan)

@@ -5,7 +5,7 @@ import json
 import pytest
 from support.paths import ROOT
 
-from tetractl.core.plan import PAUSE_S
+from tetractl.core.plan import PAUSE_S, Outcome
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.identification.identify import identify
@@ -49,3 +49,15 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     found = verify(log_path(tmp_path, 5))
     assert found.problems == ()
     assert found.checked == len(log.steps)
+
+
+def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(tmp_path):
+    """Regression: the trial ended on searches that no log held, and `verify` failed it."""
+    poor = "controller.optimizer={type: pso, particles: 2, iterations: 1}"
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", (poor,))
+    result = run_trial(spec, tmp_path, 3, (), Interrupt())
+    log = read_trial(log_path(tmp_path, 3))
+    assert result.outcome is Outcome.NOTHING_BETTER
+    assert log.steps[-1].plan.pauses
+    assert len(log.steps[-1].plan.searches) > 1
+    assert verify(log_path(tmp_path, 3)).problems == ()

@@ -11,6 +11,7 @@ from tetractl.control.kernels import pso as kernel
 from tetractl.control.kernels.options import ENTRY_FAST, inlined
 from tetractl.control.kernels.rollout import aligned, costs, lay_out
 from tetractl.control.optimizers import compiled_pso, pso
+from tetractl.control.optimizers.pso import PsoFields
 from tetractl.core.plan import Limits
 from tetractl.core.problem import Problem
 from tetractl.model.motion.polynomials import horner
@@ -92,14 +93,14 @@ def _rollout(problem: Problem, kind: type) -> Callable[[], object]:
     return lambda: costs(course, signals, total)
 
 
-def _whole(problem: Problem, swarm: pso.Pso) -> Callable[[], object]:
+def _whole(problem: Problem, swarm: PsoFields) -> Callable[[], object]:
     return lambda: swarm.search(problem, SIGNALS, None, 1, Limits())
 
 
 class _Iterations:
     """Iterations of the compiled swarm, and nothing else."""
 
-    def __init__(self, problem: Problem, swarm: pso.Pso = SWARM) -> None:
+    def __init__(self, problem: Problem, swarm: PsoFields = SWARM) -> None:
         self.course = compiled_pso.lay_out_swarm(swarm, problem)
         self.swarm, _ = compiled_pso.scatter(swarm, problem, self.course, SIGNALS, None, 1)
         self.rules = compiled_pso.make_rules(swarm, 1, 0, Limits())

@@ -80,7 +80,7 @@ def installed(tmp_path):
         tmp_path / "site", "mine", "1.0", POINTS, pivot=code("pivot"), diamond=code("diamond")
     )
     (tmp_path / "s.yaml").write_text(SPEC, encoding="utf-8")
-    paths = [str(site), str(ROOT), os.environ.get("PYTHONPATH", "")]
+    paths = [str(site), str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")]
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | {
         "PYTHONPATH": os.pathsep.join(filter(None, paths)),
         "XDG_CACHE_HOME": str(tmp_path / "cache"),

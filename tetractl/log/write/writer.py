@@ -21,8 +21,9 @@ PATIENCE_S = 30.0  # for a disk that stands still
 BATCH_S = 0.5  # for which calls wait in a simulation, to be done together
 
 CHUNK_NS = 2 * SECOND
-"""A chunk ends after this much trial time, so that a simulation that runs faster than the wall
-clock gives the same chunks again. A slower trial is flushed by the wall clock, `sink.CHUNK_S`."""
+"""A chunk of a simulation ends after this much trial time, so that one that runs faster than the
+wall clock gives the same chunks again. A slower one is flushed by the clock, `sink.CHUNK_S`."""
+LAB_CHUNK_NS = SECOND // 4  # what a log may lose of a lab whose computer dies
 
 
 class Encoder:
@@ -35,6 +36,7 @@ class Encoder:
         self._messages = Messages(start)
         self._robots = len(start.setup.names)
         self._waiting: list[Frames] = []  # in a simulation, for others of their chunk
+        self._chunk_ns = LAB_CHUNK_NS if real_time else CHUNK_NS
         self._flushed_ns = 0
 
     def start(self, start: Start) -> None:
@@ -92,8 +94,8 @@ class Encoder:
         )
 
     def _end_chunk(self, trial_ns: int) -> None:
-        """End the chunk after each CHUNK_NS of the trial."""
-        if trial_ns - self._flushed_ns >= CHUNK_NS:
+        """End the chunk when its part of the trial is over."""
+        if trial_ns - self._flushed_ns >= self._chunk_ns:
             self.flush_frames()
             self._sink.flush()
             self._flushed_ns = trial_ns

@@ -349,8 +349,11 @@ def test_robots_stop_rather_than_leave_where_every_plan_found_does():
     assert controller.plan(there).pauses
     stopped = Command(None, 200_000_000, (True,) * 3)
     there = replace(there, sampled_ns=900_000_000, received_ns=900_000_000)
-    again = controller.plan(there, stopped)  # from standing
-    assert again is Outcome.NOTHING_BETTER or not again.pauses
+    again = controller.plan(there, stopped)  # from standing nothing can move safely
+    assert again.pauses
+    assert len(again.searches) > 1
+    there = replace(there, sampled_ns=1_600_000_000, received_ns=1_600_000_000)
+    assert controller.plan(there, replace(stopped, sent_ns=900_000_000)) is Outcome.NOTHING_BETTER
 
 
 @pytest.mark.parametrize(

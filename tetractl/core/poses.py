@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Grey = NDArray[np.uint8]  # a picture (height, width)
 
 
 @dataclass(frozen=True, slots=True)

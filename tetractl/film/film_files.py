@@ -14,10 +14,10 @@ from tetractl import __version__
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import TetractlError
+from tetractl.core.poses import Grey
 from tetractl.film.follow import Followed
 from tetractl.film.pictures import FilmPictures, opencv
 from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.detect_cells import Grey
 
 CROP_PX = 64
 PICTURES_S = 1.0  # between whole pictures in the log

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tetractl.core.errors import TetractlError
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Grey
 from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.pictures import FilmPictures
 from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Grey
+from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder
 from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
 

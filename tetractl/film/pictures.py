@@ -11,9 +11,8 @@ from tetractl.core.errors import AbortError, UsageError
 
 if TYPE_CHECKING:
     import numpy as np
-    from numpy.typing import NDArray
 
-    Grey = NDArray[np.uint8]
+    from tetractl.core.poses import Grey
 
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
 SIDE_MAX = 8192  # px

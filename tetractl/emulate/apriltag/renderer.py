@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.poses import Floats, Grey, Poses
 from tetractl.core.setup import MM
-from tetractl.lab.cameras.apriltag.detect import MODULES, Grey, tag_picture
+from tetractl.lab.cameras.apriltag.detect import MODULES, tag_picture
 from tetractl.lab.cameras.apriltag.section import FloorTag, RobotTag
 
 

@@ -26,7 +26,8 @@ from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting,
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Model, Name, NonNegative, Positive
-from tetractl.lab.cameras.apriltag.section import AprilTagSection, MjpegSource
+from tetractl.lab.cameras.apriltag.section import AprilTagSection
+from tetractl.lab.cameras.pictures.picture_section import MjpegSource
 
 KEEP_NS = 5_000_000  # between poses that are kept for exposures
 KEPT = 200

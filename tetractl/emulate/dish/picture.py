@@ -13,11 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.poses import Bools, Floats, Grey
 from tetractl.model.swimmers import Bodies, Swimmers
 
 Shades = NDArray[np.float32]
-Grey = NDArray[np.uint8]
 
 TAPER = 0.2  # how much narrower the front is than the middle
 SUB_EXPOSURES = 4

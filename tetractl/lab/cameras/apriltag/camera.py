@@ -5,12 +5,12 @@ from dataclasses import replace
 
 from tetractl.core.clock import Clock
 from tetractl.core.commands import Health
+from tetractl.core.poses import Grey
 from tetractl.core.setup import Setup
-from tetractl.lab.cameras.apriltag.detect import Grey
 from tetractl.lab.cameras.apriltag.health import State, judged
 from tetractl.lab.cameras.apriltag.section import AprilTagSection
 from tetractl.lab.cameras.apriltag.track import Seen, Tracker
-from tetractl.lab.cameras.picture_camera import PictureCamera
+from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 
 class AprilTagCamera(PictureCamera[Seen]):

@@ -4,12 +4,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Grey
 from tetractl.lab.cameras.apriltag.refine import refined
-
-Grey = NDArray[np.uint8]
 
 MODULES = 8  # of a tag's side, black border included
 ZERO = 0xD5D628584  # tag 0 as the AprilTag project prints it: its modules row by row, 1 is white

@@ -10,7 +10,7 @@ from tetractl.lab.cameras.apriltag.floor import MISFIT_MM
 from tetractl.lab.cameras.apriltag.plane import Plane
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 from tetractl.lab.cameras.apriltag.track import ODD_SIZE, Seen
-from tetractl.lab.cameras.looks import Look, rate_hz, search_ms, stream_lines
+from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
 
 BLURRED = 0.36  # modules: from here on, tags begin not to be read
 ODD = 0.03  # a tag of another size than the spec says, as a share

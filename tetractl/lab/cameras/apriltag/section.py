@@ -4,70 +4,21 @@ Lengths whose name ends in `_mm` are millimetres, whatever the spec's length uni
 seconds. OpenCV is imported only where the camera is built.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from tetractl.core.clock import Clock
-from tetractl.core.errors import AbortError, SpecError
-from tetractl.core.protocols import Camera
+from tetractl.core.errors import SpecError
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, NonNegative, Point, Positive, inconsistent
-from tetractl.experiment.lab_section import CameraSection, RobotPart, mismatches
+from tetractl.experiment.lab_section import RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
+from tetractl.lab.cameras.pictures.picture_section import PictureSection
 
 TAGS = 587  # of the family 36h11, numbered from 0
 
 Tag = Annotated[int, Field(ge=0, lt=TAGS)]
-PIXELS_MAX = 8192  # of a picture's side
-Pixels = Annotated[int, Field(ge=64, le=PIXELS_MAX)]
-
-
-class DeviceSource(Model):
-    """A camera at this computer, as OpenCV opens it."""
-
-    type: Literal["device"]
-    index: int = Field(default=0, ge=0, le=63)
-    """Its number: 0 for /dev/video0."""
-    width: Pixels = 1280
-    """Columns of a picture [px]."""
-    height: Pixels = 720
-    """Rows of a picture [px]."""
-    rate: Positive = 30.0
-    """Pictures a second [Hz]."""
-    format: Literal["MJPG", "YUYV"] = "MJPG"
-    """Pixel format on the cable; most USB cameras reach their full rate only in `MJPG`."""
-
-
-class FileSource(Model):
-    """A video file, played once at its own rate."""
-
-    type: Literal["file"]
-    path: str = Field(min_length=1, max_length=500)
-    """The file, absolute or relative to the working directory."""
-
-
-class MjpegSource(Model):
-    """A network camera: JPEG pictures in one endless HTTP answer (multipart/x-mixed-replace)."""
-
-    type: Literal["mjpeg"]
-    url: str = Field(pattern=r"^http://[^\s/?#@]+(/[^\s]*)?$", max_length=500)
-    """Address of the stream, such as http://192.168.1.30:8080/stream."""
-
-
-Source = Annotated[DeviceSource | FileSource | MjpegSource, Field(discriminator="type")]
-
-
-def named(source: Source) -> str:
-    """Return the name of a source, for people."""
-    match source:
-        case DeviceSource(index=index):
-            return f"camera {index}"
-        case FileSource(path=path):
-            return path
-        case MjpegSource(url=url):
-            return url
 
 
 class Lens(Model):
@@ -113,13 +64,11 @@ class FloorTag(Model):
     """Direction of reading it upright, from the spec's x axis [rad]."""
 
 
-class AprilTagSection(CameraSection):
+class AprilTagSection(PictureSection):
     """A camera that looks down on robots with AprilTags."""
 
     device: ClassVar[str] = "tetractl.lab.cameras.apriltag.camera:AprilTagCamera"
     type: Literal["apriltag"]
-    source: Source
-    """Where pictures come from."""
     family: Literal["36h11"] = "36h11"
     """The family of the tags."""
     robots: tuple[RobotTag, ...] = Field(min_length=1, max_length=32)
@@ -128,10 +77,6 @@ class AprilTagSection(CameraSection):
     """Tags round the arena that show where the floor is; all must be seen at once."""
     lens: Lens | None = None
     """The calibrated lens; by default focal length and distortion are found from the floor tags."""
-    latency: NonNegative = 0.05
-    """From exposure to arrival of a picture [s]; no source reports it."""
-    connect: Positive = 5.0
-    """How long the source may take to open, and then to deliver [s]."""
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
@@ -142,11 +87,6 @@ class AprilTagSection(CameraSection):
         if _flat([tag.at for tag in self.floor]):
             raise inconsistent("floor", "the floor tags must not stand in one line")
         return self
-
-    @property
-    def source_name(self) -> str:
-        """Name of the source, for people."""
-        return named(self.source)
 
     def ordered(self, names: Sequence[str]) -> tuple[RobotTag, ...]:
         """Return the tags of robots in the order of their names; SpecError where one has none."""
@@ -166,18 +106,6 @@ class AprilTagSection(CameraSection):
     def heading_offset(self, name: str) -> float:
         """Return what is added to the heading of a robot's tag [rad]."""
         return self.ordered([name])[0].heading_offset
-
-    def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
-        """Return the camera of the setup's robots; AbortError without OpenCV."""
-        try:
-            return super().build(setup, clock, wake)
-        except ModuleNotFoundError as error:
-            if error.name != "cv2":
-                raise
-            raise AbortError(
-                "the apriltag camera needs OpenCV, which is not installed",
-                "pip install 'tetractl[vision]'",
-            ) from error
 
 
 def _twice(values: Sequence[str]) -> list[str]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tetractl.core.poses import Floats, Pose
-from tetractl.lab.cameras.apriltag.detect import Detector, Grey, Sighting
+from tetractl.core.poses import Floats, Grey, Pose
+from tetractl.lab.cameras.apriltag.detect import Detector, Sighting
 from tetractl.lab.cameras.apriltag.floor import Floor
 from tetractl.lab.cameras.apriltag.plane import MM, SQUARE
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag

@@ -11,15 +11,15 @@ from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
-from tetractl.core.poses import Pose
+from tetractl.core.poses import Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.cells_health import DishState, SeenDish, cell_health
-from tetractl.lab.cameras.cells.detect_cells import Grey, Light
+from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.cells.helix import Piece
 from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.cells.tracking import CellTracker
-from tetractl.lab.cameras.picture_camera import PictureCamera
+from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 BACKGROUND = 15  # pictures
 SIGNALS = 4096  # directions that are remembered

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from tetractl.core.commands import Health
 from tetractl.core.poses import Pose
 from tetractl.lab.cameras.cells.detect_cells import Light
-from tetractl.lab.cameras.looks import Look, rate_hz, search_ms, stream_lines
+from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
 
 DARK, SATURATED = 12.0, 245.0  # grey levels of the medium
 FAINT = 6.0  # contrast over noise: below, cells are lost now and then

@@ -12,9 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.poses import Floats
-
-Grey = NDArray[np.uint8]
+from tetractl.core.poses import Floats, Grey
 
 STRIPES = 16  # of the background; one is brought up to date with each picture
 LEARNING = 0.1  # how far it then goes towards the picture: 5 s at 30 Hz

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Grey
 from tetractl.lab.cameras.cells.cell import Born, CellAnswer, FollowedCell, SeenCell
-from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Grey, Light
+from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Light
 from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, Piece
 from tetractl.lab.cameras.cells.match import (
     assigned,

@@ -157,7 +157,7 @@ def test_a_slow_and_a_blurred_camera_are_warned_of(tmp_path):
 
 
 def test_pictures_of_another_size_are_damaged(tmp_path, monkeypatch):
-    from tetractl.lab.cameras import picture_camera as module
+    from tetractl.lab.cameras.pictures import picture_camera as module
 
     shots = pictures(rendered(), 3)
     shots[1] = np.ascontiguousarray(shots[1][:100])

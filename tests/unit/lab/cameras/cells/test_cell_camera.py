@@ -13,7 +13,7 @@ from tetractl.core.errors import AbortError
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.cells.cells_health import DishState, SeenDish, cell_health
 from tetractl.lab.cameras.cells.detect_cells import Light
-from tetractl.lab.cameras.looks import Look
+from tetractl.lab.cameras.pictures.looks import Look
 from tetractl.lab.inner_loop import InnerLoop
 
 SPEC = """

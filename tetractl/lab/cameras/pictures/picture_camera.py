@@ -13,17 +13,16 @@ import cv2
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.cameras.apriltag.detect import Grey
-from tetractl.lab.cameras.apriltag.section import Source
-from tetractl.lab.cameras.apriltag.source import (
+from tetractl.core.poses import CameraFrame, Grey, Pose
+from tetractl.lab.cameras.pictures.looks import LOOKS, Look
+from tetractl.lab.cameras.pictures.picture_section import PictureSection
+from tetractl.lab.cameras.pictures.source import (
     Feed,
     Picture,
     SourceEndedError,
     decoded,
     open_feed,
 )
-from tetractl.lab.cameras.looks import LOOKS, Look
 
 KEPT = 4096  # frames not fetched yet
 WAIT_S = 0.05
@@ -45,30 +44,6 @@ class SearchedPicture(Protocol):
 
 
 S = TypeVar("S", bound=SearchedPicture)
-
-
-class PictureSection(Protocol):
-    """What the section of such a camera says."""
-
-    @property
-    def source(self) -> Source:
-        """Where pictures come from."""
-        ...
-
-    @property
-    def source_name(self) -> str:
-        """The same, for people."""
-        ...
-
-    @property
-    def latency(self) -> float:
-        """From exposure to arrival [s]."""
-        ...
-
-    @property
-    def connect(self) -> float:
-        """How long the source may take to open, and then to deliver [s]."""
-        ...
 
 
 class PictureCamera(ABC, Generic[S]):

@@ -19,9 +19,9 @@ from PIL.JpegImagePlugin import JpegImageFile
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import AbortError
-from tetractl.lab.cameras.apriltag.detect import Grey
-from tetractl.lab.cameras.apriltag.multipart import Multipart
-from tetractl.lab.cameras.apriltag.section import (
+from tetractl.core.poses import Grey
+from tetractl.lab.cameras.pictures.multipart import Multipart
+from tetractl.lab.cameras.pictures.picture_section import (
     PIXELS_MAX,
     DeviceSource,
     FileSource,

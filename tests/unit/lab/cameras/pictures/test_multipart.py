@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.cameras.apriltag.multipart import BODY_MAX, HEAD_MAX, Multipart
+from tetractl.lab.cameras.pictures.multipart import BODY_MAX, HEAD_MAX, Multipart
 
 MARK = "frame-4711"
 BODIES = st.lists(st.binary(max_size=300).filter(lambda body: b"--" not in body), max_size=6)

@@ -1,0 +1,93 @@
+"""The part of a spec that all cameras with pictures share: where pictures come from.
+
+OpenCV is imported only where the camera is built.
+"""
+
+from collections.abc import Callable
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from tetractl.core.clock import Clock
+from tetractl.core.errors import AbortError
+from tetractl.core.protocols import Camera
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Model, NonNegative, Positive
+from tetractl.experiment.lab_section import CameraSection
+
+PIXELS_MAX = 8192  # of a picture's side
+Pixels = Annotated[int, Field(ge=64, le=PIXELS_MAX)]
+
+
+class DeviceSource(Model):
+    """A camera at this computer, as OpenCV opens it."""
+
+    type: Literal["device"]
+    index: int = Field(default=0, ge=0, le=63)
+    """Its number: 0 for /dev/video0."""
+    width: Pixels = 1280
+    """Columns of a picture [px]."""
+    height: Pixels = 720
+    """Rows of a picture [px]."""
+    rate: Positive = 30.0
+    """Pictures a second [Hz]."""
+    format: Literal["MJPG", "YUYV"] = "MJPG"
+    """Pixel format on the cable; most USB cameras reach their full rate only in `MJPG`."""
+
+
+class FileSource(Model):
+    """A video file, played once at its own rate."""
+
+    type: Literal["file"]
+    path: str = Field(min_length=1, max_length=500)
+    """The file, absolute or relative to the working directory."""
+
+
+class MjpegSource(Model):
+    """A network camera: JPEG pictures in one endless HTTP answer (multipart/x-mixed-replace)."""
+
+    type: Literal["mjpeg"]
+    url: str = Field(pattern=r"^http://[^\s/?#@]+(/[^\s]*)?$", max_length=500)
+    """Address of the stream, such as http://192.168.1.30:8080/stream."""
+
+
+Source = Annotated[DeviceSource | FileSource | MjpegSource, Field(discriminator="type")]
+
+
+def named(source: Source) -> str:
+    """Return the name of a source, for people."""
+    match source:
+        case DeviceSource(index=index):
+            return f"camera {index}"
+        case FileSource(path=path):
+            return path
+        case MjpegSource(url=url):
+            return url
+
+
+class PictureSection(CameraSection):
+    """A camera that searches the pictures of its `source`."""
+
+    source: Source
+    """Where pictures come from."""
+    latency: NonNegative = 0.05
+    """From exposure to arrival of a picture [s]; no source reports it."""
+    connect: Positive = 5.0
+    """How long the source may take to open, and then to deliver [s]."""
+
+    @property
+    def source_name(self) -> str:
+        """Name of the source, for people."""
+        return named(self.source)
+
+    def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
+        """Return the camera of the setup's robots; AbortError without OpenCV."""
+        try:
+            return super().build(setup, clock, wake)
+        except ModuleNotFoundError as error:
+            if error.name != "cv2":
+                raise
+            raise AbortError(
+                f"the {self.type} camera needs OpenCV, which is not installed",
+                "pip install 'tetractl[vision]'",
+            ) from error

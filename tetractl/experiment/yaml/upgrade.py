@@ -91,6 +91,7 @@ UPGRADES: tuple[Renamed | Revalued | Removed, ...] = (
     Revalued("controller.type", "pso-mpc", "mpc"),
     Revalued("plant.motion", "continuous", "exact"),
     Removed("controller.losses", "with 'estimate' lost commands are always detected"),
+    Removed("controller.optimizer.precision", "particles are in double precision always"),
 )
 """In the order in which they are applied: a later one may name what an earlier one renamed."""
 

@@ -326,7 +326,7 @@ def test_the_reference_experiment_is_that_of_section_v(name):
         "height": 200,
     }
     assert (experiment.arena.width, experiment.arena.height) == (1600, 1800)
-    assert experiment.controller.period == 0.2
+    assert experiment.controller.hold * experiment.controller.period == pytest.approx(0.2)
     assert experiment.reference is not None
     assert (experiment.reference.n, experiment.reference.mean, experiment.reference.std) == (
         20,

@@ -62,8 +62,7 @@ from tetractl.experiment.controller import OptimizerSection, Square, same
 RESTED_S = 2.0
 """Time after a pause before there is another one because no safe plan was found [s]."""
 NEXT = 2  # signals of the plan under way that are to be safe if robots hear nothing
-UNSURE = 5  # last signals of a plan that need not be ...
-UNSURE_UNHEARD = 2  # ... once some command has reached no robot
+UNSURE = 2  # last signals of a plan that need not be
 KEPT = 0.4  # of their radius that robots then keep from what they could enter
 LATE = 2.0
 """Dead times that a stop may come late: it may be lost once."""
@@ -296,12 +295,13 @@ class Mpc:
     def _safe(self, problem: Problem, signals: Floats) -> bool:
         """Return whether robots keep clear if they hear nothing for `silence` from some signal on.
 
-        The last ones do not count, and of the plan under way only the next ones.
+        The last ones do not count. The plan under way is asked only once some command has reached
+        no robot, and then about the next signals.
         """
         under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
-        unsure = UNSURE_UNHEARD if self.unheard else UNSURE
-        count = min(len(signals) - unsure, NEXT if under_way else len(signals))
-        if not self.section.collision.silence or count <= 0:
+        count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
+        wanted = self.section.collision.silence > 0 and (self.unheard or not under_way)
+        if not wanted or count <= 0:
             return True
         path = compiled_foresee(problem, signals[:count]).path[:-1]
         seconds = self.section.collision.silence + self.section.period

@@ -25,7 +25,7 @@ GAP = (
 
 
 def found(path, *sets):
-    """Warnings by their fields; three_m3pi.yaml is controlled at 5 Hz unless `sets` say otherwise."""
+    """Warnings by field; three_m3pi.yaml is controlled at 5 Hz unless `sets` say otherwise."""
     slow = ("controller.period=0.2", "controller.hold=1") if path == THREE else ()
     return {w.field: w for w in find_warnings(load_spec(path, (*slow, *sets)), sets)}
 

@@ -7,7 +7,7 @@ from support.emulated_lab import FIELD_SPEC
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision
 from tetractl.emulate import firmware
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import on_plant

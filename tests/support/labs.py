@@ -10,8 +10,8 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact

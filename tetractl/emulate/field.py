@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
+from tetractl.core.errors import WireError
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.emulate.loop import Loop, Timeline
@@ -26,7 +27,6 @@ from tetractl.lab.actuators.field.coils import Coils, Pair
 from tetractl.lab.actuators.field.driver_protocol import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.lab_errors import WireError
 
 STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver
 LAG_S = 0.004  # 20 mH over 5 ohm

@@ -41,11 +41,6 @@ def test_the_plant_is_chosen_by_kind():
     assert (back.plant, back.lab) == (SimSection(), lab.plant)
 
 
-def test_a_resolved_lab_experiment_loads_as_itself():
-    lab = on_plant(load_spec(SPEC), "lab").experiment
-    assert parse_spec(resolved_yaml(lab), "again").experiment == lab
-
-
 def test_a_spec_without_a_lab_has_none():
     loaded = load_spec(EXPERIMENTS / "three_m3pi.yaml")
     with pytest.raises(SpecError, match="has no lab"):
@@ -112,12 +107,6 @@ def test_a_lab_of_the_old_form_gets_one_error_that_names_the_page(place, old):
     (line,) = caught.value.lines()
     assert line.startswith(f"s.yaml:{lines}:{len(place) + 3}: {place}: is of an old form; ")
     assert line.endswith("docs/reference/spec.md#lab shows them")
-
-
-@pytest.mark.parametrize("lab", ["3", "{mocap: 3, camera: {}}", "{}"])
-def test_what_is_no_lab_is_refused(lab):
-    with pytest.raises(InvalidSpecError):
-        parse_spec(load_spec(EXPERIMENTS / "three_m3pi.yaml").text + f"lab: {lab}\n", "s.yaml")
 
 
 @pytest.mark.parametrize(

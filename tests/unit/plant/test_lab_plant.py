@@ -8,7 +8,7 @@ from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command, Health, Note
+from tetractl.core.commands import Health, Note
 from tetractl.core.errors import AbortError
 from tetractl.experiment.lab_section import LabLimits
 
@@ -34,18 +34,6 @@ def drive(lab, seconds, direction=0.5):
 
 def wait(lab, seconds):
     lab.clock.sleep_until(lab.clock.now() + round(seconds * SECOND))
-
-
-def test_no_wheels_are_needed_anywhere():
-    lab = opened()
-    drive(lab, 0.4)
-    stop = lab.plant.stop()
-    assert SETUP.wheel_radius is None
-    commands = [item for item in lab.plant.news() if isinstance(item, Command)]
-    assert commands
-    for command in (*commands, stop):
-        assert command.left is None
-        assert command.right is None
 
 
 def test_a_held_direction_is_sent_at_the_actuators_rate():
@@ -283,21 +271,6 @@ def test_a_bug_in_a_device_stops_the_robots_and_is_told():
     assert lab.world.moving == (False,) * 3
 
 
-def test_a_robot_that_does_not_move_ends_the_run():
-    lab = opened()
-    held = lab.world.advance
-
-    def stuck():
-        before = lab.world.poses[1].copy()
-        held()
-        lab.world.poses[1] = before
-
-    lab.world.advance = stuck
-    with pytest.raises(AbortError, match="blue is not tracked: its pose repeats to the last bit"):
-        drive(lab, 1.2)
-    assert lab.world.moving == (False,) * 3
-
-
 def test_who_lets_robots_start_is_asked_what_only_a_person_knows():
     lab = fake_lab(SETUP)
     lab.actuator.check = lambda: Health(questions=("does it run 802.15.4 firmware?",))
@@ -336,14 +309,6 @@ def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
     lab.plant.open()
     assert shown[0] == ("the cameras know no rigid body 'blu'", "blue is not tracked")
     assert shown[-1] == ()
-
-
-def test_robots_off_their_starts_end_the_run_by_name():
-    lab = fake_lab(SETUP)
-    lab.world.poses[1, 0] += 120
-    with pytest.raises(AbortError, match=r"^blue is 120 mm from its start$"):
-        lab.plant.open()
-    assert not lab.actuator.sent
 
 
 def test_robots_are_waited_for_while_somebody_places_them():

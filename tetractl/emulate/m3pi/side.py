@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from tetractl.core.errors import WireError
 from tetractl.emulate.faults import (
     STUCK_PORT,
     UNPLUG,
@@ -38,7 +39,6 @@ from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSec
 from tetractl.lab.actuators.xbee.frames import Transmit16
 from tetractl.lab.actuators.xbee.framing import Decoder
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.lab_errors import WireError
 
 Note = Callable[..., None]
 

@@ -9,8 +9,8 @@ import struct
 from dataclasses import dataclass
 from enum import IntFlag
 
+from tetractl.core.errors import WireError
 from tetractl.lab.cobs import checked_payload, frame_with_crc
-from tetractl.lab.lab_errors import WireError
 from tetractl.model.wheels import COUNT_MAX, Counts
 
 COMMAND, REPLY = 0x51, 0x52

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.field_bench import LIMITS, Bench, Wire, section
 
-from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
+from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.emulate import firmware
@@ -281,27 +281,3 @@ def test_garbage_on_the_line_is_dropped():
     with stage.opened(SETUP) as actuator:
         stage.port.write(random.Random(1).randbytes(2000) + b"\0" + b"\x05noise\0")
         assert actuator.check().problems == ()
-
-
-@needs_compiler
-def test_an_unplugged_driver_raises_and_says_so():
-    stage = Bench()
-    with stage.opened(SETUP) as actuator:
-        actuator.steer(1.0, POSES, BOTH, 0)
-        stage.port.unplug()
-        assert stage.clock.wait(lambda: actuator.failure is not None)
-        assert "the port" in actuator.failure
-        assert "is gone" in actuator.failure
-        for send in (lambda: actuator.steer(1.0, POSES, BOTH, 0), actuator.stop):
-            with pytest.raises(AbortError, match="is gone"):
-                send()
-        (problem,) = actuator.check().problems
-        assert "is gone" in problem
-
-
-def test_there_must_be_a_port(tmp_path):
-    actuator = FieldActuator(section(port=str(tmp_path / "none")), SETUP, MonotonicClock())
-    with pytest.raises(AbortError, match="there is no such port"), actuator:
-        pass
-    with pytest.raises(AbortError, match="is not open"):
-        actuator.steer(1.0, POSES, BOTH, 0)

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi.broadcast import (
     ROBOTS_MAX,
@@ -16,7 +17,6 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.lab_errors import WireError
 
 u8, u16 = st.integers(0, 255), st.integers(0, 65535)
 counts = st.integers(-127, 127)

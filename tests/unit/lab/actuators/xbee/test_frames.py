@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tetractl.core.errors import WireError
 from tetractl.lab.actuators.xbee.frames import (
     FRAME_TYPES,
     AtCommand,
@@ -18,7 +19,6 @@ from tetractl.lab.actuators.xbee.frames import (
     parse_content,
 )
 from tetractl.lab.actuators.xbee.framing import CONTENT_MAX, Decoder, encode
-from tetractl.lab.lab_errors import WireError
 
 FAR = 0x0013A20012345678
 VECTORS = [

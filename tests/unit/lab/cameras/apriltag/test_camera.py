@@ -7,17 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
-from support.trials import experiment
 
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Poses
 from tetractl.emulate.apriltag.mjpeg import EmulatedNetworkCamera
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.section import FloorTag
-from tetractl.lab.guard import Guard
-from tetractl.lab.rig import guard_rules
 
 PATIENCE_S = 20.0  # how long a test waits for what should come at once
 
@@ -266,41 +262,3 @@ def test_a_camera_without_pictures_is_no_camera():
         with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):
             camera.__enter__()
         camera.__exit__(None, None, None)  # again: nothing happens
-
-
-@pytest.mark.parametrize(
-    ("noisy", "reason"),
-    [
-        (False, "green is not tracked: its pose repeats to the last bit"),
-        (True, "green does not move though commanded to: is a wheel stuck"),
-    ],
-)
-def test_a_frozen_picture_stops_the_robots_within_half_a_second(tmp_path, noisy, reason):
-    """`noisy`: what is in the picture stands still, but the pictures differ."""
-    frozen_ns = 2 * SECOND // 3
-
-    def driving(t_ns):
-        x = np.array([900.0, 900.0, 900.0]) + 200e-9 * min(t_ns, frozen_ns)
-        return Poses(x, STANDING.y, np.zeros(3))
-
-    shown = pictures(rendered(), 40, driving)
-    if not noisy:
-        shown[21:] = [shown[20]] * 19
-    camera, woken = built(film(tmp_path / "film.avi", shown))
-    with camera:
-        woken.wait(lambda: woken.count == 40)
-        frames = camera.frames()
-    setup = experiment().setup
-    guard = Guard(replace(guard_rules(setup, LabLimits()), speeds=(200.0,) * 3))
-    guard.see(frames[0])
-    guard.ready()
-    guard.go(frames[0].received_ns)
-    for frame in frames[1:]:
-        guard.sent(frame.received_ns - SECOND // 30, (200.0,) * 3, (0.0,) * 3)
-        guard.see(frame)
-        guard.steered(frame.received_ns)
-        ruling = guard.tick(frame.received_ns)
-        since_s = (frame.received_ns - frozen_ns) / SECOND
-        assert since_s > 0.05 or all(ruling.moving), ruling
-        assert since_s < 0.35 or not any(ruling.moving)
-    assert guard.reason.startswith(reason)

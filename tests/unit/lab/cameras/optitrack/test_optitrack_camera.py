@@ -164,13 +164,6 @@ def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
     assert "set lab.camera.version" in e.value.hint
 
 
-def test_no_frames_at_all_is_still_said(tmp_path):
-    with motive(tmp_path, connect=SHORT) as (lab, camera, _):
-        lab.camera.motive.trouble.no_frames = True
-        with pytest.raises(AbortError, match=r"answers, but no frames come \(0.3 s\)"):
-            camera.__enter__()
-
-
 def test_a_server_that_answers_from_another_address_is_named(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
         second = stranger_of("127.0.0.3")

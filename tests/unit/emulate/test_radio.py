@@ -8,15 +8,11 @@ from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import (
     BroadcastCommand,
     Flag,
-    Reply,
-    Status,
-    decode_reply,
     encode_command,
 )
 from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
     AtResponse,
-    Receive16,
     Transmit16,
     TransmitStatus,
 )
@@ -71,25 +67,6 @@ def test_at_commands(opened, mode, escaped):
         answer = ask(lab, port, AtCommand(0x11, command), escaped=escaped)
         assert answer == [AtResponse(0x11, command, 0, value)]
     assert ask(lab, port, AtCommand(2, b"QQ"), escaped=escaped) == [AtResponse(2, b"QQ", 2)]
-
-
-def test_zigbee_firmware_says_so(opened):
-    lab, port = opened(script="emulation: {actuator: {firmware: zigbee}}")
-    (hardware,) = ask(lab, port, AtCommand(1, b"HV"))
-    (firmware,) = ask(lab, port, AtCommand(1, b"VR"))
-    assert (hardware.data, firmware.data) == (b"\x19\x44", b"\x21\xa7")
-
-
-def test_every_robot_answers_a_poll_in_its_slot(opened):
-    lab, port = opened(script="emulation: {actuator: {robots: [{name: blue, battery_mv: 4444}]}}")
-    status, *replies = ask(lab, port, Transmit16(5, 0xFFFF, 0, POLL), 3)
-    assert status == TransmitStatus(5, 0)
-    assert [(reply.source, type(reply)) for reply in replies] == [(1, Receive16), (2, Receive16)]
-    # the poll was the first frame heard: not running, not silent any more
-    assert [decode_reply(reply.data[:-1]) for reply in replies] == [
-        Reply(0, 9, Status(0), 5100, 1, 0),
-        Reply(1, 9, Status(0), 4444, 1, 0),
-    ]
 
 
 def test_unicasts_are_acknowledged_and_broadcasts_never_fail(opened):

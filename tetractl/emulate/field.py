@@ -20,7 +20,7 @@ from tetractl.core.errors import WireError
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.emulate.loop import Loop, Timeline
-from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.port import PluggedDevice, PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.lab.actuators.field.coils import Coils, Pair
@@ -251,7 +251,7 @@ FAULTS = (
 )
 
 
-class EmulatedField:
+class EmulatedField(PluggedDevice):
     """A current driver on a pseudo-terminal, and the cells between its coils."""
 
     Settings: ClassVar[type[Model]] = FieldSettings
@@ -273,7 +273,7 @@ class EmulatedField:
         ]
         coils, seed = section.calibrated_coils(), stage.options.seed
         self._dish = Dish(self.driver, coils, section.strength_mt, self.cells, start_ns, seed)
-        self._loop: Loop | None = None
+        self.readable = self.driver.readable
 
     @property
     def bodies(self) -> Sequence[Cell]:
@@ -312,25 +312,6 @@ class EmulatedField:
 
     def tick(self) -> None:
         """Do nothing: the driver replies at once."""
-
-    def plug(self) -> None:
-        """Plug the driver in."""
-        assert self._loop is not None, "open() gives the loop"
-        self.port.plug()
-        self._loop.watch(self.port.fd, self.driver.readable)
-
-    def plugged(self, on: bool) -> None:
-        """Plug the driver in, or pull it out."""
-        if on:
-            self.plug()
-        else:
-            self.unplug()
-
-    def unplug(self) -> None:
-        """Pull the driver out; idempotent."""
-        if self._loop is not None:
-            self._loop.forget(self.port.fd)
-        self.port.unplug()
 
 
 def _limits(section: FieldSection) -> DriverLimits:

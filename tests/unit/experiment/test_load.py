@@ -307,28 +307,18 @@ def test_shipped_experiments_load_and_round_trip(path):
 @pytest.mark.parametrize("name", ["three_m3pi.yaml", "three_m3pi_paper.yaml"])
 def test_the_reference_experiment_is_that_of_section_v(name):
     experiment = load_spec(EXPERIMENTS / name).experiment
-    assert [robot.start for robot in experiment.robots] == [(900, 800), (900, 1200), (900, 1600)]
-    assert [robot.target for robot in experiment.robots] == [
-        (1700, 500),
-        (1700, 1500),
-        (1700, 2000),
+    rows = [(*robot.start, *robot.target, robot.a, robot.speed) for robot in experiment.robots]
+    assert rows == [
+        (900, 800, 1700, 500, 6, 180),
+        (900, 1200, 1700, 1500, 4, 200),
+        (900, 1600, 1700, 2000, 3, 150),
     ]
-    assert [(robot.a, robot.speed) for robot in experiment.robots] == [(6, 180), (4, 200), (3, 150)]
-    (obstacle,) = experiment.obstacles
-    assert obstacle.model_dump(exclude={"type"}) == {
-        "left": 1200,
-        "bottom": 1100,
-        "width": 200,
-        "height": 200,
-    }
+    (box,) = experiment.obstacles
+    assert (box.left, box.bottom, box.width, box.height) == (1200, 1100, 200, 200)
     assert (experiment.arena.width, experiment.arena.height) == (1600, 1800)
     assert experiment.controller.period == 0.2
-    assert experiment.reference is not None
-    assert (experiment.reference.n, experiment.reference.mean, experiment.reference.std) == (
-        20,
-        648.6,
-        225.1,
-    )
+    reference = experiment.reference
+    assert (reference.n, reference.mean, reference.std) == (20, 648.6, 225.1)
 
 
 def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_the_controller_alone():

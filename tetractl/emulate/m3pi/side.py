@@ -30,7 +30,7 @@ from tetractl.emulate.m3pi.robot import (
     SlaveDecoder,
     SlaveProgram,
 )
-from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.port import PluggedDevice, PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
@@ -195,7 +195,7 @@ FAULTS = (
 )
 
 
-class EmulatedM3pi:
+class EmulatedM3pi(PluggedDevice):
     """An XBee on a pseudo-terminal, and the robots that hear it."""
 
     Settings: ClassVar[type[Model]] = M3piSettings
@@ -223,7 +223,7 @@ class EmulatedM3pi:
             CommandLog(module.mode, slave, stage.note).read,
             lambda robot, data: stage.note("heard", robot=robot.name, hex=data.hex()),
         )
-        self._loop: Loop | None = None
+        self.readable = self.radio.readable
 
     @property
     def bodies(self) -> Sequence[EmulatedRobot]:
@@ -265,25 +265,6 @@ class EmulatedM3pi:
     def tick(self) -> None:
         """Send what robots have to answer."""
         self.radio.poll_answers()
-
-    def plug(self) -> None:
-        """Plug the radio in."""
-        assert self._loop is not None, "open() gives the loop"
-        self.port.plug()
-        self._loop.watch(self.port.fd, self.radio.readable)
-
-    def plugged(self, on: bool) -> None:
-        """Plug the radio in, or pull it out."""
-        if on:
-            self.plug()
-        else:
-            self.unplug()
-
-    def unplug(self) -> None:
-        """Pull the radio out; idempotent."""
-        if self._loop is not None:
-            self._loop.forget(self.port.fd)
-        self.port.unplug()
 
     def robot(self, name: str) -> EmulatedRobot:
         """Return a robot by name."""

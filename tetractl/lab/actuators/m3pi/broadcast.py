@@ -15,7 +15,6 @@ from tetractl.model.wheels import COUNT_MAX, Counts
 
 COMMAND, REPLY = 0x51, 0x52
 ROBOTS_MAX = 32
-WATCHDOG_MS = 250  # the robot stops after this long without a valid new frame
 REPLY_SLOT_MS = 10  # robot i answers a poll i slots later, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
 

@@ -68,7 +68,7 @@ class BroadcastProtocol:
         return self._send(Flag.EMERGENCY_STOP)
 
     def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
-        """Poll, several times where somebody does not answer: broadcasts may be lost."""
+        """Poll, several times where a robot does not answer: broadcasts may be lost."""
         found: dict[int, RobotAnswer] = {}
         wanted = set(self._indices)
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000

@@ -93,7 +93,7 @@ def protocol(hardware: bytes, version: bytes) -> str | None:
 
 
 class AskedModule(Protocol):
-    """What is asked of a link."""
+    """A link to a module, as far as its check needs it."""
 
     def ask(self, command: bytes, timeout_s: float = ...) -> bytes | None:
         """Ask for a parameter; None without an answer."""

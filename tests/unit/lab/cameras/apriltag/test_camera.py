@@ -98,52 +98,51 @@ def checked(tmp_path, renderer, rate=30.0, **changes):
     return problems, list(health.warnings)
 
 
-def test_missing_tags_are_named_beside_those_seen(tmp_path):
-    renderer = rendered()
-    renderer.hidden = {101, 103, 7}
-    problems, _ = checked(tmp_path, renderer)
-    assert problems == [
-        "floor tags 101, 103 are not seen; tags seen: 0, 100, 102, 586",
-        "blue: tag 7 is not seen; tags seen: 0, 100, 102, 586",
-    ]
+def turned(heading):
+    """Floor tags of which the first lies otherwise than the spec says."""
+    return (FLOOR[0].model_copy(update={"heading": heading}), *FLOOR[1:])
 
 
-def test_tags_seen_twice_are_named(tmp_path):
-    renderer = rendered()
-    renderer.strays = [
-        FloorTag(tag=100, at=(1300, 700), size_mm=120),
-        FloorTag(tag=586, at=(1900, 900), size_mm=100),
-    ]
-    problems, _ = checked(tmp_path, renderer)
-    assert problems == [
-        "floor tag 100 is seen twice: every number may be used once only",
-        "red: tag 586 is seen twice, so it is not tracked",
-    ]
+TWINS = [
+    FloorTag(tag=100, at=(1300, 700), size_mm=120),
+    FloorTag(tag=586, at=(1900, 900), size_mm=100),
+]
+SMALLER = (ROBOTS[0].model_copy(update={"size_mm": 90.0}), *ROBOTS[1:])
+DOWN = {"tilt": 0.0}
 
 
-def test_floor_tags_that_are_not_where_the_spec_says_are_told(tmp_path):
-    wrong = (FLOOR[0].model_copy(update={"heading": 0.06}), *FLOOR[1:])
-    problems, warnings = checked(tmp_path, rendered(), floor=wrong)
-    assert problems == []
-    assert warnings[0].startswith("the floor tags lie up to ")
-    wrong = (FLOOR[0].model_copy(update={"heading": 1.5}), *FLOOR[1:])
-    problems, _ = checked(tmp_path, rendered(), floor=wrong)
-    assert problems[0].startswith("the floor tags lie up to ")
-
-
-def test_looking_straight_down_asks_for_the_lens(tmp_path):
-    problems, _ = checked(tmp_path, rendered(facing={"tilt": 0.0}))
-    assert problems[0].startswith("the floor tags say too little about the lens: robots may be ")
-    focal = rendered(facing={"tilt": 0.0}).optics.focal_px
-    problems, warnings = checked(tmp_path, rendered(facing={"tilt": 0.0}), lens={"focal_px": focal})
-    assert (problems, warnings) == ([], [])
-
-
-def test_a_wrong_size_or_height_is_told(tmp_path):
-    robots = (ROBOTS[0].model_copy(update={"size_mm": 90.0}), *ROBOTS[1:])
-    _, warnings = checked(tmp_path, rendered(), robots=robots)
-    line = "green: its tag looks 11 % smaller than it should: are size_mm and height_mm right?"
-    assert line in warnings
+@pytest.mark.parametrize(
+    ("shown", "facing", "changes", "problems", "warning"),
+    [
+        (
+            {"hidden": {101, 103, 7}},
+            {},
+            {},
+            ["floor tags 101, 103 are not seen; tags seen: 0, 100, 102, 586", "blue: tag 7 is not"],
+            "",
+        ),
+        (
+            {"strays": TWINS},
+            {},
+            {},
+            ["floor tag 100 is seen twice: every", "red: tag 586 is seen twice, so it is not"],
+            "",
+        ),
+        ({}, {}, {"floor": turned(0.06)}, [], "the floor tags lie up to "),
+        ({}, {}, {"floor": turned(1.5)}, ["the floor tags lie up to "], ""),
+        ({}, DOWN, {}, ["the floor tags say too little about the lens: robots may be "], ""),
+        ({}, DOWN, {"lens": {"focal_px": rendered(facing=DOWN).optics.focal_px}}, [], ""),
+        ({}, {}, {"robots": SMALLER}, [], "green: its tag looks 11 % smaller than it should: are"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, shown, facing, changes, problems, warning):
+    renderer = rendered(facing=facing)
+    for name, value in shown.items():
+        setattr(renderer, name, value)
+    found, warnings = checked(tmp_path, renderer, **changes)
+    assert len(found) == len(problems)
+    assert all(line.startswith(start) for line, start in zip(found, problems, strict=True))
+    assert any(line.startswith(warning) for line in warnings) or not warning
 
 
 def test_a_slow_and_a_blurred_camera_are_warned_of(tmp_path):

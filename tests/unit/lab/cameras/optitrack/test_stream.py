@@ -1,5 +1,4 @@
 import struct
-from dataclasses import replace
 
 import pytest
 
@@ -95,16 +94,6 @@ def test_an_echo_is_taken_once_and_only_with_the_time_that_was_sent():
     assert stream.counts.unasked == 2
 
 
-def test_a_second_answer_to_connect_changes_nothing():
-    stream = Stream(ROBOTS, MILLIMETRES)
-    for hz in (HZ, 2 * HZ):
-        stream.asked(Connect())
-        stream.asked(Connect())
-        stream.feed(pack_answer(replace(INFO, clock_hz=hz)), 0)
-    assert stream.info.clock_hz == stream.sync.clock_hz == HZ
-    assert stream.counts.unasked == 0
-
-
 def test_the_newest_frame_wins_and_what_was_overtaken_is_counted():
     stream = connected()
     for number in (5, 6, 9, 8, 9):
@@ -137,13 +126,6 @@ def test_a_robots_id_twice_in_a_frame_is_a_fault_and_tells_no_pose(number, said)
     assert stream.newest.fault == f"a frame has 2 rigid bodies of id {said}"
     assert [pose is None for pose in stream.newest.poses] == [number == 11, number == 12]
     assert stream.newest.strangers == ()
-
-
-def test_an_id_twice_that_is_no_robots_is_two_strangers():
-    stream = connected()
-    stream.feed(frame(1, body(11, 1.0, 1.0), body(13, 0.5, 0.5), body(13, 0.7, 0.5)), 0)
-    assert stream.newest.fault == ""
-    assert [pose.x for pose in stream.newest.strangers] == pytest.approx([500, 700])
 
 
 @pytest.mark.parametrize(
@@ -184,17 +166,6 @@ def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
     assert stream.up is None
     assert says in str(error)
     assert error.hint.startswith(hint)
-
-
-def test_models_that_change_are_asked_for_again():
-    stream = connected()
-    stream.feed(frame(1, params=2), 0)
-    assert stream.models_changed
-    tell(stream, MODEL)
-    assert not stream.models_changed
-    assert stream.changing  # the newest frame is still the one that reported it
-    stream.feed(frame(2), 0)
-    assert not (stream.models_changed or stream.changing)
 
 
 def test_frames_before_the_server_is_known_are_no_bad_datagrams():

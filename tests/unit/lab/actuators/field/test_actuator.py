@@ -161,28 +161,6 @@ def stops(stage):
 
 
 @needs_compiler
-def test_a_driver_is_checked_steered_and_stopped():
-    stage = Bench()
-    with stage.opened(SETUP) as actuator:
-        health = actuator.check()
-        assert (health.problems, health.warnings) == ((), ())
-        assert health.facts["field_driver_current_max_a"] == "2"
-        assert health.facts["field_driver_supply_v"] == "12"
-        wished = actuator.coils.currents(1.0, 2.0)
-
-        def flowing():
-            actuator.steer(1.0, POSES, BOTH, 0)
-            return stage.driver.currents == pytest.approx(wished, abs=0.002)
-
-        assert stage.clock.wait(flowing)
-        assert actuator.failure is None
-        actuator.stop()
-        assert stage.clock.wait(lambda: max(map(abs, stage.driver.currents)) < 1e-6)
-    kinds = {event for event, _ in stage.told}
-    assert kinds == {"command"}
-
-
-@needs_compiler
 def test_leaving_switches_the_field_off_before_the_watchdog_would():
     stage = Bench(DriverLimits(2000, 100_000, watchdog_ms=5000))
     with stage.opened(SETUP, watchdog=5.0) as actuator:

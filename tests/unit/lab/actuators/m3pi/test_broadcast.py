@@ -141,12 +141,3 @@ def test_replies_are_cut_out_of_any_stream(sent, cuts, garbage):
         for frame in splitter.feed(stream[start:stop])
     ]
     assert [decode_reply(frame) for frame in frames[len(frames) - len(sent) :]] == sent
-
-
-def test_splitting_keeps_no_more_than_a_frame():
-    splitter = cobs.Splitter()
-    for _ in range(100):
-        assert splitter.feed(b"\x55" * 50) == []
-        assert len(splitter._buffer) <= cobs.FRAME_MAX + 1
-    assert splitter.feed(b"\0\0\x01\x02\0") == [b"\x01\x02"]
-    assert splitter.overlong == 1

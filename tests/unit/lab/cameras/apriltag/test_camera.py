@@ -188,18 +188,6 @@ class Served:
         self.server.__exit__(*error)
 
 
-def test_over_http_poses_come_at_the_cameras_rate_with_their_time_of_exposure():
-    with Served() as it:
-        it.woken.wait(lambda: it.woken.count >= 12)
-        frames = it.camera.frames()
-        health = it.camera.check()
-    for frame in frames:
-        assert [pose.x for pose in frame.poses] == pytest.approx(STANDING.x, abs=3.0)
-        assert frame.received_ns - frame.sampled_ns == SECOND // 50
-    assert (health.problems, health.emulated) == ((), True)
-    assert it.camera.damaged == 0
-
-
 def test_exposure_times_are_right_to_a_few_milliseconds():
     """A robot that moves by known speed tells when a frame was really exposed."""
     speed = 300.0

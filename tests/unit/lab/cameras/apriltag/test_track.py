@@ -143,15 +143,6 @@ def test_a_floor_that_does_not_fit_the_spec_is_not_used():
     assert mine.floor.misfit.worst_mm > 10.0
 
 
-def test_only_the_robot_whose_tag_is_hidden_is_lost():
-    mine, renderer = tracker(), rendered()
-    renderer.hidden = {7}
-    green, blue, red = look(mine, renderer).poses
-    assert blue is None
-    assert green is not None
-    assert red is not None
-
-
 def test_a_number_seen_twice_is_no_robot_and_no_stranger():
     mine, renderer = tracker(), rendered()
     renderer.strays = [FloorTag(tag=0, at=(1900, 900), size_mm=100)]

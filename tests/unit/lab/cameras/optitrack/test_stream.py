@@ -104,30 +104,6 @@ def test_the_newest_frame_wins_and_what_was_overtaken_is_counted():
     assert (counts.frames, counts.missed, counts.overtaken) == (3, 2, 2)
 
 
-def test_two_bodies_of_a_robots_name_are_a_fault_until_one_is_renamed():
-    """Regression: the last one's id was taken, silently."""
-    stream = connected()
-    twins = (BodyName("green", 11), BodyName("green", 14), BodyName("hand", 13))
-    tell(stream, ModelDef(twins))
-    stream.feed(frame(1, body(11, 1.0, 1.0), body(14, 2.0, 1.0), body(12, 3.0, 1.0)), 0)
-    assert stream.newest.fault == "the cameras have 2 rigid bodies 'green', of ids 11 and 14"
-    tell(stream, ModelDef((*MODEL.bodies, BodyName("hand", 14))))
-    stream.feed(frame(2, body(11, 1.0, 1.0), body(12, 3.0, 1.0)), 0)
-    assert stream.newest.fault == ""  # no help is needed
-
-
-@pytest.mark.parametrize(("number", "said"), [(11, "11"), (12, "12")], ids=["by name", "by id"])
-def test_a_robots_id_twice_in_a_frame_is_a_fault_and_tells_no_pose(number, said):
-    """Regression: the last one was the robot, silently."""
-    stream = connected()
-    others = {11, 12} - {number}
-    bodies = [body(number, 1.0, 1.0), body(number, 2.0, 1.0), *(body(i, 3.0, 1.0) for i in others)]
-    stream.feed(frame(1, *bodies), 0)
-    assert stream.newest.fault == f"a frame has 2 rigid bodies of id {said}"
-    assert [pose is None for pose in stream.newest.poses] == [number == 11, number == 12]
-    assert stream.newest.strangers == ()
-
-
 @pytest.mark.parametrize(
     ("told", "unit_mm", "fault"),
     [

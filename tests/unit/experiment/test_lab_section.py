@@ -6,9 +6,7 @@ from support.paths import ROOT
 from tetractl.core.errors import SpecError
 from tetractl.experiment.load import load_spec, parse_spec, resolved_yaml
 from tetractl.experiment.plants import (
-    Calibration,
     calibrated,
-    calibration_yaml,
     lab_of,
     on_plant,
 )
@@ -61,13 +59,6 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     assert blue.index == 1
     assert [lab.camera.heading_offset(name) for name in ("green", "blue")] == [0.0, 0.25]
     assert run.attached == (("m.yaml", MEASURED),)
-
-
-def test_a_calibration_is_written_as_it_is_read():
-    data = {"robots": [{"name": "blue", "heading_offset": 0.25}]}
-    text = calibration_yaml(Calibration(measured="now", camera=data))
-    lab = calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "m").plant
-    assert lab.camera.heading_offset("blue") == 0.25
 
 
 @pytest.mark.parametrize(

@@ -75,16 +75,6 @@ def test_the_plant_reproduces_the_planners_prediction(motion):
     assert path == pytest.approx(predicted, abs=1e-9)
 
 
-def test_the_camera_rate_does_not_change_the_motion():
-    ends = []
-    for rates in ({"camera_rate": 5}, {"camera_rate": 1000, "truth_rate": 1000}):
-        simulated = plant(motion="exact", **rates)
-        steered(simulated, DIRECTIONS)
-        simulated.stop()
-        ends.append(simulated.settle().final.array())
-    assert ends[1] == pytest.approx(ends[0], abs=1e-9)
-
-
 def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
     simulated = plant(wheels={"radius": 40}, measurement_noise={"heading": 0.1})
     simulated.open()

@@ -15,7 +15,6 @@ from tetractl.lab.actuators.m3pi.serial_protocols import BroadcastProtocol
 from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
     AtResponse,
-    Other,
     Receive16,
     Transmit16,
     TransmitStatus,
@@ -137,33 +136,6 @@ def test_a_protocol_is_told_by_hardware_and_version(hardware, version, runs):
 def test_no_hardware_is_of_two_families():
     codes = [code for family in FAMILIES for code in family.codes]
     assert len(codes) == len(set(codes))
-
-
-@pytest.mark.parametrize(("hardware", "version"), [(b"\x7f\x44", b"\x20\x03"), (b"\x22\x44", b"")])
-def test_a_module_that_is_not_known_is_asked_about_and_used(hardware, version):
-    """Regression: it was refused."""
-    radio = Module(SERIES_1 | {b"HV": hardware, b"VR": version})
-    link = radio.opened()
-    told = version.hex() or "not reported"
-    assert link.questions == (
-        f"{radio.name}: the module (HV {hardware.hex().upper()}, VR {told}) is not known here: "
-        "does it run 802.15.4 firmware?",
-    )
-
-
-def test_frames_of_type_0x91_are_reported():
-    """Regression: they were passed over, and every robot was said not to answer."""
-    said = bytes(10) + bytes.fromhex("E8E80011C10501") + b"hello"
-    radio = Module(respond=lambda frame: [Other(0x91, said), Receive16(1, 40, 0, b"x")])
-    link = radio.opened()
-    assert link.problems() == ()
-    link.send(b"data")
-    link.wait(10)
-    (problem,) = link.problems()
-    assert problem == (
-        f"{radio.name}: the module reports what it hears in frames of type 0x91, which are "
-        "not read: set AO in it to 0 or 2"
-    )
 
 
 def test_a_radio_that_takes_nothing_is_stuck_and_stays_so():

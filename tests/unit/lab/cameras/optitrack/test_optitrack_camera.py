@@ -196,16 +196,6 @@ def test_bodies_given_by_their_ids_need_no_names(tmp_path):
         assert camera.check().problems == ()
 
 
-def test_a_name_that_is_not_known_comes_with_those_that_are(tmp_path):
-    with motive(tmp_path, "robots: [{name: green, body: Greeen}]") as (_, camera, _), camera:
-        (problem,) = camera.check().problems
-        assert problem == (
-            "the cameras know no rigid body 'Green', wanted for green; did you mean 'Greeen'?; "
-            "they have 'Greeen' (id 1); 'blue' (id 7)"
-        )
-        assert camera.check().facts["rigid_bodies"] == "'Greeen' (id 1); 'blue' (id 7)"
-
-
 def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
     with motive(tmp_path) as (lab, camera, clock), camera:
         lab.camera.hidden.add(7)

@@ -190,13 +190,7 @@ def fake_lab(setup: Setup, limits: LabLimits | None = None, **actuator: object) 
         LabSupervision(),
     )
     rig = Rig(
-        camera,
-        moved,
-        limits or LabLimits(),
-        setup,
-        clock,
-        supervision.emergency,
-        threaded=False,
+        camera, moved, limits or LabLimits(), setup, clock, supervision.emergency, threaded=False
     )
     clock.steps.append(rig.loop.step)
     return FakeLab(LabPlant(rig, supervision), camera, moved, world, clock, supervision)

@@ -110,10 +110,7 @@ class CurrentDriver:
                 continue
             currents = [command.x_ma, command.y_ma]
             self._tell(
-                "command",
-                sequence=command.sequence,
-                flags=int(command.flags),
-                currents_ma=currents,
+                "command", sequence=command.sequence, flags=int(command.flags), currents_ma=currents
             )
 
     def _step(self) -> None:

@@ -305,12 +305,7 @@ def test_rest_lets_nothing_move_and_needs_a_new_go():
 
 poses = st.one_of(
     st.none(),
-    st.builds(
-        Pose,
-        st.floats(-100, 2100),
-        st.floats(-100, 2100),
-        st.floats(-math.pi, math.pi),
-    ),
+    st.builds(Pose, st.floats(-100, 2100), st.floats(-100, 2100), st.floats(-math.pi, math.pi)),
 )
 
 

@@ -4,14 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.model.wheels import (
-    STOP,
-    Drivetrain,
-    Residue,
-    Wheel,
-    speeds_of_counts,
-    wheel_counts,
-)
+from tetractl.model.wheels import STOP, Drivetrain, Residue, Wheel, speeds_of_counts, wheel_counts
 
 wheels = st.builds(Wheel, st.floats(4.0, 12.0), st.integers(0, 20), st.booleans())
 drivetrains = st.builds(Drivetrain, wheels, wheels, st.booleans(), st.integers(21, 127))

@@ -9,15 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.errors import WireError
-from tetractl.emulate.faults import (
-    STUCK_PORT,
-    UNPLUG,
-    Fault,
-    Share,
-    fault,
-    settings,
-    switching,
-)
+from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Share, fault, settings, switching
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio, ModuleSettings
 from tetractl.emulate.m3pi.robot import (
@@ -185,9 +177,7 @@ FAULTS = (
         "low_battery",
         "A robot's battery has this voltage.",
         settings(
-            lambda d, f: _robot_of(d, f).battery,
-            open_mv=lambda f: float(f.millivolts),
-            sag_mv=0.0,
+            lambda d, f: _robot_of(d, f).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
         ),
         robot=Name,
         millivolts=Annotated[int, Field(ge=0, le=9000)],

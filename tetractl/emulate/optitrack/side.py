@@ -271,10 +271,7 @@ class EmulatedOptitrack:
 
 
 def _tracked(
-    section: OptitrackSection,
-    settings: OptitrackSettings,
-    bodies: Sequence[Body],
-    random: Random,
+    section: OptitrackSection, settings: OptitrackSettings, bodies: Sequence[Body], random: Random
 ) -> list[TrackedBody]:
     noise = settings.noise_mm, settings.noise_rad
     truths = {robot.name: robot for robot in settings.robots}

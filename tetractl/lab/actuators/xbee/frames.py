@@ -115,15 +115,7 @@ class Other:
 
 FRAME_TYPES: dict[int, type[XbeeFrame]] = {
     kind.API: kind
-    for kind in (
-        Transmit16,
-        AtCommand,
-        Receive64,
-        Receive16,
-        AtResponse,
-        TransmitStatus,
-        Receive,
-    )
+    for kind in (Transmit16, AtCommand, Receive64, Receive16, AtResponse, TransmitStatus, Receive)
 }
 
 

@@ -22,10 +22,7 @@ u8, u16 = st.integers(0, 255), st.integers(0, 65535)
 counts = st.integers(-127, 127)
 flags = st.integers(0, 7).map(Flag)
 commands = st.builds(
-    BroadcastCommand,
-    u8,
-    flags,
-    st.lists(st.tuples(counts, counts), max_size=ROBOTS_MAX).map(tuple),
+    BroadcastCommand, u8, flags, st.lists(st.tuples(counts, counts), max_size=ROBOTS_MAX).map(tuple)
 )
 replies = st.builds(Reply, u8, u8, st.integers(0, 7).map(Status), u16, u16, u16)
 

@@ -28,11 +28,7 @@ VECTORS = [
         False,
         "7E 00 0E 01 00 FF FF 00 42 72 6F 61 64 63 61 73 74 6D",
     ),
-    (
-        Receive16(0x1234, 0x5E, 1, b"TxData"),
-        False,
-        "7E 00 0B 81 12 34 5E 01 54 78 44 61 74 61 93",
-    ),
+    (Receive16(0x1234, 0x5E, 1, b"TxData"), False, "7E 00 0B 81 12 34 5E 01 54 78 44 61 74 61 93"),
     (
         Receive64(FAR, 0x5E, 1, b"TxData"),
         False,

@@ -21,13 +21,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Version,
 )
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
-from tetractl.lab.cameras.optitrack.stream import (
-    FRAME_RATE,
-    UNITS,
-    UP_AXIS,
-    Stream,
-    Tracked,
-)
+from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream, Tracked
 
 V41 = Version(4, 1)
 HZ = 10_000_000

@@ -16,11 +16,7 @@ from support.natnet_samples import (
 )
 
 from tetractl.core.errors import WireError
-from tetractl.emulate.optitrack.server_wire import (
-    pack_answer,
-    pack_modeldef,
-    parse_request,
-)
+from tetractl.emulate.optitrack.server_wire import pack_answer, pack_modeldef, parse_request
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     BodyName,
@@ -37,13 +33,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Ticks,
     Version,
 )
-from tetractl.lab.cameras.optitrack.wire import (
-    datagram,
-    pack,
-    parse,
-    response_float,
-    response_int,
-)
+from tetractl.lab.cameras.optitrack.wire import datagram, pack, parse, response_float, response_int
 
 f32 = st.floats(width=32, allow_nan=False)
 f64 = st.floats(allow_nan=False)

@@ -4,8 +4,8 @@ import re
 from contextlib import contextmanager
 
 import pytest
-from support.emulated_lab import SPEC, emulated
-from support.virtual_wires import LabClock, Network, VirtualCamera, VirtualLoop, virtual_wires
+from support.emulated_lab import SPEC, in_virtual_time
+from support.virtual_wires import VirtualCamera
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
@@ -31,20 +31,14 @@ ROBOTS = "robots: [{name: green, body: Green}, {name: blue, body: 7}]"
 @contextmanager
 def motive(folder, script="", *sets, connect=5.0, robots=ROBOTS):
     """An emulated Motive, a camera for it that is not connected yet, and the clock of both."""
-    spec, clock = SPEC.replace(ROBOTS, robots), LabClock()
-    emulation = f"emulation: {{camera: {{{script}}}}}" if script else "row: ''"
-    with virtual_wires(Network(), clock):
-        lab = emulated(folder, *sets, spec=spec, script=emulation, make_loop=VirtualLoop)
-        clock.timeline = lab.timeline
-        with lab:
-            clock.steps.append(lab.loop.poll)
-            settings = (*sets, f"lab.camera.command_port={lab.camera.motive.command_port}")
-            settings += (f"lab.camera.data_port={lab.camera.motive.data_port}",)
-            loaded = parse_spec(spec, "spec", (*settings, f"lab.camera.connect={connect}"))
-            section = lab_of(loaded.experiment, "spec").camera
-            camera = section.build(loaded.experiment.setup, clock, lambda: None)
-            yield lab, camera, clock
-            camera.__exit__()
+    spec = SPEC.replace(ROBOTS, robots)
+    script = f"emulation: {{camera: {{{script}}}}}" if script else "row: ''"
+    with in_virtual_time(folder, *sets, spec=spec, script=script) as (lab, clock, settings):
+        loaded = parse_spec(spec, "spec", (*settings, f"lab.camera.connect={connect}"))
+        section = lab_of(loaded.experiment, "spec").camera
+        camera = section.build(loaded.experiment.setup, clock, lambda: None)
+        yield lab, camera, clock
+        camera.__exit__()
 
 
 def refusal(folder, script="", *sets):

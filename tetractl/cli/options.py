@@ -1,7 +1,8 @@
 """What several commands share: options, loading a spec, its warnings, asking before robots move."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -64,7 +65,19 @@ def require_confirmation(yes: bool) -> None:
         )
 
 
+@contextmanager
+def progress(what: str) -> "Iterator[Callable[[int, int | None], object]]":
+    """Show a bar on a terminal; yields what to call with the numbers done and of all."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, count: bar.update(task, completed=done, total=count)
+
+
 def announce_compiling(quiet: bool, text: str) -> None:
-    """Say on stderr that code is compiled; on a terminal even to who asked for quiet, who waits."""
+    """Print on stderr that code is compiled; with `quiet` only on a terminal."""
     if not quiet or sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)

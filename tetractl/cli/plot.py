@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from tetractl.cli.options import progress
 from tetractl.core.errors import Exit, UsageError
 
 VIDEO = "video"
@@ -70,9 +71,6 @@ def plot(
 
 
 def _film(logs: list[Path], output: Path | None) -> int:
-    from rich.console import Console
-    from rich.progress import Progress
-
     from tetractl.log.read.reader import read_trial
     from tetractl.view.film import check_file, write_video
     from tetractl.view.terminal.damage import warn_of_damage
@@ -83,12 +81,8 @@ def _film(logs: list[Path], output: Path | None) -> int:
     check_file(path)
     log = read_trial(logs[0])
     warn_of_damage(log)
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("drawing", total=None)
-        speed = write_video(
-            log, path, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    with progress("Drawing") as on_picture:
+        speed = write_video(log, path, on_picture)
     if speed > 1:
         print(f"plays {speed} times faster than the trial", file=sys.stderr)
     print(path)

@@ -1,13 +1,13 @@
 """`tetractl stats`: statistics of batches, and how they compare."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from tetractl.cli.options import progress
 from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def _described(listed: "Sequence[Source]") -> "list[Group]":
 
     groups = []
     for source in listed:
-        with _progress() as on_log:
+        with progress("Reading logs") as on_log:
             batch = source.read(on_log)
         for trial in batch.trials:
             if trial.recovered:
@@ -104,15 +104,3 @@ def _draw(found: "GroupComparison", file: Path) -> None:
     few = len(found.groups) <= 2
     save(batch_figure(found.groups) if few else distributions_figure(found.groups), file)
     print(f"wrote {file}", file=sys.stderr)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], object]]:
-    """Show a bar on a terminal; yields what to call with the numbers of logs read and of all."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("Reading logs")
-        yield lambda done, count: bar.update(task, completed=done, total=count)

@@ -12,7 +12,8 @@ from tetractl.core.errors import UsageError
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
-    from tetractl.run.plausibility.warnings import PlacedWarning
+    from tetractl.log.read.trial_log import TrialLog
+    from tetractl.run.plausibility import PlacedWarning
 
 Sets = Annotated[
     list[str] | None,
@@ -41,12 +42,32 @@ def load(path: Path, sets: Sequence[str]) -> "LoadedSpec":
 
 def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[PlacedWarning, ...]":
     """Print the warnings of a spec that was loaded with `sets`, and return them."""
-    from tetractl.run.plausibility.warnings import find_warnings
+    from tetractl.run.plausibility import find_warnings
 
     found = find_warnings(loaded, sets)
     for warning in found:
         print(f"warning: {warning}", file=sys.stderr)
     return found
+
+
+def open_trial(path: Path) -> "TrialLog":
+    """Return the trial of a log, with what is damaged in it on stderr."""
+    from tetractl.log.read.reader import read_trial
+
+    log = read_trial(path)
+    warn_of_damage(log)
+    return log
+
+
+def warn_of_damage(log: "TrialLog") -> None:
+    """Print a damaged log's problems and losses to stderr."""
+    from tetractl.core.text import printable
+
+    if log.damage:
+        for problem in log.damage.problems:
+            print(printable(f"damaged: {log.path}: {problem}"), file=sys.stderr)
+        for lost in log.damage.lost:
+            print(printable(f"lost: {log.path}: {lost}"), file=sys.stderr)
 
 
 def refuse(found: "Sequence[PlacedWarning]") -> None:

@@ -59,7 +59,6 @@ def stats(
     """
     from tetractl.results.contrast import contrast
     from tetractl.results.open_batch import one_source, sources
-    from tetractl.results.show_statistics import show
 
     if plot:
         from tetractl.view.style import file_format
@@ -72,6 +71,24 @@ def stats(
     if plot:
         _draw(found, plot)
     return Exit.DONE if found.whole else Exit.FAILED
+
+
+def show(found: "GroupComparison", form: str) -> None:
+    """Print groups and their comparisons to stdout."""
+    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import csv_text
+    from tetractl.core.table.terminal_table import TEXTS, print_tables
+    from tetractl.results.items import as_items, data_table
+    from tetractl.results.tables import tables
+
+    if form == "table":
+        print_tables(tables(found))
+    elif form == "json":
+        print(json_text(as_items(found)), flush=True)
+    elif form == "csv":
+        print(csv_text(data_table(found)), end="")
+    else:
+        print(TEXTS[form](tables(found)))
 
 
 def _described(listed: "Sequence[Source]") -> "list[Group]":

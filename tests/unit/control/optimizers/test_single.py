@@ -85,31 +85,6 @@ def test_the_first_moves_are_those_of_the_reference(model):
     assert (found.evaluations, found.stopped) == (slow.evaluations, slow.stopped)
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    seed=st.integers(0, 2**32),
-    robots=st.integers(1, 3),
-    obstacles=st.integers(0, 3),
-    length=st.integers(2, 30),
-    model=st.sampled_from(["euler", "arc", "exact"]),
-    swept=st.booleans(),
-    warm=st.booleans(),
-)
-def test_the_cost_is_that_of_the_sequence_in_double_precision(
-    seed, robots, obstacles, length, model, swept, warm
-):
-    problem = problems.problem(problems.world(seed, robots, obstacles, model, swept))
-    start = np.random.default_rng(seed).uniform(-math.pi, math.pi, length) if warm else None
-    found, again = (swarm().search(problem, length, start, seed, Limits()) for _ in range(2))
-    assert found.signals.dtype == found.history.dtype == np.float64
-    assert np.abs(found.signals).max() <= math.pi
-    assert found.cost == found.history[-1]
-    assert found.cost == pytest.approx(costs_of(problem, found.signals[None], float)[0], rel=1e-13)
-    assert np.all(np.diff(found.history) <= 0)
-    assert found.history.tobytes() == again.history.tobytes()
-    assert found.signals.tobytes() == again.signals.tobytes()
-
-
 def test_a_target_is_met_in_double_precision():
     problem = problems.problem(problems.world(6, robots=1, obstacles=0))
     whole = swarm(stop={"type": "budget"}).search(problem, 30, None, 3, Limits())

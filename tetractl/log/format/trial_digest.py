@@ -15,7 +15,7 @@ from tetractl.core.text import printable
 from tetractl.core.trial import TrialRecords
 from tetractl.log.format import codec
 from tetractl.log.format.channels import TEXT
-from tetractl.log.format.metadata import FORMAT, result_metadata, run_metadata
+from tetractl.log.format.metadata import result_metadata, run_metadata
 
 BLOCK = 10_000  # frames encoded at a time
 
@@ -29,8 +29,6 @@ def trial_digest(trial: TrialRecords) -> str:
     show, and cut. That of a damaged log is another one than the trial had as it ran.
     """
     start, result = trial.start, trial.result
-    stated = run_metadata(start)
-    del stated[FORMAT]  # how a log stores a trial is none of its records
     ended = {}
     if result is not None:
         ended = result_metadata(result, start.setup.unit)
@@ -38,7 +36,7 @@ def trial_digest(trial: TrialRecords) -> str:
     texts = [start.spec_text, start.resolved, *start.attached]
     notes = [(one.t_ns, one.level, printable(one.text, TEXT)) for one in trial.notes]
     parts = (
-        [json.dumps([stated, texts, notes, ended], sort_keys=True).encode()],
+        [json.dumps([run_metadata(start), texts, notes, ended], sort_keys=True).encode()],
         map(_bytes, _frames(trial)),
         map(_bytes, map(codec.encode_command, trial.commands)),
         map(_bytes, _steps(trial)),

@@ -21,7 +21,8 @@ def folder(tmp_path: Path) -> Path:
         "a/trial-2.attempt-2.mcap.part",
         "a/notes.txt",
         "b/deep/er/trial-0.mcap",
-        "empty/odd[1].mcap",
+        "empty/readme.md",
+        "odd/odd[1].mcap",
     ):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -40,7 +41,7 @@ def folder(tmp_path: Path) -> Path:
         (["a/*"], ["a/trial-1.mcap", "a/trial-1.mcap.part", "a/trial-2.mcap",
                    "a/trial-3.mcap.part", "a/trial-10.mcap"]),
         (["**/trial-0.mcap", "[b]"], ["b/deep/er/trial-0.mcap"]),
-        (["empty/odd[1].mcap"], ["empty/odd[1].mcap"]),
+        (["odd/odd[1].mcap"], ["odd/odd[1].mcap"]),
         (["a/trial-2.mcap", "a", "b/../a/trial-1.mcap", "a/*.mcap"],  # each once, as they come
          ["a/trial-2.mcap", "a/trial-1.mcap", "a/trial-3.mcap.part", "a/trial-10.mcap"]),
     ],
@@ -63,7 +64,7 @@ def test_what_was_set_aside_is_found_where_it_is_asked_for(folder: Path) -> None
     ("path", "message"),
     [
         ("none.mcap", "no such file or folder"),
-        ("none", "no such file"),
+        ("empty", "no logs"),
         ("empty/*", "matches no log"),
         ("none/*.mcap", "matches no log"),
     ],

@@ -94,7 +94,7 @@ class Search(_message.Message):
     def __init__(self, length: _Optional[int] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., history: _Optional[_Iterable[float]] = ..., evaluations: _Optional[int] = ..., stopped: _Optional[str] = ...) -> None: ...
 
 class ControllerStep(_message.Message):
-    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "path_heading")
+    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "path_heading", "leg")
     K_FIELD_NUMBER: _ClassVar[int]
     OBSERVATION_FIELD_NUMBER: _ClassVar[int]
     COMMAND_FIELD_NUMBER: _ClassVar[int]
@@ -108,6 +108,7 @@ class ControllerStep(_message.Message):
     PATH_X_FIELD_NUMBER: _ClassVar[int]
     PATH_Y_FIELD_NUMBER: _ClassVar[int]
     PATH_HEADING_FIELD_NUMBER: _ClassVar[int]
+    LEG_FIELD_NUMBER: _ClassVar[int]
     k: int
     observation: MocapSample
     command: WheelCommand
@@ -121,7 +122,8 @@ class ControllerStep(_message.Message):
     path_x: _containers.RepeatedScalarFieldContainer[float]
     path_y: _containers.RepeatedScalarFieldContainer[float]
     path_heading: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., path_heading: _Optional[_Iterable[float]] = ...) -> None: ...
+    leg: int
+    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., path_heading: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ...) -> None: ...
 
 class StepTiming(_message.Message):
     __slots__ = ("k", "solve_ns", "deadline_missed")

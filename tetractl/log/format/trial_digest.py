@@ -112,6 +112,8 @@ def _plan(plan: Plan) -> bytes:
         pack("<qqQ", len(plan.searches), plan.chosen, plan.generator),
         _numbers(*costs, plan.signals, plan.path, *_estimate(plan.estimate)),
     ]
+    if plan.leg:
+        parts.append(pack("<q", plan.leg))
     for search in plan.searches:
         parts.append(pack("<qq", search.length, search.evaluations))
         parts.append(_text(printable(search.stopped, STOPPED)))

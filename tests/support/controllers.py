@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tetractl.experiment.kinds import OPTIMIZERS
+from tetractl.core.registries import OPTIMIZERS
 
 SMALL: dict[str, dict[str, Any]] = {
     "pso": {"particles": 12, "iterations": 15},

@@ -7,10 +7,10 @@ from pydantic import Field, PositiveInt, model_validator
 from tetractl.control.filter import Prior
 from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
+from tetractl.core.registries import MOTIONS, OPTIMIZERS
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent
 from tetractl.experiment.controller import ControllerSection, OptimizerSection
-from tetractl.experiment.kinds import MOTIONS, OPTIMIZERS
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.model.obstacles import Obstacles
 

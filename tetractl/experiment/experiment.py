@@ -9,6 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
 from tetractl.core.poses import Poses
+from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.core.tour import HoldTask
 from tetractl.experiment.base import (
@@ -22,7 +23,6 @@ from tetractl.experiment.base import (
     inconsistent,
 )
 from tetractl.experiment.controller import ControllerSection
-from tetractl.experiment.kinds import CONTROLLERS, PLANTS, SHAPES
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from tetractl.core.film import CellFilm
+from tetractl.core.cell_film import CellFilm
 from tetractl.core.poses import Floats, Observation, Poses
 
 HALTS = "halts"

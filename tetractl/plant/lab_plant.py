@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.commands import HALTS, Command, Note, PlantInfo, Sample, Transmission, Verdict
 from tetractl.core.errors import AbortError
-from tetractl.core.film import CellFilm
 from tetractl.core.poses import Observation, Pose, Poses
 from tetractl.core.setup import Setup
 from tetractl.core.supervision import LabSupervision

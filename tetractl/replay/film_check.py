@@ -16,10 +16,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
 
-from tetractl.core.film import CellFilm
+from tetractl.core.cell_film import CellFilm
 from tetractl.log.format import channels
 from tetractl.log.format.channels import Entry
-from tetractl.log.format.film import LENS, decode_crops, encode_film
+from tetractl.log.format.crop_images import LENS, decode_crops, encode_film
 from tetractl.log.format.scene import stamp
 from tetractl.log.format.tetractl_pb2 import CellCrops
 from tetractl.log.read import limits

@@ -11,9 +11,9 @@ from support.film_logs import write_film
 from support.mutate import rewrite
 from support.tampering import noticed, tamperings
 
-from tetractl.core.film import cut
+from tetractl.core.cell_film import cut
 from tetractl.log.format import channels
-from tetractl.log.format.film import encode_film
+from tetractl.log.format.crop_images import encode_film
 from tetractl.log.format.tetractl_pb2 import CellCrops
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan

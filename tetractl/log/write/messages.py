@@ -11,7 +11,7 @@ from tetractl.core.trial import Result, Start, Step
 from tetractl.log.format import channels, codec
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.codec import Frames
-from tetractl.log.format.film import encode_film
+from tetractl.log.format.crop_images import encode_film
 from tetractl.log.format.scene import Scene, encode_note
 
 POSES_MAX = 20_000

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
-from tetractl.core.film import CellFilm
 from tetractl.core.poses import Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.cells.cell import SeenCell

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.core.cell_film import CellFilm, cut
 from tetractl.core.clock import SECOND
-from tetractl.core.film import CellFilm, cut
 from tetractl.core.poses import Grey
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.detect_cells import Blob, blobs_of

@@ -12,7 +12,7 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from tetractl.core.film import CellFilm
+from tetractl.core.cell_film import CellFilm
 from tetractl.core.poses import Grey
 from tetractl.log.format import channels
 from tetractl.log.format.scene import stamp

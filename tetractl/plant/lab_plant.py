@@ -16,6 +16,7 @@ from tetractl.core.setup import Setup
 from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.guard import GuardState
+from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked
 from tetractl.lab.rig import Rig, build_rig
@@ -53,6 +54,7 @@ class LabPlant:
         self._newest: Observation | None = None
         self._fresh: list[Sample] = []
         self._films: dict[int, CellFilm] = {}  # by the time of exposure
+        self._identities = IdentityWatch(self.setup.names, rig.limits.identity)
         self._news: deque[Command | Note] = deque(maxlen=KEPT)
         self._returned: set[int] = set()  # send times of what `steer` has returned
         self._observed_ns: int | None = None
@@ -168,6 +170,10 @@ class LabPlant:
             times = frame.sampled_ns, frame.received_ns
             self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
             film = self._films.get(frame.sampled_ns)
+            if film is not None:
+                self._news.extend(self._identities.see(film))
+                if self._identities.reason:
+                    self.rig.guard.abort(self._identities.reason)
             self._fresh.append(Sample(self._newest, None, film))
         if self._newest is not None:  # frames that the guard refused leave no sample
             now = self._newest.sampled_ns

@@ -12,10 +12,12 @@ from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
+from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import SimCamera, due_ns
 from tetractl.plant.wheel_drive import WheelDrive
 
+Drive = DirectDrive | WheelDrive | CellDrive
 UNCHECKED = 200  # stretches of the path that are checked together
 
 
@@ -33,7 +35,7 @@ class TrueMotion:
         setup: Setup,
         a: Floats,
         speed: Floats,
-        drive: DirectDrive | WheelDrive,
+        drive: Drive,
         camera: SimCamera,
         disturbances: Sequence[Disturbance],
         heading_walk: float,
@@ -49,7 +51,8 @@ class TrueMotion:
         self._varying = overriding(disturbances, "varied")
         self._walk, self._walking = heading_walk / np.sqrt(camera.rate_hz), walking
         self._disturbs = bool(self._moving or self._varying)
-        self._by_frame = self._disturbs or heading_walk > 0
+        swims = isinstance(drive, CellDrive)  # the camera may look at its state
+        self._by_frame = self._disturbs or heading_walk > 0 or swims
         self._truth_rate = truth_rate
         self._under_way: deque[DelayedCommand] = deque()  # on their way, by `due_ns`
         self._acting_ns = np.zeros(len(setup.names), dtype=np.int64)  # when the last one sent acts

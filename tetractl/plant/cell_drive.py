@@ -1,14 +1,13 @@
 """Cells that swim on a helix under a field, between walls: `tetractl.model.swimmers` in a plant."""
 
 import math
-from typing import Literal
 
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
-from tetractl.experiment.disturbance import DelayedCommand, Disturbance
+from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, bodies
 from tetractl.plant.direct import NEVER
 
@@ -23,27 +22,13 @@ class CultureSection(Model):
     """Standard deviation of the dipole's angle from a cell's axis [rad]."""
     drift: NonNegative = DRIFT_UM_S
     """Flow of the medium, in a direction drawn once a trial [um/s]."""
-    sees: Literal["helix", "axis"] = "helix"
-    """The heading that the camera measures: that of the helix, as the `cells` camera finds it, or
-    of the body's axis, which sways about it."""
     walls: bool = True
     """Whether the arena's edges are walls, along which cells slide."""
 
 
-class BodyAxis(Disturbance):
-    """A camera's view of cells: the heading of the body, not of the helix."""
-
-    def __init__(self, cells: Swimmers) -> None:
-        self._cells = cells
-
-    def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses with the headings of the bodies."""
-        sway = bodies(self._cells).axis - self._cells.heading
-        return Poses(poses.x, poses.y, poses.heading + sway), valid
-
-
 class CellDrive:
-    """N cells; a pose is the middle of a body, with the heading of its helix.
+    """N cells; a pose is the middle of a body with the heading of its helix, as the `cells` camera
+    has it.
 
     Cells wait until the first command. A stop holds them, too, so that a trial ends where they are
     when it acts: real ones swim on.

@@ -1,7 +1,7 @@
 """The simulated plant: true motion in continuous virtual time, a camera, and disturbances."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -17,7 +17,6 @@ from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
 from tetractl.experiment.disturbance import (
     DelayedCommand,
-    Disturbance,
     DisturbanceSection,
     overriding,
 )
@@ -26,7 +25,7 @@ from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.wheels import wheel_speeds
-from tetractl.plant.cell_drive import BodyAxis, CellDrive, CultureSection
+from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
 from tetractl.plant.true_motion import Drive, TrueMotion
@@ -152,13 +151,10 @@ class SimPlant:
             self.a, self.speed = disturbance.parameters(self.a, self.speed)
             starts = disturbance.placed(starts)
         self._news: list[Command | Note] = []
-        self._drive = drive = self._driven(starts, seed)
-        seen: Sequence[Disturbance] = disturbances
-        if isinstance(drive, CellDrive) and section.cells and section.cells.sees == "axis":
-            seen = [BodyAxis(drive.cells), *disturbances]
         self._camera = SimCamera(
-            count, section.camera_rate, section.measurement_noise, measuring, seen
+            count, section.camera_rate, section.measurement_noise, measuring, disturbances
         )
+        self._drive = self._driven(starts, seed)
         self._motion = TrueMotion(
             setup,
             self.a,

@@ -51,8 +51,7 @@ class TrueMotion:
         self._varying = overriding(disturbances, "varied")
         self._walk, self._walking = heading_walk / np.sqrt(camera.rate_hz), walking
         self._disturbs = bool(self._moving or self._varying)
-        swims = isinstance(drive, CellDrive)  # the camera may look at its state
-        self._by_frame = self._disturbs or heading_walk > 0 or swims
+        self._by_frame = self._disturbs or heading_walk > 0
         self._truth_rate = truth_rate
         self._under_way: deque[DelayedCommand] = deque()  # on their way, by `due_ns`
         self._acting_ns = np.zeros(len(setup.names), dtype=np.int64)  # when the last one sent acts

@@ -96,7 +96,7 @@ def test_no_cell_leaves_its_dish(tmp_path):
     """Straight at the wall for 8 s: they slide along it, and stay."""
     text = SPEC + (
         "controller: {type: sequence, directions: [" + "0.3, " * 39 + "0.3]}\n"
-        "plant: {type: sim, cells: {sees: axis}, heading_noise: 0.05, truth_rate: 240,"
+        "plant: {type: sim, cells: {}, heading_noise: 0.05, truth_rate: 240,"
         " camera_rate: 30}\n"
     )
     result = run_trial(parse_spec(text, "cells.yaml"), tmp_path, 0, (), Interrupt())

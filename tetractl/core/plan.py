@@ -19,7 +19,7 @@ class Outcome(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> "Outcome | None":
-        """Return the outcome that log format 1 calls otherwise."""
+        """Return the outcome for the name that log format 1 has for it."""
         return cls.SEQUENCE_COMPLETED if value == "sequence used up" else None
 
     @property

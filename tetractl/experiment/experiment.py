@@ -225,10 +225,7 @@ class Experiment(Model):
             a=np.array([robot.a for robot in self.robots], dtype=np.float64),
             speed=np.array([robot.speed for robot in self.robots], dtype=np.float64),
             arena=Bounds(
-                arena.left,
-                arena.bottom,
-                arena.left + arena.width,
-                arena.bottom + arena.height,
+                arena.left, arena.bottom, arena.left + arena.width, arena.bottom + arena.height
             ),
             obstacles=self.obstacles,
             period_s=control.period,

@@ -12,8 +12,8 @@ from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.commands import HALTS, Command, Note, PlantInfo, Sample, Transmission, Verdict
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Observation, Pose, Poses
+from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.guard import GuardState
 from tetractl.lab.identity_watch import IdentityWatch

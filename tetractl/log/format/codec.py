@@ -286,7 +286,7 @@ def _encode_search(search: Search) -> pb.Search:
         cost=search.cost,
         history=search.history.tolist(),
         evaluations=search.evaluations,
-        stopped=search.stopped,
+        stopped=printable(search.stopped, STOPPED),
     )
 
 

@@ -184,9 +184,8 @@ class Messages:
         return self._entry(channels.LOG, encode_note(note, self._start_ns), note.t_ns)
 
     def _entry(
-        self, topic: str, message: Message | bytes, log_ns: int, publish_ns: int | None = None
+        self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
     ) -> Entry:
         log_unix = self._start_ns + log_ns
         publish_unix = log_unix if publish_ns is None else self._start_ns + publish_ns
-        data = message if isinstance(message, bytes) else message.SerializeToString()
-        return Entry(topic, log_unix, publish_unix, data)
+        return Entry(topic, log_unix, publish_unix, message.SerializeToString())

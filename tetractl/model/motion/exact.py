@@ -162,15 +162,7 @@ def differentiate_fast(
 
 
 def _derive(
-    near: float,
-    far: float,
-    s: float,
-    e: float,
-    cu: float,
-    su: float,
-    a: float,
-    v: float,
-    t: float,
+    near: float, far: float, s: float, e: float, cu: float, su: float, a: float, v: float, t: float
 ) -> Derivatives:
     """Return a step and its derivatives, from near = 1 + cos phi, far = (1 - cos phi) E, sin phi
     and E."""

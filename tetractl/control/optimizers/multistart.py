@@ -34,6 +34,7 @@ from tetractl.experiment.controller import OptimizerSection
 
 SLACK = 0.01  # share of the fastest robot's step by which a path is pushed clear of an obstacle
 HOPS = 1000  # of a thorough search for three robots; they grow with the square of the number
+HOP_WORK = 1e9  # evaluations times signals times robots of a thorough search at most, some seconds
 POOL = 6  # sequences that are kept to hop from
 HOP_STEPS, HOP_PATIENCE = 60, 12  # Levenberg-Marquardt iterations of a hop
 HOP_LEAST, HOP_MOST = 0.15, 1.5  # rad by which signals are moved
@@ -200,7 +201,8 @@ class _PolishedProgress(Progress):
         found, length = self.polished, self.length
         middle, step = bearing(self.problem), self.slack / SLACK
         for number in range(self.hops):
-            if self.ended or (self.history and not self.affords(2)):
+            work = self.evaluations * length * len(self.problem.a)
+            if self.ended or work > HOP_WORK or (self.history and not self.affords(2)):
                 break
             draws = uniform(mix(key, number), 0, length + 8)
             start = _moved(pool, draws, length, middle)

@@ -4,7 +4,7 @@
     python benchmarks/cells.py identity    who is who after a full merge, by how far a is apart
     python benchmarks/cells.py intervals   how often 95 % intervals of `tetractl track` hold
     python benchmarks/cells.py time        ms a picture of 1024 and of 2048 px
-    python benchmarks/cells.py log         MB/s of a log with crops, and the share of changes noticed
+    python benchmarks/cells.py log         MB/s of a log with crops, share of its changes noticed
 
 Every picture is synthetic, by `tetractl.emulate.dish`, which the same hands wrote. Seeds from 9000
 on are those of the published figures; smaller ones were used in development. --count says how many

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import get_lapack_funcs
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import brentq, minimize, minimize_scalar
 
 from tetractl.core.poses import Bools, Floats
 
@@ -145,14 +145,8 @@ class Chain:
                     return 0.0
                 if inside > begin + 40:
                     return np.inf
-            outside = inside + sign * step
-            for _ in range(9):
-                middle = (inside + outside) / 2
-                if profile(which, middle) < LIMIT:
-                    inside = middle
-                else:
-                    outside = middle
-            return float(np.exp((inside + outside) / 2))
+            ends = inside, inside + sign * step
+            return float(np.exp(brentq(lambda at: profile(which, at) - LIMIT, *ends, xtol=1e-3)))
 
         return (limit(0, -1), limit(0, 1)), (limit(1, -1), limit(1, 1))
 

@@ -131,13 +131,17 @@ def test_many_chunks_together_are_bounded(log: Path, tmp_path: Path) -> None:
         scan(path)
 
 
-def test_records_that_claim_the_same_bytes_are_not_all_read(log: Path, tmp_path: Path) -> None:
+def test_records_that_claim_the_same_bytes_are_not_all_read(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each of these would copy the rest of the file: quadratic, were it not for the limit."""
     trace = bytes(28) + b"\x04\0\0\0zstd" + struct.pack("<Q", 1 << 19)
     path = tmp_path / "overlap.mcap"
     path.write_bytes(log.read_bytes()[:-100] + trace * 12_000)
     found = scan(path)
     assert len(found.entries) == len(scan(log).entries)
+    monkeypatch.setattr(limits, "OVERLAP", 0)
+    assert scan(path).entries == []
 
 
 def edited(contents: RawLog, path: Path, record: str, changes: dict[str, str]) -> Path:

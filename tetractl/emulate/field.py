@@ -16,17 +16,17 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
+from tetractl.core.errors import WireError
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.emulate.loop import Loop, Timeline
-from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.port import PluggedDevice, PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.lab.actuators.field.coils import Coils, Pair
 from tetractl.lab.actuators.field.driver_protocol import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.lab_errors import WireError
 
 STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver
 LAG_S = 0.004  # 20 mH over 5 ohm
@@ -110,10 +110,7 @@ class CurrentDriver:
                 continue
             currents = [command.x_ma, command.y_ma]
             self._tell(
-                "command",
-                sequence=command.sequence,
-                flags=int(command.flags),
-                currents_ma=currents,
+                "command", sequence=command.sequence, flags=int(command.flags), currents_ma=currents
             )
 
     def _step(self) -> None:
@@ -251,7 +248,7 @@ FAULTS = (
 )
 
 
-class EmulatedField:
+class EmulatedField(PluggedDevice):
     """A current driver on a pseudo-terminal, and the cells between its coils."""
 
     Settings: ClassVar[type[Model]] = FieldSettings
@@ -273,7 +270,7 @@ class EmulatedField:
         ]
         coils, seed = section.calibrated_coils(), stage.options.seed
         self._dish = Dish(self.driver, coils, section.strength_mt, self.cells, start_ns, seed)
-        self._loop: Loop | None = None
+        self.readable = self.driver.readable
 
     @property
     def bodies(self) -> Sequence[Cell]:
@@ -312,25 +309,6 @@ class EmulatedField:
 
     def tick(self) -> None:
         """Do nothing: the driver replies at once."""
-
-    def plug(self) -> None:
-        """Plug the driver in."""
-        assert self._loop is not None, "open() gives the loop"
-        self.port.plug()
-        self._loop.watch(self.port.fd, self.driver.readable)
-
-    def plugged(self, on: bool) -> None:
-        """Plug the driver in, or pull it out."""
-        if on:
-            self.plug()
-        else:
-            self.unplug()
-
-    def unplug(self) -> None:
-        """Pull the driver out; idempotent."""
-        if self._loop is not None:
-            self._loop.forget(self.port.fd)
-        self.port.unplug()
 
 
 def _limits(section: FieldSection) -> DriverLimits:

@@ -4,14 +4,43 @@ import errno
 import os
 import termios
 import tty
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from tetractl.core.errors import UsageError
+from tetractl.emulate.loop import Loop
 
 _BAUDS = {
     getattr(termios, f"B{baud}"): baud for baud in (1200, 2400, 4800, 9600, 19200, 38400, 57600)
 } | {termios.B115200: 115200}
+
+
+class PluggedDevice:
+    """A device on a port that can be pulled out; `readable` is called when bytes have come."""
+
+    port: "PseudoPort"
+    readable: Callable[[], None]
+    _loop: Loop | None = None
+
+    def plug(self) -> None:
+        """Plug the device in."""
+        assert self._loop is not None, "open() gives the loop"
+        self.port.plug()
+        self._loop.watch(self.port.fd, self.readable)
+
+    def plugged(self, on: bool) -> None:
+        """Plug the device in, or pull it out."""
+        if on:
+            self.plug()
+        else:
+            self.unplug()
+
+    def unplug(self) -> None:
+        """Pull the device out; idempotent."""
+        if self._loop is not None:
+            self._loop.forget(self.port.fd)
+        self.port.unplug()
 
 
 class PseudoPort:
@@ -47,7 +76,7 @@ class PseudoPort:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 
     def baud(self) -> int:
-        """Return the speed at which the other side has set the port; 0 if none we know."""
+        """Return the bits a second that the other side has set; 0 for a speed not known here."""
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:

@@ -136,9 +136,10 @@ def _run(
     rerun: Rerun,
 ) -> SwarmHistory:
     from tetractl.control.kernels import pso as kernel
-    from tetractl.control.optimizers.compiled_pso import lay_out_swarm, make_rules, scatter
+    from tetractl.control.kernels.rollout import lay_out
+    from tetractl.control.optimizers.compiled_pso import make_rules, scatter
 
-    rollout = lay_out_swarm(section, asked.problem)
+    rollout = lay_out(asked.problem, section.particles)
     swarm, spent = scatter(section, asked.problem, rollout, asked.length, asked.warm, asked.key)
     rules = make_rules(section, asked.key, spent, Limits())
     last = min(len(logged.history) - 1, section.iterations)

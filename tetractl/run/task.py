@@ -14,8 +14,7 @@ from tetractl.control.build import build_controller, warm_up
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome
-from tetractl.core.protocols import Observer
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.registry_fields import packages

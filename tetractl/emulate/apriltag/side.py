@@ -138,12 +138,7 @@ class EmulatedAprilTag:
         self._start_ns = time.monotonic_ns() - clock.now()
         self._remember()
         self.camera = EmulatedNetworkCamera(
-            self.renderer,
-            self._poses_at,
-            clock,
-            self._rate_hz,
-            port=self._port,
-            drips=self._drips,
+            self.renderer, self._poses_at, clock, self._rate_hz, port=self._port, drips=self._drips
         )
         self.camera.__enter__()
         self._opened = True

@@ -8,15 +8,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.emulate.faults import (
-    STUCK_PORT,
-    UNPLUG,
-    Fault,
-    Share,
-    fault,
-    settings,
-    switching,
-)
+from tetractl.core.errors import WireError
+from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Share, fault, settings, switching
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio, ModuleSettings
 from tetractl.emulate.m3pi.robot import (
@@ -29,7 +22,7 @@ from tetractl.emulate.m3pi.robot import (
     SlaveDecoder,
     SlaveProgram,
 )
-from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.port import PluggedDevice, PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
@@ -38,7 +31,6 @@ from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSec
 from tetractl.lab.actuators.xbee.frames import Transmit16
 from tetractl.lab.actuators.xbee.framing import Decoder
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.lab_errors import WireError
 
 Note = Callable[..., None]
 
@@ -185,9 +177,7 @@ FAULTS = (
         "low_battery",
         "A robot's battery has this voltage.",
         settings(
-            lambda d, f: _robot_of(d, f).battery,
-            open_mv=lambda f: float(f.millivolts),
-            sag_mv=0.0,
+            lambda d, f: _robot_of(d, f).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
         ),
         robot=Name,
         millivolts=Annotated[int, Field(ge=0, le=9000)],
@@ -195,7 +185,7 @@ FAULTS = (
 )
 
 
-class EmulatedM3pi:
+class EmulatedM3pi(PluggedDevice):
     """An XBee on a pseudo-terminal, and the robots that hear it."""
 
     Settings: ClassVar[type[Model]] = M3piSettings
@@ -223,7 +213,7 @@ class EmulatedM3pi:
             CommandLog(module.mode, slave, stage.note).read,
             lambda robot, data: stage.note("heard", robot=robot.name, hex=data.hex()),
         )
-        self._loop: Loop | None = None
+        self.readable = self.radio.readable
 
     @property
     def bodies(self) -> Sequence[EmulatedRobot]:
@@ -265,25 +255,6 @@ class EmulatedM3pi:
     def tick(self) -> None:
         """Send what robots have to answer."""
         self.radio.poll_answers()
-
-    def plug(self) -> None:
-        """Plug the radio in."""
-        assert self._loop is not None, "open() gives the loop"
-        self.port.plug()
-        self._loop.watch(self.port.fd, self.radio.readable)
-
-    def plugged(self, on: bool) -> None:
-        """Plug the radio in, or pull it out."""
-        if on:
-            self.plug()
-        else:
-            self.unplug()
-
-    def unplug(self) -> None:
-        """Pull the radio out; idempotent."""
-        if self._loop is not None:
-            self._loop.forget(self.port.fd)
-        self.port.unplug()
 
     def robot(self, name: str) -> EmulatedRobot:
         """Return a robot by name."""

@@ -120,9 +120,9 @@ class Scene:
         entities = [self._entity("arena", unix_ns, lines=[border])]
         for i, obstacle in enumerate(self._setup.obstacles):
             entities.append(self._obstacle(f"obstacle/{i}", unix_ns, obstacle))
-        targets = self._setup.targets
-        for name, color, target in zip(self._setup.names, self._colors, targets, strict=True):
-            entities.append(self._target(name, color, target, unix_ns))
+        legs = self._setup.legs.swapaxes(0, 1)
+        for name, color, points in zip(self._setup.names, self._colors, legs, strict=True):
+            entities.append(self._target(name, color, points[:-1], points[-1], unix_ns))
             entities.append(self._robot(name, color, unix_ns))
         return SceneUpdate(entities=entities)
 
@@ -137,12 +137,19 @@ class Scene:
         )
         return self._entity(entity_id, unix_ns, triangles=[block])
 
-    def _target(self, name: str, color: Color, target: Floats, unix_ns: int) -> SceneEntity:
-        """A ring the size of the robot round its target."""
+    def _target(
+        self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
+    ) -> SceneEntity:
+        """Rings: the size of the robot round its target, half of it round way-points, the hold."""
         angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
-        ring = np.column_stack([np.cos(angle), np.sin(angle)]) * (self._body / 2 / self._metres)
-        line = self._line(ring + target, color, LinePrimitive.LINE_LOOP)
-        return self._entity(f"target/{name}", unix_ns, lines=[line])
+        ring, body = np.column_stack([np.cos(angle), np.sin(angle)]), self._body / 2 / self._metres
+        wanted = [(body, target), *((body / 2, point) for point in way_points)]
+        if self._setup.hold is not None:
+            wanted.append((self._setup.hold.radius, target))
+        lines = [
+            self._line(radius * ring + at, color, LinePrimitive.LINE_LOOP) for radius, at in wanted
+        ]
+        return self._entity(f"target/{name}", unix_ns, lines=lines)
 
     def _robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
         """A wedge that points along the heading, and the robot's name above it."""

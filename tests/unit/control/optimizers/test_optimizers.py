@@ -27,11 +27,9 @@ SAMPLING = pytest.mark.parametrize("optimizer", SMALL, ids=["cem", "mppi"])
 EVERY = [
     *SMALL,
     Multistart(particles=12, polished=2, rounds=2, polish_steps=15),
-    *(Pso(particles=12, iterations=8, precision=kind) for kind in ("double", "single")),
+    Pso(particles=12, iterations=8),
 ]
-OPTIMIZERS = pytest.mark.parametrize(
-    "optimizer", EVERY, ids=["cem", "mppi", "multistart", "pso", "pso single"]
-)
+OPTIMIZERS = pytest.mark.parametrize("optimizer", EVERY, ids=["cem", "mppi", "multistart", "pso"])
 SOLVED = {"cem": (CrossEntropy(), 150.0), "mppi": (Mppi(), 100.0)}
 """Each with its defaults, and the J to which it solves step 0 of the reference experiment [mm]."""
 

@@ -144,6 +144,14 @@ def test_records_that_claim_the_same_bytes_are_not_all_read(
     assert scan(path).entries == []
 
 
+def test_a_tail_of_zeros_is_an_end(log: Path, tmp_path: Path) -> None:
+    """What a power cut leaves on some file systems."""
+    path = tmp_path / "zeros.mcap"
+    half = log.read_bytes()[: log.stat().st_size // 2]
+    path.write_bytes(half + bytes(5_000_000))
+    assert any("breaks off in the record" in problem for problem in scan(path).problems)
+
+
 def edited(contents: RawLog, path: Path, record: str, changes: dict[str, str]) -> Path:
     return rewrite(
         contents, path, {}, lambda name, facts: facts | (changes if name == record else {})

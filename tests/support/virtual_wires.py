@@ -290,8 +290,7 @@ def virtual_wires(network, clock):
             *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
             ("tetractl.lab.cameras.optitrack.camera.socket", SocketModule(network)),
             ("tetractl.emulate.optitrack.motive._bound", network.bound),
-            ("tetractl.emulate.m3pi.side.PseudoPort", MemoryPort),
-            ("tetractl.emulate.field.PseudoPort", MemoryPort),
+            ("tetractl.emulate.port.PseudoPort", MemoryPort),
             ("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial),
             ("tetractl.lab.actuators.field.driver.SerialPort", MemorySerial),
         ):

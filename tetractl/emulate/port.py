@@ -4,10 +4,12 @@ import errno
 import os
 import termios
 import tty
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from tetractl.core.errors import UsageError
+from tetractl.emulate.loop import Loop
 
 _BAUDS = {
     getattr(termios, f"B{baud}"): baud for baud in (1200, 2400, 4800, 9600, 19200, 38400, 57600)
@@ -95,3 +97,31 @@ class PseudoPort:
             if fd >= 0:
                 os.close(fd)
         self.fd = self._far = -1
+
+
+class PluggedSide:
+    """An actuator's side on a port, by the name `link`; `readable` is called when it was written to."""
+
+    def __init__(self, link: Path) -> None:
+        self.port = PseudoPort(link)
+        self._loop: Loop | None = None
+
+    def readable(self) -> None:
+        """Read what was written to the port."""
+        raise NotImplementedError
+
+    def plug_in(self, loop: Loop) -> None:
+        """Plug the device in; `loop` watches its port from now on."""
+        self._loop = loop
+        self.plugged(True)
+
+    def plugged(self, on: bool) -> None:
+        """Plug the device in, or pull it out; pulling is idempotent."""
+        if on:
+            assert self._loop is not None, "plug_in() gives the loop"
+            self.port.plug()
+            self._loop.watch(self.port.fd, self.readable)
+            return
+        if self._loop is not None:
+            self._loop.forget(self.port.fd)
+        self.port.unplug()

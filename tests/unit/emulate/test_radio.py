@@ -159,11 +159,11 @@ def test_at_another_speed_the_module_hears_nothing(opened):
 
 def test_a_port_that_is_taken_away_raises_and_comes_back(opened):
     lab, port = opened()
-    lab.actuator.unplug()
+    lab.actuator.plugged(False)
     assert not lab.actuator.port.link.is_symlink()
     with pytest.raises(serial.SerialException):
         port.write(b"x")
-    lab.actuator.plug()
+    lab.actuator.plugged(True)
     again = serial.Serial(str(lab.actuator.port.link), 57600, timeout=0, write_timeout=0.02)
     try:
         assert ask(lab, again, AtCommand(1, b"HV"))[0].status == 0

@@ -29,7 +29,7 @@ from tetractl.emulate.m3pi.robot import (
     SlaveDecoder,
     SlaveProgram,
 )
-from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.port import PluggedSide
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
@@ -195,7 +195,7 @@ FAULTS = (
 )
 
 
-class EmulatedM3pi:
+class EmulatedM3pi(PluggedSide):
     """An XBee on a pseudo-terminal, and the robots that hear it."""
 
     Settings: ClassVar[type[Model]] = M3piSettings
@@ -209,7 +209,7 @@ class EmulatedM3pi:
             _robot(stage, section, section.robot(name), truths.get(name) or TrueRobot(name=name))
             for name in stage.setup.names
         ]
-        self.port = PseudoPort(stage.options.link or Path(section.port))
+        super().__init__(stage.options.link or Path(section.port))
         module = _module(section, settings)
         slave = isinstance(section.protocol, SlaveSection)
         self.radio = EmulatedRadio(
@@ -223,7 +223,6 @@ class EmulatedM3pi:
             CommandLog(module.mode, slave, stage.note).read,
             lambda robot, data: stage.note("heard", robot=robot.name, hex=data.hex()),
         )
-        self._loop: Loop | None = None
 
     @property
     def bodies(self) -> Sequence[EmulatedRobot]:
@@ -242,14 +241,13 @@ class EmulatedM3pi:
 
     def open(self, loop: Loop) -> Facts:
         """Plug the radio in."""
-        self._loop = loop
-        self.plug()
+        self.plug_in(loop)
         link = str(self.port.link)
         return {"actuator": f"radio at {link}", "port": link}
 
     def close(self) -> Facts:
         """Pull the radio out."""
-        self.unplug()
+        self.plugged(False)
         return {"garbled": self.radio.garbled}
 
     def switch(self, on: bool) -> None:
@@ -266,24 +264,9 @@ class EmulatedM3pi:
         """Send what robots have to answer."""
         self.radio.poll_answers()
 
-    def plug(self) -> None:
-        """Plug the radio in."""
-        assert self._loop is not None, "open() gives the loop"
-        self.port.plug()
-        self._loop.watch(self.port.fd, self.radio.readable)
-
-    def plugged(self, on: bool) -> None:
-        """Plug the radio in, or pull it out."""
-        if on:
-            self.plug()
-        else:
-            self.unplug()
-
-    def unplug(self) -> None:
-        """Pull the radio out; idempotent."""
-        if self._loop is not None:
-            self._loop.forget(self.port.fd)
-        self.port.unplug()
+    def readable(self) -> None:
+        """Let the radio read what was written to its port."""
+        self.radio.readable()
 
     def robot(self, name: str) -> EmulatedRobot:
         """Return a robot by name."""

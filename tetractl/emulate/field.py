@@ -195,7 +195,7 @@ class EmulatedField(PluggedSide):
         walls = None
         if stage.options.chosen:
             walls = walls_of(setup)
-            cells, names = culture(setup, settings.cells, settings.strangers, walk, seed)
+            cells, names = culture(settings.cells, settings.strangers, walk, seed)
         else:
             cells = cells_of(setup, walk, seed)
         coils = section.calibrated_coils()

@@ -4,7 +4,6 @@ import errno
 import os
 import termios
 import tty
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -100,7 +99,7 @@ class PseudoPort:
 
 
 class PluggedSide:
-    """An actuator's side on a port, by the name `link`; `readable` is called when it was written to."""
+    """An actuator's side on a port of the name `link`; `readable` is called at each write."""
 
     def __init__(self, link: Path) -> None:
         self.port = PseudoPort(link)

@@ -151,6 +151,10 @@ class StreamedCamera(ABC):
             self._opened = False
         return {"pictures": self._exposures}
 
+    def _joined(self) -> None:
+        """Do nothing when a client begins to watch; a subclass may."""
+        return
+
     def _scene_at(self, t_ns: int) -> Floats:
         """Return the scene at a time of the camera, between the two kept around it."""
         past, when = list(self._past), self._start_ns + t_ns
@@ -174,6 +178,7 @@ class StreamedCamera(ABC):
         self._stage.exposed(self._exposures, self._exposures)
         self._stage.sent(self._exposures)
         if self.camera.watched and not self._watched:
-            self._watched = True
+            self._joined()
             self._stage.client(self.camera.url)
+        self._watched = self.camera.watched
         self._stage.timeline.at(now + round(SECOND / self._settings.rate), self._expose)

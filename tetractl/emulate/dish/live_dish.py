@@ -13,7 +13,7 @@ from tetractl.model.swimmers import Swimmers
 FIELD_NS = 1_000_000  # between two looks at the driver's currents
 SWIM_NS = 2_000_000  # a step of the cells
 UM_MM = 1000.0
-APART_UM = 200.0  # cells of a culture begin at least so far from the wall
+DROP = 0.25  # of the dish's width: cells of a drop are so far from its middle at most
 
 
 class FieldDriver(Protocol):
@@ -58,6 +58,19 @@ class Dish:
         self._walls, self._reference_mt = walls, reference_mt
         self._random = np.random.default_rng(seed)
         self._now_ns = self._swum_ns = start_ns
+        self.drop()
+
+    def drop(self) -> None:
+        """Begin again with a fresh drop: cells scattered round the middle, as a pipette does."""
+        if (walls := self._walls) is None:
+            return
+        count, random = len(self.cells), self._random
+        for at, low, size in (
+            (self.cells.x, walls.left, walls.width),
+            (self.cells.y, walls.bottom, walls.height),
+        ):
+            at[:] = low + size * random.uniform(0.5 - DROP, 0.5 + DROP, count)
+        self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
 
     @property
     def field_mt(self) -> Pair:
@@ -129,20 +142,10 @@ def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
     return cells
 
 
-def culture(
-    setup: Setup, count: int, strangers: int, walk: float, seed: int
-) -> tuple[Swimmers, Sequence[str]]:
-    """Return cells of a culture, scattered in the arena, and names of them; the last ones, so many
-    strangers, have no magnet."""
-    random, um = np.random.default_rng(seed), setup.metres * 1e6
-    cells = Swimmers.drawn(random, count + strangers, strangers)
-    arena = setup.arena
-    for at, low, high in (
-        (cells.x, arena.left, arena.right),
-        (cells.y, arena.bottom, arena.top),
-    ):
-        margin = min(APART_UM, (high - low) * um / 4)
-        at[:] = random.uniform(low * um + margin, high * um - margin, len(cells))
+def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmers, Sequence[str]]:
+    """Return cells of a culture and names of them; the last ones, so many strangers, have no
+    magnet."""
+    cells = Swimmers.drawn(np.random.default_rng(seed), count + strangers, strangers)
     cells.walk[:] = walk
     kinds = ["cell"] * count + ["stranger"] * strangers
     return cells, [f"{kind} {i + 1}" for i, kind in enumerate(kinds)]
@@ -152,4 +155,3 @@ def walls_of(setup: Setup) -> Bounds:
     """Return the arena's edges [um]."""
     um, arena = setup.metres * 1e6, setup.arena
     return Bounds(arena.left * um, arena.bottom * um, arena.right * um, arena.top * um)
-

@@ -26,10 +26,10 @@ BUBBLE_UM = 200.0
 class MicroscopeSettings(StreamSettings):
     """What the emulated microscope is like; scale and `latency` are what the spec says."""
 
-    width: int | None = Field(default=None, ge=64, le=8192)
-    """Columns of a picture [px]; by default those that show the arena."""
-    height: int | None = Field(default=None, ge=64, le=8192)
-    """Rows of a picture [px]; by default those that show the arena."""
+    width: int = Field(default=0, ge=0, le=8192)
+    """Columns of a picture [px]; 0 for those that show the arena."""
+    height: int = Field(default=0, ge=0, le=8192)
+    """Rows of a picture [px]; 0 for those that show the arena."""
     noise: NonNegative = 3.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.01
@@ -66,7 +66,10 @@ def _knocked(fault: Any, look: PictureLook) -> tuple[float, float]:
 
 
 class EmulatedMicroscope(StreamedCamera):
-    """A microscope's network camera above cells; every picture is synthetic."""
+    """A microscope's network camera above cells; every picture is synthetic.
+
+    Whenever a client begins to watch, a helper has just put a fresh drop into the dish.
+    """
 
     Settings: ClassVar[type[Model]] = MicroscopeSettings
     faults: ClassVar[Sequence[type[Fault]]] = (
@@ -119,7 +122,10 @@ class EmulatedMicroscope(StreamedCamera):
         self._dish.held = False  # what does not swim is no cell to the camera
         um, arena = stage.setup.metres * 1e6, stage.setup.arena
         corner = section.corner[0] * um, section.corner[1] * um
-        sides = arena.right * um - corner[0], arena.top * um - corner[1]
+        sides = (  # as far beyond the arena as at the lower left
+            (arena.right + arena.left) * um - 2 * corner[0],
+            (arena.top + arena.bottom) * um - 2 * corner[1],
+        )
         width, height = (math.ceil(max(side / section.um_px, 64)) for side in sides)
         drawn = PictureLook.drawn(np.random.default_rng(self.seed), 1024, section.um_px)
         self.painter = DishPainter(
@@ -142,6 +148,9 @@ class EmulatedMicroscope(StreamedCamera):
     def hide(self, hidden: bool) -> None:
         """Draw no cell, or all again."""
         self._hidden = hidden
+
+    def _joined(self) -> None:
+        self._dish.drop()
 
     def _scene(self) -> Floats:
         seen = bodies(self._dish.cells)

@@ -62,7 +62,7 @@ def instance(number: int, seed: int, disturbed: bool, free: bool) -> Experiment:
         for i, a in enumerate(rng.permutation(np.geomspace(2, 6, count)))
     )
     data["obstacles"] = _obstacles(rng, np.vstack([starts, targets]))
-    data["controller"]["accept"] = ACCEPT_MM * count
+    data["controller"]["accept_error"] = ACCEPT_MM * count
     data["assign"] = "free" if free else "given"
     data["trials"] = {"count": 1, "seed": seed + number}
     return Experiment.model_validate(data)

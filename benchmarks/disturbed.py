@@ -54,7 +54,7 @@ NEAR_MM = 95.0  # between the centres of two m3pi that touch
 FAST = ("controller.period=0.05", "controller.hold=4", "controller.steps_max=1600")
 PLAIN = (
     "controller.estimate=false",
-    "controller.accept=0",
+    "controller.accept_error=0",
     "controller.stop_between=false",
     "controller.collision.adaptive=false",
     "controller.collision.margin=20",
@@ -74,10 +74,10 @@ ABLATION: list[Row] = [
     ("whole", ()),
     ("without identification, dead time given", ("controller.estimate=false", TOLD)),
     ("without identification, dead time not given", ("controller.estimate=false",)),
-    ("without going round", ("controller.accept=0",)),
+    ("without going round", ("controller.accept_error=0",)),
     ("without a stop between steps", ("controller.stop_between=false",)),
     ("without margins that follow: 20 mm and the radius", NOT_KEPT),
-    ("all lengths at step 0", ("controller.first_lengths=all",)),
+    ("all lengths at step 0", ("controller.initial_lengths=all",)),
     ("none of them, dead time given", (*PLAIN, TOLD)),
     ("none of them, dead time not given", PLAIN),
 ]
@@ -91,7 +91,7 @@ KNOWLEDGE: list[Row] = [
 ]
 """The dead time of the world, {}, is filled in."""
 ACCEPT: list[Row] = [
-    (f"accept {mm} mm", (f"controller.accept={mm}",)) for mm in (0, 40, 30, 20, 15, 12, 10, 8)
+    (f"accept {mm} mm", (f"controller.accept_error={mm}",)) for mm in (0, 40, 30, 20, 15, 12, 10, 8)
 ]
 
 

@@ -2,10 +2,8 @@
 
     nice python benchmarks/identify_coverage.py --logs 500 --jobs 2
 
-Each log is of three robots that drive ten seconds in random directions. In the first scenario they
-turn to the direction by themselves, with a, speeds and a dead time drawn for each log, camera
-noise, a random walk of the headings, and 5 % of the commands lost: it has all quantities but the
-track radius. In the second they have wheels with a radius drawn for each robot and log.
+Each log is of three robots that drive ten seconds in random directions, with a, speeds and a dead
+time drawn for each log, camera noise, a random walk of the headings, and 5 % of the commands lost.
 """
 
 import argparse
@@ -19,12 +17,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tetractl import api
-from tetractl.core.clock import VirtualClock
 from tetractl.replay.identification.identify import identify
 from tetractl.replay.identification.tracks import track_of
 from tetractl.replay.redrive import sequence_spec
 from tetractl.results.estimate import proportion_interval
-from tetractl.run.task import trial_seeds
 
 SPEC = Path(__file__).parent.parent / "experiments" / "three_m3pi.yaml"
 STEPS, PERIOD = 50, 0.2
@@ -33,7 +29,6 @@ NOISE = [
     f"plant.measurement_noise={{position: {POSITION}, heading: {HEADING}}}",
     f"plant.heading_noise={WALK}",
 ]
-RADIUS_ERROR = 0.05
 
 
 def _log(number: int, sets: list[str]):
@@ -45,21 +40,18 @@ def _log(number: int, sets: list[str]):
         return api.run_trial(spec, folder=folder), spec
 
 
-def _hits(found, log, truths):
+def _hits(found, truths):
     """Return whether each interval holds the truth, by the name of the quantity."""
     hits = defaultdict(list)
     for i, robot in enumerate(found.robots):
         for name, truth in truths.items():
             interval = getattr(robot, name)
-            if interval is None:
-                hits[f"{name}: none given"].append(True)
-                continue
             hits[name].append(bool(interval.low <= truth[i] <= interval.high))
     return hits
 
 
-def direct(number: int):
-    """Identify robots that turn by themselves."""
+def coverage(number: int):
+    """Return which intervals of one log hold the truth."""
     dead_time = float(np.random.default_rng([number, 2]).uniform(0.02, 0.15))
     sets = ["plant.a_error=0.2", "plant.speed_error=0.1", "plant.lost_commands=0.05"]
     log, spec = _log(number, [*sets, f"plant.dead_time={dead_time}"])
@@ -67,7 +59,6 @@ def direct(number: int):
     facts = log.start.plant.facts
     hits = _hits(
         found,
-        log,
         {
             "a": json.loads(facts["true_a"]),
             "speed": json.loads(facts["true_speed"]),
@@ -81,17 +72,6 @@ def direct(number: int):
     return hits
 
 
-def wheels(number: int):
-    """Identify robots on wheels."""
-    drive = f"plant.drive={{rate: 40, radius_error: {RADIUS_ERROR}, lag: 0.03}}"
-    log, spec = _log(number, [drive, "plant.dead_time=0.03"])
-    found = identify([track_of(log)], spec.experiment.setup.a)
-    experiment = spec.experiment
-    _, seed = trial_seeds(experiment.trials.seed, 0)
-    plant = experiment.plant.build(experiment.setup, VirtualClock(), seed, None)
-    return _hits(found, log, {"track_radius": 0.5 / plant._drive._turn_of})
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -103,22 +83,18 @@ def main() -> None:
     numbers = range(options.first, options.first + options.logs)
     total: dict[str, list[bool]] = defaultdict(list)
     with ProcessPoolExecutor(options.jobs) as pool:
-        for world in (direct, wheels):
-            for done, hits in enumerate(pool.map(world, numbers)):
-                for name, each in hits.items():
-                    total[name] += each
-                if done % 50 == 49:
-                    print(f"{world.__name__}: {done + 1} logs", file=sys.stderr, flush=True)
-                    _print(total)
+        for done, hits in enumerate(pool.map(coverage, numbers)):
+            for name, each in hits.items():
+                total[name] += each
+            if done % 50 == 49:
+                print(f"{done + 1} logs", file=sys.stderr, flush=True)
+                _print(total)
     _print(total)
 
 
 def _print(total: dict[str, list[bool]]) -> None:
     print("share of 95 % intervals that hold the truth (simulated logs)")
     for name, hits in total.items():
-        if name.endswith("none given"):
-            print(f"  {name} in {len(hits)}")
-            continue
         share = proportion_interval(sum(hits), len(hits))
         low, high = 100 * share.low, 100 * share.high
         print(

@@ -38,10 +38,10 @@ SETTING = Mapping[str, Any]
 PUBLISHED: SETTING = {
     "controller.motion": "euler",
     "controller.estimate": False,
-    "controller.accept": 0,
+    "controller.accept_error": 0,
     "controller.stop_between": False,
-    "controller.first_lengths": "all",
-    "controller.collision": {"check": "samples"},
+    "controller.initial_lengths": "all",
+    "controller.collision": {"test": "samples"},
     "controller.optimizer": {
         "type": "pso",
         "particles": 100,
@@ -71,7 +71,7 @@ def controllers(name: str) -> dict[str, SETTING]:
 
 def ipopt(name: str) -> dict[str, SETTING]:
     """Return the arm of IPOPT, in the place of the recommended optimiser."""
-    accept = instance(name).controller.accept  # pyright: ignore[reportAttributeAccessIssue]
+    accept = instance(name).controller.accept_error  # pyright: ignore[reportAttributeAccessIssue]
     return {"ipopt": {"controller.optimizer": {"type": "ipopt", "tolerance": FINE * accept}}}
 
 

@@ -15,8 +15,8 @@ from solverbench.report import load
 
 from tetractl.core.plan import Limits
 from tetractl.core.problem import Problem
+from tetractl.core.registries import OPTIMIZERS
 from tetractl.experiment.controller import OptimizerSection
-from tetractl.experiment.kinds import OPTIMIZERS
 
 
 def main() -> None:

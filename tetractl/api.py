@@ -242,7 +242,7 @@ def plot(
     from tetractl.results.describe import Group
     from tetractl.view import style
     from tetractl.view.figures.batch import batch_figure
-    from tetractl.view.figures.kinds import draw
+    from tetractl.view.figures.draw import draw
 
     if isinstance(data, GroupComparison):
         figure = batch_figure(data.groups)

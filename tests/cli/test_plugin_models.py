@@ -59,7 +59,7 @@ obstacles: [{type: diamond, center: [500, 510], radius: 120}]
 controller:
   motion: pivot
   horizon_max: 30
-  collision: {check: swept, margin: 10}
+  collision: {test: swept, margin: 10}
   optimizer: {type: multistart, tolerance: 0.1}
 plant: {type: sim, motion: pivot}
 trials: {count: 1}

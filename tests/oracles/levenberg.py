@@ -36,7 +36,7 @@ from tetractl.control.cost import predict
 from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, LARGEST_STEP, PROGRESS
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
-from tetractl.experiment.kinds import MOTIONS
+from tetractl.core.registries import MOTIONS
 
 NUDGE = 0.02  # rad, for derivatives
 CENTRAL = {1: 45 / 60, 2: -9 / 60, 3: 1 / 60}

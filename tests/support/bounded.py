@@ -46,7 +46,7 @@ def spec(
         "type": "mpc",
         "motion": motion,
         "horizon_max": signals,
-        "collision": {"check": "swept", "walls": bool(obstacles)},
+        "collision": {"test": "swept", "walls": bool(obstacles)},
         "optimizer": {"type": "multistart", "rounds": 3},
     }
     arena = {"left": 0, "bottom": 0, "width": 1000, "height": 1000}

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tetractl.experiment.kinds import OPTIMIZERS
+from tetractl.core.registries import OPTIMIZERS
 
 SMALL: dict[str, dict[str, Any]] = {
     "pso": {"particles": 12, "iterations": 15},
@@ -22,7 +22,7 @@ MPC: dict[str, dict[str, Any]] = {
     **ON_A_BUDGET,
     "pso, relative stop": {"optimizer": PSO | {"stop": {"type": "relative"}}, "motion": "exact"},
     "pso, target": {"optimizer": PSO | {"stop": {"type": "target", "cost": 900}}, "motion": "arc"},
-    "pso, swept": {"optimizer": PSO, "collision": {"check": "swept", "margin": 20, "walls": True}},
+    "pso, swept": {"optimizer": PSO, "collision": {"test": "swept", "margin": 20, "walls": True}},
     "multistart, dead time": {
         "optimizer": MULTISTART,
         "motion": "exact",
@@ -34,10 +34,10 @@ MPC: dict[str, dict[str, Any]] = {
         "optimizer": MULTISTART,
         "motion": "exact",
         "estimate": True,
-        "first_lengths": "spread",
-        "accept": 40,
+        "initial_lengths": "geometric",
+        "accept_error": 40,
         "stop_between": True,
-        "collision": {"check": "swept", "radius": 40, "separation": 80, "adaptive": True},
+        "collision": {"test": "swept", "radius": 40, "separation": 80, "adaptive": True},
     },
 }
 """Model predictive control, each optimiser and other variants: the controller's part of a spec."""

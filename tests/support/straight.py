@@ -14,8 +14,8 @@ from tetractl.control.curves import bearing
 from tetractl.control.rng import mix
 from tetractl.core.plan import Outcome, Plan, Search, StopReason
 from tetractl.core.problem import Problem
+from tetractl.core.registries import CONTROLLERS
 from tetractl.experiment.controller import ControllerSection, same
-from tetractl.experiment.kinds import CONTROLLERS
 from tetractl.model.obstacles import Obstacles
 
 

@@ -10,8 +10,8 @@ from support.cli import tetractl
 from tetractl.cli.init import template
 from tetractl.control.optimizers.mppi import Mppi
 from tetractl.core.protocols import Health
+from tetractl.core.registries import MOTIONS
 from tetractl.experiment.base import Positive
-from tetractl.experiment.kinds import MOTIONS
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.load import parse_spec
 from tetractl.kind_checks import (

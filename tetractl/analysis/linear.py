@@ -17,7 +17,7 @@ import numpy as np
 from tetractl.control.cost import predict
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
-from tetractl.experiment.kinds import MOTIONS
+from tetractl.core.registries import MOTIONS
 
 NUDGE = 1e-4  # relative, of a and speed
 

@@ -57,7 +57,7 @@ def planner(experiment: Experiment) -> MpcSection:
 def tolerance(section: MpcSection) -> float:
     """Return the cost up to which a plan reaches the targets [length unit]: good enough for the
     optimiser, or accepted."""
-    return max(section.optimizer.good_enough or 0.0, section.accept)
+    return max(section.optimizer.good_enough or 0.0, section.accept_error)
 
 
 def plans(section: MpcSection, setup: Setup, seed: int, count: int) -> Iterator[Planned]:

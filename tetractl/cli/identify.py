@@ -37,7 +37,7 @@ def identify(
     out: NewFile = None,
     as_json: AsJson = False,
 ) -> int:
-    """Identify a, speed, heading bias, dead time, wheel distance and noise, with 95 % intervals.
+    """Identify a, speed, heading bias, dead time and noise, with 95 % intervals.
 
     Logs are pooled: all of the same robots, simulated or of a lab. Nothing is read of the truth
     that a simulation's log holds. The dead time counts from the sending of a direction.

@@ -41,39 +41,34 @@ def kinds(
 
 
 def _list(as_json: bool) -> int:
+    from tetractl.core.registries import REGISTRIES
     from tetractl.core.registry import PluginError
     from tetractl.core.table.data import json_text
-    from tetractl.emulate.sides import ACTUATORS, CAMERAS
-    from tetractl.experiment.kinds import SEAMS
-    from tetractl.results.statistic_kinds import STATISTICS
-    from tetractl.study.sweep_kinds import SWEEPS
-    from tetractl.view.figures.kinds import FIGURES
 
     problems: dict[str, str] = {}
-    seams = (*SEAMS, SWEEPS, STATISTICS, FIGURES, CAMERAS, ACTUATORS)
-    rows = [(seam, kind) for seam in seams for kind in seam.kinds()]
-    for seam, kind in rows:
+    rows = [(registry, kind) for registry in REGISTRIES for kind in registry.kinds()]
+    for registry, kind in rows:
         try:
-            seam.load(kind.name)
+            registry.load(kind.name)
         except PluginError as error:
             problems[kind.code] = str(error)
     if as_json:
         listed = [
             {
-                "seam": seam.what,
+                "seam": registry.what,
                 "type": kind.name,
                 "package": kind.package or None,
                 "version": kind.version or None,
                 "code": kind.code,
                 "problem": problems.get(kind.code),
             }
-            for seam, kind in rows
+            for registry, kind in rows
         ]
         print(json_text({"kinds": listed}))
     else:
-        for seam, kind in rows:
+        for registry, kind in rows:
             package = f"{kind.package} {kind.version}" if kind.package else "built in"
-            print(f"{seam.what:<17} {kind.name:<19} {package:<22} {kind.code}")
+            print(f"{registry.what:<17} {kind.name:<19} {package:<22} {kind.code}")
         for problem in problems.values():
             print(f"error: {problem}", file=sys.stderr)
     return Exit.USAGE if problems else Exit.DONE

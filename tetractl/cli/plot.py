@@ -51,7 +51,7 @@ def plot(
     from tetractl.core.text import printable
     from tetractl.log.read.find import find_logs
     from tetractl.log.read.reader import read_trial
-    from tetractl.view.figures.kinds import check_kind, draw
+    from tetractl.view.figures.draw import check_kind, draw
     from tetractl.view.style import file_format, save
     from tetractl.view.terminal.damage import warn_of_damage
 

@@ -19,7 +19,7 @@ import numpy as np
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
-from tetractl.experiment.kinds import MOTIONS
+from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.problem import Problem
-from tetractl.experiment.kinds import MOTIONS
+from tetractl.core.registries import MOTIONS
 
 Held = tuple[int, int, Floats]
 """Directions u (N,) [rad], NaN for a robot that stands, and the times from and until which they act

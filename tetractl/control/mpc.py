@@ -18,11 +18,11 @@ Where each line of Algorithm 2 is:
 
 Beyond Algorithm 2, each by a field of its own: the plan's grid may be coarser than the control's
 (`hold`), the state may be predicted over the dead time, the motion identified while the robots
-drive (`estimate`) and lost commands inferred (`losses`), margins may follow the uncertainty
-(`collision.adaptive`), robots stop before an obstacle that no plan avoids (`collision.stop`),
-longer sequences be searched where no short one ends at the targets (`accept`), the stop come
-between two steps (`stop_between`), an optimiser may count costs as equally good, and the searches
-of a step may be limited.
+drive (`estimate`) and lost commands inferred with it, margins may follow the uncertainty
+(`collision.adaptive`), robots pause before an obstacle that no plan avoids
+(`stop_before_collision`), longer sequences be searched where no short one ends at the targets
+(`accept_error`), the stop come between two steps (`stop_between`), an optimiser may count costs as
+equally good, and the searches of a step may be limited.
 """
 
 import time
@@ -88,7 +88,7 @@ class Mpc:
         self.key = key
         self.optimizer = optimizer
         self.timer = timer
-        self.accept = section.accept  # total error accepted now
+        self.accept = section.accept_error  # total error accepted now
         self.k = 0
         self.warm: Floats | None = None  # u_(warm), None before step 0
         self.blocked = False  # whether the last plan touches an obstacle or its margin
@@ -121,14 +121,14 @@ class Mpc:
             return Outcome.NOTHING_BETTER
         if self.warm is None and self.k > 0 and float(gaps.sum()) <= self.accept:
             return Outcome.NOTHING_BETTER  # at rest, and near enough
-        wary = self.blocked and self.section.collision.stop
+        wary = self.blocked and self.section.collision.stop_before_collision
         if wary and self.warm is not None and self._enters(problem, observation, self.warm):
             return self._pause(problem)
         if ended := self._ended(problem, observation, gaps):
             return ended
         plan = self._decide(problem)
         self.blocked = plan.obstacle_cost > 0
-        if self.blocked and self.k > 0 and self.section.collision.stop:
+        if self.blocked and self.k > 0 and self.section.collision.stop_before_collision:
             if self.warm is None and self._enters(problem, observation, plan.signals):
                 self.stuck = True  # ends the trial after a pause, whose step logs these searches
                 return self._pause(problem, plan)
@@ -177,7 +177,7 @@ class Mpc:
         """
         if self.warm is None:
             return None
-        if len(self.warm) > 0 and self.section.accept == 0:
+        if len(self.warm) > 0 and self.section.accept_error == 0:
             return None
         period = self.section.period if self.section.stop_between else 0.0
         if 0 < self.accept < float((gaps - problem.speed * period).sum()):
@@ -214,7 +214,7 @@ class Mpc:
         )
         good_enough = section.optimizer.good_enough
         count = 0 if self.warm is None else len(self.warm)
-        if self.warm is None and section.first_lengths == "spread" and good_enough is not None:
+        if self.warm is None and section.initial_lengths == "geometric" and good_enough is not None:
             searcher.search_spread(least_length(problem), section.horizon_max, good_enough)
         else:
             enough = good_enough

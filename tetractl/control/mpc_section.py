@@ -7,10 +7,10 @@ from pydantic import Field, PositiveInt, model_validator
 from tetractl.control.filter import Prior
 from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
+from tetractl.core.registries import MOTIONS, OPTIMIZERS
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent
 from tetractl.experiment.controller import ControllerSection, OptimizerSection
-from tetractl.experiment.kinds import MOTIONS, OPTIMIZERS
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.model.obstacles import Obstacles
 
@@ -20,7 +20,7 @@ _OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
 class Collision(Model):
     """How the planner's potential (13) decides that a robot is inside an obstacle."""
 
-    check: Literal["samples", "swept"] = "samples"
+    test: Literal["samples", "swept"] = "samples"
     """`samples` tests the predicted positions as (13) is printed; `swept` tests the whole segment
     between two of them."""
     margin: NonNegative = 0.0
@@ -36,11 +36,11 @@ class Collision(Model):
     """Whether the margin grows by how far off course a robot may come before the next command acts,
     by what is known of it, and shrinks to the room there is where a robot or a target is within
     it."""
-    stop: bool = False
+    stop_before_collision: bool = False
     """Whether all robots pause where the best plan found touches an obstacle or its margin and a
-    robot is about to enter one, or no plan within `accept` keeps clear; from standing they are
-    planned for again, and the trial ends where nothing can move safely. For robots that can stand
-    still."""
+    robot is about to enter one, or no plan within `accept_error` keeps clear; from standing they
+    are planned for again, and the trial ends where nothing can move safely. For robots that can
+    stand still."""
 
 
 class PriorSection(Model):
@@ -101,7 +101,7 @@ class MpcFields(ControllerSection):
     they drive, starting from the spec's values."""
     prior: PriorSection = PriorSection()
     """How far those may be off."""
-    accept: NonNegative = 0.0
+    accept_error: NonNegative = 0.0
     """Total error to accept [length unit]. Where no length H - 1, H, H + 1 ends within it, longer
     sequences are searched, and the trial ends where stopping is within it and as good as any plan:
     the less, the longer a trial takes. Each time the robots go round a tenth more is accepted. 0 is
@@ -112,11 +112,11 @@ class MpcFields(ControllerSection):
     horizon_max: int = Field(default=51, ge=1, le=2000)
     """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
     horizon h = length - 1."""
-    first_lengths: Literal["all", "spread"] = "all"
+    initial_lengths: Literal["all", "geometric"] = "all"
     """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2, from the
-    shortest to the first that is good enough, where the optimiser tells; or `spread`, with such an
-    optimiser: ever wider apart from the shortest that could reach the targets, until one is good
-    enough, and then by halves."""
+    shortest to the first that is good enough, where the optimiser decides that; or `geometric`,
+    with such an optimiser: at growing distances from the shortest that could reach the targets,
+    until one is good enough, and then by halves."""
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in (7) [length unit]."""
     collision: Collision = Collision()
@@ -169,6 +169,6 @@ class MpcFields(ControllerSection):
             first_period=self.hold * self.period,
             obstacles=Obstacles.of(setup.obstacles, margin, walls),
             obstacle_weight=self.obstacle_weight,
-            swept=collision.check == "swept",
+            swept=collision.test == "swept",
             separation=collision.separation,
         )

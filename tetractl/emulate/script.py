@@ -9,8 +9,8 @@ from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import SpecError
+from tetractl.core.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
 from tetractl.emulate.faults import MARK, Fault
-from tetractl.emulate.sides import ACTUATORS, CAMERAS
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import words
@@ -129,11 +129,11 @@ class Sides:
     @classmethod
     def of(cls, camera: str, actuator: str) -> Self:
         """Return the classes for a lab's types; SpecError where one cannot be emulated."""
-        for registry, name in ((CAMERAS, camera), (ACTUATORS, actuator)):
+        for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
             if name not in registry:
                 known = ", ".join(registry.names())
                 raise SpecError(f"{name} cannot be emulated", f"what can: {known}")
-        return cls(CAMERAS.load(camera), ACTUATORS.load(actuator))
+        return cls(EMULATED_CAMERAS.load(camera), EMULATED_ACTUATORS.load(actuator))
 
     @property
     def faults(self) -> dict[str, type[Fault]]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-from tetractl.core.registry import Registry
 from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault
 from tetractl.emulate.loop import Loop, Timeline
@@ -134,22 +133,3 @@ class EmulatedActuator(EmulatedSide, Protocol):
     def tick(self) -> None:
         """Do what is due every few milliseconds, such as sending answers."""
         ...
-
-
-CAMERAS = Registry(
-    "tetractl.emulated_cameras",
-    "emulated camera",
-    {
-        "optitrack": "tetractl.emulate.optitrack.side:EmulatedOptitrack",
-        "apriltag": "tetractl.emulate.apriltag.side:EmulatedAprilTag",
-        "cells": "tetractl.emulate.dish.side:EmulatedMicroscope",
-    },
-)
-ACTUATORS = Registry(
-    "tetractl.emulated_actuators",
-    "emulated actuator",
-    {
-        "m3pi-xbee": "tetractl.emulate.m3pi.side:EmulatedM3pi",
-        "field": "tetractl.emulate.field:EmulatedField",
-    },
-)

@@ -1,7 +1,7 @@
 """What every controller's and every optimiser's section of a spec has.
 
 The sections themselves are in the files of what they configure, and named in
-`tetractl.experiment.kinds`.
+`tetractl.core.registries`.
 """
 
 import time

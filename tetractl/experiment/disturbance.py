@@ -1,4 +1,4 @@
-"""What every disturbance of a simulation has; each is one file, named in `experiment.kinds`."""
+"""What every disturbance of a simulation has; each is one file, named in `core.registries`."""
 
 from abc import abstractmethod
 from collections.abc import Sequence

@@ -9,11 +9,11 @@ from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
 from tetractl.core.poses import Poses
+from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.experiment.base import Finite, Length, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.choice import Choice, OrChoice, dealt
 from tetractl.experiment.controller import ControllerSection
-from tetractl.experiment.kinds import CONTROLLERS, PLANTS, SHAPES
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection

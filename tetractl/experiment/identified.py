@@ -32,8 +32,6 @@ class IdentifiedRobot(Model):
     """Speed [length unit/s]; takes the place of the spec's."""
     heading_bias: IdentifiedValue
     """Angle between the direction sent and the one the robot turns to [rad]."""
-    track_radius: IdentifiedValue | None = None
-    """Distance from a wheel to the robot's centre [length unit]."""
     position_noise: IdentifiedValue
     """Deviation of the camera's positions [length unit]."""
     heading_noise: IdentifiedValue

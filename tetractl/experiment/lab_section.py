@@ -1,7 +1,7 @@
 """The lab's part of a spec: a camera, an actuator, and what a run must not exceed.
 
 The sections of cameras and actuators are in the files of their adapters, and named in
-`tetractl.experiment.kinds`. Lengths whose name ends in `_mm` are millimetres, whatever the spec's
+`tetractl.core.registries`. Lengths whose name ends in `_mm` are millimetres, whatever the spec's
 length unit; times are seconds.
 """
 
@@ -15,10 +15,10 @@ from pydantic import Field, model_validator
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.errors import UsageError
 from tetractl.core.protocols import Actuator, Camera
+from tetractl.core.registries import ACTUATORS, CAMERAS
 from tetractl.core.registry import imported
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive, inconsistent
-from tetractl.experiment.kinds import ACTUATORS, CAMERAS
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.problems import Loc

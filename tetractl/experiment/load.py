@@ -17,8 +17,7 @@ from tetractl.core.trial import OWN_FILES, Start
 from tetractl.experiment.consistency import contradictions, section_contradictions, too_large
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.identified import Identified, merge, read_identified
-from tetractl.experiment.kinds import packages
-from tetractl.experiment.registry_fields import STRICT
+from tetractl.experiment.registry_fields import STRICT, packages
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain

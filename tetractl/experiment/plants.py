@@ -8,11 +8,11 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from tetractl.core.errors import SpecError
+from tetractl.core.registries import PLANTS
 from tetractl.core.text import printable
 from tetractl.experiment.base import Model
 from tetractl.experiment.consistency import section_contradictions
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.kinds import PLANTS
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, attach
 from tetractl.experiment.registry_fields import STRICT, KindSection

@@ -1,12 +1,15 @@
-"""Fields of a spec whose values are found by name in a registry."""
+"""Fields of a spec whose values are found by name in a registry, and what packages they need."""
 
+from collections.abc import Iterator
 from typing import Any
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from tetractl.core.registries import SPEC_REGISTRIES
 from tetractl.core.registry import Registry
+from tetractl.experiment.base import Model
 
 STRICT = {"strict": True}
 """Validation context under which sections refuse values of another type, as specs are read."""
@@ -94,3 +97,28 @@ class KindName:
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
         return {"type": "string", "enum": list(self.registry.names())}
+
+
+def packages(spec: Model) -> dict[str, str]:
+    """Return name and version of every other package that provides a kind used in a spec."""
+    used = (registry.kind(name) for registry, name in _kinds(spec))
+    return {kind.package: kind.version for kind in used if kind.package}
+
+
+def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
+    """Yield registry and name of every kind that is used in a section or a tuple of sections."""
+    if isinstance(value, tuple):
+        for item in value:
+            yield from _kinds(item)
+    if isinstance(value, Model):
+        name = getattr(value, "type", None)
+        for registry in SPEC_REGISTRIES:  # two of them may have a kind of the same name
+            if isinstance(name, str) and name in registry and type(value) is registry.load(name):
+                yield registry, name
+        for field, about in type(value).model_fields.items():
+            inner = getattr(value, field)
+            yield from _kinds(inner)
+            for mark in about.metadata:  # a kind without a section is a name alone
+                registry = getattr(mark, "registry", None)
+                if isinstance(inner, str) and isinstance(registry, Registry):
+                    yield registry, inner

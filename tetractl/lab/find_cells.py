@@ -15,7 +15,7 @@ from tetractl.lab.cameras.cells.helix import SPEED, A
 from tetractl.lab.rig import Rig
 
 LOOK_NS = SECOND // 20
-SWING, SWINGS = 0.5, 1.7  # rad about an even turn, and how often in one
+JITTER = 0.4  # rad about a quarter turn
 BODY_UM = 60.0  # so near the arena's edge, a wall may turn a cell
 SURE = 0.9  # probability of the identity, below which a cell is not taken
 
@@ -23,16 +23,16 @@ SURE = 0.9  # probability of the identity, below which a cell is not taken
 def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
     """Return the direction [rad] of a field over time [ns] under which cells go round and stay.
 
-    It turns once in `turn_s`, always the same way, now faster and now slower: a cell follows at an
-    angle that its a decides, and gets into step with nothing. One of a < 2 pi / `turn_s` lags
+    It turns once in `turn_s`, always the same way, by quarters that are larger and smaller: how a
+    cell follows each tells its a, and its dipole's angle besides. One of a < 2 pi / `turn_s` lags
     behind.
     """
     start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
 
     def direction(now_ns: int) -> float:
-        turns = now_ns / SECOND / turn_s
-        swing = SWING * math.sin(2 * math.pi * SWINGS * turns)
-        return math.remainder(start + 2 * math.pi * turns + swing, math.tau)
+        k = int(4 * now_ns / SECOND / turn_s)
+        off = float(np.random.default_rng((seed, k)).uniform(-JITTER, JITTER))
+        return math.remainder(start + math.pi / 2 * k + off, math.tau)
 
     return direction
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from tetractl.experiment.kinds import packages
+from tetractl.experiment.registry_fields import packages
 from tetractl.log import provenance
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan

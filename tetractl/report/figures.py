@@ -65,7 +65,7 @@ def _row(kind: str, figures: Sequence[str]) -> str:
 
 
 def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
-    from tetractl.view.figures.kinds import draw
+    from tetractl.view.figures.draw import draw
     from tetractl.view.style import svg
 
     picture = b64encode(svg(draw(kind, logs))).decode()

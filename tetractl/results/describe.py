@@ -12,8 +12,7 @@ from tetractl.log.read.trial_log import Origin
 from tetractl.results.estimate import Distribution, Interval, distributions
 from tetractl.results.mean_difference import MeanDifference, welch
 from tetractl.results.open_batch import Batch, counts, experiment_of
-from tetractl.results.statistic import Value
-from tetractl.results.statistic_kinds import statistics
+from tetractl.results.statistic import Value, statistics
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from tetractl.results.estimate import Interval
 from tetractl.results.flagged import flagged
 from tetractl.results.mean_difference import Effect, MeanDifference, Ratio
 from tetractl.results.open_batch import Batch, counts
-from tetractl.results.statistic_kinds import statistics
+from tetractl.results.statistic import statistics
 
 _NOT_COMPARED = MeanDifference(math.nan, Interval.none("not compared"), math.nan, math.nan)
 

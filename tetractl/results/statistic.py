@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tetractl.core.registries import STATISTICS
 from tetractl.core.table.numbers import lengths
 from tetractl.core.trial import Result
 from tetractl.log.read.trial_log import ResultSummary
@@ -81,3 +82,8 @@ def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
         )
 
     return Statistic(of_batch)
+
+
+def statistics() -> list[Statistic]:
+    """Return every statistic that can be used, the built-in ones first."""
+    return list(STATISTICS.usable().values())

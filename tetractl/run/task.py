@@ -19,8 +19,8 @@ from tetractl.core.protocols import Observer, Plant
 from tetractl.core.supervision import LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.choosing import chosen_cells, settled
-from tetractl.experiment.kinds import packages
 from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.registry_fields import packages
 from tetractl.log.provenance import host, processor, trial_code
 from tetractl.log.write.recorder import Recorder
 from tetractl.log.write.writer import LogWriter

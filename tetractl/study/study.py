@@ -4,11 +4,11 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from tetractl.core.registries import SWEEPS
 from tetractl.experiment.base import Model, Name
 from tetractl.experiment.experiment import Trials
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.study.sweep import Path, Sweep
-from tetractl.study.sweep_kinds import SWEEPS
 
 
 class Study(Model):

@@ -17,7 +17,7 @@ SETUP = experiment().setup
 CONTROLLER = {
     "motion": "exact",
     "horizon_max": 60,
-    "first_lengths": "spread",
+    "initial_lengths": "geometric",
     "optimizer": {"type": "multistart"},
 }
 NOISE = {"type": "sim", "a_error": 0.05, "heading_noise": 0.05}

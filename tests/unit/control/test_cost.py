@@ -87,7 +87,7 @@ def test_the_prediction_of_a_swarm_is_that_of_its_particles():
 
 
 def test_a_problem_is_taken_from_the_experiment():
-    control = {"collision": {"check": "swept", "margin": 10}, "obstacle_weight": 5}
+    control = {"collision": {"test": "swept", "margin": 10}, "obstacle_weight": 5}
     spec = experiment(controller=control)
     poses = Poses.of(np.zeros((3, 3)))
     problem = spec.controller.problem(spec.setup, poses)

@@ -79,7 +79,7 @@ def test_a_robot_inside_the_margin_does_not_freeze_the_plan():
         "motion": "exact",
         "horizon_max": 30,
         "obstacle_weight": 1e6,
-        "collision": {"check": "swept", "margin": 60, "adaptive": False},
+        "collision": {"test": "swept", "margin": 60, "adaptive": False},
         "optimizer": {"type": "multistart"},
     }
     robot = {"name": "one", "start": [1180, 1150], "heading": 2, "target": [1100, 1500]}

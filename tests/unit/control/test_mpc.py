@@ -122,7 +122,7 @@ def test_one_less_is_searched_before_one_more():
 def test_a_length_that_is_not_accepted_does_not_end_the_step():
     search = Scripted({4: 0.5})
     optimizer = {"type": "multistart", "tolerance": 1.0}
-    controller = mpc(spec(optimizer=optimizer, accept=0.2), 99, search)
+    controller = mpc(spec(optimizer=optimizer, accept_error=0.2), 99, search)
     controller.plan(seen())
     search.forget()
     search.costs |= {3: 0.5, 2: 0.1}
@@ -236,7 +236,7 @@ def test_a_pose_that_is_no_number_is_refused():
 
 
 def spec_around(**fields):
-    return spec(accept=20, horizon_max=30, steps_max=60, **fields)
+    return spec(accept_error=20, horizon_max=30, steps_max=60, **fields)
 
 
 def test_where_no_plan_ends_within_accept_longer_ones_are_searched_afresh():
@@ -278,7 +278,7 @@ def test_each_time_the_robots_go_round_a_tenth_more_is_accepted():
 
 def test_no_plan_is_longer_than_the_steps_that_are_left():
     search = Scripted({6: 0.0})
-    controller = mpc(spec(accept=20, horizon_max=30, steps_max=9), 99, search)
+    controller = mpc(spec(accept_error=20, horizon_max=30, steps_max=9), 99, search)
     controller.plan(seen())
     search.forget()
     search.costs = {}
@@ -332,7 +332,9 @@ def test_without_a_signal_left_only_an_accepted_error_ends_the_trial():
 
 def beside_a_wall(gap, stop=True):
     """A controller with an empty plan, and robots of which green heads for the right wall."""
-    experiment = spec_around(collision={"check": "swept", "walls": True, "stop": stop})
+    experiment = spec_around(
+        collision={"test": "swept", "walls": True, "stop_before_collision": stop}
+    )
     controller = mpc(experiment, 99)
     poses = STARTS.copy()
     poses[0, 0] = experiment.setup.arena.right - gap
@@ -389,7 +391,9 @@ def test_the_stop_comes_between_two_steps_where_that_is_best():
 
 
 def spread(**fields):
-    return spec(first_lengths="spread", optimizer={"type": "multistart", "tolerance": 1}, **fields)
+    return spec(
+        initial_lengths="geometric", optimizer={"type": "multistart", "tolerance": 1}, **fields
+    )
 
 
 @pytest.mark.parametrize("shortest", [26, 27, 33, 41, 60])

@@ -8,13 +8,12 @@ from support.paths import ROOT
 CHECK = """
 import sys
 from pathlib import Path
-from tetractl.experiment import kinds
+from tetractl.core.registries import SPEC_REGISTRIES
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.yaml.schema import experiment_schema
-for registry in vars(kinds).values():
-    if isinstance(registry, kinds.Registry):
-        for name in registry.names():
-            registry.load(name)
+for registry in SPEC_REGISTRIES:
+    for name in registry.names():
+        registry.load(name)
 experiment_schema()
 load_spec(Path(sys.argv[1]))
 print(sorted({"numba", "matplotlib", "cv2", "serial", "scipy"} & set(sys.modules)))

@@ -340,7 +340,7 @@ def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_the_controller_
     ours = load_spec(EXPERIMENTS / "three_m3pi.yaml").experiment
     assert paper.controller.optimizer.stop.type == "paper"
     assert paper.controller.motion == "euler"
-    assert paper.controller.collision.check == "samples"
+    assert paper.controller.collision.test == "samples"
     same = {"name": paper.name, "controller": paper.controller}
     assert ours.model_copy(update=same) == paper
 

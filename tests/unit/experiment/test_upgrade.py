@@ -23,12 +23,18 @@ OLD = """controller:
   type: pso-mpc
   model: exact
   swarm: {type: multistart, particles: 20}
+  accept: 5
+  first_lengths: spread
+  collision: {check: swept, stop: true}
 plant: {motion: continuous}
 """
 NEW = """controller:
   type: mpc
   motion: exact
   optimizer: {type: multistart, particles: 20}
+  accept_error: 5
+  initial_lengths: geometric
+  collision: {test: swept, stop_before_collision: true}
 plant: {motion: exact}
 """
 
@@ -38,10 +44,16 @@ def test_an_old_spec_is_the_same_experiment_and_each_old_name_gets_one_notice():
     assert old.experiment == new.experiment
     assert new.notices == ()
     assert sorted(old.notices) == [
+        "s.yaml:10:15: controller.collision.check is now called controller.collision.test",
+        "s.yaml:10:29: controller.collision.stop is now called "
+        "controller.collision.stop_before_collision",
+        "s.yaml:11:9: plant.motion: continuous is now called exact",
         "s.yaml:5:3: controller.type: pso-mpc is now called mpc",
         "s.yaml:6:3: controller.model is now called controller.motion",
         "s.yaml:7:3: controller.swarm is now called controller.optimizer",
-        "s.yaml:8:9: plant.motion: continuous is now called exact",
+        "s.yaml:8:3: controller.accept is now called controller.accept_error",
+        "s.yaml:9:3: controller.first_lengths is now called controller.initial_lengths",
+        "s.yaml:9:3: controller.initial_lengths: spread is now called geometric",
     ]
 
 
@@ -81,13 +93,15 @@ def test_an_old_and_a_new_name_together_are_refused():
     with pytest.raises(InvalidSpecError) as caught:
         parse_spec(HEAD + NEW.replace("plant:", "  swarm: {}\nplant:"), "s.yaml")
     (line,) = caught.value.lines()
-    assert line.startswith("s.yaml:8:3: controller.swarm: is now called controller.optimizer, ")
+    assert line.startswith("s.yaml:11:3: controller.swarm: is now called controller.optimizer, ")
 
 
 def test_a_renamed_key_keeps_its_rank():
     document = parse_document(HEAD + OLD, "s")
     upgrade(document)
-    assert list(document.data["controller"]) == ["type", "motion", "optimizer"]
+    assert list(document.data["controller"]) == list(
+        parse_document(HEAD + NEW, "s").data["controller"]
+    )
 
 
 @pytest.mark.parametrize(("name", "particles"), [("sim", 4), ("lab", 100), ("torn", 4)])
@@ -114,5 +128,5 @@ def test_the_command_line_tells_what_changed_once(tmp_path):
     )
     assert json.loads(done.stdout)["specs"][0]["ok"]
     notices = done.stderr.splitlines()
-    assert len(notices) == 4
+    assert len(notices) == 9
     assert all(line.startswith("notice: ") for line in notices)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
 from tetractl.core.poses import Poses
-from tetractl.experiment.kinds import MOTIONS as REGISTRY
+from tetractl.core.registries import MOTIONS as REGISTRY
 from tetractl.model.motion.exact import rates
 
 MOTIONS = {name: REGISTRY.load(name) for name in REGISTRY.builtin}

@@ -11,7 +11,7 @@ from support.geometry import gap, meets
 from support.shapes import GRID, L_SHAPE, POLYGONS, SHAPES, circles, combs, rectangles
 
 from tetractl.control.kernels.options import inlined
-from tetractl.experiment.kinds import SHAPES as REGISTRY
+from tetractl.core.registries import SHAPES as REGISTRY
 from tetractl.model.shapes.polygon import Polygon
 
 PLACES = st.floats(-12, 12)

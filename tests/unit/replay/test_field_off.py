@@ -21,7 +21,7 @@ from tetractl.report.trial_data import trial_data
 from tetractl.results.trial_tables import steps
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
-from tetractl.view.figures.kinds import draw
+from tetractl.view.figures.draw import draw
 from tetractl.view.terminal.replay_text import step_line
 
 WHEELS = {"drive": {"rate": 40, "lag": 0.04}, "type": "sim"}

@@ -1,6 +1,4 @@
-"""Robots identified from tracks made up for the tests: dead time, a, speed, noise, wheels."""
-
-import json
+"""Robots identified from tracks made up for the tests: dead time, a, speed, noise."""
 
 import numpy as np
 import pytest
@@ -53,8 +51,6 @@ def drive(seed, *sets, steps=50, period_s=0.2):
         valid=np.array([one.valid for one in seen]),
         sent=np.array([one.sent_ns for one in commands]) / SECOND,
         u=np.array([one.direction for one in commands]),
-        left=np.array([one.left for one in commands]),
-        right=np.array([one.right for one in commands]),
         until=stop.sent_ns / SECOND,
     )
 
@@ -66,7 +62,6 @@ def test_without_noise_everything_is_found_exactly():
     assert [one.a.value for one in found.robots] == pytest.approx(plant.a, rel=2e-3)
     assert [one.speed.value for one in found.robots] == pytest.approx(plant.speed, rel=1e-3)
     assert [one.heading_bias.value for one in found.robots] == pytest.approx([0] * 3, abs=2e-3)
-    assert [one.track_radius for one in found.robots] == [None] * 3
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.2])
@@ -105,17 +100,6 @@ def test_a_is_found_where_nothing_is_expected():
     _, track = drive(4, *NOISY, "plant.dead_time=0.1")
     found = identify([track], None)
     assert [one.a.value for one in found.robots] == pytest.approx([6, 4, 3], rel=0.03)
-
-
-@pytest.mark.parametrize("lag", [0.0, 0.04])
-def test_the_track_radius_of_robots_on_wheels(lag):
-    wheels = {"rate": 40, "radius_error": 0.1, "lag": lag}
-    plant, track = drive(5, f"plant.drive={json.dumps(wheels)}", "plant.dead_time=0.03", *NOISY)
-    truth = 0.5 / plant._drive._turn_of
-    assert np.ptp(truth) > 0.5
-    found = [one.track_radius for one in identify([track], EXPECTED).robots]
-    assert [one.value for one in found] == pytest.approx(truth, rel=0.01)
-    assert all(one.low < one.value < one.high < 1.05 * one.low for one in found)
 
 
 def test_pooled_tracks_tell_more_than_one():
@@ -208,7 +192,6 @@ def test_csv_files_are_read(tmp_path):
     assert track.valid.ravel().tolist() == [True, False]
     assert track.poses[0, 0].tolist() == [1, 2, 0.1]
     assert (track.u.tolist(), track.until) == ([0.5, 0.7], pytest.approx(0.4))
-    assert np.isnan(track.left).all()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from support import random_trials as made
 
 from tetractl.log.read.reader import read_trial
 from tetractl.report import figures
-from tetractl.view.figures.kinds import draw
+from tetractl.view.figures.draw import draw
 from tetractl.view.style import svg
 
 pytestmark = pytest.mark.slow  # draws

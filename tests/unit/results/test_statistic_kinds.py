@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from support.batches import batch, group
 
+from tetractl.core.registries import STATISTICS
 from tetractl.core.table.table_files import csv_text
 from tetractl.core.table.terminal_table import TEXTS, print_tables
 from tetractl.results.contrast import contrast
 from tetractl.results.items import as_items, data_table
 from tetractl.results.statistic import number
-from tetractl.results.statistic_kinds import STATISTICS
 from tetractl.results.tables import tables
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()

@@ -4,12 +4,12 @@ from support.paths import ROOT
 from support.running import QUICK
 from support.studies import STUDY, write
 
+from tetractl.core.registries import SWEEPS
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.experiment.yaml.schema import schema_json
 from tetractl.study.load_study import load_study, spec_of, study_schema
 from tetractl.study.study import Study
 from tetractl.study.sweep import Range
-from tetractl.study.sweep_kinds import SWEEPS
 
 HEAD = "name: quick\nbase: spec.yaml\n"
 

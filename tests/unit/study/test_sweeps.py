@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tetractl.core.registries import SWEEPS
 from tetractl.study.sweep import Grid, Points, Random, Range, Sobol
-from tetractl.study.sweep_kinds import SWEEPS
 
 
 def values(sweep, seed=1):

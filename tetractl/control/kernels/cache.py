@@ -21,7 +21,7 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from tetractl.core.cache import cache_folder, claim, compiler_settings, digest, say_once
-from tetractl.experiment.kinds import MOTIONS, SHAPES
+from tetractl.core.registries import MOTIONS, SHAPES
 
 _SUM = hashlib.sha256().digest_size
 

@@ -13,7 +13,7 @@ from numba.extending import overload
 
 from tetractl.control.kernels.options import INLINE_FAST, entries, inlined
 from tetractl.core.problem import Problem
-from tetractl.experiment.kinds import MOTIONS
+from tetractl.core.registries import MOTIONS
 
 
 @lru_cache(maxsize=2)  # the searches of one control step ask for the same ones

@@ -90,6 +90,11 @@ UPGRADES: tuple[Renamed | Revalued | Removed, ...] = (
     Renamed("controller.model", "controller.motion"),
     Revalued("controller.type", "pso-mpc", "mpc"),
     Revalued("plant.motion", "continuous", "exact"),
+    Renamed("controller.accept", "controller.accept_error"),
+    Renamed("controller.first_lengths", "controller.initial_lengths"),
+    Revalued("controller.initial_lengths", "spread", "geometric"),
+    Renamed("controller.collision.check", "controller.collision.test"),
+    Renamed("controller.collision.stop", "controller.collision.stop_before_collision"),
     Removed("controller.losses", "with 'estimate' lost commands are always detected"),
 )
 """In the order in which they are applied: a later one may name what an earlier one renamed."""

@@ -1,1 +1,1 @@
-"""Motions of a robot under the common direction: one file each, named in `experiment.kinds`."""
+"""Motions of a robot under the common direction: one file each, named in `core.registries`."""

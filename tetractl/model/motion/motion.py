@@ -1,6 +1,6 @@
 """What a motion consists of: one definition for the planner, its compiled twin and the plant.
 
-A motion is one file that ends in a `Motion`, named by one line in `tetractl.experiment.kinds`. See
+A motion is one file that ends in a `Motion`, named by one line in `tetractl.core.registries`. See
 docs/how-to/extend.md.
 """
 

@@ -1,1 +1,1 @@
-"""Shapes of obstacles: one file each, named in `experiment.kinds`."""
+"""Shapes of obstacles: one file each, named in `core.registries`."""

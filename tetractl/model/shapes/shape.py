@@ -2,7 +2,7 @@
 
 A shape is one file with two classes: its section of a spec, with the readable geometry in NumPy,
 and a `NamedTuple` as described here, which the section names as `packed`. One line in
-`tetractl.experiment.kinds` adds it. See docs/how-to/extend.md.
+`tetractl.core.registries` adds it. See docs/how-to/extend.md.
 """
 
 from typing import Any, Protocol

@@ -1,1 +1,1 @@
-"""Disturbances of the simulated plant: one file each, named in `tetractl.experiment.kinds`."""
+"""Disturbances of the simulated plant: one file each, named in `tetractl.core.registries`."""

@@ -24,9 +24,8 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
     """Return the tracks in some CSV files, of which each holds poses or commands.
 
     Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
-    time_s, direction_rad and perhaps left_ROBOT_UNIT_s and right_ROBOT_UNIT_s. Where there are
-    columns log and trial, poses and commands of the same belong together; else all do. UsageError
-    names what is missing.
+    time_s, direction_rad and perhaps observed_s. Where there are columns log and trial, poses and
+    commands of the same belong together; else all do. UsageError names what is missing.
     """
     poses: dict[Trial, list[Row]] = {}
     commands: dict[Trial, list[Row]] = {}
@@ -76,15 +75,6 @@ def _track(poses: list[Row], commands: list[Row], unit: str, path: Path, trial: 
     order = np.argsort(sent, kind="stable")
     sent = sent[order]
     u = np.array([_number(row, "direction_rad", path) for row in commands])[order]
-    left, right = (
-        np.array(
-            [
-                [_number(row, f"{side}_{name}_{unit}_s", path, True) for name in names]
-                for row in commands
-            ]
-        )[order]
-        for side in ("left", "right")
-    )
     gap = float(np.median(np.diff(sent))) if len(sent) > 1 else 0.0
     label = trial[0] or str(path)
     observed = [_number(row, "observed_s", path, True) for row in commands][1:]
@@ -99,8 +89,6 @@ def _track(poses: list[Row], commands: list[Row], unit: str, path: Path, trial: 
         valid=valid,
         sent=sent,
         u=u,
-        left=left,
-        right=right,
         until=float(sent[-1]) + gap,
         frame_age=max(0.0, float(np.median(ages))) if ages else None,
     )

@@ -28,11 +28,7 @@ from tetractl.replay.identification.turning import Turning, Turns
 HOLD_S = 0.4  # for which a direction is held at least
 NOISE = ChainNoise(0.01, 0.03)  # of headings [rad], and their random walk [rad/sqrt(s)]
 CANDIDATES, CHANGES = 60, 120
-TRIES, GIVE_UP, GIVEN_UP = (
-    60,
-    0.1,
-    3,
-)  # of random directions: how many a direction, and when to go back
+TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3  # random directions a knot, and when to go back how far
 SAMPLE_S = 0.05
 TURN = 2.0  # rad at most between two directions: a robot commanded to turn back may turn either way
 WEAK = np.array([0.5, 2.0, 1.0])  # deviations of dead time, ln a and bias before the motion
@@ -224,7 +220,5 @@ def _driven(setup: Setup, directions: Floats, dead_time: float) -> Track:
         np.ones((len(times), n), dtype=np.bool_),
         sent,
         directions,
-        np.full((len(sent), n), np.nan),
-        np.full((len(sent), n), np.nan),
         end,
     )

@@ -11,7 +11,6 @@ from tetractl.replay.identification.chain import Chain, ChainNoise, SampleInterv
 from tetractl.replay.identification.fit import Fitted, fit
 from tetractl.replay.identification.tracks import Drives, Track, drives_of
 from tetractl.replay.identification.turning import Turning
-from tetractl.replay.identification.wheel_fit import track_radii
 
 LEAST = 20  # intervals of a robot, below which nothing is fitted
 OUTLYING = 4.0  # deviations
@@ -27,17 +26,14 @@ class RobotFound:
 
     `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.plan.Estimate`;
     `heading_noise` [rad] and `position_noise` [length unit] are the deviations of the camera, the
-    latter along the robot's way; `heading_walk` [rad/sqrt(s)] is the random walk of the heading and
-    `track_radius` [length unit] the distance from a wheel to the robot's centre, None where no
-    wheel speeds were logged or robots did not hold them. `lost` counts commands inferred lost, and
-    `intervals` those between two frames that were used.
+    latter along the robot's path; `heading_walk` [rad/sqrt(s)] is the random walk of the heading.
+    `lost` counts commands inferred lost, and `intervals` those between two frames that were used.
     """
 
     name: str
     a: SampleInterval
     speed: SampleInterval
     heading_bias: SampleInterval
-    track_radius: SampleInterval | None
     position_noise: SampleInterval
     heading_noise: SampleInterval
     heading_walk: SampleInterval
@@ -77,7 +73,6 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
                 f"{LEAST} are needed; `tetractl design` proposes a motion",
             )
     fitted = fit(tracks, drives, _prior(drives, a, dead_time))
-    radii = track_radii(drives, fitted)
     missed, by = fitted.turns.missed(fitted.best), fitted.turns.derivatives(fitted.best)
     robots = []
     for i, name in enumerate(tracks[0].names):
@@ -91,7 +86,6 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
                 a=SampleInterval(*(float(np.exp(p.ln_a[i])) for p in _three(fitted))),
                 speed=speed,
                 heading_bias=SampleInterval(*(float(p.beta[i]) for p in _three(fitted))),
-                track_radius=radii[i],
                 position_noise=position,
                 heading_noise=SampleInterval(fitted.noises[i].measured, *of_heading),
                 heading_walk=SampleInterval(fitted.noises[i].walk, *of_walk),

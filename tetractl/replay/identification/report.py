@@ -2,7 +2,6 @@
 
 import math
 
-from tetractl.core.table.numbers import NONE
 from tetractl.core.table.table import Column, Table
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
 from tetractl.replay.identification.chain import SampleInterval
@@ -12,7 +11,6 @@ QUANTITIES = {
     "a": "rad/s",
     "speed": "{unit}/s",
     "heading_bias": "rad",
-    "track_radius": "{unit}",
     "position_noise": "{unit}",
     "heading_noise": "rad",
     "heading_walk": "rad/sqrt(s)",
@@ -36,7 +34,6 @@ def identified(found: IdentifiedRobots, when: str) -> Identified:
                 a=_value(robot.a),
                 speed=_value(robot.speed),
                 heading_bias=_value(robot.heading_bias),
-                track_radius=None if robot.track_radius is None else _value(robot.track_radius),
                 position_noise=_value(robot.position_noise),
                 heading_noise=_value(robot.heading_noise),
                 heading_walk=_value(robot.heading_walk),
@@ -74,10 +71,8 @@ def _label(name: str, unit: str) -> str:
     return f"{name.replace('_', ' ')} [{QUANTITIES[name].format(unit=unit)}]"
 
 
-def cell(interval: SampleInterval | None) -> str:
+def cell(interval: SampleInterval) -> str:
     """Return a value and the ends of its interval, with the digits that the interval leaves."""
-    if interval is None:
-        return NONE
     ends = [one for one in (interval.low, interval.high) if math.isfinite(one)]
     width = max((abs(one - interval.value) for one in ends), default=0.0)
     digits = 3 if width <= 0 else min(max(1 - math.floor(math.log10(width)), 0), MOST)

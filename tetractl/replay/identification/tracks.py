@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
@@ -22,8 +23,7 @@ class Track:
 
     `time` (M,) is when each frame was exposed, `poses` (M, N, 3) are x, y [length unit] and heading
     [rad], `valid` (M, N) is False where a robot was not tracked. `sent` (C,) is when each command
-    was sent and `u` (C,) its direction [rad]; `left`, `right` (C, N) are the wheel speeds sent
-    [length unit/s], NaN where there are none. Nothing after `until` counts: the robots receive a
+    was sent and `u` (C,) its direction [rad]. Nothing after `until` counts: the robots receive a
     stop. `frame_age` is the median time from the exposure of the frame that a command answers to
     its sending [s], None where that is not known.
     """
@@ -37,8 +37,6 @@ class Track:
     valid: Bools
     sent: Floats
     u: Floats
-    left: Floats
-    right: Floats
     until: float
     frame_age: float | None = None
 
@@ -70,19 +68,14 @@ class Directions(NamedTuple):
 class Drives:
     """Tracks put one behind the other, APART_S apart: K intervals between frames of N robots.
 
-    `moved` (K, N, 2) is the displacement
-    of an interval [length unit]. `after` (K,) is True where an interval begins with the frame that
-    the one before ended with. `left`, `right` (C, N) are the wheel speeds of the directions' own
-    times, and `wheels_when` (C,) those times: also of commands that repeat a direction.
+    `moved` (K, N, 2) is the displacement of an interval [length unit]. `after` (K,) is True where
+    an interval begins with the frame that the one before ended with.
     """
 
     intervals: Intervals
     directions: Directions
     moved: Floats
     after: Bools
-    wheels_when: Floats
-    left: Floats
-    right: Floats
 
     @property
     def seconds(self) -> Floats:
@@ -97,7 +90,6 @@ def track_of(log: TrialLog) -> Track:
     sent = [one for one in log.commands if one.direction is not None]
     if not sent and log.steps:
         sent = [step.command for step in log.steps]
-    nothing = np.full(len(setup.names), np.nan)
     ages = [s.command.sent_ns - s.observation.sampled_ns for s in log.steps[1:]]
     last = stopped_ns(log)
     last = max((one.sent_ns for one in sent), default=0) if last is None else last
@@ -111,8 +103,6 @@ def track_of(log: TrialLog) -> Track:
         valid=log.valid & ~_paused(log)[:, None],
         sent=np.array([one.sent_ns for one in sent], dtype=float) / SECOND,
         u=np.array([one.direction for one in sent], dtype=float),
-        left=np.array([nothing if one.left is None else one.left for one in sent]),
-        right=np.array([nothing if one.right is None else one.right for one in sent]),
         until=last / SECOND,
         frame_age=float(np.median(ages)) / SECOND if ages else None,
     )
@@ -169,12 +159,8 @@ def drives_of(tracks: list[Track]) -> Drives:
         np.concatenate([one.directions.when for one in parts]),
         np.concatenate([one.directions.u for one in parts]),
     )
-    others = ("moved", "after", "wheels_when", "left", "right")
-    return Drives(
-        intervals,
-        directions,
-        *(np.concatenate([getattr(one, name) for one in parts]) for name in others),
-    )
+    moved = np.concatenate([one.moved for one in parts])
+    return Drives(intervals, directions, moved, np.concatenate([one.after for one in parts]))
 
 
 def _drive(track: Track, begin: float) -> Drives:
@@ -212,9 +198,6 @@ def _drive(track: Track, begin: float) -> Drives:
         Directions(track.sent[changes] - origin + begin, track.u[changes]),
         moved=moved[some],
         after=np.diff(index, prepend=-2) == 1,
-        wheels_when=track.sent - origin + begin,
-        left=track.left,
-        right=track.right,
     )
 
 
@@ -227,29 +210,22 @@ def _thinned(time: Floats) -> list[int]:
     return kept
 
 
-def pieces(
-    intervals: Intervals, directions: Directions, tau: Floats
-) -> list[tuple[Floats, Floats]]:
-    """Return the directions that act in each interval, oldest first, for T dead times.
+def substeps(
+    intervals: Intervals, when: Floats, tau: float
+) -> list[tuple[NDArray[np.int64], Floats]]:
+    """Return which of C directions, sent at `when` (C,) [s], act in each interval, oldest first.
 
-    Each is a pair of u (T, K) [rad] and the seconds (T, K) for which it acts, 0 where there are
-    fewer. Before the first direction acts, it is taken as acting.
+    Each is a pair of their numbers (K,) and the seconds (K,) for which they act a dead time `tau`
+    [s] after they were sent, 0 where there are fewer. Before the first acts, it is taken as acting.
     """
-    since, until = intervals.since, intervals.until
-    last = directions.u.size - 1
-    acting = np.full((len(tau), last + 2), np.inf)  # the last acts for ever
-    acting[:, :-1] = directions.when + tau[:, None]
-    first = np.empty((len(tau), since.size), dtype=np.int64)
-    count = 1
-    for row, at in enumerate(acting[:, :-1]):
-        first[row] = np.maximum(at.searchsorted(since, "right") - 1, 0)
-        after = at.searchsorted(until, "left") - 1
-        count = max(count, int((after - first[row]).max(initial=0)) + 1)
-    found: list[tuple[Floats, Floats]] = []
-    each, begin = np.arange(len(tau))[:, None], since
-    for piece in range(count):
-        index = np.minimum(first + piece, last)
-        end = np.minimum(acting[each, index + 1], until)
-        found.append((directions.u[index], np.maximum(end - begin, 0.0)))
+    acts = when + tau
+    ends = np.append(acts[1:], np.inf)  # the last acts for ever
+    first = np.maximum(acts.searchsorted(intervals.since, "right") - 1, 0)
+    last = acts.searchsorted(intervals.until, "left") - 1
+    found, begin = [], intervals.since
+    for piece in range(int((last - first).max(initial=0)) + 1):
+        number = np.minimum(first + piece, len(when) - 1)
+        end = np.minimum(ends[number], intervals.until)
+        found.append((number, np.maximum(end - begin, 0.0)))
         begin = np.maximum(begin, end)
     return found

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.model.motion.exact import step
 from tetractl.replay.identification.chain import Chain, ChainNoise
-from tetractl.replay.identification.tracks import Directions, Drives, pieces
+from tetractl.replay.identification.tracks import Drives, substeps
 
 NUDGE_S, NUDGE = 0.001, 1e-4  # of tau [s], and of ln a, beta and headings, for derivatives
 SURE = 0.01  # probability that counts as none
@@ -48,8 +48,7 @@ class Turns:
 
     def __init__(self, drives: Drives) -> None:
         self.drives = drives
-        when, count = drives.directions.when, len(drives.directions.u)
-        self._numbers = Directions(when, np.arange(count, dtype=np.float64))
+        count = len(drives.directions.u)
         self.lost = np.zeros((count, drives.moved.shape[1]))
         self._own = np.broadcast_to(np.arange(count)[:, None], self.lost.shape)
         self._followed = self._own, self._own  # if those in doubt arrived, and if they did not
@@ -126,8 +125,9 @@ class Turns:
 
     def _main(self, p: Turning) -> NDArray[np.int64]:
         """Return the number of the direction that acts at the end of each interval, (K,)."""
-        acts = np.searchsorted(self._numbers.when + p.tau, self.drives.intervals.until, "left") - 1
-        return np.clip(acts, 0, len(self._numbers.when) - 1)
+        when = self.drives.directions.when
+        acts = np.searchsorted(when + p.tau, self.drives.intervals.until, "left") - 1
+        return np.clip(acts, 0, len(when) - 1)
 
     def _under(
         self, p: Turning, followed: NDArray[np.int64], ahead: float = 0.0
@@ -137,7 +137,7 @@ class Turns:
         u = self.drives.directions.u[followed]
         x, y, heading = np.zeros_like(start), np.zeros_like(start), start
         a, one = np.exp(p.ln_a), np.ones(())
-        for number, seconds in pieces(self.drives.intervals, self._numbers, np.array([p.tau])):
-            towards = u[number[0].astype(np.int64)] + p.beta
-            x, y, heading = step(x, y, heading, towards, a, one, seconds[0][:, None])
+        when = self.drives.directions.when
+        for number, seconds in substeps(self.drives.intervals, when, p.tau):
+            x, y, heading = step(x, y, heading, u[number] + p.beta, a, one, seconds[:, None])
         return x, y, heading - start

@@ -2,9 +2,9 @@
 
 import pytest
 
+from tetractl.core.registries import SPEC_REGISTRIES
 from tetractl.emulate.script import Script
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.kinds import SEAMS
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.explain import KINDS, LIMITS
 from tetractl.experiment.yaml.problems import InvalidSpecError, did_you_mean
@@ -54,7 +54,7 @@ def kinds_of(schema):
 
 
 def test_every_error_that_a_spec_or_script_can_cause_has_words():
-    sections = [seam.load(kind.name) for seam in SEAMS for kind in seam.kinds()]
+    sections = [seam.load(kind.name) for seam in SPEC_REGISTRIES for kind in seam.kinds()]
     models = [Experiment, Script, *(s for s in sections if hasattr(s, "__pydantic_core_schema__"))]
     kinds = {kind for model in models for kind in kinds_of(model.__pydantic_core_schema__)}
     assert len(models) > 10

@@ -15,9 +15,10 @@ from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
+from tetractl.core.registries import FIGURES
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.kinds import FIGURES, draw
+from tetractl.view.figures.draw import draw
 from tetractl.view.figures.labels import separated
 from tetractl.view.figures.trajectory import trajectory_figure
 

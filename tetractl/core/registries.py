@@ -1,10 +1,6 @@
-"""Every seam of a spec by name. A new kind is one file and one line here, or an entry point."""
-
-from collections.abc import Iterator
-from typing import Any
+"""Every registry by name. A new kind is one file and one line here, or an entry point."""
 
 from tetractl.core.registry import Registry
-from tetractl.experiment.base import Model
 
 SECTION = "tetractl.experiment.base:Model"
 
@@ -100,7 +96,7 @@ DISTURBANCES = Registry(
     },
     "tetractl.experiment.disturbance:DisturbanceSection",
 )
-SEAMS = (
+SPEC_REGISTRIES = (
     OPTIMIZERS,
     CONTROLLERS,
     MOTIONS,
@@ -110,28 +106,68 @@ SEAMS = (
     CAMERAS,
     ACTUATORS,
 )
+"""Of the kinds that a spec may name."""
 
-
-def packages(spec: Model) -> dict[str, str]:
-    """Return name and version of every other package that provides a kind used in a spec."""
-    used = (seam.kind(name) for seam, name in _kinds(spec))
-    return {kind.package: kind.version for kind in used if kind.package}
-
-
-def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
-    """Yield seam and name of every kind that is used in a section or a tuple of sections."""
-    if isinstance(value, tuple):
-        for item in value:
-            yield from _kinds(item)
-    if isinstance(value, Model):
-        name = getattr(value, "type", None)
-        for seam in SEAMS:  # two of them may have a kind of the same name
-            if isinstance(name, str) and name in seam and type(value) is seam.load(name):
-                yield seam, name
-        for field, about in type(value).model_fields.items():
-            inner = getattr(value, field)
-            yield from _kinds(inner)
-            for mark in about.metadata:  # a kind without a section is a name alone
-                seam = getattr(mark, "registry", None)
-                if isinstance(inner, str) and isinstance(seam, Registry):
-                    yield seam, inner
+SWEEPS = Registry(
+    "tetractl.sweeps",
+    "sweep",
+    {
+        "grid": "tetractl.study.sweep:Grid",
+        "list": "tetractl.study.sweep:Points",
+        "random": "tetractl.study.sweep:Random",
+        "sobol": "tetractl.study.sweep:Sobol",
+    },
+    "tetractl.study.sweep:Sweep",
+)
+STATISTICS = Registry(  # in the order of the tables
+    "tetractl.statistics",
+    "statistic",
+    {
+        "outcomes": "tetractl.results.outcomes:OUTCOMES",
+        "arrived": "tetractl.results.outcomes:ARRIVED",
+        "obstacle_violations": "tetractl.results.outcomes:OBSTACLE_VIOLATIONS",
+        "left_arena": "tetractl.results.outcomes:LEFT_ARENA",
+        "clearance": "tetractl.results.outcomes:CLEARANCE",
+        "edge": "tetractl.results.outcomes:EDGE",
+        "apart": "tetractl.results.outcomes:APART",
+        "aborted": "tetractl.results.outcomes:ABORTED",
+        "interrupted": "tetractl.results.outcomes:INTERRUPTED",
+        "recovered": "tetractl.results.outcomes:RECOVERED",
+        "solve_ms": "tetractl.results.outcomes:SOLVE_MS",
+        "deadline_misses": "tetractl.results.outcomes:DEADLINE_MISSES",
+    },
+)
+FIGURES = Registry(
+    "tetractl.figures",
+    "figure",
+    {
+        "trajectory": "tetractl.view.figures.trajectory:trajectory_figure",
+        "convergence": "tetractl.view.figures.convergence:convergence_figure",
+        "error": "tetractl.view.figures.curves:error_figure",
+        "errors": "tetractl.view.figures.curves:errors_figure",
+        "arms": "tetractl.view.figures.curves:arms_figure",
+        "ecdf": "tetractl.view.figures.ecdf:ecdf_figure",
+        "scatter": "tetractl.view.figures.scatter:scatter_figure",
+        "swarm": "tetractl.view.figures.swarm:swarm_figure",
+        "estimate": "tetractl.view.figures.estimate:estimate_figure",
+        "timing": "tetractl.view.figures.timing:timing_figure",
+    },
+)
+EMULATED_CAMERAS = Registry(
+    "tetractl.emulated_cameras",
+    "emulated camera",
+    {
+        "optitrack": "tetractl.emulate.optitrack.side:EmulatedOptitrack",
+        "apriltag": "tetractl.emulate.apriltag.side:EmulatedAprilTag",
+        "cells": "tetractl.emulate.dish.side:EmulatedMicroscope",
+    },
+)
+EMULATED_ACTUATORS = Registry(
+    "tetractl.emulated_actuators",
+    "emulated actuator",
+    {
+        "m3pi-xbee": "tetractl.emulate.m3pi.side:EmulatedM3pi",
+        "field": "tetractl.emulate.field:EmulatedField",
+    },
+)
+REGISTRIES = (*SPEC_REGISTRIES, SWEEPS, STATISTICS, FIGURES, EMULATED_CAMERAS, EMULATED_ACTUATORS)

@@ -1,32 +1,15 @@
-"""The figures of `tetractl plot` by name. A new figure is one file and one line here."""
+"""Draws the figures of `tetractl plot` by name."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tetractl.core.errors import UsageError
-from tetractl.core.registry import Registry
+from tetractl.core.registries import FIGURES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from tetractl.log.read.trial_log import TrialLog
-
-FIGURES = Registry(
-    "tetractl.figures",
-    "figure",
-    {
-        "trajectory": "tetractl.view.figures.trajectory:trajectory_figure",
-        "convergence": "tetractl.view.figures.convergence:convergence_figure",
-        "error": "tetractl.view.figures.curves:error_figure",
-        "errors": "tetractl.view.figures.curves:errors_figure",
-        "arms": "tetractl.view.figures.curves:arms_figure",
-        "ecdf": "tetractl.view.figures.ecdf:ecdf_figure",
-        "scatter": "tetractl.view.figures.scatter:scatter_figure",
-        "swarm": "tetractl.view.figures.swarm:swarm_figure",
-        "estimate": "tetractl.view.figures.estimate:estimate_figure",
-        "timing": "tetractl.view.figures.timing:timing_figure",
-    },
-)
 
 
 def check_kind(kind: str) -> None:

@@ -254,8 +254,8 @@ def differences(one: Experiment, two: Experiment) -> list[str]:
     """
     found = one.chosen is not None and one.chosen == two.chosen
     left_out = _BOOKKEEPING | ({"robots"} if found else set())
-    dumps = (each.model_dump(mode="json", exclude=left_out) for each in (one, two))
-    return list(_differences(*dumps))
+    ours, theirs = (each.model_dump(mode="json", exclude=left_out) for each in (one, two))
+    return list(_differences(ours, theirs))
 
 
 def _differences(one: Any, two: Any, path: str = "") -> Iterator[str]:

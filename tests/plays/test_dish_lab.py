@@ -20,7 +20,7 @@ SMALL = (  # a smaller dish, and few cells
     "robots={choose: 2, targets: [[800, 800], [1300, 1300], [800, 1300]], a: 4, speed: 420, "
     "seconds: 4}",
     "controller.steps_max=60",
-    "controller.accept=120",
+    "controller.accept_error=120",
 )
 FEW = "emulation: {actuator: {cells: 3, strangers: 1}, camera: {specks: 4}}\n"
 
@@ -62,7 +62,7 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
 def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
     """Wrong pictures never steer: there is no trial, or it is aborted, and the field is off."""
     script = f"faults: [{{fault: {fault}, at: {at}}}]"
-    sets = (*SMALL, "controller.accept=0.1")
+    sets = (*SMALL, "controller.accept_error=0.1")
     with virtual_dish(tmp_path, 1, sets, FEW + script) as dish:
         if at == 2:  # before the choice
             with pytest.raises(AbortError, match=says):

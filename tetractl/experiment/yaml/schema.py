@@ -101,8 +101,8 @@ def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any] | None) -> d
     for option in options:
         if tag(option) is not None and tag(option) == wanted:
             return option
-    kind = "object" if isinstance(data, dict) else "array" if isinstance(data, list) else None
-    fitting = [option for option in options if kind and option.get("type") == kind]
+    kind = "object" if isinstance(data, dict) else "array"
+    fitting = [option for option in options if option.get("type") == kind]
     return fitting[0] if len(fitting) == 1 else node
 
 

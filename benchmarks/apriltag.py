@@ -33,8 +33,7 @@ from tetractl.core.poses import Grey, Poses
 from tetractl.emulate.apriltag.renderer import CARD, Optics, Renderer
 from tetractl.emulate.network_camera import EmulatedNetworkCamera
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
-from tetractl.lab.cameras.apriltag.detect import MODULES
-from tetractl.lab.cameras.apriltag.refine import refined
+from tetractl.lab.cameras.apriltag.detect import MODULES, refined
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
 from tetractl.lab.cameras.apriltag.track import Tracker
 from tetractl.lab.cameras.pictures.source import Picture, decoded

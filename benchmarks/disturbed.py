@@ -31,8 +31,7 @@ from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
-from tetractl.core.protocols import Controller, Plant
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import Controller, LabSupervision, Plant
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of

@@ -43,8 +43,7 @@ from support.tampering import print_table  # noqa: E402
 from tetractl.control.build import build_controller, warm_up  # noqa: E402
 from tetractl.core.clock import MonotonicClock  # noqa: E402
 from tetractl.core.commands import PlantInfo  # noqa: E402
-from tetractl.core.protocols import Observer  # noqa: E402
-from tetractl.core.supervision import LabSupervision  # noqa: E402
+from tetractl.core.protocols import LabSupervision, Observer  # noqa: E402
 from tetractl.core.trial import EPOCH_NS  # noqa: E402
 from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec, start_of  # noqa: E402
 from tetractl.log.format.channels import FRAMES  # noqa: E402

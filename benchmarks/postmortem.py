@@ -29,7 +29,7 @@ import numpy as np
 
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision
 from tetractl.core.trial import Result
 from tetractl.experiment.controller import Square
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of

@@ -9,6 +9,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from PIL import Image, ImageSequence
+
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
 sys.path.insert(0, str(ROOT / "tests"))
@@ -19,6 +21,8 @@ from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.view.film import write_video  # noqa: E402
 
 FILM_WIDTH = 640
+THIN, COLORS = 5, 24
+"""Of the film, the pictures between those that are kept, and its colours: a sixth of the bytes."""
 SCREENS = ((1280, 800), (390, 844))
 MIDDLE = 0.55
 """The share of the trial after which the report is photographed."""
@@ -49,9 +53,24 @@ def main() -> None:
             (bench, "scatter", "scatter.png"),
         ):
             tetractl("plot", log, "--kind", kind, "-o", IMAGES / image)
-        write_video(read_trial(bench / first), IMAGES / "trial.gif", width=FILM_WIDTH)
+        write_video(read_trial(bench / first), folder / "trial.gif", width=FILM_WIDTH)
+        thin(folder / "trial.gif", IMAGES / "trial.gif")
         tetractl("report", bench, "-o", folder / "report.html")
         screenshots(folder / "report.html", folder)
+
+
+def thin(film: Path, out: Path) -> None:
+    """Write a film with fewer pictures and colours, which lasts as long."""
+    with Image.open(film) as found:
+        pictures = [
+            (one.convert("RGB"), one.info["duration"]) for one in ImageSequence.Iterator(found)
+        ]
+    *moving, (last, hold) = pictures
+    palette = last.quantize(COLORS, dither=Image.Dither.NONE)
+    kept = [picture for picture, _ in moving[::THIN]] + [last]
+    kept = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in kept]
+    durations = [THIN * moving[0][1]] * (len(kept) - 1) + [hold]
+    kept[0].save(out, save_all=True, append_images=kept[1:], duration=durations, loop=0, disposal=1)
 
 
 def screenshots(report: Path, folder: Path) -> None:

@@ -54,8 +54,6 @@ SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels
     "cli/test_study_dask",
     "emulated",
     "unit/control/kernels/test_cache",
-    "unit/control/kernels/test_shapes_in_kernels",
-    "unit/control/optimizers/test_single",
     "unit/log/read/test_javascript",
     "unit/plant/test_bench_agrees",
     "unit/run/test_soak",

@@ -13,8 +13,7 @@ from tetractl.core.commands import Command, PlantInfo
 from tetractl.core.plan import End, Limits, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.problem import Problem
-from tetractl.core.protocols import Controller
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import Controller, LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of

@@ -9,9 +9,8 @@ from numba import njit
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels import pso as kernel
 from tetractl.control.kernels.options import ENTRY_FAST, inlined
-from tetractl.control.kernels.rollout import aligned, costs, lay_out
+from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers import compiled_pso, pso
-from tetractl.control.optimizers.pso import PsoFields
 from tetractl.core.plan import Limits
 from tetractl.core.problem import Problem
 from tetractl.model.motion.polynomials import horner
@@ -22,7 +21,6 @@ from .report import Pair, Report, Settings, in_pairs, load
 
 SHORT = 20
 """Iterations timed at once: few, so that most repetitions run through without an interruption."""
-SINGLE = SWARM.model_copy(update={"precision": "single"})
 polynomial = inlined(horner)
 ROBOT_STEPS = 3 * PARTICLES * SIGNALS
 EULER_WORK = 42
@@ -38,14 +36,9 @@ def iteration(settings: Settings) -> Report:
         f"ours and the peer timed in turn, {load()}."
     )
     problem, count = printed(), settings.repeats * 2
-    double, single, rows = _Iterations(problem), _Iterations(problem, SINGLE), []
+    search, rows = _Iterations(problem), []
 
-    def add(
-        name: str,
-        peer: Callable[[int], object],
-        bar: tuple[str, float] | None = None,
-        search: _Iterations = double,
-    ) -> None:
+    def add(name: str, peer: Callable[[int], object], bar: tuple[str, float] | None = None) -> None:
         pair = in_pairs(lambda: search.run(SHORT), lambda: peer(2), count)
         pair = Pair(pair.ours / SHORT * 1e6, pair.theirs / 2 * 1e6)
         absolute = [f"{np.min(t):.1f} / {np.median(t):.1f}" for t in (pair.ours, pair.theirs)]
@@ -63,47 +56,20 @@ def iteration(settings: Settings) -> Report:
         tuned = f"{figure}, J in tuned NumPy"
         add("pyswarms, J in tuned NumPy", _pyswarms(tuned_cost(problem)), (tuned, 80))
         add("pyswarms, J by our kernel", _pyswarms(_by_kernel(problem)))
-        name, figure = "pyswarms, J in plain NumPy; ours single", f"{figure}, single precision"
-        add(name, _pyswarms(plain_cost(problem)), (figure, 100), single)
     else:
         report.say("pyswarms is not installed: skipped.")
     report.table(["peer", "ours [us]", "peer [us]", "ratio of the least", "median of pairs"], rows)
     report.say("Times are least / median. Starting a search is not counted on either side.")
-    models = [_rollout(replace(problem, motion=m), np.float32) for m in ("euler", "exact")]
-    ratio = in_pairs(*models, settings.repeats * 20).ratio
-    report.bar(
-        "exact model against Euler, rollout as printed, single precision",
-        "<= 1.6x",
-        f"{ratio:.2f}x",
-        ratio <= 1.6,
-    )
-    searches = in_pairs(_whole(problem, SWARM), _whole(problem, SINGLE), settings.repeats)
-    report.say(
-        f"Whole searches of {SWARM.iterations} iterations, starts and the leaders' costs in double "
-        f"precision included: {np.min(searches.ours) * 1e3:.2f} ms in double precision and "
-        f"{np.min(searches.theirs) * 1e3:.2f} ms in single, {1 / searches.ratio:.2f}x less."
-    )
     return report
-
-
-def _rollout(problem: Problem, kind: type) -> Callable[[], object]:
-    signals, total = aligned((SIGNALS, PARTICLES), kind), np.empty(PARTICLES, kind)
-    signals[:] = np.random.default_rng(0).uniform(-np.pi, np.pi, signals.shape)
-    course = lay_out(problem, PARTICLES, kind)
-    return lambda: costs(course, signals, total)
-
-
-def _whole(problem: Problem, swarm: PsoFields) -> Callable[[], object]:
-    return lambda: swarm.search(problem, SIGNALS, None, 1, Limits())
 
 
 class _Iterations:
     """Iterations of the compiled swarm, and nothing else."""
 
-    def __init__(self, problem: Problem, swarm: PsoFields = SWARM) -> None:
-        self.course = compiled_pso.lay_out_swarm(swarm, problem)
-        self.swarm, _ = compiled_pso.scatter(swarm, problem, self.course, SIGNALS, None, 1)
-        self.rules = compiled_pso.make_rules(swarm, 1, 0, Limits())
+    def __init__(self, problem: Problem) -> None:
+        self.course = lay_out(problem, PARTICLES)
+        self.swarm, _ = compiled_pso.scatter(SWARM, problem, self.course, SIGNALS, None, 1)
+        self.rules = compiled_pso.make_rules(SWARM, 1, 0, Limits())
 
     def run(self, count: int) -> None:
         kernel.iterate(self.course, self.swarm, self.rules, 0, count)

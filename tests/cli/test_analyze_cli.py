@@ -1,15 +1,11 @@
 """`tetractl analyze`, as a user starts it."""
 
 import json
-import sys
-from pathlib import Path
 
 import pytest
 from support import cli
 from support.paths import ROOT
 
-TETRACTL = Path(sys.executable).with_name("tetractl")
-SPEC = ROOT / "experiments/tetrahymena.yaml"
 TWO = """
 name: two
 units: {length: um}
@@ -49,11 +45,3 @@ def test_one_robot_is_drawn_too(tmp_path):
     done = analyze(tmp_path, spec, "--plans", 1, "-o", "one.svg")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "one.svg").stat().st_size > 1000
-
-
-def test_wrong_uses_are_one_line(tmp_path):
-    for arguments in ((SPEC, "-o", "a.txt"), ("no.yaml",), (SPEC, "--plans", 0)):
-        done = analyze(tmp_path, *arguments)
-        assert done.returncode == 2
-        assert done.stderr.startswith("error: ")
-        assert done.stdout == ""

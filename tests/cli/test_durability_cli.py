@@ -2,21 +2,18 @@
 verify and repeat."""
 
 import json
-import os
 import random
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from support import cli
-from support.durable import ENDLESS, RealTime, random_kill, small_disk
+from support.durable import ENDLESS, random_kill
 
-from tetractl.core.errors import LogError
-from tetractl.log.read.reader import content_digest, read_trial
+from tetractl.log.read.reader import content_digest
 from tetractl.run.folder_lock import locked
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
@@ -86,56 +83,6 @@ def test_a_kill_costs_little(tmp_path: Path, seed: int) -> None:
     assert any(killed.lost_s <= LOSS_S for killed in tries)
 
 
-@pytest.mark.system
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_being_asked_to_stop_costs_nothing(tmp_path: Path, number: signal.Signals) -> None:
-    trial = RealTime(tmp_path / "trial.mcap")
-    said = trial.ask(number)
-    log = read_trial(tmp_path / "trial.mcap")
-    assert log.damage is None
-    assert log.result is not None
-    assert said == f"interrupted | {log.result.reason} | {log.result.steps}\n"
-    assert len(log.steps) == log.result.steps
-    assert log.frames.tolist() == list(range(len(log.frames)))
-    assert log.stop is not None
-    assert log.mocap_ns[-1] >= log.stop.sent_ns
-
-
-def frames(path: Path) -> int:
-    try:
-        return len(read_trial(path).frames)
-    except LogError:
-        return 0
-
-
-def check_cut_short(path: Path, said: str, why: str) -> None:
-    outcome, reason, _ = said.split(" | ")
-    assert outcome == "aborted"
-    assert reason == f"{path}: cannot write the log: {why}"
-    assert frames(path.with_name("trial.mcap.part")) > 0
-
-
-@pytest.mark.system
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts file systems")
-def test_a_full_disk_ends_the_trial_and_leaves_a_log(tmp_path: Path) -> None:
-    with small_disk(tmp_path / "disk", "130k") as disk:
-        said = RealTime(disk / "trial.mcap").end()
-        check_cut_short(disk / "trial.mcap", said, "No space left on device")
-
-
-@pytest.mark.system
-def test_a_removed_folder_ends_the_trial_and_leaves_a_log(tmp_path: Path) -> None:
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    trial = RealTime(folder / "trial.mcap")
-    part = folder / "trial.mcap.part"
-    while not frames(part):
-        assert trial.process.poll() is None
-    shutil.rmtree(folder)
-    why = "the file or its folder was removed during the trial"
-    check_cut_short(folder / "trial.mcap", trial.end(), why)
-
-
 def test_recover_repairs_a_torn_log(logs: Path) -> None:
     whole = content_digest(logs / "trial-000.mcap")
     data = (logs / "trial-000.mcap").read_bytes()
@@ -160,14 +107,6 @@ def test_recover_says_what_is_lost(logs: Path) -> None:
         done = tetractl(logs, f"{command} saved.mcap")
         assert done.returncode == 1, command
         assert "recovered" in done.stdout + done.stderr or "damaged" in done.stdout + done.stderr
-
-
-def test_recover_of_nothing(logs: Path) -> None:
-    (logs / "text.mcap").write_text("no log\n")
-    assert tetractl(logs, "recover text.mcap").returncode == 1
-    assert tetractl(logs, "recover missing.mcap").returncode == 2
-    done = tetractl(logs, "recover trial-000.mcap")
-    assert (done.returncode, "nothing to recover" in done.stdout) == (0, True)
 
 
 def test_verify_says_which_of_the_two_it_did(logs: Path) -> None:

@@ -1,8 +1,5 @@
 """`tetractl export`: tables of a batch, read back by the programs they are for."""
 
-import csv
-import json
-import sys
 from pathlib import Path
 
 import pandas
@@ -12,7 +9,6 @@ from support.cli import tetractl
 
 from tetractl.log.read.reader import read_trial
 
-TETRACTL = Path(sys.executable).with_name("tetractl")
 SPEC = """
 name: quick
 arena: {left: 0, bottom: 0, width: 1000, height: 800}
@@ -59,17 +55,6 @@ def test_tables_hold_what_the_logs_hold(folder: Path, kind: str):
         assert row["total_error_mm"] == log.result.total_error
 
 
-def test_the_total_errors_are_those_of_stats(folder: Path):
-    done = tetractl(folder, "export", "logs", "-o", "one.csv", "--table", "trials")
-    assert done.stdout == "one.csv\n"
-    with (folder / "one.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    found = json.loads(tetractl(folder, "stats", "logs", "--format", "json").stdout)
-    assert [float(row["total_error_mm"]) for row in rows] == [
-        trial["total_error"] for trial in found["trials"]
-    ]
-
-
 def test_parquet_keeps_the_types(folder: Path):
     tetractl(folder, "export", "logs", "-o", "poses.parquet", "--table", "poses")
     schema = parquet.read_schema(folder / "poses.parquet")
@@ -94,23 +79,6 @@ def test_logs_of_different_experiments_are_exported_apart(folder: Path, tmp_path
     assert done.returncode == 2
     assert "have other columns" in done.stderr
     assert not list((tmp_path / "out").iterdir())
-
-
-@pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        (["logs", "-o", "x.csv"], "one file holds one table"),
-        (["logs", "-o", "x", "--table", "no"], "there is no table 'no'"),
-        (["logs", "-o", "x", "--format", "xls"], "cannot write 'xls' tables"),
-        (["logs", "-o", "x.csv", "--table", "steps", "--format", "parquet"], "ends in .csv"),
-        (["missing", "-o", "x"], "missing: no such file or folder"),
-    ],
-)
-def test_bad_usage_is_one_clear_line(folder: Path, args: list[str], message: str):
-    done = tetractl(folder, "export", *args)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert not (folder / "x").exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")

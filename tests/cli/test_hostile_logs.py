@@ -208,14 +208,3 @@ def test_too_few_addresses_are_one_line() -> None:
     first, hint = done.stderr.splitlines()
     assert first == "error: only 410 MB of addresses are allowed, 1000 are needed"
     assert (done.returncode, hint) == (1, "  hint: ulimit -v unlimited")
-
-
-def test_a_pipe_is_no_log(tmp_path: Path) -> None:
-    """Regression: `info` waited for ever."""
-    os.mkfifo(tmp_path / "pipe.mcap")
-    done = subprocess.run(
-        [sys.executable, "-m", "tetractl", "info", "pipe.mcap"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (2, "error: pipe.mcap: is no regular file\n")

@@ -5,7 +5,6 @@ import json
 import pytest
 import yaml
 from support.cli import tetractl
-from support.paths import ROOT
 
 SPEC = """
 name: quick
@@ -76,28 +75,6 @@ def test_a_design_is_proposed_as_a_spec_and_driven(folder):
     found = json.loads(driven.stdout)
     assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.005)
     assert tetractl(folder, "verify", "design").returncode == 0
-
-
-def test_robots_of_a_lab_are_not_driven_without_consent(folder):
-    lab = ROOT / "experiments" / "three_m3pi_lab.yaml"
-    done = tetractl(folder, "design", lab, "--plant", "lab")
-    assert done.returncode == 2
-    assert "add --yes" in done.stderr
-
-
-def test_options_that_do_not_belong_together_are_refused(folder):
-    for words in (
-        ("identify",),
-        ("identify", "logs", "--yes"),
-        ("identify", "logs", "tables/poses.csv"),
-        ("design", "quick.yaml", "--yes"),
-        ("replay", "logs/trial-000.mcap", "--yes"),
-        ("redrive", "logs/trial-000.mcap", "--plant", "lab", "--yes"),
-        ("what-if", "logs"),
-    ):
-        done = tetractl(folder, *words)
-        assert done.returncode == 2, words
-        assert done.stderr.startswith("error: "), words
 
 
 def test_what_if_predicts_and_says_so(folder):

@@ -2,7 +2,6 @@
 
 import json
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +12,6 @@ from support.trials import SEED, three_robots, write_torn, write_trial
 
 from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_trial
-
-TETRACTL = Path(sys.executable).with_name("tetractl")
 
 
 @pytest.fixture(scope="module")
@@ -124,16 +121,3 @@ def test_damage_is_told_and_fails(folder: Path, log: str, said: str) -> None:
     found = json.loads(tetractl(folder, f"info {log} --json").stdout)
     assert found["damage"]["problems"]
     assert found["trial_digest"] is None
-
-
-@pytest.mark.parametrize(
-    ("command", "code", "error"),
-    [
-        ("info none.mcap", 2, "error: none.mcap: no such file or folder\n"),
-        ("info text.mcap", 1, "error: text.mcap: not an MCAP file\n"),
-        ("info .", 2, "error: .: 4 logs\nhint: name one of them, such as cut.mcap.part\n"),
-    ],
-)
-def test_errors_are_one_line(folder: Path, command: str, code: int, error: str) -> None:
-    done = tetractl(folder, command)
-    assert (done.returncode, done.stdout, done.stderr) == (code, "", error)

@@ -2,9 +2,7 @@
 
 import json
 import re
-import sys
 from functools import partial
-from pathlib import Path
 
 import pytest
 from support import cli
@@ -13,8 +11,6 @@ from support.paths import ROOT
 from tetractl.experiment.examples import example_names
 from tetractl.experiment.load import load_spec
 from tetractl.study.load_study import load_study
-
-TETRACTL = Path(sys.executable).with_name("tetractl")
 
 
 @pytest.fixture
@@ -69,11 +65,6 @@ def test_a_file_is_never_overwritten(tetractl, tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "mine.yaml"]
 
 
-def test_without_a_name_it_is_called_experiment(tetractl, tmp_path):
-    assert tetractl("init").stdout == "experiment.yaml\n"
-    assert load_spec(tmp_path / "experiment.yaml").experiment.name == "experiment"
-
-
 @pytest.mark.parametrize("name", ["5", "true", "1e3", "null", "0x1f", "a.b-c_d"])
 def test_names_that_yaml_reads_otherwise_are_quoted(tetractl, tmp_path, name):
     assert tetractl("init", name).returncode == 0
@@ -86,19 +77,6 @@ def test_other_names_are_refused_in_a_line(tetractl, tmp_path, name):
     assert result.returncode == 2
     assert "is no name of an experiment" in result.stderr
     assert len(result.stderr.splitlines()) == 2
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_is_not_there_is_one_line(tetractl):
-    result = tetractl("init", "no/first")
-    assert result.returncode == 2
-    assert result.stderr == "error: no/first.yaml: cannot be written: No such file or directory\n"
-
-
-def test_lab_and_cells_do_not_go_together(tetractl, tmp_path):
-    result = tetractl("init", "--lab", "--cells")
-    assert result.returncode == 2
-    assert result.stderr.startswith("error: --lab and --cells")
     assert list(tmp_path.iterdir()) == []
 
 

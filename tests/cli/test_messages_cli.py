@@ -23,69 +23,6 @@ def folder(tmp_path_factory):
     return place
 
 
-@pytest.mark.parametrize(
-    ("command", "message", "hint"),
-    [
-        (
-            "run study.yaml",
-            "study.yaml: is a study, not a spec",
-            "run it with: tetractl study study.yaml",
-        ),
-        ("validate study.yaml", "study.yaml: is a study, not a spec", None),
-        (
-            "study spec.yaml",
-            "spec.yaml: is a spec, not a study",
-            "run it with: tetractl run spec.yaml; a study names it as its 'base:'",
-        ),
-        (
-            "replay spec.yaml",
-            "spec.yaml: is no log (*.mcap)",
-            "run it with: tetractl run spec.yaml",
-        ),
-        ("stats out/trials.csv", "out/trials.csv: is no log (*.mcap)", "name the folder: out"),
-        ("report out/times.csv", "out/times.csv: is no log (*.mcap)", "name the folder: out"),
-        ("run spec.yaml --trials 0", "--trials: must be at least 1", "try"),
-        ("run spec.yaml --seed -1", "--seed: must be at least 0", "try"),
-        ("run spec.yaml --seed x", "--seed: is no whole number", "try"),
-        ("run spec.yaml --jobs 0", "--jobs: must be at least 1", "try"),
-        ("replay noise.mcap --rate fast", "--rate: is no number", "try"),
-        ("stats out --format yaml", "--format: 'yaml' is not one of 'table', 'json'", "try"),
-        ("run huge.yaml", "huge.yaml:8:47: reference.std: 1.0e+308: must be at most 1e+09", None),
-        (
-            "run spec.yaml --set controller.period=1e-9",
-            "--set controller.period=1e-9: controller.period: 1e-9: must be at least 0.001",
-            None,
-        ),
-        (
-            "init Käse",
-            "'Käse' is no name of an experiment",
-            "use up to 64 of a to z, A to Z, 0 to 9, dot, underscore and hyphen",
-        ),
-        (
-            "run spec.yaml --set robots.0.name=Kä",
-            "--set robots.0.name=Kä: robots.0.name: Kä: must be letters without accents",
-            None,
-        ),
-        (
-            "plot out/dead_time=0 -o nowhere/a.png",
-            "nowhere/a.png: there is no folder nowhere",
-            None,
-        ),
-    ],
-)
-def test_bad_usage_is_one_line_with_a_hint(folder, command, message, hint):
-    before = sorted(folder.rglob("*"))
-    done = tetractl(folder, *command.split())
-    if command.startswith("validate"):
-        assert (done.returncode, done.stdout) == (2, f"{message}\n")
-        return
-    assert (done.returncode, done.stdout) == (2, "")
-    first, *rest = done.stderr.splitlines()
-    assert first.startswith(f"error: {message}")
-    assert [line.startswith(f"hint: {hint}") for line in rest] == [True] * bool(hint)
-    assert sorted(folder.rglob("*")) == before
-
-
 def test_a_pattern_of_the_shell_may_catch_the_tables_of_a_study(folder, tmp_path):
     """`report` takes what `stats` takes; a log that cannot be read is named with its cause."""
     inside = sorted(f"out/{path.name}" for path in (folder / "out").iterdir())

@@ -115,25 +115,6 @@ def test_a_damaged_trial_among_others_shows_in_the_exit_code(folder):
 
 
 @pytest.mark.system
-def test_it_plays_to_the_end_and_waits_there(folder):
-    with play(folder, "--rate", "50", "--start", "7.5") as terminal:
-        terminal.expect("ended: sequence completed")
-        terminal.expect("space again")
-        terminal.press("q")
-        assert terminal.finish() == 0
-
-
-@pytest.mark.system
-def test_loop_until_comes_round_again(folder):
-    with play(folder, "--loop", "--start", "1", "--until", "1.5", "--rate", "2") as terminal:
-        for _ in range(2):
-            terminal.expect(at(1.4))
-            terminal.expect(at(1.0))
-        terminal.press("q")
-        assert terminal.finish() == 0
-
-
-@pytest.mark.system
 def test_it_follows_the_size_of_the_terminal(folder):
     with play(folder, "--paused") as terminal:
         terminal.expect("solve time|step k")
@@ -259,33 +240,6 @@ def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
     assert (folder / "cut-error.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(
-    ("args", "code", "words"),
-    [
-        (["replay", "whole.mcap", "--rate", "0"], 2, "--rate must be above 0"),
-        (["replay", "whole.mcap", "--rate", "nan"], 2, "--rate must be above 0"),
-        (["replay", "whole.mcap", "--rate", "fast"], 2, "--rate: is no number"),
-        (["replay", "whole.mcap", "--start", "99"], 2, "the trial lasts"),
-        (["replay", "whole.mcap", "--paused"], 2, "--paused needs a terminal"),
-        (["replay", "whole.mcap", "other.mcap", "--loop"], 2, "--loop without a terminal"),
-        (["replay", "nothing.mcap"], 2, "nothing.mcap"),
-        (["replay"], 2, "LOG"),
-        (["plot", "whole.mcap", "-o", "a.bmp"], 2, ".png, .svg, .pdf"),
-        (["plot", "whole.mcap", "-o", "a"], 2, "needs an ending"),
-        (["plot", "whole.mcap", "-o", "no/such/a.png"], 2, "no/such/a.png"),
-        (["plot", "whole.mcap", "--kind", "pie"], 2, "pie"),
-        (["plot", "whole.mcap", "other.mcap", "--kind", "timing"], 2, "shows one trial, not 2"),
-    ],
-)
-def test_bad_input_is_one_line(folder, args, code, words):
-    done = run(*args, cwd=folder)
-    assert done.returncode == code
-    assert done.stdout == ""
-    assert words in done.stderr
-    assert done.stderr.startswith("error: ")
-    assert "Traceback" not in done.stderr
-
-
 @pytest.mark.parametrize("kind", first_of(["trajectory", "convergence", "error", "timing"]))
 def test_plot_names_its_file_after_the_log_here(folder, tmp_path, kind):
     done = run("plot", folder / "whole.mcap", "--kind", kind, cwd=tmp_path)
@@ -300,29 +254,8 @@ def test_plot_overlays_trials_reproducibly(folder, tmp_path):
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
-@pytest.mark.parametrize("command", ["replay", "plot"])
-def test_help_has_an_example(folder, command):
-    done = run(command, "--help", cwd=folder)
-    assert done.returncode == 0
-    assert f"Example: tetractl {command} trial-000.mcap" in done.stdout
-
-
 def test_a_film_is_written_beside_where_it_was_asked_for(folder):
     done = run("plot", "cut.mcap.part", "--kind", "video", cwd=folder)
     assert (done.returncode, done.stdout) == (1, "cut-video.gif\n")
     assert "damaged: cut.mcap.part" in done.stderr
     assert (folder / "cut-video.gif").read_bytes().startswith(b"GIF89a")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["whole.mcap", "other.mcap"], "error: a film shows one trial, not 2"),
-        (["whole.mcap", "-o", "film.avi"], "error: film.avi: cannot write '.avi' films"),
-    ],
-)
-def test_what_is_no_film_is_one_clear_line(folder, arguments, message):
-    done = run("plot", *arguments, "--kind", "video", cwd=folder)
-    assert done.returncode == 2
-    assert done.stderr.startswith(message)
-    assert "Traceback" not in done.stderr

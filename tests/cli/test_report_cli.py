@@ -2,15 +2,11 @@
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import pytest
 from support.chromium import Page, chromium, needs_chromium
 from support.cli import tetractl
-
-TETRACTL = Path(sys.executable).with_name("tetractl")
-
 
 SPEC = """
 name: quick
@@ -67,13 +63,6 @@ def test_the_page_needs_nothing_beside_it(folder: Path):
 def test_the_same_logs_give_the_same_page(folder: Path):
     assert tetractl(folder, "report", "logs", "-o", "again.html").returncode == 0
     assert (folder / "again.html").read_text() == (folder / "report.html").read_text()
-
-
-def test_the_figures_of_the_batch_stand_with_its_errors(folder: Path):
-    html = (folder / "report.html").read_text()
-    errors = html[html.index("<h2>Errors</h2>") : html.index("<h2>Statistics</h2>")]
-    assert errors.count("<img alt=") == 2
-    assert html.count("<div") == html.count("</div>")
 
 
 @needs_chromium
@@ -190,17 +179,3 @@ def test_the_folder_of_a_study_is_a_page_of_its_arms_called_after_it(tmp_path: P
     assert re.findall(r'<th scope="row">([^<]*)', head) == ["dead_time=0", "dead_time=0.1"]
     assert "sum over the robots" in head
     assert "<b>" not in head  # no cards
-
-
-@pytest.mark.parametrize(
-    ("args", "code", "message"),
-    [
-        (["missing"], 2, "missing: no such file or folder"),
-        (["logs", "-o", "no/where.html"], 2, "no/where.html: there is no folder no"),
-    ],
-)
-def test_what_goes_wrong_is_one_clear_line(folder: Path, args: list[str], code: int, message: str):
-    done = tetractl(folder, "report", *args)
-    assert done.returncode == code
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr

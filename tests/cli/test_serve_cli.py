@@ -12,7 +12,6 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from support import random_trials as made
-from support.cli import tetractl
 from support.running import QUICK, first_of
 from support.terminal import Terminal
 from support.viewer import PATIENCE_S, Viewer, deaf
@@ -189,25 +188,6 @@ def test_a_run_is_served_while_it_runs_and_its_log_stays_the_same(tmp_path):
     for name in ("trial-000.mcap", "trial-001.mcap"):
         logs = [scan(tmp_path / folder / name) for folder in ("served", "alone")]
         assert logs[0].digest == logs[1].digest
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["run", "spec.yaml", "--port", "1"], "error: --port belongs to --serve"),
-        (["serve", "spec.yaml", "--paused"], "error: only a LOG is played back"),
-        (["serve", "LOG", "--rate", "0"], "error: --rate must be above 0"),
-        (["run", "spec.yaml", "--serve", "--jobs", "2"], "error: --serve shows one trial at a"),
-    ],
-)
-def test_what_does_not_go_together_is_one_clear_line(log, tmp_path, words, message):
-    (tmp_path / "spec.yaml").write_text(QUICK)
-    (tmp_path / "other.mcap").write_bytes(log.read_bytes())
-    names = iter([log, "other.mcap"])
-    words = [next(names) if word == "LOG" else word for word in words]
-    done = tetractl(tmp_path, *words)
-    assert done.returncode == 2
-    assert done.stderr.startswith(message)
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from support.studies import SMALL, tetractl, write
 
 from tetractl.log.read.reader import read_result
 
-NAMES = ["SIGHUP", "SIGQUIT", "SIGUSR1", "SIGALRM", "SIGABRT", "SIGRTMIN"]
+NAMES = ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGALRM", "SIGABRT", "SIGRTMIN"]
 LINUX = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
 
 

@@ -13,8 +13,6 @@ from support import cli
 from support import random_trials as made
 from support.running import first_of
 
-from tetractl.core.plan import Outcome
-
 TETRACTL = Path(sys.executable).with_name("tetractl")
 REFERENCE = {"source": "section V", "n": 20, "mean": 648.6, "std": 225.1}
 SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
@@ -36,14 +34,6 @@ def write(folder, count, first=0, **fields):
         result = replace(trial.result, robot_errors=errors, total_error=sum(errors))
         made.write(replace(trial, result=result), folder / f"trial-{i:03d}.mcap")
     return folder
-
-
-def stop(path, outcome, **fields):
-    """A log whose trial did not run to its end."""
-    known = {"reference": REFERENCE, "scale": SCALE, "plant": PLANT}
-    trial = made.trial(99, steps=3, frames=2, **known, **fields)
-    result = replace(trial.result, outcome=outcome, reason="the cable came off")
-    return made.write(replace(trial, result=result), path)
 
 
 @pytest.fixture(scope="module")
@@ -90,40 +80,6 @@ def test_csv_markdown_and_latex(work):
     assert r"total & 10 & 345.0 &" in stats("ten", "--format", "latex", cwd=work).stdout
 
 
-def test_stopped_trials_are_listed_but_not_averaged(work):
-    stop(work / "ten/trial-010.mcap", Outcome.ABORTED, index=10)
-    stop(work / "ten/trial-011.mcap", Outcome.INTERRUPTED, index=11)
-    done = stats("ten/*.mcap", cwd=work)
-    assert done.returncode == 0
-    assert "10 of 12 trials complete" in done.stdout
-    assert "not in the means, robot 0 entered an obstacle, the cable came off" in done.stdout
-    found = json.loads(stats("ten", "--format", "json", cwd=work).stdout)
-    assert (found["n_trials"], found["n_counted"]) == (12, 10)
-    assert (found["aborted"], found["interrupted"]) == (1, 1)
-    assert found["total_error"]["mean"] == 345.0
-
-
-def test_an_attempt_that_was_set_aside_is_counted_and_listed(work):
-    """It vanished: the table said `aborted 0` and nothing else."""
-    aborted = stop(work / "aborted.mcap", Outcome.ABORTED, index=3)
-    aborted.rename(work / "ten/trial-003.attempt-1.mcap")
-    (work / "ten/trial-004.mcap.part.unfinished-1").write_bytes(b"torn")
-    done = stats("ten", cwd=work)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "10 of 10 trials complete" in done.stdout
-    rows = [line.split() for line in done.stdout.splitlines()]
-    assert ["earlier", "attempts,", "not", "counted", "2"] in rows
-    (listed,) = [line for line in done.stdout.splitlines() if "trial-003.attempt-1.mcap" in line]
-    assert "an earlier attempt, not counted" in listed
-    assert "the cable came off" in " ".join(done.stdout.split())
-    found = json.loads(stats("ten", "--format", "json", cwd=work).stdout)
-    assert (found["n_trials"], found["n_attempts"], found["aborted"]) == (10, 2, 0)
-    assert [one["path"] for one in found["attempts"]] == [
-        "ten/trial-003.attempt-1.mcap",
-        "ten/trial-004.mcap.part.unfinished-1",
-    ]
-
-
 def test_a_torn_log_is_flagged_and_the_rest_printed(work):
     torn = work / "ten/trial-004.mcap"
     torn.write_bytes(torn.read_bytes()[:-2000])
@@ -141,41 +97,12 @@ def test_a_torn_log_is_flagged_and_the_rest_printed(work):
     assert found["damaged"] == [{"path": "ten/trial-011.mcap", "problem": "not an MCAP file"}]
 
 
-def test_two_batches_are_compared(work):
-    write(work / "exact", 12, controller={"motion": "exact"})
-    done = stats("exact", "--against", "ten", "--plot", "both.png", cwd=work)
-    assert done.returncode == 0
-    assert "differs in" in done.stdout
-    assert "controller.motion: exact != euler" in done.stdout
-    assert (work / "both.png").read_bytes().startswith(b"\x89PNG")
-    shown = stats("exact", "--against", "ten", "--format", "json", cwd=work).stdout
-    (found,) = json.loads(shown)["comparisons"]
-    assert (found["one"], found["other"], found["pairs"]) == ("exact", "ten", 10)
-    assert (found["difference"], found["verdict"]) == (0.0, None)
-
-
 def test_against_prints_what_several_folders_print(work):
     write(work / "exact", 12, controller={"motion": "exact"})
     for form in ("table", "json", "csv", "html"):
         one = stats("exact", "--against", "ten", "--format", form, cwd=work)
         assert one.stdout == stats("exact", "ten", "--format", form, cwd=work).stdout
         assert one.returncode == 0
-
-
-def test_two_experiments_in_one_batch_are_refused(work):
-    write(work / "exact", 2, first=20, controller={"motion": "exact"})
-    done = stats("ten/*.mcap", "exact/*.mcap", cwd=work)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "not the same experiment: controller.motion: euler != exact" in done.stderr
-    assert "--against" in done.stderr
-
-
-def test_a_batch_given_twice_is_refused(work):
-    shutil.copytree(work / "ten", work / "copy")
-    done = stats("ten/*.mcap", "copy", cwd=work)
-    assert done.returncode == 2
-    assert "ten/trial-000.mcap and copy/trial-000.mcap are the same trial" in done.stderr
-    assert stats("ten", "ten/*.mcap", cwd=work).returncode == 0
 
 
 def test_several_folders_are_groups_compared_two_by_two(work):
@@ -201,25 +128,6 @@ def test_several_folders_are_groups_compared_two_by_two(work):
     assert (rows[0]["one_n"], rows[0]["other_mean"]) == ("10", "355.0")
     latex = stats("ten", "exact", "--format", "latex", cwd=work).stdout
     assert "ten - exact & 10 pairs" in latex
-
-
-@pytest.mark.parametrize(
-    ("args", "code", "message"),
-    [
-        (["nowhere"], 2, "nowhere: no such file or folder"),
-        (["empty"], 2, "empty: no logs"),
-        (["*.nothing"], 2, "matches no log"),
-        (["notes.txt"], 1, "none of 1 logs can be read"),
-        (["ten", "--plot", "batch.gif"], 2, "batch.gif: cannot write '.gif' pictures"),
-        (["ten", "--format", "yaml"], 2, "yaml"),
-    ],
-)
-def test_mistakes_are_one_line_and_a_code(work, args, code, message):
-    (work / "empty").mkdir()
-    (work / "notes.txt").write_text("no log")
-    done = stats(*args, cwd=work)
-    assert (done.returncode, done.stdout) == (code, "")
-    assert message in done.stderr
 
 
 @pytest.mark.parametrize("form", first_of(["table", "json", "csv"]))

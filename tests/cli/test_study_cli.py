@@ -1,11 +1,9 @@
 """`tetractl study` from the outside: however it is run, the same table."""
 
 import csv
-import json
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 
@@ -123,64 +121,6 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     assert [bool(row["log"]) for row in found] == [True] * 4 + [False] * 4
     for row in found[:4]:
         assert trial_digest(read_trial(tmp_path / "out" / row["log"])) == row["trial_digest"]
-
-
-@pytest.mark.parametrize(
-    ("args", "says"),
-    [
-        (["--shard", "3/2"], "--shard 3/2: must be i/n"),
-        (["--logs", "some"], "--logs some: must be all, failed, sample:N or none"),
-        (["nowhere"], "--merge and the folders of the shares go together"),
-        (["--merge", "nowhere"], "nowhere: holds no trial of this study"),
-        (["--trial", "many"], "--trial many: must be ARM/N"),
-        (["--trial", "few-dead_time=0.1-a=3/0"], "it has no row in"),
-        (["--shard", "1/2", "--trial", "a/0"], "exclude each other: give one"),
-        (["--slurm", "0"], "--slurm: must be at least 1"),
-    ],
-)
-def test_bad_usage_is_told_in_a_line(args, says, tmp_path):
-    write(tmp_path)
-    done = study("study.yaml", *args, cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert says in done.stderr
-
-
-HOSTILE = [
-    "[" * 100_000,
-    '{"trial": ' * 50_000,
-    *({"trial": value} for value in ([0], 0.5, "0", 10**30)),
-    *({"trial_digest": value} for value in (5, [], "x" * 64)),
-    *({"result": value} for value in ([], "x", {"outcome": []}, {"outcome": "aborted"})),
-    {"columns": {}, "times": None, "arm_hash": 7},
-    {"count": -1, "logged": "yes", "code": ["x"], "processor": {}},
-    {"wall_s": 1e400, "cpu_s": "soon"},
-]
-
-
-def test_hostile_rows_never_end_in_a_traceback(tmp_path):
-    """Eleven kinds did, in `study` and `--merge`: each value was used as it came."""
-    write(tmp_path, SMALL)
-    run = ("study", "study.yaml", "--out", "out", "--logs", "none", "-q", "--jobs", 1)
-    assert tetractl(*run, cwd=tmp_path).returncode == 0
-    file = tmp_path / "out" / "dead_time=0.1" / "trials.jsonl"
-    rows = file.read_text().splitlines()
-    spoiled = [
-        one if isinstance(one, str) else json.dumps(json.loads(rows[1]) | one) for one in HOSTILE
-    ]
-    file.write_text("\n".join([*rows, *spoiled, ""]))
-    shutil.copytree(tmp_path / "out", tmp_path / "share")
-    codes = [
-        tetractl(*words, cwd=tmp_path).returncode
-        for words in (
-            ("study", "study.yaml", "--out", "merged", "--merge", "share"),
-            ("study", "study.yaml", "--out", "out", "--trial", "dead_time=0.1/1"),
-            ("stats", "out"),
-            ("report", "out"),
-        )
-    ]
-    assert codes == [1, 2, 1, 1]  # one of six trials is lacking, and has no row
-    assert tetractl(*run, cwd=tmp_path).returncode == 0  # it is run again
-    assert [int(row["trial"]) for row in table(tmp_path / "out")] == [0, 1, 2] * 2
 
 
 def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):

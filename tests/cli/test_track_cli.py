@@ -59,19 +59,3 @@ def test_json_has_intervals_and_says_when_the_scale_is_guessed(dish):
     assert found["scale_guessed"] is True and found["pictures"] == 120
     speeds = [cell["speed_um_s"] for cell in found["cells"] if cell["speed_um_s"]]
     assert speeds and all(s["ci95"][0] < s["value"] < s["ci95"][1] for s in speeds)
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "says"),
-    [
-        (("none.avi",), 2, "no such file"),
-        (("field.csv",), 2, "is no film"),
-        (("dish.avi", "--y-down"), 2, "--y-down belongs to --field"),
-        (("dish.avi", "--field", "none.csv"), 2, "none.csv"),
-        (("dish.avi", "--scale", "0"), 2, "--scale"),
-    ],
-)
-def test_errors_are_one_line_and_a_code(dish, words, code, says):
-    done = tetractl(dish, "track", *words)
-    assert done.returncode == code
-    assert says in done.stderr and "Traceback" not in done.stderr

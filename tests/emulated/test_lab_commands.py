@@ -114,10 +114,7 @@ def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, protoco
 
 @pytest.mark.parametrize(
     ("closed", "words", "code"),
-    [
-        (("stdout", "stderr"), (), 130),
-        (("stdout", "stderr"), ("--unattended",), 0),
-    ],
+    [(("stdout", "stderr"), (), 130), (("stdout", "stderr"), ("--unattended",), 0)],
     ids=["attended", "unattended"],
 )
 def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, closed, words, code):

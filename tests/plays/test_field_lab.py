@@ -7,10 +7,8 @@ from support.emulated_lab import FIELD_SPEC
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision
 from tetractl.emulate import firmware
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.plants import on_plant
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 
@@ -45,9 +43,3 @@ def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_pat
         clock.sleep_until(clock.now() + SECOND // 5)
         after = [(body.x, body.y) for body in lab.actuator.bodies]
         assert all(a != b for a, b in zip(before, after, strict=True))
-
-
-def test_the_spec_of_cells_has_no_wheels():
-    experiment = on_plant(parse_spec(FIELD_SPEC, "field"), "lab").experiment
-    assert experiment.wheels is None
-    assert "wheel" not in str(experiment.plant.bounds())

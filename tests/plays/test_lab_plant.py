@@ -8,7 +8,7 @@ from support.virtual_play import virtual_lab
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.errors import AbortError
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.trial_log import Origin

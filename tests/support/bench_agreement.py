@@ -18,7 +18,7 @@ from support.virtual_lab import Busy, VirtualLab, virtual_lab
 
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision
 from tetractl.core.trial import Result
 from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of

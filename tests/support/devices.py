@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.emulated_lab import APRILTAG_SPEC, FIELD_SPEC, SPEC, emulated
+from support.emulated_lab import APRILTAG_SPEC, FIELD_SPEC, SPEC, emulated, in_virtual_time
 from support.labs import STEP_NS, FakeActuator, FakeCamera, World
-from support.virtual_wires import LabClock, Network, VirtualLoop, virtual_wires
+from support.virtual_wires import LabClock
 
 from tetractl.core.clock import Clock, MonotonicClock, wait_for
 from tetractl.core.protocols import Actuator, Camera
@@ -85,15 +85,8 @@ def fake_actuator(folder: Path) -> Iterator[ActuatorRig]:
 @contextmanager
 def running(folder: Path, spec: str = SPEC) -> Iterator:
     """An emulated lab in virtual time, the experiment that leads to it, and the clock."""
-    clock = LabClock()
-    with virtual_wires(Network(), clock):
-        lab = emulated(folder, spec=spec, make_loop=VirtualLoop)
-        clock.timeline = lab.timeline
-        with lab:
-            clock.steps.insert(0, lab.loop.poll)
-            settings = [f"lab.actuator.port={lab.actuator.port.link}"]
-            settings.append(f"lab.camera.command_port={lab.camera.motive.command_port}")
-            yield lab, parse_spec(spec, "emulated", settings).experiment, clock
+    with in_virtual_time(folder, spec=spec) as (lab, clock, settings):
+        yield lab, parse_spec(spec, "emulated", settings).experiment, clock
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from tetractl.core.clock import MonotonicClock
 from tetractl.control.build import build_controller, warm_up
 from tetractl.core.trial import EPOCH_NS, Start
 from tetractl.log.write.writer import LogWriter
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision
 from tetractl.core.commands import PlantInfo
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import trial_seeds

@@ -1,8 +1,11 @@
-"""Helpers: an emulated lab in this process, turned by hand, so that no test waits for a clock."""
+"""An emulated lab in this process: turned by hand, or in virtual time over wires in memory."""
 
+import contextlib
 import socket
 from dataclasses import replace
 from pathlib import Path
+
+from support.virtual_wires import LabClock, Network, VirtualLoop, virtual_wires
 
 from tetractl.emulate.emulated_lab import EmulatedLab
 from tetractl.emulate.loop import Loop
@@ -76,6 +79,20 @@ def emulated(folder, *sets, script=NOTHING, tell=None, spec=SPEC, make_loop=Loop
     )
     extra = {} if tell is None else {"report": tell}
     return EmulatedLab(lab, loaded.experiment.setup, script, chosen, make_loop=make_loop, **extra)
+
+
+@contextlib.contextmanager
+def in_virtual_time(folder, *sets, **how):
+    """Enter an emulated lab in virtual time; return it, its clock, and the settings to reach it."""
+    clock = LabClock()
+    with virtual_wires(Network(), clock):
+        lab = emulated(folder, *sets, make_loop=VirtualLoop, **how)
+        clock.timeline = lab.timeline
+        with lab:
+            clock.steps.insert(0, lab.loop.poll)
+            motive, port = lab.camera.motive, lab.actuator.port.link
+            found = f"lab.camera.command_port={motive.command_port}", f"lab.actuator.port={port}"
+            yield lab, clock, (*sets, *found, f"lab.camera.data_port={motive.data_port}")
 
 
 def turn_until(lab, condition, turns=20_000):

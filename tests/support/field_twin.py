@@ -1,5 +1,6 @@
 """The current driver's firmware core once more, in Python, from docs/reference/wires.md."""
 
+from tetractl.core.errors import WireError
 from tetractl.emulate.firmware import CoreEvent
 from tetractl.lab import cobs
 from tetractl.lab.actuators.field.driver_protocol import (
@@ -10,7 +11,6 @@ from tetractl.lab.actuators.field.driver_protocol import (
     decode_command,
     encode_reply,
 )
-from tetractl.lab.lab_errors import WireError
 
 
 def towards_zero(numerator, denominator):

@@ -10,8 +10,8 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact
@@ -190,13 +190,7 @@ def fake_lab(setup: Setup, limits: LabLimits | None = None, **actuator: object) 
         LabSupervision(),
     )
     rig = Rig(
-        camera,
-        moved,
-        limits or LabLimits(),
-        setup,
-        clock,
-        supervision.emergency,
-        threaded=False,
+        camera, moved, limits or LabLimits(), setup, clock, supervision.emergency, threaded=False
     )
     clock.steps.append(rig.loop.step)
     return FakeLab(LabPlant(rig, supervision), camera, moved, world, clock, supervision)

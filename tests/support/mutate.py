@@ -1,6 +1,7 @@
 """Logs with one number changed, and every checksum and the digest made to fit."""
 
 import math
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from functools import reduce
 from pathlib import Path
@@ -51,6 +52,9 @@ def other(value: Any) -> Any:
         return not value
     if isinstance(value, int):
         return value + 1 if value < 2**63 - 1 else value - 1
+    if isinstance(value, bytes):
+        at = zlib.crc32(value) % len(value)  # another place in each
+        return value[:at] + bytes([value[at] ^ 1]) + value[at + 1 :]
     if isinstance(value, float):
         return value + CHANGE * (abs(value) or 1) if CHANGE else math.nextafter(value, math.inf)
     return "criterion" if value != "criterion" else "iterations"

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import pytest
 
 from tetractl.emulate.optitrack.server_wire import pack_modeldef, packed_body, section, suffix
-from tetractl.lab.cameras.optitrack.cursor import packed, packed_name
-from tetractl.lab.cameras.optitrack.frame import SIZED
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     BodyName,
     MessageKind,
@@ -16,6 +14,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     RigidBody,
     Version,
 )
+from tetractl.lab.cameras.optitrack.payloads import SIZED, packed, packed_name
 from tetractl.lab.cameras.optitrack.wire import datagram
 
 NUMBERS = "2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"

@@ -110,7 +110,7 @@ HURTING: dict[str, Any] = {
         {"type": "sticking", "every": 0.3, "duration": 0.1},
         {"type": "silent-radio", "duration": 0.1, "between": [0, 1]},
         {"type": "radio", "spread": 0.05},
-    ],
+    ]
 }
 DISTURBANCES |= {
     "hurting": HURTING,

@@ -10,7 +10,10 @@ from tetractl.core.poses import Poses
 from tetractl.core.problem import Problem
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.shapes.circle import Circle
+from tetractl.model.shapes.polygon import Polygon
 from tetractl.model.shapes.rectangle import Rectangle
+
+HOOK = np.array([(0, 0), (3, 0), (3, 2), (2.4, 2), (2.4, 0.6), (0, 0.6)])
 
 
 def world(
@@ -26,8 +29,13 @@ def world(
     things = []
     for i in range(obstacles):
         x, y = rng.uniform(100, 700, 2)
-        if i % 2:
+        if i % 3 == 1:
             things.append(Circle(type="circle", center=(x, y), radius=rng.uniform(20, 200)))
+        elif i % 3 == 2:
+            turn = rng.uniform(-4, 4)
+            c, s = np.cos(turn), np.sin(turn)
+            vertices = rng.uniform(30, 100) * HOOK @ np.array([[c, s], [-s, c]]) + (x, y)
+            things.append(Polygon(type="polygon", vertices=tuple(map(tuple, vertices))))
         else:
             width, height = rng.uniform(20, 300, 2)
             box = Rectangle(type="rectangle", left=x, bottom=y, width=width, height=height)

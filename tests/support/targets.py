@@ -18,7 +18,7 @@ from support import commands, seeds
 from support.mutate import rewrite
 from support.seeds import MS, ROOT, VERSIONS
 
-from tetractl.core.errors import LogError, SpecError, UsageError
+from tetractl.core.errors import LogError, SpecError, UsageError, WireError
 from tetractl.core.poses import CameraFrame
 from tetractl.emulate.m3pi.robot import SlaveDecoder
 from tetractl.emulate.script import parse_script
@@ -38,7 +38,6 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
-from tetractl.lab.lab_errors import WireError
 from tetractl.log.read.overview import overview
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, read_trial

@@ -18,8 +18,7 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Health
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import CameraFrame, Observation, Pose
-from tetractl.core.protocols import Controller
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import Controller, LabSupervision
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.m3pi.robot import EmulatedRobot
 from tetractl.emulate.m3pi.side import EmulatedM3pi, M3piSettings

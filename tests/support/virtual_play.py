@@ -11,17 +11,13 @@ from unittest import mock
 
 import numpy as np
 from support.cli import tetractl
+from support.emulated_lab import in_virtual_time
 from support.lab_processes import SMALL, SPEC, Played, flags
 from support.virtual_lab import Busy
-from support.virtual_wires import LabClock, Network, VirtualLoop, virtual_wires
 
 from tetractl.control.build import build_controller
 from tetractl.core.clock import SECOND
-from tetractl.emulate.emulated_lab import EmulatedLab
 from tetractl.emulate.script import NOTHING
-from tetractl.emulate.sides import Options
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import lab_of
 
 BEFORE_NS = SECOND // 2  # the lab is up that long before anything connects
 AFTER_NS = SECOND  # and is watched for that long after a play
@@ -60,37 +56,16 @@ def play(path, script, folder, *, replace_after=None, plan_s=0.0, sets=()):
 @contextlib.contextmanager
 def virtual_lab(folder, script=NOTHING, sets=(), replace_after=None, plan_s=0.0):
     """An emulated lab, with its faults counted from here on."""
-    settings = (*SMALL, *sets)
-    loaded = load_spec(SPEC, settings)
-    lab = lab_of(loaded.experiment, loaded.name)
-    options = Options(
-        command_port=0,
-        data_port=0,
-        link=folder / "radio",
-        record=folder / "emulator.jsonl",
-        replace_after=replace_after,
-    )
-    network, clock = Network(), LabClock()
 
     def controller(experiment, key):
         rng = np.random.default_rng(1)
         return Busy(build_controller(experiment, key), clock, rng, plan_s, 0.0)
 
+    spec, sets = SPEC.read_text("utf-8"), (*SMALL, *sets)
+    how = {"spec": spec, "script": script, "replace_after": replace_after}
     with (
-        virtual_wires(network, clock),
+        in_virtual_time(folder, *sets, **how) as (emulation, clock, settings),
         mock.patch("tetractl.run.task.build_controller", controller),
     ):
-        setup = loaded.experiment.setup
-        emulation = EmulatedLab(lab, setup, script, options, make_loop=VirtualLoop)
-        clock.timeline = emulation.timeline
-        with emulation:
-            clock.steps.insert(0, emulation.loop.poll)
-            found = Lab(emulation, clock, options.record, settings)
-            (ready,) = found.events("ready")
-            found.settings += (
-                f"lab.camera.command_port={ready['command_port']}",
-                f"lab.camera.data_port={ready['data_port']}",
-                f"lab.actuator.port={ready['port']}",
-            )
-            clock.sleep_until(BEFORE_NS)
-            yield found
+        clock.sleep_until(BEFORE_NS)
+        yield Lab(emulation, clock, folder / "record.jsonl", settings)

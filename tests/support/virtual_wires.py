@@ -27,7 +27,7 @@ HOST_CLOCKS = (
     "tetractl.core.clock",
     "tetractl.experiment.lab_section",
     "tetractl.lab.actuators.m3pi.calibrate",
-    "tetractl.lab.actuators.m3pi.stop_sequence",
+    "tetractl.lab.actuators.m3pi.serial_protocols",
     "tetractl.plant.lab_plant",
 )
 Address = tuple[str, int]
@@ -290,7 +290,8 @@ def virtual_wires(network, clock):
             *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
             ("tetractl.lab.cameras.optitrack.camera.socket", SocketModule(network)),
             ("tetractl.emulate.optitrack.motive._bound", network.bound),
-            ("tetractl.emulate.port.PseudoPort", MemoryPort),
+            ("tetractl.emulate.m3pi.side.PseudoPort", MemoryPort),
+            ("tetractl.emulate.field.PseudoPort", MemoryPort),
             ("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial),
             ("tetractl.lab.actuators.field.driver.SerialPort", MemorySerial),
         ):

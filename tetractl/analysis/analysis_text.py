@@ -42,6 +42,10 @@ def tables(found: Analysis) -> list[Table]:
         facts.append(
             ("smallest difference of a", f"{100 * found.gap:.3g} % ({', '.join(found.alike)})")
         )
+    if setup.hold is not None and setup.wheel_radius is None:
+        least = setup.speed / setup.a.min()
+        circles = ", ".join(f"{name} {r:.3g}" for name, r in zip(names, least, strict=True))
+        facts.append((f"smallest circles of all together, v / least a [{unit}]", circles))
     title = f"{setup.name}: {robots}, {SAYS}"
     if here is None:
         return [Table.of_texts(title, ("figure", "value"), facts), *_maps(found)]

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from tetractl.cli.options import Sets, load
+from tetractl.cli.options import Sets, load, progress
 from tetractl.core.errors import Exit
 
 
@@ -35,9 +35,6 @@ def analyze(
 
     Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from tetractl.analysis.analysis_text import advice, tables
     from tetractl.analysis.analysis_text import as_json as items
     from tetractl.analysis.analyze import analyze as found_of
@@ -50,12 +47,8 @@ def analyze(
 
         file_format(out)  # before anything is searched
     experiment = load(spec, sets or []).experiment
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("Planning", total=None)
-        found = found_of(
-            experiment, plans, lambda done, all_: bar.update(task, completed=done, total=all_)
-        )
+    with progress("Planning") as planned:
+        found = found_of(experiment, plans, planned)
     if as_json or form == "json":
         print(json_text(items(found)))
     else:

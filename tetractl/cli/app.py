@@ -42,7 +42,7 @@ from tetractl.cli import (
 from tetractl.core.errors import Exit, TetractlError
 from tetractl.core.text import printable
 
-PLAIN = (  # what the library says of a bad value, and how the errors of a spec say it
+PLAIN = (  # what typer writes of a bad value, and how errors of specs are worded
     ("Input should be a valid integer, unable to parse string as an integer", "is no whole number"),
     ("Input should be a valid number, unable to parse string as a number", "is no number"),
     ("Input should be greater than or equal to", "must be at least"),
@@ -54,7 +54,7 @@ PLAIN = (  # what the library says of a bad value, and how the errors of a spec 
 
 
 class _Plain:
-    """A command whose help shows what to type, and no types of Python's."""
+    """A command whose help shows choices and placeholders of values, not their Python types."""
 
     def get_params(self, ctx: Any) -> Any:
         found = super().get_params(ctx)  # type: ignore[misc]
@@ -169,7 +169,7 @@ def run_app() -> int:
 
 
 def _plainly(message: str) -> str:
-    """Return the library's message on a bad option in the words of a spec's errors."""
+    """Return typer's message on a bad option, worded as errors of specs are."""
     for theirs, ours in PLAIN:
         message = message.replace(theirs, ours)
     return re.sub(r"^'(--?[\w-]+)':", r"\1:", message)

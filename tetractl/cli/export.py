@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from tetractl.cli.options import progress
 from tetractl.core.errors import Exit, UsageError
 
 
@@ -38,19 +39,16 @@ def export(
 
     Example: tetractl export logs/three-m3pi -o tables --format parquet
     """
-    from rich.console import Console
-    from rich.progress import track
-
     from tetractl.core.errors import LogError
     from tetractl.core.table.table_files import TableFiles
     from tetractl.log.read.find import find_logs
     from tetractl.results.trial_tables import of_log
 
     paths, kind = _files(output, table, format_name)
-    found, console, unread = find_logs(logs), Console(stderr=True), 0
-    tracked = track(found, "reading logs", console=console, disable=not console.is_terminal)
-    with TableFiles(paths, kind) as files:
-        for path in tracked:
+    found, unread = find_logs(logs), 0
+    with TableFiles(paths, kind) as files, progress("Reading logs") as on_log:
+        for number, path in enumerate(found):
+            on_log(number, len(found))
             try:
                 added = of_log(path, paths)
             except LogError as error:

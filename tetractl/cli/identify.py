@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tetractl.cli.options import open_trial
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
@@ -47,11 +48,9 @@ def identify(
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
     """
     from tetractl.log.read.find import find_logs
-    from tetractl.log.read.reader import read_trial
     from tetractl.replay.identification.csv_tracks import csv_tracks
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import track_of
-    from tetractl.view.terminal.damage import warn_of_damage
 
     refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
@@ -63,8 +62,7 @@ def identify(
     tracks: list[Track] = []
     expected, dead_time, damaged = None, 0.0, False
     for path in find_logs(logs):
-        log = read_trial(path)
-        warn_of_damage(log)
+        log = open_trial(path)
         damaged |= log.damage is not None
         if not any(command.direction is not None for command in log.commands):
             print(f"warning: {path}: no direction was sent in it", file=sys.stderr)

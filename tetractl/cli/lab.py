@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.lab_section import LabSection
-    from tetractl.lab.actuators.xbee.section import XbeeSection
+    from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
 HELP = "Check, calibrate, stop or emulate the lab of a spec."
 
@@ -98,7 +98,7 @@ def stop(
         lab, experiment = _lab(spec, sets)
         stop_all = partial(lab.actuator.stop_all, experiment.setup)
     else:
-        from tetractl.lab.actuators.m3pi import stop_sequence as m3pi
+        from tetractl.lab.actuators.m3pi import serial_protocols as m3pi
 
         stop_all = partial(m3pi.stop_all, _xbee(port or "", baud, mode))
     try:
@@ -189,7 +189,7 @@ def _xbee(port: str, baud: int, mode: str) -> "XbeeSection":
     from pydantic import ValidationError
 
     from tetractl.experiment.yaml.explain import words
-    from tetractl.lab.actuators.xbee.section import XbeeSection
+    from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
     try:
         return XbeeSection.model_validate({"port": port, "baud": baud, "mode": mode})

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from tetractl.core.protocols import Observer
-    from tetractl.core.supervision import LabSupervision
+    from tetractl.core.protocols import LabSupervision, Observer
     from tetractl.run.batch import Report, TrialStore
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.task import Task
@@ -36,7 +35,7 @@ def run_in_lab(
     """
     from rich.console import Console
 
-    from tetractl.core.supervision import LabSupervision
+    from tetractl.core.protocols import LabSupervision
     from tetractl.run.batch import run_batch
     from tetractl.run.executors import Here
     from tetractl.view.terminal.lab_watch import LabWatch, TerminalPrompt

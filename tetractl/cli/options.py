@@ -1,7 +1,8 @@
 """What several commands share: options, loading a spec, its warnings, asking before robots move."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,8 @@ from tetractl.core.errors import UsageError
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
-    from tetractl.run.plausibility.warnings import PlacedWarning
+    from tetractl.log.read.trial_log import TrialLog
+    from tetractl.run.plausibility import PlacedWarning
 
 Sets = Annotated[
     list[str] | None,
@@ -40,12 +42,32 @@ def load(path: Path, sets: Sequence[str]) -> "LoadedSpec":
 
 def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[PlacedWarning, ...]":
     """Print the warnings of a spec that was loaded with `sets`, and return them."""
-    from tetractl.run.plausibility.warnings import find_warnings
+    from tetractl.run.plausibility import find_warnings
 
     found = find_warnings(loaded, sets)
     for warning in found:
         print(f"warning: {warning}", file=sys.stderr)
     return found
+
+
+def open_trial(path: Path) -> "TrialLog":
+    """Return the trial of a log, with what is damaged in it on stderr."""
+    from tetractl.log.read.reader import read_trial
+
+    log = read_trial(path)
+    warn_of_damage(log)
+    return log
+
+
+def warn_of_damage(log: "TrialLog") -> None:
+    """Print a damaged log's problems and losses to stderr."""
+    from tetractl.core.text import printable
+
+    if log.damage:
+        for problem in log.damage.problems:
+            print(printable(f"damaged: {log.path}: {problem}"), file=sys.stderr)
+        for lost in log.damage.lost:
+            print(printable(f"lost: {log.path}: {lost}"), file=sys.stderr)
 
 
 def refuse(found: "Sequence[PlacedWarning]") -> None:
@@ -64,7 +86,19 @@ def require_confirmation(yes: bool) -> None:
         )
 
 
+@contextmanager
+def progress(what: str) -> "Iterator[Callable[[int, int | None], object]]":
+    """Show a bar on a terminal; yields what to call with the numbers done and of all."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, count: bar.update(task, completed=done, total=count)
+
+
 def announce_compiling(quiet: bool, text: str) -> None:
-    """Say on stderr that code is compiled; on a terminal even to who asked for quiet, who waits."""
+    """Print on stderr that code is compiled; with `quiet` only on a terminal."""
     if not quiet or sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from tetractl.cli.options import open_trial, progress
 from tetractl.core.errors import Exit, UsageError
 
 VIDEO = "video"
@@ -50,10 +51,8 @@ def plot(
     """
     from tetractl.core.text import printable
     from tetractl.log.read.find import find_logs
-    from tetractl.log.read.reader import read_trial
     from tetractl.view.figures.draw import check_kind, draw
     from tetractl.view.style import file_format, save
-    from tetractl.view.terminal.damage import warn_of_damage
 
     if kind == VIDEO:
         return _film(find_logs(logs), output)
@@ -61,34 +60,22 @@ def plot(
     logs = find_logs(logs)
     path = output or _default_name(logs, kind)
     file_format(path)
-    trials = [read_trial(log) for log in logs]
-    for trial in trials:
-        warn_of_damage(trial)
+    trials = [open_trial(log) for log in logs]
     save(draw(kind, trials), path)
     print(printable(str(path)))
     return Exit.FAILED if any(trial.damage for trial in trials) else Exit.DONE
 
 
 def _film(logs: list[Path], output: Path | None) -> int:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from tetractl.log.read.reader import read_trial
     from tetractl.view.film import check_file, write_video
-    from tetractl.view.terminal.damage import warn_of_damage
 
     if len(logs) > 1:
         raise UsageError(f"a film shows one trial, not {len(logs)}", "give one log")
     path = output or _default_name(logs, VIDEO).with_suffix(".gif")
     check_file(path)
-    log = read_trial(logs[0])
-    warn_of_damage(log)
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("drawing", total=None)
-        speed = write_video(
-            log, path, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    log = open_trial(logs[0])
+    with progress("Drawing") as on_picture:
+        speed = write_video(log, path, on_picture)
     if speed > 1:
         print(f"plays {speed} times faster than the trial", file=sys.stderr)
     print(path)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import Yes
+from tetractl.cli.options import Yes, open_trial
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit
 
@@ -41,23 +41,20 @@ def redrive(
     from tetractl.cli.trials import drive
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.log.read.find import find_log
-    from tetractl.log.read.reader import read_trial
     from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
     from tetractl.replay.rerun import recorded
     from tetractl.run.store import default_folder
     from tetractl.view.style import file_format
-    from tetractl.view.terminal.damage import warn_of_damage
 
     if picture is not None:
         file_format(picture)
     log = find_log(log)
-    was = read_trial(log)
-    warn_of_damage(was)
+    was = open_trial(log)
     spec, trial = recorded(log, plant.value)
     spec = sequence_spec(spec, *recorded_directions(was))
     folder = out or default_folder(f"{spec.experiment.name}-again", datetime.now(UTC))
     path = drive(spec, folder, trial, yes)
-    again = read_trial(path)
+    again = open_trial(path)
     apart = paths_apart(was, again)
     print(f"{log} ({was.origin.value}) and {path} ({again.origin.value}), open loop")
     print_tables([_table(apart)])

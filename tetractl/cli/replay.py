@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tetractl.cli.options import open_trial
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -77,7 +78,6 @@ def _on_screen(
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.player import Playback, Player, span
     from tetractl.replay.recording import Recording
-    from tetractl.view.terminal.damage import warn_of_damage
     from tetractl.view.terminal.replay_screen import play
 
     def opened(index: int) -> Player:
@@ -96,9 +96,8 @@ def _on_screen(
         )
         return player
 
-    first = Recording(read_trial(paths[0]))
+    first = Recording(open_trial(paths[0]))
     played = span(first, *seconds)
-    warn_of_damage(first.log)
     damaged = first.log.damage is not None
     player = Player(first, wall, played, rate=rate, loop=loop, paused=paused)
     if play(Console(), player, len(paths), opened):
@@ -114,16 +113,13 @@ def _as_text(
     loop: bool,
 ) -> int:
     from tetractl.core.text import printable
-    from tetractl.log.read.reader import read_trial
     from tetractl.replay.player import span
     from tetractl.replay.recording import Recording
-    from tetractl.view.terminal.damage import warn_of_damage
     from tetractl.view.terminal.replay_text import print_lines
 
     damaged = False
     for path in paths:
-        recording = Recording(read_trial(path))
-        warn_of_damage(recording.log)
+        recording = Recording(open_trial(path))
         damaged |= recording.log.damage is not None
         if len(paths) > 1:
             print(printable(f"{path}:"))

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from tetractl.cli.options import progress
 from tetractl.core.errors import Exit, UsageError
 
 
@@ -29,21 +30,14 @@ def report(
 
     Example: tetractl report logs/three-m3pi -o report.html
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from tetractl.core.files import save_whole
     from tetractl.report import page
 
     if not output.parent.is_dir():  # before anything is read
         raise UsageError(f"{output}: there is no folder {output.parent}")
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("reading logs", total=None)
-        html, unread = page.report(
-            logs, title, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    with progress("Reading logs") as on_log:
+        html, unread = page.report(logs, title, on_log)
     save_whole(output, html.encode())
     for problem in unread:
         print(f"warning: {problem}", file=sys.stderr)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from tetractl.cli.options import warn_of_damage
 from tetractl.cli.serving import (
     LICHTBLICK,
     PORT,
@@ -80,7 +81,6 @@ def serve(
     from tetractl.replay.recording import Recording
     from tetractl.run.interrupt import interrupted_once
     from tetractl.serve.server import FOXGLOVE, LoopbackServer
-    from tetractl.view.terminal.damage import warn_of_damage
 
     path, wall = find_log(what), MonotonicClock()
     contents = scan(path)

@@ -73,7 +73,7 @@ def print_forwarding(server: "LoopbackServer") -> None:
 
 
 def link(viewer: str, kind: str, address: str) -> str:
-    """Return the address that opens a source of data, of a kind and at an address, in a viewer."""
+    """Return the address at which `viewer` opens the data source of a kind at `address`."""
     return f"{viewer.rstrip('/')}/?{urlencode({'ds': kind, 'ds.url': address})}"
 
 

@@ -1,13 +1,13 @@
 """`tetractl stats`: statistics of batches, and how they compare."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from tetractl.cli.options import progress
 from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
@@ -59,7 +59,6 @@ def stats(
     """
     from tetractl.results.contrast import contrast
     from tetractl.results.open_batch import one_source, sources
-    from tetractl.results.show_statistics import show
 
     if plot:
         from tetractl.view.style import file_format
@@ -74,6 +73,24 @@ def stats(
     return Exit.DONE if found.whole else Exit.FAILED
 
 
+def show(found: "GroupComparison", form: str) -> None:
+    """Print groups and their comparisons to stdout."""
+    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import csv_text
+    from tetractl.core.table.terminal_table import TEXTS, print_tables
+    from tetractl.results.items import as_items, data_table
+    from tetractl.results.tables import tables
+
+    if form == "table":
+        print_tables(tables(found))
+    elif form == "json":
+        print(json_text(as_items(found)), flush=True)
+    elif form == "csv":
+        print(csv_text(data_table(found)), end="")
+    else:
+        print(TEXTS[form](tables(found)))
+
+
 def _described(listed: "Sequence[Source]") -> "list[Group]":
     """Read and describe batches; name what is damaged on stderr."""
     from tetractl.core.errors import LogError
@@ -82,7 +99,7 @@ def _described(listed: "Sequence[Source]") -> "list[Group]":
 
     groups = []
     for source in listed:
-        with _progress() as on_log:
+        with progress("Reading logs") as on_log:
             batch = source.read(on_log)
         for trial in batch.trials:
             if trial.recovered:
@@ -104,15 +121,3 @@ def _draw(found: "GroupComparison", file: Path) -> None:
     few = len(found.groups) <= 2
     save(batch_figure(found.groups) if few else distributions_figure(found.groups), file)
     print(f"wrote {file}", file=sys.stderr)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], object]]:
-    """Show a bar on a terminal; yields what to call with the numbers of logs read and of all."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("Reading logs")
-        yield lambda done, count: bar.update(task, completed=done, total=count)

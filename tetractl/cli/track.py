@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tetractl.cli.options import progress
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -51,9 +52,6 @@ def track(
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from tetractl.core.table.data import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.film.field_file import read_field
@@ -68,16 +66,12 @@ def track(
         raise UsageError(f"{out}: exists already", "name another with --out")
     directions = None if field is None else read_field(field, y_down)
     pictures = open_film(film, rate)
-    with Progress(
-        console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
-    ) as bar:
-        task = bar.add_task("following", total=None)
-        found = follow(pictures, scale, directions, lambda number: bar.advance(task))
-        task = bar.add_task("fitting", total=None)
-        cells, _ = summarise(found, directions, lambda: bar.advance(task))
-        if out is not None:
-            task = bar.add_task("writing", total=None)
-            _write(out, pictures, found, cells)
+    with progress("Following") as on_picture:
+        found = follow(pictures, scale, directions, lambda number: on_picture(number, None))
+    with progress("Fitting"):
+        cells, _ = summarise(found, directions)
+    if out is not None:
+        _write(out, pictures, found, cells)
     if as_json:
         print(json_text(as_items(found, cells)))
     else:

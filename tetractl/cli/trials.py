@@ -260,10 +260,10 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
 
 
 def _print_statistics(folder: Path, json: bool) -> None:
+    from tetractl.cli.stats import show
     from tetractl.results.contrast import contrast
     from tetractl.results.describe import describe
     from tetractl.results.open_batch import open_batch
-    from tetractl.results.show_statistics import show
     from tetractl.run.interrupt import interrupted_once
 
     with interrupted_once():

@@ -40,7 +40,7 @@ def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
     from tetractl.core.text import printable
     from tetractl.experiment.load import spec_hash
     from tetractl.experiment.yaml.problems import InvalidSpecError
-    from tetractl.run.plausibility.context import CheckContext
+    from tetractl.run.plausibility import CheckContext
 
     shown = printable(str(path))
     try:

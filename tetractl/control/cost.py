@@ -9,7 +9,12 @@
 A sequence is counted here, as in Algorithm 2, by its length L in signals: u(k), ..., u(k+L-1). The
 paper's horizon in (7)-(12) is h = L - 1. The prediction s(k+j|k) comes from (4)-(6) or from one of
 the other motions in `tetractl.model.motion`. Where robots are to keep a separation, beyond the
-paper, P also counts each pair of robots at each predicted position where they are nearer.
+paper, P also counts each pair of robots at each predicted position where they are nearer. Where
+robots are to stay `within` R of their targets, also beyond the paper,
+
+    f(u) = R sum_i mean_j h(|| s_i(k+j|k) - tar_i || / R),   h(d > 1) = 1 + STRAY (d - 1),
+
+which is R times the shares of time outside, summed, and a little for how far.
 """
 
 from dataclasses import dataclass
@@ -21,6 +26,9 @@ from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
+
+STRAY = 0.3
+"""Cost of a hold radius further away, where that of being outside is 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +110,12 @@ def evaluate(problem: Problem, signals: Floats) -> Costs:
 def costs_along(problem: Problem, path: Floats) -> Costs:
     """Evaluate (7)-(9) along B predicted paths, shape (L + 1, B, N, 3); raises as `evaluate`."""
     x, y = path[..., 0], path[..., 1]
-    miss = np.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])
+    if problem.within is None:
+        miss = np.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])
+    else:
+        away = np.hypot(x[1:] - problem.targets[:, 0], y[1:] - problem.targets[:, 1])
+        beyond = away / problem.within - 1
+        miss = problem.within * np.where(beyond > 0, 1 + STRAY * beyond, 0.0).mean(axis=0)
     target = miss.sum(axis=-1)  # (8)
     if problem.swept:
         hits = problem.obstacles.cross(x[:-1], y[:-1], x[1:], y[1:])

@@ -22,12 +22,14 @@ drive (`estimate`) and lost commands inferred with it, margins may follow the un
 (`collision.adaptive`), robots pause before an obstacle that no plan avoids
 (`stop_before_collision`), longer sequences be searched where no short one ends at the targets
 (`accept_error`), the stop come between two steps (`stop_between`), an optimiser may count costs as
-equally good, and the searches of a step may be limited.
+equally good, the searches of a step may be limited, and robots may pass way-points (`robots.via`)
+and stay at their targets (`hold`).
 """
 
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -38,6 +40,7 @@ from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.filter import warm_up as warm_up_filter
 from tetractl.control.fixed_sequence import given_search
+from tetractl.control.holding import CircleSearch, signals_ahead
 from tetractl.control.lengths import (
     Candidate,
     Searcher,
@@ -60,6 +63,8 @@ from tetractl.experiment.controller import OptimizerSection, Square, same
 
 RESTED_S = 2.0
 """Time after a pause before there is another one because no safe plan was found [s]."""
+PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
+"""How a leg ends after which the next one begins."""
 LATE = 2.0
 """Dead times that a stop may come late: it may be lost once."""
 
@@ -76,6 +81,7 @@ class Mpc:
         setup: Setup,
         key: int,
         optimizer: Optimizer,
+        circler: Optimizer,
         timer: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         self.section = section
@@ -83,14 +89,15 @@ class Mpc:
         prior = section.prior.of(problem, section.dead_time) if section.estimate else None
         square = isinstance(section.first_plan, Square)
         self.estimator = StateEstimator(problem, section.period, section.dead_time, prior, square)
-        walls = setup.arena if section.collision.walls else None
-        self.margins = Margins(setup.obstacles, walls, setup.targets)
+        self.setup, self.legs, self.leg = setup, setup.legs, 0
+        self.hold, self.stands = setup.hold, setup.wheel_radius is not None
+        self.held: tuple[int, Outcome] | None = None  # when robots arrived that hold, and how
+        self._begin_leg()
         self.key = key
-        self.optimizer = optimizer
+        self.optimizer, self.circler = optimizer, circler
         self.timer = timer
-        self.accept = section.accept_error  # total error accepted now
         self.k = 0
-        self.warm: Floats | None = None  # u_(warm), None before step 0
+        self.moving = False
         self.blocked = False  # whether the last plan touches an obstacle or its margin
         self.began = 0  # k at which a plan was made from standing
         self.stuck = False  # whether nothing could move safely from standing
@@ -109,9 +116,63 @@ class Mpc:
         if self.warm is not None and phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
         first_period = (self.section.hold - phase) * self.section.period
-        problem = self._problem(
-            self.estimator.seen(observation, last_command, earlier), first_period
-        )
+        known = self.estimator.seen(observation, last_command, earlier)
+        while True:
+            targets = self.legs[min(self.leg, len(self.legs) - 1)]
+            problem = self._problem(replace(known, targets=targets), first_period)
+            decision = (self._drive if self.held is None else self._stay)(problem, observation)
+            if isinstance(decision, Plan):
+                self.moving = not decision.pauses
+                return replace(decision, leg=self.leg)
+            if decision not in PASSED or self.stuck or self.leg == self.last_leg:
+                return decision
+            self.leg += 1
+            if self.leg < len(self.legs):
+                self._begin_leg()
+            else:
+                self.held, self.warm = (observation.sampled_ns, Outcome(decision)), None
+
+    @property
+    def last_leg(self) -> int:
+        """The leg that the trial ends with: to the targets, or the hold."""
+        return len(self.legs) - (self.hold is None)
+
+    def _begin_leg(self) -> None:
+        """Plan for the next way-points or targets from where the robots are."""
+        walls = self.setup.arena if self.section.collision.walls else None
+        self.margins = Margins(self.setup.obstacles, walls, self.legs[self.leg])
+        self.accept = self.section.accept_error  # total error accepted now
+        self.warm: Floats | None = None  # u_(warm), None before there is any
+
+    def _stay(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
+        """Keep the robots within the radius of the hold until its time is over."""
+        assert self.hold is not None
+        assert self.held is not None
+        since, outcome = self.held
+        if observation.sampled_ns - since >= round(self.hold.seconds * SECOND):
+            return outcome
+        if self.k > self.section.steps_max:
+            return Outcome.STEPS_MAX
+        if not self.stands:
+            return self._circle(replace(problem, within=self.hold.radius))
+        gaps = problem.poses.distances(problem.targets)
+        if self.warm is None and (gaps <= self.hold.radius).all():
+            return self._pause(problem)
+        decision = self._drive(problem, observation)
+        return decision if isinstance(decision, Plan) or self.stuck else self._pause(problem)
+
+    def _circle(self, problem: Problem) -> Plan:
+        """Return the directions that keep robots near which cannot stand."""
+        step_key, limits = mix(self.key, self.k), Limits(None, self._expired())
+        length = signals_ahead(problem.period)
+        found = self.circler.search(problem, length, self.warm, step_key, limits)
+        self.warm = found.signals
+        self.k += 1
+        plan = make_plan(problem, [found], 0, step_key)
+        return replace(plan, estimate=self.estimator.estimate)
+
+    def _drive(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
+        """Decide the next direction on the way to the problem's targets."""
         gaps = problem.poses.distances(problem.targets)
         if self.section.arrived(gaps):  # lines 13-15
             return Outcome.ARRIVED
@@ -179,7 +240,8 @@ class Mpc:
             return None
         if len(self.warm) > 0 and self.section.accept_error == 0:
             return None
-        period = self.section.period if self.section.stop_between else 0.0
+        between = self.section.stop_between and self.leg == self.last_leg  # else nothing stops
+        period = self.section.period if between else 0.0
         if 0 < self.accept < float((gaps - problem.speed * period).sum()):
             return None  # at full speed no stop would be near enough
         stopping = best_stop(problem, self.estimator.held_at_action(observation), period)
@@ -234,7 +296,7 @@ class Mpc:
         return candidates(self.warm, self.section.horizon_max)
 
     def _expired(self) -> Callable[[], bool]:
-        if self.section.deadline is None or self.warm is None:
+        if self.section.deadline is None or (self.warm is None and not self.moving):
             return never
         end = self.timer() + round(self.section.deadline * SECOND)
         return lambda: self.timer() >= end
@@ -280,6 +342,8 @@ def make_plan(
 class MpcSection(MpcFields):
     """Model predictive control, Algorithm 2, with any optimiser; the paper's is PSO."""
 
+    tours: ClassVar[bool] = True
+
     def build(
         self,
         setup: Setup,
@@ -288,7 +352,7 @@ class MpcSection(MpcFields):
         timer: Callable[[], int] = time.perf_counter_ns,
     ) -> Mpc:
         """Return the controller of one trial."""
-        return Mpc(self, setup, key, wrap(self.optimizer), timer)
+        return Mpc(self, setup, key, wrap(self.optimizer), wrap(CircleSearch()), timer)
 
     def warm_up(self, setup: Setup) -> None:
         """Search one signal for the robots at their starts, predict where it leads, and identify

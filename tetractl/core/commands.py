@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from tetractl.core.cell_film import CellFilm
 from tetractl.core.poses import Floats, Observation, Poses
 
 HALTS = "halts"
@@ -10,10 +11,14 @@ HALTS = "halts"
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One camera frame, and the true poses at its exposure in a simulation, else None."""
+    """One camera frame, and the true poses at its exposure in a simulation, else None.
+
+    `film` is what a camera that follows cells has of the picture.
+    """
 
     observation: Observation
     truth: Poses | None
+    film: CellFilm | None = None
 
 
 @dataclass(frozen=True, slots=True)

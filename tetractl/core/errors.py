@@ -47,3 +47,10 @@ class ControlError(TetractlError):
 
 class AbortError(TetractlError):
     """The plant refuses to go on (a fault in the lab); the robots are stopped."""
+
+
+class WireError(ValueError):
+    """Bytes that do not follow a wire format, or values that do not fit into one.
+
+    Receivers drop and count; nothing else is ever raised by the parsers of `tetractl.lab`.
+    """

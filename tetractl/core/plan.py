@@ -19,7 +19,7 @@ class Outcome(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> "Outcome | None":
-        """Return the outcome that log format 1 calls otherwise."""
+        """Return the outcome for the name that log format 1 has for it."""
         return cls.SEQUENCE_COMPLETED if value == "sequence used up" else None
 
     @property
@@ -128,7 +128,8 @@ class Plan:
     `chosen` indexes the best. `generator` is the key all random draws of this step came from.
     `estimate` is what the plan was made with, None where the controller estimates nothing. With
     `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
-    then not sent. With `pauses` all robots are stopped instead, and stand for PAUSE_S.
+    then not sent. With `pauses` all robots are stopped instead, and stand for PAUSE_S. `leg` counts
+    the way-points passed; one more than all of them while the robots hold.
     """
 
     signals: Floats
@@ -142,6 +143,7 @@ class Plan:
     estimate: Estimate | None = None
     field_off: bool = False
     pauses: bool = False
+    leg: int = 0
 
     @property
     def direction(self) -> float | None:

@@ -41,7 +41,8 @@ class Problem:
     instead of the positions alone. Two robots are to keep `separation` between their centres at the
     predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added to the
     direction that each robot turns towards, and `flow` (N, 2) [length unit/s] carries it; None for
-    none. A problem is equal to itself alone, so that what is computed from it can be kept by it.
+    none. With `within` [length unit] the robots are to stay that near to their targets. A problem
+    is equal to itself alone, so that what is computed from it can be kept by it.
     """
 
     poses: Poses
@@ -57,6 +58,7 @@ class Problem:
     separation: float = 0.0
     bias: Floats | None = None
     flow: Floats | None = None
+    within: float | None = None
 
     @property
     def drift(self) -> Floats:

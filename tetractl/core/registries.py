@@ -130,6 +130,8 @@ STATISTICS = Registry(  # in the order of the tables
         "clearance": "tetractl.results.outcomes:CLEARANCE",
         "edge": "tetractl.results.outcomes:EDGE",
         "apart": "tetractl.results.outcomes:APART",
+        "way_points": "tetractl.results.outcomes:WAY_POINTS",
+        "time_inside": "tetractl.results.outcomes:TIME_INSIDE",
         "aborted": "tetractl.results.outcomes:ABORTED",
         "interrupted": "tetractl.results.outcomes:INTERRUPTED",
         "recovered": "tetractl.results.outcomes:RECOVERED",

@@ -1,12 +1,13 @@
 """The numbers of an experiment as arrays, computed once."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.tour import HoldTask
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """Metres in each length unit a spec may declare."""
@@ -89,6 +90,8 @@ class Setup:
     rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the largest
     number of control steps and `iterations_max` that of an optimiser's iterations in one search.
     `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without wheels.
+    `way_points` (M, N, 2) are passed before the targets, by all robots together; `hold` is what
+    comes after, None for the end of the trial.
     """
 
     name: str
@@ -106,6 +109,15 @@ class Setup:
     steps_max: int
     iterations_max: int
     wheel_radius: float | None
+    way_points: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    hold: HoldTask | None = None
+
+    @property
+    def legs(self) -> Floats:
+        """Where the robots are to be one after the other, way-points and targets: (M + 1, N, 2)."""
+        return np.concatenate(
+            [self.way_points.reshape(-1, *self.targets.shape), self.targets[None]]
+        )
 
     def only(self, robots: Sequence[int]) -> "Setup":
         """Return the setup of some of the robots, by their indices."""
@@ -116,6 +128,7 @@ class Setup:
             colors=tuple(self.colors[i] for i in some),
             starts=Poses.of(self.starts.array()[some]),
             targets=self.targets[some],
+            way_points=self.legs[:-1, some],
             a=self.a[some],
             speed=self.speed[some],
         )

@@ -11,6 +11,7 @@ from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
+from tetractl.core.tour import TourMeasure
 
 Integers = NDArray[np.int64]
 
@@ -64,7 +65,9 @@ class Result:
 
     `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
     their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
-    from the opening of the plant where none was sent. `solve_ns` is the wall time the controller
+    from the opening of the plant where none was sent. `passed` (M,) are the sums of distances at
+    the way-points passed and `inside` (N,) the shares of time within the radius of a hold, as
+    `TourMeasure` has them. `solve_ns` is the wall time the controller
     spent on each control step; it and `deadline_misses`, the steps that took longer than the
     control period, differ from run to run on the same seed.
     """
@@ -78,6 +81,8 @@ class Result:
     verdict: Verdict
     solve_ns: tuple[int, ...] = field(repr=False)
     deadline_misses: int = 0
+    passed: tuple[float, ...] = ()
+    inside: tuple[float, ...] = ()
 
     @classmethod
     def of(
@@ -90,6 +95,7 @@ class Result:
         duration_s: float,
         solve_ns: tuple[int, ...],
         deadline_misses: int,
+        tour: TourMeasure,
     ) -> Self:
         """Return the result of a trial that ended in the poses of a verdict."""
         errors = verdict.final.distances(setup.targets)
@@ -103,6 +109,8 @@ class Result:
             verdict=verdict,
             solve_ns=solve_ns,
             deadline_misses=deadline_misses,
+            passed=tour.passed,
+            inside=tour.inside,
         )
 
     @property
@@ -146,6 +154,16 @@ class TrialRecords:
     steps: tuple[Step, ...]
     notes: tuple[Note, ...]
     result: Result | None
+
+    @property
+    def tour(self) -> TourMeasure:
+        """How the robots passed their way-points and held, up to the stop."""
+        setup, stops = self.start.setup, [one.sent_ns for one in self.commands if one.stops]
+        found = TourMeasure(setup.legs, setup.hold)
+        for step in self.steps:
+            found.step(step.plan.leg, step.observation)
+        found.add(map(self.sample, range(len(self.frames))), max(stops, default=None))
+        return found
 
     def sample(self, i: int) -> Sample:
         """Return the camera frame in row `i`."""

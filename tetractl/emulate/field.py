@@ -13,18 +13,18 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
+from tetractl.core.errors import WireError
 from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture, walls_of
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.emulate.loop import Loop, Timeline
-from tetractl.emulate.port import PluggedSide, PseudoPort
+from tetractl.emulate.port import PluggedDevice, PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.lab.actuators.field.coils import Pair
 from tetractl.lab.actuators.field.driver_protocol import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.lab_errors import WireError
 
 STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver
 LAG_S = 0.004  # 20 mH over 5 ohm
@@ -113,10 +113,7 @@ class CurrentDriver:
                 continue
             currents = [command.x_ma, command.y_ma]
             self._tell(
-                "command",
-                sequence=command.sequence,
-                flags=int(command.flags),
-                currents_ma=currents,
+                "command", sequence=command.sequence, flags=int(command.flags), currents_ma=currents
             )
 
     def _step(self) -> None:
@@ -176,7 +173,7 @@ FAULTS = (
 )
 
 
-class EmulatedField(PluggedSide):
+class EmulatedField(PluggedDevice):
     """A current driver on a pseudo-terminal, and the cells between its coils."""
 
     Settings: ClassVar[type[Model]] = FieldSettings
@@ -186,7 +183,7 @@ class EmulatedField(PluggedSide):
         section = stage.lab.actuator
         assert isinstance(section, FieldSection), "the table of kinds goes by the type"
         setup, start_ns = stage.setup, stage.timeline.now_ns
-        super().__init__(stage.options.link or Path(section.port))
+        self.port = PseudoPort(stage.options.link or Path(section.port))
         self.driver = CurrentDriver(
             stage.timeline, self.port, _limits(section), section.baud, tell=stage.note
         )
@@ -201,6 +198,7 @@ class EmulatedField(PluggedSide):
         coils = section.calibrated_coils()
         self._dish = Dish(self.driver, coils, section.strength_mt, cells, start_ns, seed, walls)
         self._bodies = [CellBody(name, self._dish, row) for row, name in enumerate(names)]
+        self.readable = self.driver.readable
 
     @property
     def bodies(self) -> Sequence[CellBody]:
@@ -219,13 +217,14 @@ class EmulatedField(PluggedSide):
 
     def open(self, loop: Loop) -> Facts:
         """Plug the driver in."""
-        self.plug_in(loop)
+        self._loop = loop
+        self.plug()
         link = str(self.port.link)
         return {"actuator": f"current driver at {link}", "port": link}
 
     def close(self) -> Facts:
         """Pull the driver out."""
-        self.plugged(False)
+        self.unplug()
         return {"garbled": self.driver.garbled}
 
     def switch(self, on: bool) -> None:
@@ -238,10 +237,6 @@ class EmulatedField(PluggedSide):
 
     def tick(self) -> None:
         """Do nothing: the driver replies at once."""
-
-    def readable(self) -> None:
-        """Let the driver read what was written to its port."""
-        self.driver.readable()
 
 
 def _limits(section: FieldSection) -> DriverLimits:

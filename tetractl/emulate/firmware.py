@@ -198,11 +198,7 @@ class DriverCore(_Core):
         return x.value, y.value
 
     def measured(
-        self,
-        x_ma: int,
-        y_ma: int,
-        supply_mv: int = 0,
-        temperature_dc: int = UNKNOWN_TEMPERATURE,
+        self, x_ma: int, y_ma: int, supply_mv: int = 0, temperature_dc: int = UNKNOWN_TEMPERATURE
     ) -> None:
         """Set what the driver has measured; a temperature at its limit stops it for good."""
         self._call("measured", self._core, x_ma, y_ma, supply_mv, temperature_dc)

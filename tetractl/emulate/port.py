@@ -4,6 +4,7 @@ import errno
 import os
 import termios
 import tty
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,6 +14,33 @@ from tetractl.emulate.loop import Loop
 _BAUDS = {
     getattr(termios, f"B{baud}"): baud for baud in (1200, 2400, 4800, 9600, 19200, 38400, 57600)
 } | {termios.B115200: 115200}
+
+
+class PluggedDevice:
+    """A device on a port that can be pulled out; `readable` is called when bytes have come."""
+
+    port: "PseudoPort"
+    readable: Callable[[], None]
+    _loop: Loop | None = None
+
+    def plug(self) -> None:
+        """Plug the device in."""
+        assert self._loop is not None, "open() gives the loop"
+        self.port.plug()
+        self._loop.watch(self.port.fd, self.readable)
+
+    def plugged(self, on: bool) -> None:
+        """Plug the device in, or pull it out."""
+        if on:
+            self.plug()
+        else:
+            self.unplug()
+
+    def unplug(self) -> None:
+        """Pull the device out; idempotent."""
+        if self._loop is not None:
+            self._loop.forget(self.port.fd)
+        self.port.unplug()
 
 
 class PseudoPort:
@@ -48,7 +76,7 @@ class PseudoPort:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 
     def baud(self) -> int:
-        """Return the speed at which the other side has set the port; 0 if none we know."""
+        """Return the bits a second that the other side has set; 0 for a speed not known here."""
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:
@@ -96,31 +124,3 @@ class PseudoPort:
             if fd >= 0:
                 os.close(fd)
         self.fd = self._far = -1
-
-
-class PluggedSide:
-    """An actuator's side on a port of the name `link`; `readable` is called at each write."""
-
-    def __init__(self, link: Path) -> None:
-        self.port = PseudoPort(link)
-        self._loop: Loop | None = None
-
-    def readable(self) -> None:
-        """Read what was written to the port."""
-        raise NotImplementedError
-
-    def plug_in(self, loop: Loop) -> None:
-        """Plug the device in; `loop` watches its port from now on."""
-        self._loop = loop
-        self.plugged(True)
-
-    def plugged(self, on: bool) -> None:
-        """Plug the device in, or pull it out; pulling is idempotent."""
-        if on:
-            assert self._loop is not None, "plug_in() gives the loop"
-            self.port.plug()
-            self._loop.watch(self.port.fd, self.readable)
-            return
-        if self._loop is not None:
-            self._loop.forget(self.port.fd)
-        self.port.unplug()

@@ -132,7 +132,7 @@ class Sides:
         for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
             if name not in registry:
                 known = ", ".join(registry.names())
-                raise SpecError(f"{name} cannot be emulated", f"what can: {known}")
+                raise SpecError(f"{name} cannot be emulated", f"these can: {known}")
         return cls(EMULATED_CAMERAS.load(camera), EMULATED_ACTUATORS.load(actuator))
 
     @property

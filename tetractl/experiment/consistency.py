@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats
+from tetractl.experiment.base import Point
 from tetractl.experiment.experiment import Arena, Experiment, Robot
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.shape_section import ShapeSection
@@ -21,20 +22,29 @@ def contradictions(
 
     The parts are those that are valid by themselves, by their index in the spec.
     """
-    points = np.array([(r.start, r.target) for r in robots.values()], dtype=float).reshape(-1, 2)
-    inside = {j: _inside(obstacle, points).reshape(-1, 2) for j, obstacle in obstacles.items()}
+    places: list[tuple[int, Loc, Point]] = [
+        (i, loc, point)
+        for i, robot in robots.items()
+        for loc, point in (
+            (("start",), robot.start),
+            (("target",), robot.target),
+            *((("via", at), point) for at, point in enumerate(robot.via)),
+        )
+    ]
+    points = np.array([point for _, _, point in places], dtype=float).reshape(-1, 2)
+    inside = {j: _inside(obstacle, points) for j, obstacle in obstacles.items()}
     first: dict[str, int] = {}
-    for row, (i, robot) in enumerate(robots.items()):
+    for i, robot in robots.items():
         if first.setdefault(robot.name, i) != i:
             message = f"robots.{first[robot.name]} has this name already; names must differ"
             yield ("robots", i, "name"), message
-        for column, (field, point) in enumerate((("start", robot.start), ("target", robot.target))):
-            loc: Loc = ("robots", i, field)
-            if arena is not None and not arena.contains(*point):
-                yield loc, f"is outside the arena; must be within {_extent(arena)}"
-            for j, obstacle in obstacles.items():
-                if inside[j][row, column]:
-                    yield loc, f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
+    for row, (i, field, point) in enumerate(places):
+        loc: Loc = ("robots", i, *field)
+        if arena is not None and not arena.contains(*point):
+            yield loc, f"is outside the arena; must be within {_extent(arena)}"
+        for j, obstacle in obstacles.items():
+            if inside[j][row]:
+                yield loc, f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
     for j, obstacle in obstacles.items():
         if arena is not None and not _touches(arena, obstacle):
             message = f"is entirely outside the arena, which is {_extent(arena)}"
@@ -58,6 +68,8 @@ def section_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
     if control.switches_field and not experiment.plant.switches_field:
         message = f"cannot switch the field off, as controller {control.type} does"
         yield ("plant",), f"{message}; simulations can"
+    if not control.tours and (experiment.hold or len(experiment.setup.legs) > 1):
+        yield ("controller",), f"{control.type} neither passes way-points nor holds; mpc does"
     for loc, message in control.contradictions(experiment.setup):
         yield ("controller", *loc), message
     for name, plant in (("plant", experiment.plant), ("lab", experiment.lab)):

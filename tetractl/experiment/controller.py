@@ -112,6 +112,8 @@ class ControllerSection(Model):
 
     switches_field: ClassVar[bool] = False
     """Whether the controller switches the field off at times; not every plant can."""
+    tours: ClassVar[bool] = False
+    """Whether the controller passes way-points and holds."""
 
     @property
     def iterations_max(self) -> int:

@@ -11,7 +11,17 @@ from tetractl.core.colors import NAMED, known_colors
 from tetractl.core.poses import Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
-from tetractl.experiment.base import Finite, Length, Model, Name, NonNegative, Point, Positive
+from tetractl.core.tour import HoldTask
+from tetractl.experiment.base import (
+    Finite,
+    Length,
+    Model,
+    Name,
+    NonNegative,
+    Point,
+    Positive,
+    inconsistent,
+)
 from tetractl.experiment.choice import Choice, OrChoice, dealt
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabSection
@@ -60,6 +70,9 @@ class Robot(Model):
     """Start heading theta, anticlockwise from +x [rad]."""
     target: Point
     """Target position [x, y]."""
+    via: tuple[Point, ...] = Field(default=(), max_length=100)
+    """Way-points [x, y] on the way to the target, in order; all robots pass theirs together, so
+    that each has as many."""
     a: Positive
     """Turning rate a towards the common direction [rad/s], (3)."""
     speed: NonNegative
@@ -76,6 +89,15 @@ class Robot(Model):
                 "unknown_color", "is unknown", {"known": list(known_colors())}
             )
         return color
+
+
+class HoldSection(Model):
+    """What follows the arrival: robots on wheels stand, others circle."""
+
+    radius: Positive
+    """Distance from its target within which a robot is to stay [length unit]."""
+    time: float = Field(gt=0, le=1e5, allow_inf_nan=False)
+    """How long [s]; its control steps count towards `controller.steps_max`."""
 
 
 class Trials(Model):
@@ -141,6 +163,8 @@ class Experiment(Model):
     """`free` where any robot may go to any target: targets are then dealt out so that the squares
     of the straight paths add up to the least, which leaves the robots the least to do that is not
     common to all. The resolved spec has the targets as dealt out, `given`."""
+    hold: HoldSection | None = None
+    """Whether the robots are to stay at their targets; the share of time inside is measured."""
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Where no robot may go."""
     wheels: Wheels | None = None
@@ -182,6 +206,15 @@ class Experiment(Model):
         object.__setattr__(self, "assign", "given")
         return self
 
+    @model_validator(mode="after")
+    def _all_have_as_many_way_points(self) -> Self:
+        counts = {len(robot.via) for robot in self.robots}
+        if len(counts) > 1:
+            listed = " and ".join(map(str, sorted(counts)))
+            message = f"have {listed} way-points in via; all pass theirs together, so give as many"
+            raise inconsistent("robots", message)
+        return self
+
     @property
     def open(self) -> bool:
         """Whether each trial still has to find its robots."""
@@ -203,16 +236,17 @@ class Experiment(Model):
             a=np.array([robot.a for robot in self.robots], dtype=np.float64),
             speed=np.array([robot.speed for robot in self.robots], dtype=np.float64),
             arena=Bounds(
-                arena.left,
-                arena.bottom,
-                arena.left + arena.width,
-                arena.bottom + arena.height,
+                arena.left, arena.bottom, arena.left + arena.width, arena.bottom + arena.height
             ),
             obstacles=self.obstacles,
             period_s=control.period,
             steps_max=control.steps_max,
             iterations_max=control.iterations_max,
             wheel_radius=self.wheels.radius if self.wheels else None,
+            way_points=np.array([robot.via for robot in self.robots], dtype=np.float64)
+            .reshape(len(self.robots), -1, 2)
+            .swapaxes(0, 1),
+            hold=HoldTask(self.hold.radius, self.hold.time) if self.hold else None,
         )
 
 

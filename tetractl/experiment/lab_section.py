@@ -138,6 +138,9 @@ class LabLimits(Model):
     robot alone, it is steered on."""
     untracked_abort: Positive = 0.3
     """The run aborts when a robot was not tracked for this long [s]."""
+    identity: Positive = 3.0
+    """The run aborts when, after cells have met, it was not known for this long which of them is a
+    robot [s]; only where the camera tells."""
     jump_mm: NonNegative = 30.0
     """A pose is rejected that is further from any of the last second than twice the robot's
     speed allows, plus this [mm]."""

@@ -123,10 +123,7 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
 
 
 def document_of(
-    text: str,
-    origin: str,
-    sets: Sequence[str],
-    identified: tuple[Identified, str] | None = None,
+    text: str, origin: str, sets: Sequence[str], identified: tuple[Identified, str] | None = None
 ) -> Document:
     """Return the data of a spec with `sets` applied, names of today, and the place of each value.
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import UsageError
-from tetractl.core.protocols import Plant
+from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.setup import Setup
-from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Model, Positive
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.yaml.problems import Loc

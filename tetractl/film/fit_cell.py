@@ -113,7 +113,6 @@ class TrackNoise:
 def summarise(
     followed: Followed,
     field: FieldRecord | None,
-    on_round: Callable[[], None] = lambda: None,
 ) -> tuple[tuple[CellSummary, ...], TrackNoise]:
     """Return what a film tells of each cell, and the noise found."""
     pieces = no_field if field is None else field.pieces
@@ -122,7 +121,7 @@ def summarise(
     noise = TrackNoise.usual(len(long))
     if long:
         table = _Measured.of(long, pieces)
-        noise = _likeliest(table, field is not None, on_round)
+        noise = _likeliest(table, field is not None)
         means, _, _ = table.filtered(noise, field is not None)
         means, covariances, _ = table.filtered(noise, field is not None, means)
         for i, path in enumerate(long):
@@ -218,7 +217,7 @@ def _last(values: Floats) -> int:
     return int(known[-1]) if len(known) else -1
 
 
-def _likeliest(table: _Measured, known: bool, on_round: Callable[[], None]) -> TrackNoise:
+def _likeliest(table: _Measured, known: bool) -> TrackNoise:
     """Return the noise by which what was seen of each cell is likeliest, one kind after another."""
     count = table.values.shape[1]
     best = TrackNoise.usual(count)
@@ -234,7 +233,6 @@ def _likeliest(table: _Measured, known: bool, on_round: Callable[[], None]) -> T
             score = table.repeated(len(options)).filtered(tried, known)[2]
             chosen = score.reshape(len(options), count).argmax(axis=0)
             best = replace(best, **{name: np.array(options)[chosen]})
-            on_round()
     return best
 
 

@@ -6,7 +6,7 @@ a reader that lost its place finds it again at the next 00.
 
 import binascii
 
-from tetractl.lab.lab_errors import WireError
+from tetractl.core.errors import WireError
 
 FRAME_MAX = 80  # payload bytes, the closing CRC included
 

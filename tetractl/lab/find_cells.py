@@ -8,7 +8,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.choice import Choice, FoundCell
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.helix import SPEED, A

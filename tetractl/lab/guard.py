@@ -94,11 +94,12 @@ class Guard:
     state: GuardState = GuardState.PREFLIGHT
     reason: str = ""
     emergency: bool = False
+    jumps: int = 0  # poses that were refused
+    outdated: int = 0  # frames dropped, since the last start, as exposed no later than others
     _filters: list[PoseFilter] = field(default_factory=list)
     _motion: MotionCheck = field(init=False)
     _swaps: SwapDetector = field(init=False)
     _last_frame_ns: int | None = None
-    _outdated: int = 0
     _outdated_in_a_row: int = 0
     _behind_ns: int = 0  # by how much the last outdated frame was
     _warned: set[str] = field(default_factory=set)
@@ -108,7 +109,6 @@ class Guard:
     _steered_ns: int = 0
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     _late: int = 0
-    _jumps: int = 0
     _disobedient: set[int] = field(default_factory=set)  # robots seen to move otherwise, just now
     _ghosts: dict[int, str] = field(default_factory=dict)  # robots accepted no more, and why
     _headings: dict[int, tuple[int, float]] = field(default_factory=dict)  # last seen, and when
@@ -135,16 +135,6 @@ class Guard:
         self._swaps = SwapDetector(rules.names)
 
     @property
-    def jumps(self) -> int:
-        """Poses that were refused."""
-        return self._jumps
-
-    @property
-    def outdated(self) -> int:
-        """Frames dropped, since the last start, as exposed no later than one before them."""
-        return self._outdated
-
-    @property
     def refused(self) -> tuple[str, ...]:
         """Why the newest pose of each robot (N,) was refused, "" where it was not or none came."""
         return tuple(track.refused for track in self._filters)
@@ -159,7 +149,7 @@ class Guard:
         if self.state is GuardState.READY:
             self.state = GuardState.RUN
             self._last_tick_ns = self._steered_ns = now_ns
-            self._driven, self._outdated = True, 0
+            self._driven, self.outdated = True, 0
             self._swaps.restart()
             self._motion.restart()
             self._disobedient.clear()
@@ -208,10 +198,10 @@ class Guard:
             self.abort(frame.fault)
         now, newest = frame.sampled_ns, self._last_frame_ns
         if newest is not None and now <= newest:
-            self._outdated += 1
+            self.outdated += 1
             self._outdated_in_a_row += 1
             self._behind_ns = newest - now
-            if self._active and self._outdated == 1:
+            if self._active and self.outdated == 1:
                 self._warn(f"a camera frame {self._behind()} came, and was dropped")
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
@@ -222,7 +212,7 @@ class Guard:
             if pose is None:
                 track.lost()
             elif not track.add(pose, now, self._fault(i, pose, now)):
-                self._jumps += 1
+                self.jumps += 1
             fresh.append(pose is not None and not track.refused)
         return AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
 

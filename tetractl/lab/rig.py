@@ -102,10 +102,7 @@ class Rig:
 
 
 def build_rig(
-    lab: LabSection,
-    setup: Setup,
-    clock: Clock,
-    emergency: threading.Event | None = None,
+    lab: LabSection, setup: Setup, clock: Clock, emergency: threading.Event | None = None
 ) -> Rig:
     """Return the rig of a spec; nothing is opened yet."""
     wake = threading.Event()

@@ -48,13 +48,7 @@ class SerialPort:
     """
 
     def __init__(
-        self,
-        name: str,
-        baud: int,
-        device: str,
-        clock: Clock,
-        heard: Heard,
-        hint: str,
+        self, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
     ) -> None:
         self.failure: str | None = None
         self._name, self._baud, self._device, self._hint = name, baud, device, hint

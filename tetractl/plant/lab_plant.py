@@ -7,16 +7,18 @@ from typing import Literal
 
 import numpy as np
 
+from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.commands import HALTS, Command, Note, PlantInfo, Sample, Transmission, Verdict
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Observation, Pose, Poses
+from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.find_cells import turn_field
 from tetractl.lab.guard import GuardState
+from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked
 from tetractl.lab.rig import Rig, build_rig
@@ -77,6 +79,8 @@ class LabPlant:
         self._read = 0  # of the rig's accepted frames
         self._newest: Observation | None = None
         self._fresh: list[Sample] = []
+        self._films: dict[int, CellFilm] = {}  # by the time of exposure
+        self._identities = IdentityWatch(self.setup.names, rig.limits.identity)
         self._news: deque[Command | Note] = deque(maxlen=KEPT)
         self._returned: set[int] = set()  # send times of what `steer` has returned
         self._observed_ns: int | None = None
@@ -183,13 +187,23 @@ class LabPlant:
     def _take_frames(self) -> None:
         """Keep the frames that the guard has accepted since the last call."""
         frames, self._read = self.rig.frames.since(self._read)
+        if films := getattr(self.rig.camera, "films", None):  # of a camera that follows cells
+            self._films |= {film.sampled_ns: film for film in films()}
         for accepted in frames:
             poses, frame = self._unwrapped(accepted.poses), accepted.frame
             self._heading = poses.heading
             self._path_check.add(poses.x[None], poses.y[None])
             times = frame.sampled_ns, frame.received_ns
             self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
-            self._fresh.append(Sample(self._newest, None))
+            film = self._films.get(frame.sampled_ns)
+            if film is not None:
+                self._news.extend(self._identities.see(film))
+                if self._identities.reason:
+                    self.rig.guard.abort(self._identities.reason)
+            self._fresh.append(Sample(self._newest, None, film))
+        if self._newest is not None:  # frames that the guard refused leave no sample
+            now = self._newest.sampled_ns
+            self._films = {at: film for at, film in self._films.items() if at > now}
 
     def _unwrapped(self, seen: Sequence[Pose | None]) -> Poses:
         """Return the poses with headings that go on from the last ones without a turn of 2 pi.

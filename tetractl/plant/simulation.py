@@ -11,9 +11,9 @@ from tetractl.core.clock import SECOND, Clock, VirtualClock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Bools, Floats, Observation, Pose, Poses
+from tetractl.core.protocols import LabSupervision
 from tetractl.core.registries import DISTURBANCES, MOTIONS
 from tetractl.core.setup import Setup
-from tetractl.core.supervision import LabSupervision
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
 from tetractl.experiment.choice import Choice, FoundCell, FoundRobots
 from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding

@@ -145,9 +145,11 @@ def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Differen
         duration_s=result.duration_s,
         solve_ns=tuple(step.solve_ns for step in log.steps),
         deadline_misses=sum(step.deadline_missed for step in log.steps),
+        tour=log.tour,
     )
     if log.damage:  # whose steps may be lost
         lost = {"steps": result.steps, "solve_ns": result.solve_ns}
+        lost |= {"passed": result.passed, "inside": result.inside}
         ours = replace(ours, **lost, deadline_misses=result.deadline_misses)
     tolerance = EXACT if same_host else Tolerance(ROUNDING, ROUNDING)
     yield from _at(None, first_difference(ours, result, tolerance, "result"))

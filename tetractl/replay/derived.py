@@ -62,7 +62,8 @@ def _messages(
 
     What is made for /log is appended to `called_for`.
     """
-    left = {topic: iter(raw.by_topic[topic]) for topic in CHANNELS if topic != channels.LOG}
+    others = {channels.LOG, *channels.FILM}  # `FilmCheck` has the film
+    left = {topic: iter(raw.by_topic[topic]) for topic in CHANNELS.keys() - others}
     count, until = dict.fromkeys(left, 0), time.perf_counter() + limits.seconds_limit()
     for made in _encoded(raw, log):
         if time.perf_counter() > until:

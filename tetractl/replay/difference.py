@@ -170,6 +170,8 @@ def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
             "total_error": result.total_error,
             "robot_errors": result.robot_errors,
             "steps": result.steps,
+            "passed": result.passed,
+            "inside": result.inside,
         },
     }
 

@@ -17,7 +17,7 @@ import numpy as np
 from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.core.plan import End, Limits, Outcome, Plan, Search, StopReason, never
+from tetractl.core.plan import PAUSE_S, End, Limits, Outcome, Plan, Search, StopReason, never
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
@@ -271,6 +271,8 @@ def _outcome(
     period = round(log.experiment.controller.period * SECOND)
     newest = np.flatnonzero((log.received_ns > since) & (log.received_ns <= stop.sent_ns))[::-1]
     if log.start.plant.simulated:
+        if last is not None and last.plan.pauses:
+            period += round(PAUSE_S * SECOND)
         due = log.steps[-1].command.sent_ns + period if log.steps else stop.sent_ns
         newest = newest[log.received_ns[newest] <= due][:1]
     said: list[str] = []

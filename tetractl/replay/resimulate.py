@@ -16,8 +16,7 @@ from tetractl.core.commands import Command
 from tetractl.core.errors import AbortError, TetractlError
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
-from tetractl.core.protocols import Plant
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.trial import Result, Step, TrialRecords
 from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog

@@ -6,7 +6,7 @@ came from.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -27,6 +27,8 @@ from tetractl.replay.recompute import NoSearchError, Rerun
 from tetractl.run.task import trial_seeds
 
 GRID = 61
+SEEN = [0, 1]
+"""The signals that are the two dimensions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +45,12 @@ class Frame:
 class SwarmHistory:
     """A search by particle swarm, seen in two dimensions of its sequence.
 
-    `dimensions` index the signals. `path` (Z + 1, 2) is the course of one particle and `path_best`
-    (2,) its local best at the end. `costs` (GRID, GRID) is J on a grid over (12) in the two
-    dimensions, row by row upwards, the other signals being those of u_gb. `repeated` tells whether
-    J(u_gb) came out as logged in every iteration.
+    `path` (Z + 1, 2) is the course of the first particle and `path_best` (2,) its local best at the
+    end. `costs` (GRID, GRID) is J on a grid over (12) in the two dimensions, row by row upwards,
+    the other signals being those of u_gb. `repeated` tells whether J(u_gb) came out as logged in
+    every iteration.
     """
 
-    dimensions: tuple[int, int]
     frames: tuple[Frame, ...]
     path: Floats
     path_best: Floats
@@ -81,19 +82,14 @@ class _SpyOptimizer:
         return self._answers.search(problem, length, warm, key, limits)
 
 
-def first_swarm(
-    log: TrialLog,
-    shown: Sequence[float],
-    particle: int = 0,
-    wall: Callable[[], float] = time.perf_counter,
-) -> SwarmHistory:
+def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     """Run the chosen search of control step 0 again and return its swarm.
 
     `shown` are the shares of its iterations, 0 to 1, of which there is to be a frame. Raises
     LogError for a search that was not by a particle swarm, has a single signal, does not follow
-    from the log, or takes longer than `bounds` allows, as `wall` [s] tells it.
+    from the log, or takes longer than `limits` allows.
     """
-    rerun = Rerun(False, wall, limits.seconds_limit())
+    rerun = Rerun(False, time.perf_counter, limits.seconds_limit())
     rerun.start()
     asked = _chosen(log, rerun)
     section, logged = asked.optimizer, log.steps[0].plan.search
@@ -107,7 +103,7 @@ def first_swarm(
     rounds = section.particles * asked.length * asked.problem.a.size
     if rounds * (1 + len(asked.problem.obstacles.shapes)) > limits.swarm_limit():
         raise LogError(f"{log.path}: a swarm this large takes too long to run again")
-    return _run(log, asked, section, logged, shown, particle, rerun)
+    return _run(log, asked, section, logged, shown, rerun)
 
 
 def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
@@ -137,45 +133,44 @@ def _run(
     section: Pso,
     logged: Search,
     shown: Sequence[float],
-    particle: int,
     rerun: Rerun,
 ) -> SwarmHistory:
     from tetractl.control.kernels import pso as kernel
-    from tetractl.control.optimizers.compiled_pso import lay_out_swarm, make_rules, scatter
+    from tetractl.control.kernels.rollout import lay_out
+    from tetractl.control.optimizers.compiled_pso import make_rules, scatter
 
-    rollout = lay_out_swarm(section, asked.problem)
+    rollout = lay_out(asked.problem, section.particles)
     swarm, spent = scatter(section, asked.problem, rollout, asked.length, asked.warm, asked.key)
     rules = make_rules(section, asked.key, spent, Limits())
     last = min(len(logged.history) - 1, section.iterations)
     wanted = {round(share * last) for share in shown}
-    pair, frames, path = (0, 1), list[Frame](), []
+    frames, path = list[Frame](), []
     for z in range(last + 1):
         if z:
             kernel.iterate(rollout, swarm, rules, z - 1, z)
         if rerun.expired():
             raise LogError(f"{log.path}: its search takes too long to run again")
-        seen = np.column_stack([swarm.u[d] for d in pair])
-        path.append(seen[particle])
+        seen = swarm.u[SEEN].T.copy()
+        path.append(seen[0])
         if z in wanted:
-            frames.append(Frame(z, seen, swarm.u_gb[list(pair)].copy(), float(swarm.history[z])))
-    own = swarm.u if swarm.better[particle] > 0.5 else swarm.best
+            frames.append(Frame(z, seen, swarm.u_gb[SEEN], float(swarm.history[z])))
+    own = swarm.u if swarm.better[0] > 0.5 else swarm.best
     again = swarm.history[: last + 1]
     return SwarmHistory(
-        pair,
         tuple(frames),
         np.array(path),
-        np.array([own[d, particle] for d in pair]),
-        _landscape(asked.problem, swarm.u_gb, pair),
+        own[SEEN, 0],
+        _landscape(asked.problem, swarm.u_gb),
         bool(np.array_equal(again, logged.history)),
     )
 
 
-def _landscape(problem: Problem, u_gb: Floats, pair: tuple[int, int]) -> Floats:
+def _landscape(problem: Problem, u_gb: Floats) -> Floats:
     """Return J on a grid over two dimensions, the other signals as in u_gb."""
     axis = np.linspace(LOWER, UPPER, GRID)
     costs = np.empty((GRID, GRID))
     for row, value in enumerate(axis):
         signals = np.repeat(u_gb[None], GRID, axis=0)
-        signals[:, pair[0]], signals[:, pair[1]] = axis, value
+        signals[:, SEEN] = np.column_stack([axis, np.full(GRID, value)])
         costs[row] = evaluate(problem, signals).total
     return costs

@@ -13,6 +13,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.audit import audit
 from tetractl.replay.derived import derived_differences
 from tetractl.replay.difference import Difference
+from tetractl.replay.film_check import FilmCheck
 from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
 from tetractl.replay.resimulate import resimulate
 
@@ -70,6 +71,8 @@ def verify(path: Path) -> Verification:
     findings = audit(log, same_host=not elsewhere)
     simulated = resimulate(log, same_host=not elsewhere)
     derived = derived_differences(raw, log, same_host=not elsewhere)
+    film = FilmCheck(raw, log, same_host=not elsewhere)
+    shown = tuple(film.differences())
     method, found = Method.RECOMPUTED, recompute(log, search_again=True)
     if found and elsewhere:
         method, found = Method.REEVALUATED, recompute(log, search_again=False)
@@ -81,8 +84,8 @@ def verify(path: Path) -> Verification:
         checked=checked,
         method=method,
         elsewhere=elsewhere,
-        problems=(*filter(None, (found, simulated)), *findings.problems, *derived),
-        notes=tuple(findings.notes),
+        problems=(*filter(None, (found, simulated)), *findings.problems, *derived, *shown),
+        notes=(*findings.notes, *film.notes),
         seconds=time.perf_counter() - began,
     )
 

@@ -19,7 +19,7 @@ FEWEST = 2  # trials of which the figures of a batch say anything
 
 
 def lean(log: TrialLog) -> TrialLog:
-    """Return a trial with no more than `of_batch` draws: very many fit into memory."""
+    """Return the trial without what `of_batch` does not draw, so that many fit into memory."""
     return replace(log, steps=log.steps[:1], truth=None, notes=())
 
 

@@ -81,11 +81,16 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
         "arena": [arena.left, arena.bottom, arena.right, arena.top],
         "obstacles": [shape.outline().tolist() for shape in setup.obstacles],
         "robots": [
-            {"name": name, "color": color, "start": start, "target": target}
-            for name, color, start, target in zip(
-                setup.names, colors, starts.tolist(), setup.targets.tolist(), strict=True
+            {"name": name, "color": color, "start": start, "target": legs[-1], "via": legs[:-1]}
+            for name, color, start, legs in zip(
+                setup.names,
+                colors,
+                starts.tolist(),
+                setup.legs.swapaxes(0, 1).tolist(),
+                strict=True,
             )
         ],
+        "hold": setup.hold.radius if setup.hold else 0,
         "frames": {
             "t": floats([log.elapsed_s(int(t)) for t in log.mocap_ns[keep]]),
             "xy": rounded(xy),

@@ -83,6 +83,44 @@ EDGE = least("edge", "nearest to the arena's edge", lambda verdict: verdict.edge
 APART = least("apart", "nearest to one another", lambda verdict: verdict.apart)
 
 
+def _way_points(trial: ResultSummary) -> dict[str, Any]:
+    """Return the sum of distances at each way-point; None for those never passed."""
+    wanted = len(trial.experiment.setup.legs) - 1
+    known = (*trial.result.passed, *[None] * wanted)[:wanted]
+    return {f"way_point_{i}": error for i, error in enumerate(known, 1)}
+
+
+def _time_inside(trial: ResultSummary) -> dict[str, Any]:
+    """Return each robot's share of the hold's time inside; None where there was no hold."""
+    if trial.experiment.hold is None:
+        return {}
+    names = trial.experiment.setup.names
+    shares = trial.result.inside or [None] * len(names)
+    return {f"inside_{name}": share for name, share in zip(names, shares, strict=True)}
+
+
+def mean_of_each(
+    of: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
+) -> Statistic:
+    """Return the mean of each column of the trials, a row a column, as a statistic; none where the
+    spec asks for none."""
+
+    def of_batch(trials: Sequence[ResultSummary]) -> Value:
+        columns = [of(trial) for trial in trials]
+        known = {key: [c[key] for c in columns if c[key] is not None] for key in columns[0]}
+        means = {key: float(np.mean(found)) if found else None for key, found in known.items()}
+        rows = [
+            (f"{label} ({key})", NONE if mean is None else f"{show(mean)} (n {len(known[key])})")
+            for key, mean in means.items()
+        ]
+        return Value(means, tuple(rows))
+
+    return Statistic(of_batch, of)
+
+
+WAY_POINTS = mean_of_each(_way_points, "mean distance at a way-point, all robots", digits)
+TIME_INSIDE = mean_of_each(_time_inside, "mean share of the hold inside", "{:.3f}".format)
+
 PERCENTILES = {"p50": 50, "p99": 99, "max": 100}
 
 

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Protocol
 
 from tetractl.core.errors import AbortError
-from tetractl.core.protocols import Observer
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.run.interrupt import SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 

@@ -74,7 +74,7 @@ class Interrupt:
             self._breakable = False
 
     def _break(self) -> None:
-        """Raise KeyboardInterrupt in breakable code; the code it unwinds to is not breakable."""
+        """Raise KeyboardInterrupt if the running code is breakable; handlers of it then are not."""
         if self._breakable:
             self._breakable, self.broke = False, True
             raise KeyboardInterrupt
@@ -83,7 +83,7 @@ class Interrupt:
         self.request()
 
     def on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
-        """As `sys.unraisablehook`: let the next request raise what was lost in a finaliser."""
+        """Where a finaliser swallowed KeyboardInterrupt, let the next request raise it again."""
         if issubclass(lost.exc_type, KeyboardInterrupt):
             self._breakable = True
         else:

@@ -12,6 +12,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, Observer, Plant
+from tetractl.core.tour import TourMeasure
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
@@ -41,7 +42,11 @@ class Trial:
     _misses: int = 0
     _began_ns: int | None = None  # when the first direction was sent
     _samples: list[Sample] = field(default_factory=list)  # not yet passed on to the observers
+    _tour: TourMeasure = field(init=False)
     _between: list[Observation] = field(default_factory=list)  # frames since the last step's
+
+    def __post_init__(self) -> None:
+        self._tour = TourMeasure(self.start.setup.legs, self.start.setup.hold)
 
     def run(self) -> Result:
         """Run the trial and return its result.
@@ -95,7 +100,13 @@ class Trial:
             if isinstance(decision, End):
                 self._sleep_until(self.clock.now() + decision.delay_ns)
                 return decision.outcome, ""
-            command = self._pause() if decision.pauses else self._steer(decision.direction)
+            begins = self._tour.step(decision.leg, observation)
+            if decision.pauses:
+                command = self._pause(again=standing and k > 0)
+            else:
+                command = self._steer(decision.direction)
+            if begins:
+                self._say(command, begins)
             self._solve_ns.append(self._solving_ns)
             missed = not standing and self._solving_ns > period
             standing = decision.pauses
@@ -187,13 +198,16 @@ class Trial:
             if self.interrupt.requested:
                 raise KeyboardInterrupt
 
-    def _pause(self) -> Command:
-        """Stop the robots for a while, and note it."""
+    def _pause(self, again: bool) -> Command:
+        """Stop the robots for a while, and note it where they do not stand already."""
         command = self.plant.pause()
-        note = Note(command.sent_ns, "info", "all robots pause, and a plan is made from standing")
-        for observer in self.observers:
-            observer.on_note(note)
+        if not again:
+            self._say(command, "all robots pause, and a plan is made from standing")
         return command
+
+    def _say(self, command: Command, text: str) -> None:
+        for observer in self.observers:
+            observer.on_note(Note(command.sent_ns, "info", text))
 
     def _steer(self, direction: float | None) -> Command:
         command = self.plant.steer(direction)
@@ -213,6 +227,7 @@ class Trial:
     def _pass_samples(self) -> None:
         self._take_samples()
         samples, self._samples = self._samples, []
+        self._tour.add(samples)
         news = self.plant.news()
         for observer in self.observers:
             observer.on_samples(samples)
@@ -229,6 +244,7 @@ class Trial:
         try:
             verdict = self.plant.settle()
             samples, news = self._samples + self.plant.samples(), self.plant.news()
+            self._tour.add(samples, stop.sent_ns)
         finally:
             self.plant.close()
         if verdict.not_at_rest and outcome is not Outcome.ABORTED:
@@ -241,6 +257,7 @@ class Trial:
             duration_s=seconds(stopped - (opened_ns if self._began_ns is None else self._began_ns)),
             solve_ns=tuple(self._solve_ns),
             deadline_misses=self._misses,
+            tour=self._tour,
         )
         failures: list[Exception] = []
         for observer in self.observers:

@@ -15,8 +15,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome
-from tetractl.core.protocols import Observer, Plant
-from tetractl.core.supervision import LabSupervision
+from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.choosing import chosen_cells, settled
 from tetractl.experiment.load import LoadedSpec, start_of

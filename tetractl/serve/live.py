@@ -34,7 +34,7 @@ REQUEST_BYTES = 1 << 16
 CONTROL = (Opcode.CLOSE, Opcode.PING, Opcode.PONG)  # which `websockets` answers
 
 _QUIET = logging.getLogger(__name__)
-_QUIET.addHandler(logging.NullHandler())  # or what viewers do wrong is printed to stderr
+_QUIET.addHandler(logging.NullHandler())  # or errors of viewers are printed to stderr
 _QUIET.propagate = False
 
 
@@ -103,7 +103,7 @@ class Viewers:
     def converse(self, connection: socket.socket, request: bytes) -> None:
         """Serve a viewer whose HTTP request was read already, until its connection ends.
 
-        What it says wrong ends its connection and no other.
+        An invalid message ends its connection and no other.
         """
         client = _Client(link := _Link(connection, request))
         with self._lock:
@@ -178,18 +178,18 @@ class _Client:
         self._ending = False
 
     def message(self, entry: Entry) -> None:
-        """Have a message sent where its topic is subscribed to."""
+        """Queue a message if its topic is subscribed to."""
         if subscription := self.subscriptions.get(entry.topic):
             self.put(foxglove_protocol.message(subscription, entry))
 
     def put(self, message: str | bytes) -> None:
-        """Have a message sent."""
+        """Queue a message; the oldest one is dropped where BACKLOG wait."""
         with self._some:
             self._waiting.append(message)
             self._some.notify()
 
     def end(self) -> None:
-        """Have the connection closed after what waits."""
+        """Close the connection once the queue is sent."""
         with self._some:
             self._ending = True
             self._some.notify()

@@ -93,7 +93,7 @@ class FieldValue:
 
 
 def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribution:
-    """Describe the total error over the trials that every one of some arms has a result of.
+    """Describe the total error over the trials of which all `arms` have a result.
 
     Trials of one number have the same seed in every arm and count once, with their mean over the
     arms: counting them as independent observations would make the interval too short.

@@ -1,8 +1,5 @@
 """The emulated Motive over real UDP, against our client's codec and against PyPI's `natnet`."""
 
-import json
-import math
-import socket
 import statistics
 import threading
 from itertools import pairwise
@@ -10,7 +7,6 @@ from itertools import pairwise
 import pytest
 from support.emulated_lab import Client, emulated, turn_until
 
-from tetractl.core.errors import TetractlError
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.optitrack.motive import Motive
 from tetractl.emulate.optitrack.natnet_server import ServerClock, Streaming
@@ -25,7 +21,6 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     NatNetRequest,
     Response,
     ServerInfo,
-    Version,
 )
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 from tetractl.lab.cameras.optitrack.wire import pack, response_float, response_int
@@ -71,22 +66,6 @@ def test_handshake_models_and_frames(opened, version):
     assert poses[1].heading == pytest.approx(-2.0, abs=1e-5)
 
 
-def test_axes_origin_rotation_and_heading_offset(opened):
-    _lab, client = opened(
-        "lab.camera.origin=[100, -50]",
-        "lab.camera.rotation=0.7",
-        "lab.camera.robots.0.heading_offset=0.2",
-        script="emulation: {camera: {up: z}}",
-    )
-    client.ask(Connect(), ServerInfo)
-    body = client.next(NatNetFrame).bodies[0]
-    pose = planar_pose(body, UpAxis.Z, 0.2)
-    cos, sin = math.cos(0.7), math.sin(0.7)
-    assert 100 + 1000 * (cos * pose.x - sin * pose.y) == pytest.approx(500, abs=1e-3)
-    assert -50 + 1000 * (sin * pose.x + cos * pose.y) == pytest.approx(500, abs=1e-3)
-    assert pose.heading + 0.7 == pytest.approx(0.5, abs=1e-5)
-
-
 def test_requests(opened):
     _lab, client = opened()
     assert response_float(client.ask(NatNetRequest("FrameRate"), Response)) == 120.0
@@ -109,25 +88,6 @@ def test_echo_tells_a_clock_of_its_own(opened):
     assert second.server >= first.server
     assert second.server == pytest.approx(ServerClock().ticks(before), abs=10_000_000)
     assert abs(second.server - before // 100) > 10_000_000  # it is not the host's clock
-
-
-def test_a_client_can_pin_the_version(opened):
-    lab, client = opened(script="emulation: {camera: {version: '4.2'}}")
-    client.version = Version(3, 1)
-    info = client.ask(Connect(bitstream=(3, 1, 0, 0)), ServerInfo)
-    assert info.version == (4, 2)
-    assert client.next(NatNetFrame).ticks is not None
-    client.version = Version(2, 9)
-    client.got.clear()
-    client.send(NatNetRequest("Bitstream,2.9"))
-    turn_until(lab, lambda: next(iter(lab.camera.motive.server.clients.values())).version == (2, 9))
-    while True:  # a frame of the old version may still be on its way
-        try:
-            client.poll()
-            break
-        except ValueError:
-            client.got.clear()
-    assert client.next(NatNetFrame).ticks is None
 
 
 def test_unicast_clients_time_out_and_are_kept_alive(opened):
@@ -182,36 +142,6 @@ def test_garbage_is_counted_and_survived(opened):
     assert client.ask(Connect(), ServerInfo)
 
 
-def test_multicast(opened):
-    lab, client = opened(*MULTICAST)
-    port = lab.camera.motive.data_port
-    info = client.ask(Connect(), ServerInfo)
-    assert (info.multicast, info.group, info.data_port) == (True, (239, 255, 42, 98), port)
-    data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        data.setblocking(False)
-        data.bind(("239.255.42.98", port))
-        group = socket.inet_aton("239.255.42.98") + socket.inet_aton("127.0.0.1")
-        data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
-        own, client.socket = client.socket, data
-        first, second = client.next(NatNetFrame, 2)
-        client.socket = own
-        assert second.number == first.number + 1
-        assert client.got and not lab.camera.motive.server.clients
-    finally:
-        data.close()
-
-
-def test_a_port_that_is_taken_is_refused(opened, tmp_path):
-    lab, _ = opened()
-    other = tmp_path / "other"
-    other.mkdir()
-    taken = emulated(other, command_port=lab.camera.motive.command_port)
-    with pytest.raises(TetractlError, match="cannot take UDP"), taken:
-        pass
-    assert list(other.glob("radio")) == []
-
-
 @pytest.mark.parametrize("transport", ["unicast", "multicast"])
 def test_the_public_client_reads_our_frames(opened, transport):
     natnet = pytest.importorskip("natnet")
@@ -251,18 +181,3 @@ def test_the_public_client_reads_our_frames(opened, transport):
     body = frames[-1].rigid_bodies[0]
     assert (body.id_num, body.tracking_valid) == (1, True)
     assert body.pos == pytest.approx((0.5, 0.06, -0.5))
-
-
-def test_the_record_tells_what_was_exposed(opened, tmp_path):
-    lab, client = opened()
-    client.ask(Connect(), ServerInfo)
-    turn_until(lab, lambda: lab.camera.motive.counts.frames > 5)
-    lab.close()
-    events = [json.loads(line) for line in (tmp_path / "record.jsonl").read_text().splitlines()]
-    assert events[0]["event"] == "ready"
-    assert events[0]["emulation"] is True
-    assert events[-1]["event"] == "end"
-    truth = [event for event in events if event["event"] == "truth"]
-    assert truth[0]["poses"] == [[500.0, 500.0, 0.5], [500.0, 1500.0, -2.0]]
-    gaps = [b["t_ns"] - a["t_ns"] for a, b in pairwise(truth)]
-    assert all(abs(gap - 8_333_333) <= 1 for gap in gaps)

@@ -53,14 +53,6 @@ def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
     assert one.y == pytest.approx(200 + chord * math.sin(0.3 + half), abs=0.2)
 
 
-def test_a_count_inside_the_dead_zone_does_not_move():
-    one = robot(SlaveProgram)
-    one.hear(encode_wheels(4, -4))
-    one.advance(500 * MS)
-    assert (one.x, one.y, one.heading) == (100.0, 200.0, 0.3)
-    assert one.standing
-
-
 def test_a_slave_drives_on_in_silence_and_firmware_stops():
     slave, firmware = robot(SlaveProgram), robot(lambda: FirmwareProgram(0))
     slave.hear(encode_wheels(40, 40))
@@ -74,46 +66,6 @@ def test_a_slave_drives_on_in_silence_and_firmware_stops():
     assert firmware.x < 100 + 180 * 0.3
 
 
-def test_a_latched_robot_moves_again_only_after_it_was_switched_off():
-    one = robot(lambda: FirmwareProgram(0))
-    one.hear(frame(1, flags=Flag.EMERGENCY_STOP))
-    one.advance(10 * MS)
-    one.hear(frame(2, (60, 60)))
-    assert one.counts() == (0, 0)
-    one.switch(False)
-    one.hear(frame(3, (60, 60)))
-    assert one.counts() == (0, 0)
-    one.switch(True)
-    one.hear(frame(4, (60, 60)))
-    assert one.counts() == (60, 60)
-
-
-def test_swapped_inverted_and_uneven_wheels():
-    wheels = Drivetrain(Wheel(5.0), Wheel(6.0, 0, invert=True), swap=True)
-    one = robot(SlaveProgram, drivetrain=wheels)
-    one.hear(encode_wheels(10, 20))
-    one.advance(2000 * MS)
-    assert one.left == pytest.approx(100.0)
-    assert one.right == pytest.approx(-60.0)
-
-
-def test_a_stuck_wheel_stops_and_the_other_goes_on():
-    one = robot(SlaveProgram, stuck=(True, False))
-    one.hear(encode_wheels(44, 44))
-    one.advance(1000 * MS)
-    assert one.left == 0.0
-    assert one.right == pytest.approx(200.0)
-    assert one.heading > 0.3
-
-
-def test_a_robot_that_veers_still_stops():
-    one = robot(lambda: FirmwareProgram(0), veer=(50, 20))
-    one.hear(frame(1, (30, 30)))
-    assert one.counts() == (50, 20)
-    one.hear(frame(2, (0, 0)))
-    assert one.counts() == (0, 0)
-
-
 def test_the_battery_sags_under_load_and_drains():
     battery = EmulatedBattery(5000.0, sag_mv=200.0, drain_mv_s=1.0)
     assert battery.voltage_mv(0.5) == 4900
@@ -121,10 +73,3 @@ def test_the_battery_sags_under_load_and_drains():
     assert battery.voltage_mv(0.0) == 4900
     battery.draw(1.0, 1e6)
     assert battery.voltage_mv(0.0) == 0
-
-
-def test_a_slave_answers_signature_and_battery():
-    one = robot(SlaveProgram)
-    one.hear(b"\x81\xb1")
-    assert one.answer() == b"3pi1.1" + (5100).to_bytes(2, "little")
-    assert one.answer() == b""

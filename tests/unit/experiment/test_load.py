@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 from support.trials import experiment
-from support.work import bounded
 
 from tetractl.core.errors import Exit, SpecError
 from tetractl.core.trial import OWN_FILES
-from tetractl.experiment.consistency import contradictions
-from tetractl.experiment.experiment import Arena, Robot
 from tetractl.experiment.load import attach, load_spec, parse_spec, resolved_yaml, spec_hash
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format import channels
-from tetractl.model.shapes.circle import Circle
 
 EXPERIMENTS = ROOT / "experiments"
 GOOD = """\
@@ -311,28 +307,18 @@ def test_shipped_experiments_load_and_round_trip(path):
 @pytest.mark.parametrize("name", ["three_m3pi.yaml", "three_m3pi_paper.yaml"])
 def test_the_reference_experiment_is_that_of_section_v(name):
     experiment = load_spec(EXPERIMENTS / name).experiment
-    assert [robot.start for robot in experiment.robots] == [(900, 800), (900, 1200), (900, 1600)]
-    assert [robot.target for robot in experiment.robots] == [
-        (1700, 500),
-        (1700, 1500),
-        (1700, 2000),
+    rows = [(*robot.start, *robot.target, robot.a, robot.speed) for robot in experiment.robots]
+    assert rows == [
+        (900, 800, 1700, 500, 6, 180),
+        (900, 1200, 1700, 1500, 4, 200),
+        (900, 1600, 1700, 2000, 3, 150),
     ]
-    assert [(robot.a, robot.speed) for robot in experiment.robots] == [(6, 180), (4, 200), (3, 150)]
-    (obstacle,) = experiment.obstacles
-    assert obstacle.model_dump(exclude={"type"}) == {
-        "left": 1200,
-        "bottom": 1100,
-        "width": 200,
-        "height": 200,
-    }
+    (box,) = experiment.obstacles
+    assert (box.left, box.bottom, box.width, box.height) == (1200, 1100, 200, 200)
     assert (experiment.arena.width, experiment.arena.height) == (1600, 1800)
     assert experiment.controller.period == 0.2
-    assert experiment.reference is not None
-    assert (experiment.reference.n, experiment.reference.mean, experiment.reference.std) == (
-        20,
-        648.6,
-        225.1,
-    )
+    reference = experiment.reference
+    assert (reference.n, reference.mean, reference.std) == (20, 648.6, 225.1)
 
 
 def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_the_controller_alone():
@@ -369,22 +355,6 @@ def test_files_are_attached_by_names_that_a_log_has_not_already():
     for name in ("robots.yaml", *OWN_FILES):
         with pytest.raises(SpecError, match=f"b/{name}: the log of a trial holds another {name}"):
             attach(one, Path("b") / name, "two")
-
-
-def test_many_robots_and_obstacles_are_compared_without_a_loop_over_the_pairs():
-    arena = Arena(left=0, bottom=0, width=1e4, height=1e4)
-    robots = {
-        i: Robot(name=f"r{i}", start=(10 * i, 10), target=(10 * i, 9000), a=2, speed=1)
-        for i in range(300)
-    }
-    obstacles = {
-        j: Circle(type="circle", center=(10 * j, 9000 if j % 100 == 7 else 5000), radius=4)
-        for j in range(300)
-    }
-    with bounded(100_000 + 10 * 300 * 300):
-        found = list(contradictions(arena, robots, obstacles))
-    assert [loc for loc, _ in found] == [("robots", i, "target") for i in (7, 107, 207)]
-    assert "inside obstacles.107, a circle" in found[1][1]
 
 
 def test_free_targets_are_dealt_out_by_the_least_squares_of_the_paths():

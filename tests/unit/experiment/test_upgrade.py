@@ -8,10 +8,7 @@ import pytest
 from support.paths import ROOT
 
 from tetractl.experiment.load import parse_spec
-from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.experiment.yaml.upgrade import upgrade
-from tetractl.log.read.reader import read_trial
 from tetractl.replay.verify import verify
 
 GOLDEN = ROOT / "tests" / "golden"
@@ -94,21 +91,6 @@ def test_an_old_and_a_new_name_together_are_refused():
         parse_spec(HEAD + NEW.replace("plant:", "  swarm: {}\nplant:"), "s.yaml")
     (line,) = caught.value.lines()
     assert line.startswith("s.yaml:11:3: controller.swarm: is now called controller.optimizer, ")
-
-
-def test_a_renamed_key_keeps_its_rank():
-    document = parse_document(HEAD + OLD, "s")
-    upgrade(document)
-    assert list(document.data["controller"]) == list(
-        parse_document(HEAD + NEW, "s").data["controller"]
-    )
-
-
-@pytest.mark.parametrize(("name", "particles"), [("sim", 4), ("lab", 100), ("torn", 4)])
-def test_logs_with_old_names_are_read(name, particles):
-    log = read_trial(GOLDEN / f"format-1-{name}.mcap")
-    assert "swarm" in log.start.resolved
-    assert log.experiment.controller.optimizer.particles == particles
 
 
 @pytest.mark.parametrize(("name", "problems"), [("sim", set()), ("torn", {"damage"})])

@@ -1,5 +1,7 @@
 """Who answers whose commands: N robots commanded to turn by a common direction, seen at 120 Hz."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -66,54 +68,43 @@ CHATTER = (1.2, -1.2)
 WIDE = (0.4, 2.5, -2.0, 1.0, 3.0)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.05, 0.1, 0.2, 0.3])
-@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
-@pytest.mark.parametrize("stuck", [None, 0, 1])
-def test_robots_that_do_as_told_or_stand_still_are_no_others(delay, directions, stuck):
-    answers = [None if i == stuck else i for i in range(3)]
-    assert drive(answers, delay, 4.0, directions)[0] == ""
+def cases(**fields):
+    """Every combination of the values of fields, as arguments of `drive`."""
+    return [dict(zip(fields, row, strict=True)) for row in itertools.product(*fields.values())]
 
 
-@pytest.mark.parametrize("gains", [(0.8, 1.2, 1.0), (1.2, 0.8, 1.2), (1.0, 0.8, 1.25)])
-@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
-@pytest.mark.parametrize("noise", [0.003, 0.01])
-def test_nor_are_robots_whose_wheels_are_not_calibrated(gains, directions, noise):
-    assert drive([0, 1, 2], 0.07, 4.0, directions, gains, noise)[0] == ""
-
-
-@pytest.mark.parametrize("lost", [(0,), (1,), (2,), (0, 1), (0, 1, 2)])
-@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
-def test_nor_are_robots_that_stop_halfway(lost, directions):
-    assert drive([0, 1, 2], 0.05, 4.0, directions, lost=lost)[0] == ""
-
-
-@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
-@pytest.mark.parametrize("delay", [0.02, 0.08, 0.2])
-@pytest.mark.parametrize("pause", [0.05, 0.15, 0.25, 0.45, 0.9])
-def test_nor_are_robots_that_are_not_seen_for_a_while(pause, delay, directions):
-    """Regression: a pause of the stream was counted with the turning commanded in its middle."""
-    for begin in (0.1, 0.22, 0.34, 0.4, 0.57):
-        blind = begin, begin + pause
-        assert drive([0, 1, 2], delay, 2.0, directions, blind=blind)[0] == ""
+OBEYS = [0, 1, 2]
+STUCK = [OBEYS, [None, 1, 2], [0, None, 2], [None] * 3]
+GAINS = [(0.8, 1.2, 1.0), (1.2, 0.8, 1.2), (1.0, 0.8, 1.25)]
+SWAPPED_WHEELS = [(-1, 1, 1), (1, -1, 1), (1, 1, -1)]
+BLIND = [(t, t + pause) for t in (0.1, 0.22, 0.34, 0.4, 0.57) for pause in (0.05, 0.15, 0.25, 0.45)]
+HARMLESS = {
+    "they do as commanded or stand still": cases(
+        answers=STUCK, delay=[0.0, 0.05, 0.1, 0.2, 0.3], seconds=[4.0]
+    ),
+    "their wheels are not calibrated": cases(
+        answers=[OBEYS], delay=[0.07], seconds=[4.0], signs=GAINS, noise=[0.003, 0.01]
+    ),
+    "some stop halfway": cases(
+        answers=[OBEYS], delay=[0.05], seconds=[4.0], lost=[(0,), (1,), (2,), (0, 1), (0, 1, 2)]
+    ),
+    # regression: a pause of the stream was counted with the turning commanded in its middle
+    "they are not seen for a while": cases(
+        answers=[OBEYS], delay=[0.02, 0.08, 0.2], blind=[*BLIND, (0.1, 1.0), (0.4, 1.3)]
+    ),
+    # regression: what a robot heard last looked like what was commanded to another
+    "they hear nothing any more": cases(
+        answers=[OBEYS], delay=[0.02, 0.08], seconds=[3.0], silent=np.arange(0.1, 1.6, 0.1)
+    ),
+    "one's wheels are swapped": cases(answers=[OBEYS], delay=[0.05], signs=SWAPPED_WHEELS),
+}
 
 
 @pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE, (1.7, 2.9, 2.5, -1.0)])
-@pytest.mark.parametrize("delay", [0.02, 0.08])
-def test_nor_are_robots_that_hear_nothing_any_more(delay, directions):
-    """Regression: what a robot heard last looked like what was commanded to another."""
-    for silent in np.arange(0.1, 1.6, 0.1):
-        assert drive([0, 1, 2], delay, 3.0, directions, silent=silent)[0] == ""
-
-
-def test_nor_are_robots_that_all_stand_still():
-    assert drive([None] * 3, 0.05, 4.0, WIDE)[0] == ""
-
-
-@pytest.mark.parametrize("turned", [0, 1, 2])
-@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])
-def test_nor_is_one_whose_wheels_are_swapped(turned, directions):
-    signs = [-1 if i == turned else 1 for i in range(3)]
-    assert drive([0, 1, 2], 0.05, 2.0, directions, signs)[0] == ""
+@pytest.mark.parametrize("why", HARMLESS)
+def test_no_robot_is_taken_for_another_where(why, directions):
+    for case in HARMLESS[why]:
+        assert drive(**case, directions=directions)[0] == "", case
 
 
 @pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE])

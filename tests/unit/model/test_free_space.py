@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.bounded import best_plan, shapes, spec
+from support.bounded import shapes, spec
 
 from tetractl.core.poses import Poses
 from tetractl.model.free_space import clearance, shut_out
@@ -81,13 +81,3 @@ def test_where_a_random_path_goes_nothing_is_shut_out(seed, margin):
     ]
     assert len(apart) > 20
     assert shut_out(placed(apart, path[0], path[-1]), margin, walls=True) == [0]
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2, 4, 5, 6])
-def test_what_the_optimiser_solves_is_not_shut_out(seed):
-    rng = np.random.default_rng(seed)
-    things = tuple(wall(*rng.uniform(200, 700, 2), *rng.uniform(20, 250, 2)) for _ in range(3))
-    experiment = spec(rng, robots=1, signals=40)
-    experiment = experiment.model_copy(update={"obstacles": shapes(things)})
-    assert best_plan(experiment) < 1
-    assert not shut_out(experiment.setup, 0.0, walls=True).any()

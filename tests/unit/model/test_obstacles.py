@@ -48,20 +48,6 @@ def test_distance_and_containment_follow_from_geometry(things, x, y):
     assert world.contain(*at(x, y))[0] == (nearest < 0)
 
 
-@given(obstacles(), COORDINATES, COORDINATES, COORDINATES, COORDINATES)
-def test_segments_cross_as_clipping_says(things, x0, y0, x1, y1):
-    crossed = Obstacles.of(things).cross(*at(x0, y0, x1, y1))[0]
-    if not any(isinstance(thing, Circle) for thing in things):
-        assert crossed == any(meets(thing, x0, y0, x1, y1) for thing in things)
-    t = np.linspace(0, 1, 2001)
-    dense = Obstacles.of(things).distance(x0 + t * (x1 - x0), y0 + t * (y1 - y0)).min()
-    step = math.dist((x0, y0), (x1, y1)) / 2000
-    if dense < -1e-9:
-        assert crossed
-    if dense > step + 1e-9:  # a sample is within half a step of every point of the segment
-        assert not crossed
-
-
 @given(obstacles(), st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8))
 def test_any_segment_crosses_as_clipping_says_but_for_rounding(things, x0, y0, x1, y1):
     def crosses(margin):
@@ -70,44 +56,6 @@ def test_any_segment_crosses_as_clipping_says_but_for_rounding(things, x0, y0, x
     clipped = any(meets(thing, x0, y0, x1, y1) for thing in things)
     assert clipped <= crosses(1e-9)
     assert crosses(-1e-9) <= clipped
-
-
-@given(obstacles(), COORDINATES, COORDINATES)
-def test_a_segment_without_length_is_a_point(things, x, y):
-    world = Obstacles.of(things)
-    assert world.cross(*at(x, y, x, y))[0] == world.contain(*at(x, y))[0]
-
-
-@pytest.mark.parametrize(
-    ("x", "y"),
-    [(1200, 1100), (1400, 1300), (1200, 1300), (1300, 1100), (1300, 1300), (750, 780), (870, 900)],
-)
-def test_edges_and_corners_belong_to_the_obstacle(x, y):
-    world = Obstacles.of([BOX, DISC])
-    assert world.contain(*at(x, y))[0]
-    assert world.distance(*at(x, y))[0] == 0
-    assert world.cross(*at(x, y, x, y))[0]
-
-
-@pytest.mark.parametrize(
-    ("segment", "crosses"),
-    [
-        ((1100, 1300, 1500, 1300), True),  # along the top edge
-        ((1100, 1300.001, 1500, 1300.001), False),
-        ((1100, 1400, 1300, 1200), True),  # into the box from a corner's side
-        ((1000, 1100, 1200, 1300), True),  # through the corner (1200, 1300) at its end
-        ((1000, 1101, 1200, 1301), False),  # just past that corner
-        ((1000, 1000, 1500, 1500), True),  # right across; both ends outside
-        ((1250, 1150, 1350, 1250), True),  # inside throughout
-        ((600, 1020, 900, 1020), True),  # tangent to the disc
-        ((600, 1020.01, 900, 1020.01), False),
-        ((700, 0, 700, 500), False),  # towards the disc but short of it
-    ],
-)
-def test_segments_against_the_papers_obstacle_and_a_disc(segment, crosses):
-    world = Obstacles.of([BOX, DISC])
-    assert world.cross(*at(*segment))[0] == crosses
-    assert world.cross(*at(*segment[2:], *segment[:2]))[0] == crosses
 
 
 def test_a_margin_grows_every_side_and_radius():
@@ -149,13 +97,6 @@ def test_a_path_check_keeps_the_deepest_visit():
         check.add(np.array([[x]]), np.array([[1150.0]]))
     assert check.entered.tolist() == [True]
     assert check.clearance.tolist() == [-50]
-
-
-def test_without_obstacles_nothing_is_entered():
-    check = PathCheck(Obstacles.of([]), ARENA, 2)
-    check.add(np.zeros((4, 2)), np.zeros((4, 2)))
-    assert check.entered.tolist() == [False, False]
-    assert check.clearance.tolist() == [math.inf, math.inf]
 
 
 def test_a_recorded_path_is_checked_between_the_samples_that_are_known():

@@ -169,16 +169,6 @@ def test_the_outline_draws_the_shape(shape):
     assert np.array_equal(drawn.contain(*spots)[clear], shape.contain(*spots)[clear])
 
 
-@given(rectangles(), PLACES, PLACES, PLACES, PLACES, MARGINS)
-def test_a_rectangle_as_a_polygon_is_the_same(box, x0, y0, x1, y1, margin):
-    same = polygon(*map(tuple, box.outline().tolist()))
-    assert same.distance(*at(x0, y0))[0] == pytest.approx(box.distance(*at(x0, y0))[0], abs=1e-9)
-    if same.grown(margin).contain(*at(x0, y0))[0]:  # a grown rectangle has sharp corners
-        assert box.grown(margin + 1e-9).contain(*at(x0, y0))[0]
-    if same.grown(margin).cross(*at(x0, y0, x1, y1))[0]:
-        assert box.grown(margin + 1e-9).cross(*at(x0, y0, x1, y1))[0]
-
-
 @pytest.mark.parametrize(
     ("x", "y", "inside"),
     [(0, 0, True), (4, 1, True), (1, 1, True), (1, 2, True), (1.01, 2, False), (2, 1.01, False),

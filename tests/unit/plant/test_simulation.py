@@ -8,10 +8,8 @@ from scipy.integrate import solve_ivp
 from support.plants import sim
 from support.trials import experiment
 
-from tetractl.control.build import build_controller
 from tetractl.control.cost import predict
-from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.plan import Outcome
+from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
 from tetractl.model.wheels import body_velocity
 
@@ -75,48 +73,6 @@ def test_the_plant_reproduces_the_planners_prediction(motion):
         spec.controller.problem(spec.setup, Poses.of(path[0])), np.array(DIRECTIONS)
     )
     assert path == pytest.approx(predicted, abs=1e-9)
-
-
-def test_an_euler_planner_meets_its_own_plan_on_an_euler_plant():
-    """The loop of Algorithm 2: what is predicted for the next step is what is observed then."""
-    spec = experiment(
-        plant={"motion": "euler"},
-        controller={"horizon_max": 20, "optimizer": {"particles": 20, "iterations": 20}},
-    )
-    clock = VirtualClock()
-    simulated = sim(spec, 1, clock)
-    controller = build_controller(spec, 7)
-    simulated.open()
-    expected = None
-    for k in range(15):
-        observation = simulated.observe()
-        if expected is not None:
-            assert observation.poses.array() == pytest.approx(expected, abs=1e-9)
-        plan = controller.plan(observation)
-        if isinstance(plan, Outcome):
-            break
-        simulated.steer(float(plan.signals[0]))
-        expected = plan.path[1]
-        clock.sleep_until((k + 1) * PERIOD)
-    assert k > 5
-
-
-def test_held_wheels_turn_each_period_as_far_as_6():
-    path = truths(steered(plant(motion="arc"), DIRECTIONS))[::24]
-    a = np.array([robot.a for robot in experiment().robots])
-    for k, u in enumerate(DIRECTIONS[: len(path) - 1]):
-        turned = 0.2 * a * np.sin(u - path[k, :, 2])  # (6)
-        assert path[k + 1, :, 2] - path[k, :, 2] == pytest.approx(turned, abs=1e-9)
-
-
-def test_the_camera_rate_does_not_change_the_motion():
-    ends = []
-    for rates in ({"camera_rate": 5}, {"camera_rate": 1000, "truth_rate": 1000}):
-        simulated = plant(motion="exact", **rates)
-        steered(simulated, DIRECTIONS)
-        simulated.stop()
-        ends.append(simulated.settle().final.array())
-    assert ends[1] == pytest.approx(ends[0], abs=1e-9)
 
 
 def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
@@ -193,11 +149,6 @@ def test_measurement_noise_is_normal_of_the_stated_size_and_moves_nobody():
     assert truths(samples).tobytes() == clean.tobytes()
 
 
-def test_without_noise_the_camera_sees_the_truth():
-    samples = steered(plant(), DIRECTIONS)
-    assert measured(samples).tobytes() == truths(samples).tobytes()
-
-
 def test_heading_noise_is_a_random_walk_of_the_stated_size():
     robots = [STRAIGHT[0] | {"name": f"robot {i}", "speed": 0} for i in range(40)]
     samples = steered(plant(robots, heading_noise=0.3), [0.0] * 50)  # 10 s
@@ -243,14 +194,6 @@ def test_the_facts_are_those_the_robots_move_by():
     simulated.steer(0.0)
     simulated.clock.sleep_until(SECOND)
     assert simulated.observe().poses.x[0] == pytest.approx(900 + true, abs=1e-6)
-
-
-def test_switching_one_disturbance_on_leaves_the_draws_of_the_others():
-    alone = measured(steered(plant(measurement_noise={"position": 2}), DIRECTIONS)) - truths(
-        steered(plant(), DIRECTIONS)
-    )
-    both = steered(plant(measurement_noise={"position": 2}, lost_commands=0.4), DIRECTIONS)
-    assert measured(both) - truths(both) == pytest.approx(alone, abs=1e-9)
 
 
 def test_the_truth_decides_what_the_camera_misses():

@@ -155,19 +155,6 @@ def test_dead_zones_that_the_host_does_not_know_turn_robots():
     assert np.abs(bent[:, 2]).max() > 0.05
 
 
-def test_a_radio_that_loses_packets_costs_less_at_a_higher_rate():
-    def miss(rate):
-        radio = {"type": "radio", "loss": 0.3}
-        gaps = []
-        for seed in range(6):
-            lossy = plant(seed, {"rate": rate}, disturbances=[radio])
-            clean = plant(seed, {"rate": rate})
-            gaps.append(truths(driven(lossy)[1])[-1] - truths(driven(clean)[1])[-1])
-        return float(np.hypot(*np.array(gaps)[..., :2].T).mean())
-
-    assert miss(100.0) < miss(10.0) / 2
-
-
 def test_robots_coast_to_a_stand():
     simulated = plant(drive={"rate": 40, "lag": 0.1})
     driven(simulated, [0.0] * 5)

@@ -70,42 +70,12 @@ def test_json_stays_json_where_nothing_is_known():
     assert found["damaged"] == [{"path": "torn.mcap", "problem": "no header"}]
 
 
-def test_json_of_a_comparison_holds_both_groups():
-    found = as_json(group(batch(ERRORS), name="a"), group(batch(ERRORS[:9]), name="b"))
-    assert [(one["name"], one["n_counted"]) for one in found["groups"]] == [("a", 20), ("b", 9)]
-    (comparison,) = found["comparisons"]
-    assert (comparison["one"], comparison["other"], comparison["pairs"]) == ("a", "b", 9)
-    assert (comparison["one_n"], comparison["other_n"]) == (20, 9)
-    assert comparison["both"]["ci95_method"] == "both intervals"
-    assert -1 <= comparison["cliffs_delta"]["value"] <= 1
-
-
 def test_csv_has_a_row_per_trial_with_units_in_its_columns():
     rows = rows_of(group(batch(ERRORS)))
     assert len(rows) == 20
     assert float(rows[3]["total_error_mm"]) == pytest.approx(sum(ERRORS[3]))
     assert float(rows[3]["error_blue_mm"]) == ERRORS[3][1]
     assert rows[3]["outcome"] == "sequence completed"
-
-
-def test_csv_of_a_comparison_has_a_row_per_comparison():
-    found = [group(batch(ERRORS[:n]), name=f"first {n}") for n in (2, 3, 4)]
-    rows = rows_of(*found)
-    assert [(row["one"], row["other"]) for row in rows] == [
-        ("first 2", "first 3"),
-        ("first 2", "first 4"),
-        ("first 3", "first 4"),
-    ]
-    assert [(row["one_n"], row["pairs"], row["unit"]) for row in rows][2] == ("3", "3", "mm")
-
-
-def test_an_undisturbed_simulation_has_no_p_and_no_scaled_error():
-    spec = experiment(reference=REFERENCE, scale=SCALE)
-    found = as_json(group(batch(ERRORS, spec)))
-    reference = found["reference"]
-    assert (found["origin"], reference["comparable"]) == ("undisturbed simulation", False)
-    assert (reference["mean"], reference["difference"], reference["p_value"]) == (648.6, None, None)
-    assert found["scaled"] is None
 
 
 def test_attempts_are_rows_that_say_so():

@@ -22,14 +22,6 @@ def printed(*groups, **console):
     return out.getvalue()
 
 
-def test_the_published_result_stands_beside_ours():
-    lines = printed(group(batch(ERRORS, SPEC))).splitlines()
-    ours = next(line for line in lines if line.split()[:1] == ["total"])
-    published = next(line for line in lines if line.split()[:1] == ["published"])
-    assert f"{np.sum(ERRORS, axis=1).mean():.1f}" in ours
-    assert published.split()[:4] == ["published", "20", "648.6", "225.1"]
-
-
 def test_without_a_terminal_lines_are_plain_and_whole():
     trials = batch(ERRORS, SPEC)
     path = "/".join(["folder"] * 40) + "/trial.mcap"
@@ -83,16 +75,6 @@ def test_small_errors_beside_a_large_published_one_keep_their_own_digits():
     )
     assert " 0.058 " in text
     assert " -648.5 " in text
-
-
-def test_arrivals_are_counted_only_where_the_spec_says_what_arriving_is():
-    def shown(tolerance):
-        spec = experiment(controller={"arrival_tolerance": tolerance})
-        text = printed(group(batch(ERRORS[:4], spec)))
-        return next(line for line in text.splitlines() if line.strip().startswith("arrived"))
-
-    assert "no arrival_tolerance" in shown(0)
-    assert "0 of 4 (0 to 49 %)" in shown(20)
 
 
 def test_markdown_has_as_many_cells_in_every_row():
@@ -162,12 +144,6 @@ def test_the_tail_of_the_errors_has_a_row_with_the_bound_of_the_spec_or_ten_medi
     label = "trials above error_bound, 95 % interval"
     assert shown(bounded, label) == "0 of 20 above 500.0 mm (0 to 16 %)"
     assert contrast([bounded, bounded]).contrasts[0].differs == ()
-
-
-def test_outcomes_have_a_row():
-    trials = batch(ERRORS[:4])
-    trials[1] = replace(trials[1], result=result([1, 2, 3], outcome=Outcome.STEPS_MAX))
-    assert shown(group(trials), "outcomes") == "3 sequence completed, 1 steps max"
 
 
 def test_a_long_list_of_flagged_trials_is_cut():

@@ -8,9 +8,7 @@ from support.bounded import best_plan, spec
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.run.plausibility.checks import beyond_the_plan, out_of_reach
-from tetractl.run.plausibility.context import CheckContext
-from tetractl.run.plausibility.warnings import find_warnings
+from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
 
 EXPERIMENTS = sorted((ROOT / "experiments").glob("*.yaml"))
 THREE = ROOT / "experiments" / "three_m3pi.yaml"

@@ -1,6 +1,4 @@
 from dataclasses import replace
-from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 from support import random_trials as made
@@ -8,7 +6,7 @@ from support import random_trials as made
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
-from tetractl.run.store import LogStore, default_folder, make_folder, set_aside
+from tetractl.run.store import LogStore, make_folder, set_aside
 from tetractl.run.task import log_path
 
 
@@ -42,13 +40,6 @@ def test_a_folder_with_logs_is_refused(tmp_path, name):
     with pytest.raises(UsageError, match="holds logs already") as caught:
         trials_to_run(spec(), tmp_path, False)
     assert caught.value.hint
-
-
-def test_a_file_is_no_folder(tmp_path):
-    (tmp_path / "file").write_text("")
-    for resume in (False, True):
-        with pytest.raises(UsageError, match="file: not a folder"):
-            trials_to_run(spec(), tmp_path / "file", resume)
 
 
 def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path):
@@ -109,8 +100,3 @@ def test_a_folder_is_made_with_its_parents(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(LogError, match="cannot create the folder: Not a directory"):
         make_folder(tmp_path / "file" / "b")
-
-
-def test_the_default_folder_tells_spec_and_hour():
-    now = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
-    assert default_folder("three-m3pi", now) == Path("logs/three-m3pi-20260304T050607Z")

@@ -106,14 +106,6 @@ def test_the_scene_is_sent_at_the_start_and_after_every_seek(play):
     assert len(shown.server.jumps) == 3
 
 
-def test_the_span_is_that_of_the_player(play):
-    shown = play()
-    assert shown.server.span_ns == (
-        shown.start_ns + shown.player.start_ns,
-        shown.start_ns + shown.player.until_ns,
-    )
-
-
 def test_states_are_told_when_they_change(play):
     shown = play()
     for _ in range(3):
@@ -133,15 +125,3 @@ def test_states_are_told_when_they_change(play):
         (Playback.PAUSED, 2.0, False),
         (Playback.ENDED, 2.0, False),
     ]
-
-
-def test_a_rate_that_is_no_number_changes_nothing(play):
-    shown = play()
-    shown.served.follow()
-    for rate in (float("nan"), float("inf"), float("-inf"), -1.0, 0.0):
-        shown.server.asked(Request(True, rate, None))
-        shown.served.follow()
-        assert 1 / 16 <= shown.player.rate <= RATE_MAX
-    shown.server.asked(Request(True, 2.0, 2**64 - 1))
-    shown.served.follow()
-    assert shown.player.now == shown.player.until_ns

@@ -79,19 +79,10 @@ def test_a_log_without_steps_is_no_film(tmp_path, log):
         write_video(cut_short(log, 0), tmp_path / "film.gif")
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("film.avi", r"cannot write '\.avi' films"),
-        ("film", "the name of a film needs an ending"),
-        ("no/film.gif", "there is no folder"),
-        ("film.mp4", "written by ffmpeg, which is not installed"),
-    ],
-)
-def test_what_cannot_be_written_is_one_clear_line(tmp_path, monkeypatch, name, message):
+def test_an_mp4_needs_ffmpeg(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda program: None)
-    with pytest.raises(UsageError, match=message):
-        check_file(tmp_path / name)
+    with pytest.raises(UsageError, match="written by ffmpeg, which is not installed"):
+        check_file(tmp_path / "film.mp4")
 
 
 def test_a_film_that_fails_leaves_no_file(tmp_path, log, monkeypatch):

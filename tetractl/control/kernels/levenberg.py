@@ -65,7 +65,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
     obstacles = sum(len(pack.rows) for pack in packs)
     pairs = count * (count - 1) // 2 if problem.separation > 0 else 0
     rows = 2 * count + count * obstacles + pairs
-    first, rest = constants(problem, single=False)
+    first, rest = constants(problem)
     return Polish(
         start=problem.poses.array(),
         target=np.ascontiguousarray(problem.targets),

@@ -17,16 +17,14 @@ from tetractl.core.registries import MOTIONS
 
 
 @lru_cache(maxsize=2)  # the searches of one control step ask for the same ones
-def constants(problem: Problem, *, single: bool) -> tuple[Any, Any]:
+def constants(problem: Problem) -> tuple[Any, Any]:
     """Return the constants of a problem's motion, `Lanes`, for its first signal and the others.
 
-    They are of one class; with `single` of the one that the motion has for single precision. Every
-    call for a problem returns the same arrays, which are not to be written to.
+    They are of one class. Every call for a problem returns the same arrays, which are not to be
+    written to.
     """
     a, v, times = problem.a, problem.speed, (problem.first_period, problem.period)
     kind: Any = MOTIONS.load(problem.motion).lanes(a, max(times))
-    if single:
-        kind = getattr(kind, "single", kind)
     rest = kind.of(a, v, times[1])
     return rest if times[0] == times[1] else kind.of(a, v, times[0]), rest
 
@@ -38,7 +36,7 @@ def advance(lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: A
 @overload(advance, jit_options=INLINE_FAST)
 def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
     kind = lanes.instance_class
-    step, columns = inlined(kind.advance, x.dtype), tuple(range(kind.size))
+    step, columns = inlined(kind.advance), tuple(range(kind.size))
 
     def advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
         k = entries(lanes.rows, i, columns)

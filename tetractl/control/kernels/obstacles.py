@@ -46,10 +46,9 @@ def count_hits(
 def _count_hits(packs, x0, y0, x, y, i, swept, gap, hits):
     def count_hits(packs, x0, y0, x, y, i, swept, gap, hits):
         narrow(packs, x0, y0, x, y, i, swept, gap)
-        one, zero = gap.dtype.type(1), gap.dtype.type(0)
         for n in range(gap.size):
-            hits[i, n] += one if gap[n] <= zero else zero
-            gap[n] = one
+            hits[i, n] += 1.0 if gap[n] <= 0 else 0.0
+            gap[n] = 1.0
 
     return count_hits
 
@@ -63,7 +62,7 @@ def _narrow(packs, x0, y0, x, y, i, swept, gap):
     if len(packs) == 0:
         return lambda packs, x0, y0, x, y, i, swept, gap: None
     kind = packs[-1].instance_class
-    point, segment = inlined(kind.gap, gap.dtype), inlined(kind.gap_between, gap.dtype)
+    point, segment = inlined(kind.gap), inlined(kind.gap_between)
 
     def narrow_to_kind(packs, x0, y0, x, y, i, swept, gap):
         narrow(packs[:-1], x0, y0, x, y, i, swept, gap)

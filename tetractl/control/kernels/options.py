@@ -5,8 +5,7 @@ from functools import cache
 from types import FunctionType
 from typing import Any
 
-import numpy as np
-from numba import njit, types
+from numba import njit
 from numba.extending import overload
 
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
@@ -23,31 +22,16 @@ INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "al
 
 
 @cache
-def inlined(function: FunctionType, kind: Any = types.float64) -> Callable[..., Any]:
+def inlined(function: FunctionType) -> Callable[..., Any]:
     """Return a plain function of scalars, compiled together with the plain functions it calls.
 
     Motions and shapes are written in plain Python and know no compiler: specs are checked without
-    one. `kind` is the type of their numbers. For float32 their constants are made so, too, for
-    Numba takes float32 times a Python float as float64; a module's SINGLE replaces globals by name.
+    one.
     """
     code, scope = function.__code__, function.__globals__
-    if kind == types.float32:
-        code = code.replace(co_consts=tuple(map(_single, code.co_consts)))
-        own = {**scope, **scope.get("SINGLE", {})}
-        scope = {**scope, **{name: _single(own[name]) for name in code.co_names if name in own}}
     called = {name: scope.get(name) for name in code.co_names}
-    compiled = {name: inlined(f, kind) for name, f in called.items() if isinstance(f, FunctionType)}
+    compiled = {name: inlined(f) for name, f in called.items() if isinstance(f, FunctionType)}
     return njit(**INLINE)(FunctionType(code, {**scope, **compiled}, function.__name__))
-
-
-def _single(constant: Any) -> Any:
-    match constant:
-        case float():
-            return np.float32(constant)
-        case tuple():
-            return tuple(map(_single, constant))
-        case _:
-            return constant
 
 
 def entries(rows: Any, i: int, columns: Any) -> Any:

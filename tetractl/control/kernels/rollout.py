@@ -29,9 +29,9 @@ class Rollout(NamedTuple):
     first: Any  # constants of the motion, `Lanes`: for the first signal
     rest: Any  # and for the others
     obstacles: Any  # `SingleShape`, or a tuple of `PackedShapes`
-    weight: Any  # a scalar of the kind of the arrays
+    weight: float
     swept: bool
-    separation: Any
+    separation: float
     drift: (
         Floats  # (6, N) cos and sin of the bias, flow in the first period and the others; or (6, 0)
     )
@@ -42,45 +42,42 @@ class Rollout(NamedTuple):
     # for one robot
 
 
-def aligned(shape: tuple[int, ...], kind: Any = np.float64) -> Any:
+def aligned(shape: tuple[int, ...]) -> Floats:
     """Return an array that begins with a cache line: vectors across two take twice the time."""
-    size, line = math.prod(shape), LINE // np.dtype(kind).itemsize
-    raw = np.empty(size + line, kind)
+    size, line = math.prod(shape), LINE // 8
+    raw = np.empty(size + line)
     first = -raw.ctypes.data // raw.itemsize % line
     return raw[first : first + size].reshape(shape)
 
 
-def lay_out(problem: Problem, particles: int, kind: Any = np.float64) -> Rollout:
-    """Prepare a problem for rollouts of so many particles at once, with numbers of a `kind`."""
-    p, packs, single = problem.poses, problem.obstacles.packed(), kind == np.float32
-    first, rest = constants(problem, single=single)
-    if single:
-        first, rest = (one._replace(rows=one.rows.astype(kind)) for one in (first, rest))
-        packs = tuple(pack._replace(rows=pack.rows.astype(kind)) for pack in packs)
+def lay_out(problem: Problem, particles: int) -> Rollout:
+    """Prepare a problem for rollouts of so many particles at once."""
+    p, packs = problem.poses, problem.obstacles.packed()
+    first, rest = constants(problem)
     filled = [pack for pack in packs if len(pack.rows)]
     sole = len(filled) == len(filled[0].rows) == 1 if filled else False
     drifts = problem.bias is not None or problem.flow is not None
     if sole and not (problem.swept or problem.separation or drifts):
         packs = SingleShape(filled[0])
     return Rollout(
-        start=np.array([p.x, p.y, np.cos(p.heading), np.sin(p.heading)], kind),
-        target=np.ascontiguousarray(problem.targets.T, kind),
+        start=np.array([p.x, p.y, np.cos(p.heading), np.sin(p.heading)]),
+        target=np.ascontiguousarray(problem.targets.T),
         first=first,
         rest=rest,
         obstacles=packs,
-        weight=kind(problem.obstacle_weight),
+        weight=float(problem.obstacle_weight),
         swept=problem.swept,
-        separation=kind(problem.separation),
-        drift=_drift(problem, kind) if drifts else np.empty((6, 0), kind),
-        lanes=aligned((5, problem.a.size, particles), kind),
-        scratch=aligned((7, particles), kind),
+        separation=float(problem.separation),
+        drift=_drift(problem) if drifts else np.empty((6, 0)),
+        lanes=aligned((5, problem.a.size, particles)),
+        scratch=aligned((7, particles)),
     )
 
 
-def _drift(problem: Problem, kind: Any) -> Any:
+def _drift(problem: Problem) -> Floats:
     drift = problem.drift
     ways = drift[2:] * problem.first_period, drift[2:] * problem.period
-    return np.concatenate([drift[:2], *ways]).astype(kind)
+    return np.concatenate([drift[:2], *ways])
 
 
 @compiled(**ENTRY_FAST)
@@ -130,8 +127,8 @@ def follow(rollout: Any, lanes: Any, scratch: Any, signals: Any, j: int) -> None
 def _follow(rollout, lanes, scratch, signals, j):
     fields = dict(zip(rollout.fields, rollout.types, strict=True))
     if getattr(fields["obstacles"], "instance_class", None) is SingleShape:
-        return _follow_past_one(fields["rest"], fields["obstacles"], signals.dtype)
-    sincos_of = inlined(sincos, signals.dtype)
+        return _follow_past_one(fields["rest"], fields["obstacles"])
+    sincos_of = inlined(sincos)
 
     def follow(rollout, lanes, scratch, signals, j):
         x, y, cos, sin, hits = lanes
@@ -161,13 +158,13 @@ def _follow(rollout, lanes, scratch, signals, j):
     return follow
 
 
-def _follow_past_one(constants, obstacles, number):
+def _follow_past_one(constants, obstacles):
     """Return `follow` for a sole obstacle, tested at the samples: one loop does it all."""
     kind, shape = constants.instance_class, obstacles[0].instance_class
-    step, gap_of = inlined(kind.advance, number), inlined(shape.gap, number)
+    step, gap_of = inlined(kind.advance), inlined(shape.gap)
     ends_early = hasattr(kind, "finish")
-    finish: Any = inlined(kind.finish, number) if ends_early else None
-    sincos_of, columns = inlined(sincos, number), tuple(range(kind.size))
+    finish: Any = inlined(kind.finish) if ends_early else None
+    sincos_of, columns = inlined(sincos), tuple(range(kind.size))
 
     def follow(rollout, lanes, scratch, signals, j):
         x, y, cos, sin, hits = lanes
@@ -175,7 +172,6 @@ def _follow_past_one(constants, obstacles, number):
         constants = rollout.first if j == 0 else rollout.rest
         p = row(rollout.obstacles.shape, 0)
         last = ends_early and j == signals.shape[0] - 1
-        one, zero = cos_u.dtype.type(1), cos_u.dtype.type(0)
         if not last:
             for n in range(cos_u.size):
                 sin_u[n], cos_u[n] = sincos_of(signals[j, n])
@@ -190,14 +186,14 @@ def _follow_past_one(constants, obstacles, number):
                 for n in range(cos_u.size):
                     new_x, new_y = finish(x[i, n], y[i, n], cos[i, n], sin[i, n], k)
                     x[i, n], y[i, n] = new_x, new_y
-                    hits[i, n] += one if gap_of(new_x, new_y, p) <= zero else zero
+                    hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
             else:
                 for n in range(cos_u.size):
                     new_x, new_y, c, s = step(
                         x[i, n], y[i, n], cos[i, n], sin[i, n], cos_u[n], sin_u[n], k
                     )
                     x[i, n], y[i, n], cos[i, n], sin[i, n] = new_x, new_y, c, s
-                    hits[i, n] += one if gap_of(new_x, new_y, p) <= zero else zero
+                    hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
 
     return follow
 
@@ -206,12 +202,11 @@ def _follow_past_one(constants, obstacles, number):
 def count_meetings(x, y, separation, hits):
     """Add 1 to hits[i, n] for each robot before i that is within the separation of it."""
     least = separation * separation
-    one, zero = x.dtype.type(1), x.dtype.type(0)
     for i in range(x.shape[0]):
         for k in range(i):
             for n in range(x.shape[1]):
                 dx, dy = x[i, n] - x[k, n], y[i, n] - y[k, n]
-                hits[i, n] += one if dx * dx + dy * dy <= least else zero
+                hits[i, n] += 1.0 if dx * dx + dy * dy <= least else 0.0
 
 
 @compiled(**INLINE_FAST)

@@ -28,23 +28,17 @@ def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
     """(14)-(17) of signal j of every particle, with draws first, first + 1, ...
 
     Before it moves, a particle that had just improved leaves its coordinate as its local best,
-    (18): done here, while the row is in the processor's cache. A velocity that has died away to
-    what has no normal float, some 400 iterations on in single precision, is 0: those are slow.
+    (18): done here, while the row is in the processor's cache.
     """
-    kind = u.dtype.type
-    w, span, bound, rest = kind(inertia), kind(SPAN), kind(math.pi), kind(0)
-    least = np.finfo(kind).tiny
-    c1, c2 = kind(cognitive * UNIT_31), kind(social * UNIT_31)  # r1, r2 are integers, of 31 bits
+    c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1, r2 are integers, of 31 bits
     base = key + np.uint64(first + 1) * GOLDEN
     for n in range(u.shape[1]):
         z = mixed(base + np.uint64(n) * GOLDEN)
-        r1 = kind(np.int32(z >> S33))
-        r2 = kind(np.int32(z & LOW_31))
+        r1, r2 = float(np.int32(z >> S33)), float(np.int32(z & LOW_31))
         at = u[j, n]
         own = at if better[n] > 0.5 else best[j, n]
         best[j, n] = own
-        velocity = w * v[j, n] + c1 * r1 * (own - at) + c2 * r2 * (u_gb - at)
-        velocity = max(-span, min(velocity, span))
-        velocity = velocity if abs(velocity) >= least else rest
+        velocity = inertia * v[j, n] + c1 * r1 * (own - at) + c2 * r2 * (u_gb - at)
+        velocity = max(-SPAN, min(velocity, SPAN))
         v[j, n] = velocity
-        u[j, n] = max(-bound, min(at + velocity, bound))
+        u[j, n] = max(-math.pi, min(at + velocity, math.pi))

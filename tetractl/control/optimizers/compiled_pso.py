@@ -3,9 +3,10 @@
 import numpy as np
 
 from tetractl.control.cost import require_finite
+from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels import pso as kernel
 from tetractl.control.kernels.rollout import Rollout, aligned, costs, lay_out
-from tetractl.control.optimizers.pso import LOWER, UPPER, PsoFields, Swarm
+from tetractl.control.optimizers.pso import PsoFields, Swarm
 from tetractl.control.rng import mix
 from tetractl.control.stop import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
 from tetractl.core.plan import Limits, Search, StopReason
@@ -32,11 +33,8 @@ def pso(
     key: int,
     limits: Limits,
 ) -> Search:
-    """Algorithm 1 with the same draws as the reference, to which it agrees but for rounding.
-
-    In single precision that is enough to part them after some moves.
-    """
-    rollout = lay_out_swarm(section, problem)
+    """Algorithm 1 with the same draws as the reference, to which it agrees but for rounding."""
+    rollout = lay_out(problem, section.particles)
     swarm, evaluations = scatter(section, problem, rollout, length, warm, key)
     rules = make_rules(section, key, evaluations, limits)
     work = BETWEEN_LOOKS if limits.timed else BETWEEN_SIGNALS
@@ -51,12 +49,6 @@ def pso(
     return Search(length, swarm.u_gb, float(history[-1]), history, evaluations, REASONS[reason])
 
 
-def lay_out_swarm(section: PsoFields, problem: Problem) -> Rollout:
-    """Prepare the rollouts of the particles, in the precision they are to have."""
-    kind = np.float32 if section.precision == "single" else np.float64
-    return lay_out(problem, section.particles, kind)
-
-
 def scatter(
     section: PsoFields,
     problem: Problem,
@@ -67,30 +59,22 @@ def scatter(
 ) -> tuple[kernel.SwarmArrays, int]:
     """Algorithm 1, lines 1-6: return the swarm and the evaluations spent."""
     drawn = Swarm.scatter(section, length, key)
-    kind = rollout.lanes.dtype
-    u, v, best = (aligned((length, section.particles), kind) for _ in range(3))
+    u, v, best = (aligned((length, section.particles)) for _ in range(3))
     u[:], v[:], best[:] = drawn.u.T, drawn.v.T, drawn.best.T
-    best_cost = np.empty(section.particles, kind)
+    best_cost = np.empty(section.particles)
     costs(rollout, best, best_cost)
     require_finite(best_cost)
     evaluations = section.particles
     history = np.empty(section.iterations + 1)
-    single, judge = kind == np.float32, None
-    leader = int(np.argmin(best_cost))
-    if warm is None and not single:
+    if warm is None:
+        leader = int(np.argmin(best_cost))
         u_gb, history[0] = best[:, leader].copy(), best_cost[leader]
     else:
-        judge = kernel.DoublePrecisionCheck(lay_out(problem, 1), np.empty((length, 1)), np.empty(1))
-        u_gb = np.clip(best[:, leader], LOWER, UPPER, dtype=float) if warm is None else warm.copy()
-        costs(judge.rollout, np.ascontiguousarray(u_gb[:, None]), judge.cost)
-        require_finite(judge.cost)
-        history[0] = judge.cost[0]
-        evaluations += warm is not None
-    cost, better = np.zeros((2, section.particles), kind)
-    swarm = kernel.SwarmArrays(
-        u, v, best, cost, best_cost, better, u_gb, history, judge if single else None
-    )
-    return swarm, evaluations
+        u_gb = warm.copy()
+        history[0] = compiled_costs(problem, 1)(u_gb[:, None])[0]
+        evaluations += 1
+    cost, better = np.zeros((2, section.particles))
+    return kernel.SwarmArrays(u, v, best, cost, best_cost, better, u_gb, history), evaluations
 
 
 def make_rules(section: PsoFields, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:

@@ -39,9 +39,6 @@ class PsoFields(OptimizerSection):
     """Weight c2 of (14), towards the swarm's best."""
     stop: Stop = PaperStop(type="paper")
     """When a search ends before `iterations`."""
-    precision: Literal["double", "single"] = "double"
-    """Numbers of the particles. The best sequence and its cost are in double precision always: who
-    undercuts it is evaluated once more, which is not counted as an evaluation."""
 
     @property
     def iterations_max(self) -> int:
@@ -139,10 +136,7 @@ def pso(
     key: int,
     limits: Limits,
 ) -> Search:
-    """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or from NULL.
-
-    All of it is in double precision, whatever the section says.
-    """
+    """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or from NULL."""
     swarm = Swarm.scatter(section, length, key)  # line 1
     swarm.best_cost = evaluate(problem, swarm.best).total
     evaluations = section.particles

@@ -8,15 +8,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.emulate.faults import (
-    STUCK_PORT,
-    UNPLUG,
-    Fault,
-    Share,
-    fault,
-    settings,
-    switching,
-)
+from tetractl.core.errors import WireError
+from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Share, fault, settings, switching
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio, ModuleSettings
 from tetractl.emulate.m3pi.robot import (
@@ -29,7 +22,7 @@ from tetractl.emulate.m3pi.robot import (
     SlaveDecoder,
     SlaveProgram,
 )
-from tetractl.emulate.port import PluggedSide
+from tetractl.emulate.port import PluggedDevice, PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
@@ -38,7 +31,6 @@ from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSec
 from tetractl.lab.actuators.xbee.frames import Transmit16
 from tetractl.lab.actuators.xbee.framing import Decoder
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.lab_errors import WireError
 
 Note = Callable[..., None]
 
@@ -185,9 +177,7 @@ FAULTS = (
         "low_battery",
         "A robot's battery has this voltage.",
         settings(
-            lambda d, f: _robot_of(d, f).battery,
-            open_mv=lambda f: float(f.millivolts),
-            sag_mv=0.0,
+            lambda d, f: _robot_of(d, f).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
         ),
         robot=Name,
         millivolts=Annotated[int, Field(ge=0, le=9000)],
@@ -195,7 +185,7 @@ FAULTS = (
 )
 
 
-class EmulatedM3pi(PluggedSide):
+class EmulatedM3pi(PluggedDevice):
     """An XBee on a pseudo-terminal, and the robots that hear it."""
 
     Settings: ClassVar[type[Model]] = M3piSettings
@@ -209,7 +199,7 @@ class EmulatedM3pi(PluggedSide):
             _robot(stage, section, section.robot(name), truths.get(name) or TrueRobot(name=name))
             for name in stage.setup.names
         ]
-        super().__init__(stage.options.link or Path(section.port))
+        self.port = PseudoPort(stage.options.link or Path(section.port))
         module = _module(section, settings)
         slave = isinstance(section.protocol, SlaveSection)
         self.radio = EmulatedRadio(
@@ -223,6 +213,7 @@ class EmulatedM3pi(PluggedSide):
             CommandLog(module.mode, slave, stage.note).read,
             lambda robot, data: stage.note("heard", robot=robot.name, hex=data.hex()),
         )
+        self.readable = self.radio.readable
 
     @property
     def bodies(self) -> Sequence[EmulatedRobot]:
@@ -241,13 +232,14 @@ class EmulatedM3pi(PluggedSide):
 
     def open(self, loop: Loop) -> Facts:
         """Plug the radio in."""
-        self.plug_in(loop)
+        self._loop = loop
+        self.plug()
         link = str(self.port.link)
         return {"actuator": f"radio at {link}", "port": link}
 
     def close(self) -> Facts:
         """Pull the radio out."""
-        self.plugged(False)
+        self.unplug()
         return {"garbled": self.radio.garbled}
 
     def switch(self, on: bool) -> None:
@@ -263,10 +255,6 @@ class EmulatedM3pi(PluggedSide):
     def tick(self) -> None:
         """Send what robots have to answer."""
         self.radio.poll_answers()
-
-    def readable(self) -> None:
-        """Let the radio read what was written to its port."""
-        self.radio.readable()
 
     def robot(self, name: str) -> EmulatedRobot:
         """Return a robot by name."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 from tetractl.core.clock import SECOND
-from tetractl.core.errors import TetractlError
+from tetractl.core.errors import TetractlError, WireError
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.optitrack.natnet_server import (
     Address,
@@ -31,7 +31,6 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Version,
 )
 from tetractl.lab.cameras.optitrack.wire import datagram
-from tetractl.lab.lab_errors import WireError
 
 MODELS_CHANGED, EDIT_MODE = 2, 4
 GROWN = bytes(24)  # what descriptions of bodies are longer by, above 4.3

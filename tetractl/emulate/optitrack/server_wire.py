@@ -2,9 +2,7 @@
 
 from collections.abc import Sequence
 
-from tetractl.lab.cameras.optitrack.cursor import packed, packed_name
-from tetractl.lab.cameras.optitrack.frame import SIZED
-from tetractl.lab.cameras.optitrack.modeldef import RIGID_BODY
+from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     BodyName,
@@ -23,6 +21,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Vec3,
     Version,
 )
+from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, SIZED, packed, packed_name
 from tetractl.lab.cameras.optitrack.wire import (
     SENDER,
     datagram,
@@ -33,7 +32,6 @@ from tetractl.lab.cameras.optitrack.wire import (
     split,
     u64,
 )
-from tetractl.lab.lab_errors import WireError
 
 CONNECT_4 = SENDER + 5  # from 4.x clients: u8 subscribed only, bitstream version[4]
 MEAN_ERROR_M = 0.0002  # of the markers of a tracked body

@@ -78,11 +78,6 @@ def _clock(device: Any, fault: Any) -> ServerClock:
     return device.motive.server.clock
 
 
-def _version_of(fault: Any) -> Version:
-    major, minor = fault.version.split(".")
-    return Version(int(major), int(minor))
-
-
 def _walk(fault: Any, device: Any) -> Undo:
     own, start = fault.axes == "robot", (0.0, 0.0)
     body = _body(device, fault)
@@ -142,7 +137,7 @@ FAULTS = (
     fault(
         "other_version",
         "Frames are of another version than the server says.",
-        settings(_trouble, version=_version_of),
+        settings(_trouble, version=lambda f: Version.of(f.version)),
         SENT,
         version=VersionText,
     ),
@@ -276,10 +271,7 @@ class EmulatedOptitrack:
 
 
 def _tracked(
-    section: OptitrackSection,
-    settings: OptitrackSettings,
-    bodies: Sequence[Body],
-    random: Random,
+    section: OptitrackSection, settings: OptitrackSettings, bodies: Sequence[Body], random: Random
 ) -> list[TrackedBody]:
     noise = settings.noise_mm, settings.noise_rad
     truths = {robot.name: robot for robot in settings.robots}
@@ -328,8 +320,7 @@ def _streaming(
 
 
 def _version(text: str) -> Version:
-    major, minor = text.split(".")
-    version = Version(int(major), int(minor))
+    version = Version.of(text)
     if version < (2, 5):
         raise SpecError(f"cannot emulate NatNet {version}", hint="take 2.5 or a later one")
     return version

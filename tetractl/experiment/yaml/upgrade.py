@@ -96,6 +96,7 @@ UPGRADES: tuple[Renamed | Revalued | Removed, ...] = (
     Renamed("controller.collision.check", "controller.collision.test"),
     Renamed("controller.collision.stop", "controller.collision.stop_before_collision"),
     Removed("controller.losses", "with 'estimate' lost commands are always detected"),
+    Removed("controller.optimizer.precision", "particles are in double precision always"),
 )
 """In the order in which they are applied: a later one may name what an earlier one renamed."""
 

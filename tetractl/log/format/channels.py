@@ -6,14 +6,17 @@ other records of a simulated trial's log repeat byte for byte.
 
 from typing import NamedTuple
 
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 
 from tetractl.log.format.tetractl_pb2 import (
     CameraFrames,
+    CellCrops,
     ControllerStep,
     Estimate,
     MocapSample,
@@ -36,6 +39,10 @@ SCENE_PLAN = "/scene/plan"
 LOG = "/log"
 HOST_TIMING = "/host/timing"
 ESTIMATE = "/controller/estimate"
+CELLS, CROPS = "/camera/cells", "/camera/crops"
+PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
+FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
+"""What a camera that follows cells adds."""
 
 MOCAP, TRUTH, PLAN = "/mocap", "/truth", "/controller/plan"  # of format 1 alone
 
@@ -49,6 +56,10 @@ CHANNELS: dict[str, type[Message]] = {
     LOG: Log,
     HOST_TIMING: StepTiming,
     ESTIMATE: Estimate,
+    CELLS: CellCrops,
+    CROPS: RawImage,
+    PICTURE: CompressedImage,
+    BACKGROUND: CompressedImage,
 }
 """Topic and message of each channel. The order is part of the format version: it makes the channel
 ids 1, 2, ..., which identify the messages of a log that has lost its channel records."""

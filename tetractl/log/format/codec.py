@@ -199,6 +199,7 @@ def encode_step(step: Step) -> pb.ControllerStep:
         path_x=plan.path[..., 0].ravel().tolist(),
         path_y=plan.path[..., 1].ravel().tolist(),
         path_heading=plan.path[..., 2].ravel().tolist(),
+        leg=plan.leg,
     )
 
 
@@ -229,6 +230,7 @@ def decode_step(
         estimate=_decode_estimate(estimate, robots) if estimate else None,
         field_off=command.field_off,
         pauses=command.stops,
+        leg=message.leg,
     )
     return Step(
         k=message.k,
@@ -284,7 +286,7 @@ def _encode_search(search: Search) -> pb.Search:
         cost=search.cost,
         history=search.history.tolist(),
         evaluations=search.evaluations,
-        stopped=search.stopped,
+        stopped=printable(search.stopped, STOPPED),
     )
 
 

@@ -123,6 +123,11 @@ def result_metadata(result: Result, unit: str, warnings: int = 0) -> dict[str, s
         "final_x": _numbers(final.x.tolist()),
         "final_y": _numbers(final.y.tolist()),
         "final_heading": _numbers(final.heading.tolist()),
+        **{
+            name: _numbers(values)
+            for name, values in (("passed", result.passed), ("inside", result.inside))
+            if values
+        },
         WARNINGS: str(warnings),
     }
 
@@ -167,7 +172,8 @@ def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robo
     entered = tuple(bool(entered) for entered in json.loads(items["entered"]))
     errors, clearance = _floats(items["robot_errors"]), _floats(items["clearance"])
     edge, apart = (_floats(items.get(key, "[]")) for key in ("edge", "apart"))
-    kept = [column for column in (edge, apart) if column]  # older logs have neither
+    inside = _floats(items.get("inside", "[]"))
+    kept = [column for column in (edge, apart, inside) if column]  # older logs have neither
     if any(len(column) != robots for column in (*final, entered, errors, clearance, *kept)):
         raise ValueError("the result is not of as many robots as the run")
     return Result(
@@ -186,6 +192,8 @@ def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robo
         ),
         solve_ns=tuple(int(ns) for ns in json.loads(timing["solve_ns"])) if timing else (),
         deadline_misses=int(timing["deadline_misses"]) if timing else 0,
+        passed=_floats(items.get("passed", "[]")),
+        inside=inside,
     )
 
 

@@ -4,13 +4,10 @@ Positions go from the spec's unit to metres here and nowhere else. Nothing that 
 drawn: viewers drop a whole message for one NaN.
 """
 
-import struct
-from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -22,7 +19,6 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
-from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
@@ -37,6 +33,7 @@ WORLD = "world"
 GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
 
 _LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
+_STRIP = LinePrimitive.LINE_STRIP
 _UPRIGHT = Quaternion(w=1.0)  # must be given: without it viewers see a zero quaternion
 
 
@@ -63,62 +60,6 @@ def decode_note(message: Log, start_ns: int) -> Note:
     return Note(unix_ns - start_ns, level, message.message)
 
 
-class _Rows:
-    """The bytes of a repeated message whose elements differ in some numbers alone.
-
-    Making a message for each pose of a trial takes longer than all else in its log. So one element
-    is encoded with a mark in place of each double and time stamp; `fill` copies it, and writes
-    columns of numbers over the marks. A reader finds nothing special: an integer in a varint of
-    five bytes is as good as in a shorter one.
-    """
-
-    _SECONDS, _NANOS = 1 << 34, (1 << 30) - 1  # varints of five bytes
-
-    def __init__(self, field: int, make: Callable[[Iterator[float], Timestamp], Message]) -> None:
-        """Take the number of the field, and what makes an element of marks and a time stamp."""
-        marks = [bytes([255, i, *b"marked"]) for i in range(4)]  # 255 is in no UTF-8 text
-        stamped = Timestamp(seconds=self._SECONDS, nanos=self._NANOS)
-        doubles = (value for (value,) in map(struct.Struct("<d").unpack, marks))
-        self._one = _field(field, make(doubles, stamped).SerializeToString())
-        at = [self._one.index(data) for data in marks if data in self._one]
-        form = ["<f8"] * len(at)
-        if (time := self._one.find(stamped.SerializeToString())) >= 0:
-            at, form = [*at, time + 1, time + 7], [*form, "5u1", "5u1"]
-        self._kind = np.dtype(
-            {
-                "names": [f"f{i}" for i in range(len(at))],
-                "formats": form,
-                "offsets": at,
-                "itemsize": len(self._one),
-            }
-        )
-
-    def fill(
-        self, columns: Sequence[Floats], times: NDArray[np.int64] | None = None
-    ) -> NDArray[Any]:
-        """Return as many elements as the columns are long; `times` are Unix ns."""
-        rows = np.frombuffer(bytearray(self._one * len(columns[0])), dtype=self._kind)
-        values = [*columns, *(() if times is None else map(_varints, np.divmod(times, SECOND)))]
-        for i, column in enumerate(values):
-            rows[f"f{i}"] = column
-        return rows.view(f"V{len(self._one)}")  # else copies leave out what is no number
-
-
-def _varints(values: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return integers below 2^35 as varints of five bytes, (M, 5)."""
-    parts = values[:, None] >> np.array([0, 7, 14, 21, 28]) & 0x7F
-    return (parts | [0x80, 0x80, 0x80, 0x80, 0]).astype(np.uint8)
-
-
-def _field(number: int, data: bytes) -> bytes:
-    """Return a field of bytes or of a message, with its number and length."""
-    size, head = len(data), bytearray([number << 3 | 2])
-    while size > 0x7F:
-        head.append(size & 0x7F | 0x80)
-        size >>= 7
-    return bytes([*head, size]) + data
-
-
 class Scene:
     """Draws one experiment; lengths that come in are in its unit."""
 
@@ -129,47 +70,42 @@ class Scene:
         radius, arena = setup.wheel_radius, setup.arena
         body = 2 * radius if radius else 0.03 * min(arena.width, arena.height)
         self._body = body * self._metres
-        self._transforms = [_transforms(name) for name in setup.names]
-        self._points = _Rows(
-            LinePrimitive.POINTS_FIELD_NUMBER, lambda mark, _: Point3(x=next(mark), y=next(mark))
-        )
-        drawn = LinePrimitive.LINE_STRIP
-        self._plans = [
-            (
-                self._entity(f"plan/{name}", 0).SerializeToString(),
-                self._line(np.empty((0, 2)), color, drawn).SerializeToString(),
-            )
-            for name, color in zip(setup.names, self._colors, strict=True)
-        ]
 
-    def transforms(self, frames: Frames, start_ns: int) -> bytes:
+    def transforms(self, frames: Frames, start_ns: int) -> FrameTransforms:
         """Return the poses in camera frames of a trial that starts at a time [Unix ns].
 
         Robot by robot; frames in which a robot is not tracked are left out.
         """
-        shown = frames.valid & np.isfinite(frames.poses).all(axis=2)
-        times, parts = frames.sampled_ns + start_ns, []
-        for i, rows in enumerate(self._transforms):
-            x, y, heading = frames.poses[shown[:, i], i].T
-            columns = (x * self._metres, y * self._metres, np.sin(heading / 2), np.cos(heading / 2))
-            parts.append(rows.fill(columns, times[shown[:, i]]).tobytes())
-        return b"".join(parts)
+        known = frames.valid & np.isfinite(frames.poses).all(axis=2)
+        made = FrameTransforms()
+        for i, name in enumerate(self._setup.names):
+            x, y, heading = frames.poses[known[:, i], i].T
+            rows = (x * self._metres, y * self._metres, np.sin(heading / 2), np.cos(heading / 2))
+            times = frames.sampled_ns[known[:, i]] + start_ns
+            numbers = np.transpose(rows).tolist()
+            for unix_ns, (x, y, z, w) in zip(times.tolist(), numbers, strict=True):
+                made.transforms.add(
+                    timestamp=stamp(unix_ns),
+                    parent_frame_id=WORLD,
+                    child_frame_id=frame_of(name),
+                    translation=Vector3(x=x, y=y),
+                    rotation=Quaternion(z=z, w=w),
+                )
+        return made
 
-    def plan(self, path: Floats, unix_ns: int) -> bytes:
+    def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
         """Return one line a robot along its predicted path (length + 1, N, 3).
 
         The next message replaces it.
         """
-        x, y = path[..., 0].T * self._metres, path[..., 1].T * self._metres
-        known = np.isfinite(x + y)
-        points = self._points.fill((x.ravel(), y.ravel())).reshape(x.shape)
-        at = _field(SceneEntity.TIMESTAMP_FIELD_NUMBER, stamp(unix_ns).SerializeToString())
-        parts = []
-        for i, (entity, line) in enumerate(self._plans):
-            line += points[i, known[i]].tobytes()
-            entity += at + _field(SceneEntity.LINES_FIELD_NUMBER, line)
-            parts.append(_field(SceneUpdate.ENTITIES_FIELD_NUMBER, entity))
-        return b"".join(parts)
+        return SceneUpdate(
+            entities=[
+                self._entity(f"plan/{name}", unix_ns, lines=[self._line(xy, color)])
+                for name, color, xy in zip(
+                    self._setup.names, self._colors, path[..., :2].swapaxes(0, 1), strict=True
+                )
+            ]
+        )
 
     def static(self, unix_ns: int) -> SceneUpdate:
         """Return what never changes: arena, obstacles, targets, a body in each robot's frame."""
@@ -184,9 +120,9 @@ class Scene:
         entities = [self._entity("arena", unix_ns, lines=[border])]
         for i, obstacle in enumerate(self._setup.obstacles):
             entities.append(self._obstacle(f"obstacle/{i}", unix_ns, obstacle))
-        targets = self._setup.targets
-        for name, color, target in zip(self._setup.names, self._colors, targets, strict=True):
-            entities.append(self._target(name, color, target, unix_ns))
+        legs = self._setup.legs.swapaxes(0, 1)
+        for name, color, points in zip(self._setup.names, self._colors, legs, strict=True):
+            entities.append(self._target(name, color, points[:-1], points[-1], unix_ns))
             entities.append(self._robot(name, color, unix_ns))
         return SceneUpdate(entities=entities)
 
@@ -201,12 +137,19 @@ class Scene:
         )
         return self._entity(entity_id, unix_ns, triangles=[block])
 
-    def _target(self, name: str, color: Color, target: Floats, unix_ns: int) -> SceneEntity:
-        """A ring the size of the robot round its target."""
+    def _target(
+        self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
+    ) -> SceneEntity:
+        """Rings: the size of the robot round its target, half of it round way-points, the hold."""
         angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
-        ring = np.column_stack([np.cos(angle), np.sin(angle)]) * (self._body / 2 / self._metres)
-        line = self._line(ring + target, color, LinePrimitive.LINE_LOOP)
-        return self._entity(f"target/{name}", unix_ns, lines=[line])
+        ring, body = np.column_stack([np.cos(angle), np.sin(angle)]), self._body / 2 / self._metres
+        wanted = [(body, target), *((body / 2, point) for point in way_points)]
+        if self._setup.hold is not None:
+            wanted.append((self._setup.hold.radius, target))
+        lines = [
+            self._line(radius * ring + at, color, LinePrimitive.LINE_LOOP) for radius, at in wanted
+        ]
+        return self._entity(f"target/{name}", unix_ns, lines=lines)
 
     def _robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
         """A wedge that points along the heading, and the robot's name above it."""
@@ -235,9 +178,12 @@ class Scene:
             **primitives,
         )
 
-    def _line(self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType) -> LinePrimitive:
+    def _line(
+        self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType = _STRIP
+    ) -> LinePrimitive:
         """A line 2 pixels wide through xy (M, 2)."""
-        points = [Point3(x=x * self._metres, y=y * self._metres) for x, y in _finite(xy).tolist()]
+        known = xy[np.isfinite(xy).all(axis=1)] * self._metres
+        points = [Point3(x=x, y=y) for x, y in known.tolist()]
         return LinePrimitive(
             type=kind,
             pose=Pose(orientation=_UPRIGHT),
@@ -246,24 +192,6 @@ class Scene:
             points=points,
             color=color,
         )
-
-
-def _transforms(name: str) -> _Rows:
-    return _Rows(
-        FrameTransforms.TRANSFORMS_FIELD_NUMBER,
-        lambda mark, stamped: FrameTransform(
-            timestamp=stamped,
-            parent_frame_id=WORLD,
-            child_frame_id=frame_of(name),
-            translation=Vector3(x=next(mark), y=next(mark)),
-            rotation=Quaternion(z=next(mark), w=next(mark)),
-        ),
-    )
-
-
-def _finite(rows: Floats) -> Floats:
-    """Return the rows (M, K) without a number that is not finite."""
-    return rows[np.isfinite(rows).all(axis=1)]
 
 
 def _color(text: str) -> Color:

@@ -152,6 +152,7 @@ def recompute(trial: TrialLog) -> Result:
         duration_s=trial.elapsed_s(int(trial.mocap_ns[-1])),
         solve_ns=tuple(step.solve_ns for step in trial.steps),
         deadline_misses=sum(step.deadline_missed for step in trial.steps),
+        tour=trial.tour,
     )
 
 

@@ -18,8 +18,7 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, frame_gaps, step_gaps
-from tetractl.log.write.mcap_file import protobuf_schema
-from tetractl.log.write.sink import Sink
+from tetractl.log.write.sink import Sink, protobuf_schema
 
 PART_SUFFIX = ".recovering"
 """What an unfinished copy is called: no log yet, and no trial's, so that the next run replaces it.

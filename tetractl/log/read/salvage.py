@@ -16,7 +16,6 @@ from pathlib import Path
 
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -52,7 +51,6 @@ RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, dat
 Inside = tuple[list[Schema], list[Channel], list[RawMessage]]
 
 _MESSAGE = struct.Struct("<HIQQ")
-_UINT32, _UINT64 = struct.Struct("<I"), struct.Struct("<Q")
 
 
 def scan(path: Path) -> RawLog:
@@ -84,6 +82,7 @@ def _named(path: Path) -> Iterator[None]:
 class _Scan:
     def __init__(self, path: Path) -> None:
         self._data, size, problem = read_file(path)
+        self._file = BytesIO(self._data)
         self._result = RawLog(path, size=size)
         self._spend = self._result.budget.spend
         self._spend(len(self._data), "very many bytes")
@@ -326,38 +325,13 @@ class _Scan:
         length = int.from_bytes(self._data[offset + 1 : offset + _HEAD], "little")
         return self._data[offset], offset + _HEAD + length
 
-    def _stream(self, offset: int) -> "_Stream":
-        return _Stream(self._data, offset)
+    def _stream(self, offset: int) -> ReadDataStream:
+        self._file.seek(offset)
+        return ReadDataStream(self._file)
 
     def _crc(self, start: int, end: int) -> int:
         with memoryview(self._data) as view:
             return zlib.crc32(view[start:end])
-
-
-class _Stream(ReadDataStream):
-    """A record in memory: what `ReadDataStream` reads of any file, in half the time."""
-
-    def __init__(self, data: bytes, begin: int) -> None:
-        self._data, self._begin, self._at = data, begin, begin
-
-    @property
-    def count(self) -> int:
-        return self._at - self._begin
-
-    def read(self, length: int) -> bytes:
-        found = self._data[self._at : self._at + length]
-        if length and not found:
-            raise EndOfFile
-        self._at += len(found)
-        return found
-
-    def read4(self) -> int:
-        (value,) = _UINT32.unpack(self.read(4))
-        return value
-
-    def read8(self) -> int:
-        (value,) = _UINT64.unpack(self.read(8))
-        return value
 
 
 def _inside(data: bytes) -> Inside:

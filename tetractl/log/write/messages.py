@@ -11,6 +11,7 @@ from tetractl.core.trial import Result, Start, Step
 from tetractl.log.format import channels, codec
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.codec import Frames
+from tetractl.log.format.crop_images import encode_film
 from tetractl.log.format.scene import Scene, encode_note
 
 POSES_MAX = 20_000
@@ -106,7 +107,8 @@ class Messages:
     def samples(self, samples: Sequence[Sample]) -> list[Entry]:
         """Return camera frames, and what is to be said of them."""
         frames = Frames.of(samples, self._robots)
-        return [*self.tracking(frames), *self.frames(frames)]
+        films = (entry for sample in samples for entry in self.film(sample))
+        return [*self.tracking(frames), *self.frames(frames), *films]
 
     def tracking(self, frames: Frames) -> list[Entry]:
         """Return which robots were lost and found again in camera frames."""
@@ -122,6 +124,17 @@ class Messages:
         for begin in range(0, len(frames.numbers), self._most):
             made += self.block(frames.part(slice(begin, begin + self._most)))
         return made
+
+    def film(self, sample: Sample) -> list[Entry]:
+        """Return what a camera that follows cells has of a picture, if anything."""
+        if sample.film is None:
+            return []
+        seen = sample.observation
+        unix_ns = self._start_ns + seen.sampled_ns
+        cells, crops, pictures = encode_film(sample.film, seen.frame, unix_ns)
+        made = {channels.CELLS: cells, channels.CROPS: crops, **pictures}
+        times = seen.received_ns, seen.sampled_ns
+        return [self._entry(topic, message, *times) for topic, message in made.items()]
 
     def block(self, frames: Frames) -> list[Entry]:
         """Return camera frames, at least one, as one message, and what a viewer shows of them.
@@ -172,9 +185,8 @@ class Messages:
         return self._entry(channels.LOG, encode_note(note, self._start_ns), note.t_ns)
 
     def _entry(
-        self, topic: str, message: Message | bytes, log_ns: int, publish_ns: int | None = None
+        self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
     ) -> Entry:
         log_unix = self._start_ns + log_ns
         publish_unix = log_unix if publish_ns is None else self._start_ns + publish_ns
-        data = message if isinstance(message, bytes) else message.SerializeToString()
-        return Entry(topic, log_unix, publish_unix, data)
+        return Entry(topic, log_unix, publish_unix, message.SerializeToString())

@@ -7,19 +7,21 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from functools import wraps
+from functools import cache, wraps
 from pathlib import Path
 from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
 
+from google.protobuf.message import Message
 from mcap.records import Channel, Schema
-from mcap.well_known import MessageEncoding
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import Writer
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core.errors import LogError
 from tetractl.core.version import __version__
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import add_checksum
-from tetractl.log.write.mcap_file import McapFile, protobuf_schema
 
 CHUNK_S = 0.7
 """The longest time a message waits in memory [s of wall time]. With a control period of 0.2 s, in
@@ -74,12 +76,15 @@ class Sink:
         try:
             self._file = _owned(self._part) if copied else self._part.open("x+b")
             _sync_folder(path.parent)
-            self._mcap = McapFile(self._file, f"tetractl {__version__}")
+            self._mcap = Writer(self._file, use_summary_offsets=False, enable_data_crcs=True)
+            self._mcap.start(library=f"tetractl {__version__}")
         except OSError as error:
             self._fail(error)
         self._channels = {
-            topic: self._mcap.channel(
-                topic, MessageEncoding.Protobuf, self._mcap.schema(*protobuf_schema(message)), {}
+            topic: self._mcap.register_channel(
+                topic,
+                MessageEncoding.Protobuf,
+                self._mcap.register_schema(*protobuf_schema(message)),
             )
             for topic, message in CHANNELS.items()
         }
@@ -87,8 +92,8 @@ class Sink:
     def channel(self, channel: Channel, schema: Schema | None) -> None:
         """Add a channel of another log, unless there is one of that topic."""
         if channel.topic not in self._channels:
-            known = schema and self._mcap.schema(schema.name, schema.encoding, schema.data)
-            self._channels[channel.topic] = self._mcap.channel(
+            known = schema and self._mcap.register_schema(schema.name, schema.encoding, schema.data)
+            self._channels[channel.topic] = self._mcap.register_channel(
                 channel.topic, channel.message_encoding, known or 0, channel.metadata
             )
 
@@ -100,7 +105,7 @@ class Sink:
             self._digest.message(entry)
             self._host_digest.message(entry)
             topic, log_ns, publish_ns, data = entry
-            self._mcap.message(self._channels[topic], log_ns, publish_ns, data)
+            self._mcap.add_message(self._channels[topic], log_ns, data, publish_ns)
 
     @_while_open
     def metadata(self, name: str, items: Mapping[str, str]) -> None:
@@ -130,7 +135,7 @@ class Sink:
         self._host_digest.metadata(name, items)
         if stated is not None:
             items = add_checksum({**items, **{key: it.hexdigest() for key, it in stated.items()}})
-        self._mcap.metadata(name, dict(items))
+        self._mcap.add_metadata(name, dict(items))
 
     @_while_open
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
@@ -138,7 +143,7 @@ class Sink:
         self.flush()
         self._digest.attachment(name, media_type, data)
         self._host_digest.attachment(name, media_type, data)
-        self._mcap.attachment(name, media_type, unix_ns, data)
+        self._mcap.add_attachment(0, unix_ns, name, media_type, data)
 
     @_while_open
     def flush(self) -> None:
@@ -228,6 +233,13 @@ class Sink:
         file, self._file = self._file, None
         if file:
             file.close()
+
+
+@cache
+def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
+    """Return name, encoding and data of the schema of a message."""
+    data = build_file_descriptor_set(message).SerializeToString()
+    return message.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, data
 
 
 def _owned(path: Path) -> BinaryIO:

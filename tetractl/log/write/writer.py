@@ -62,6 +62,8 @@ class Encoder:
             self._waiting.append(frames)
             if self._real_time:
                 self.flush_frames()
+            for sample in samples:
+                self._sink.messages(self._messages.film(sample))
             self._end_chunk(samples[-1].observation.received_ns)
 
     def flush_frames(self) -> None:

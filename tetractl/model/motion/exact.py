@@ -33,8 +33,6 @@ TERMS = 10
 """Of the series in r: the rest is at most 2.2e-12 of a piece's way."""
 ODD = 2 * np.arange(TERMS) + 1
 """The powers of r in the series."""
-TERMS_SINGLE = 6
-"""In single precision, which resolves 6e-8: the rest is at most 5e-8."""
 
 
 def rates(heading: Floats, u: Floats, a: Floats, v: Floats) -> XYHeading:
@@ -102,17 +100,17 @@ def odd_multiples(count: int) -> tuple[Floats, Floats]:
     return sines, cosines
 
 
-def constants(a: Floats, v: Floats, t: float, terms: int) -> tuple[Floats, int]:
+def constants(a: Floats, v: Floats, t: float) -> tuple[Floats, int]:
     """Return `rows` and `pieces` for robots with a, v (N,) and steps of t [s]; see `advance`."""
     pieces = max(1, math.ceil(float(a.max()) * t / LARGEST_TURN))
     turn = a * t / pieces
-    middle, end, odd = np.tanh(turn / 4), np.tanh(turn / 2), ODD[:terms]
-    series = (4 * v / a)[:, None] * middle[:, None] ** odd / odd
-    sines, cosines = odd_multiples(terms)
+    middle, end = np.tanh(turn / 4), np.tanh(turn / 2)
+    series = (4 * v / a)[:, None] * middle[:, None] ** ODD / ODD
+    sines, cosines = odd_multiples(TERMS)
     right, along = series @ sines, series @ cosines
-    rows = np.empty((a.size, 3 + 2 * terms))
+    rows = np.empty((a.size, 3 + 2 * TERMS))
     rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = middle, 1 - middle**2, end, 1 - end**2
-    rows[:, 4 : 4 + terms], rows[:, 4 + terms :] = right, (right - along)[:, :-1]
+    rows[:, 4 : 4 + TERMS], rows[:, 4 + TERMS :] = right, (right - along)[:, :-1]
     return rows, pieces
 
 
@@ -164,15 +162,7 @@ def differentiate_fast(
 
 
 def _derive(
-    near: float,
-    far: float,
-    s: float,
-    e: float,
-    cu: float,
-    su: float,
-    a: float,
-    v: float,
-    t: float,
+    near: float, far: float, s: float, e: float, cu: float, su: float, a: float, v: float, t: float
 ) -> Derivatives:
     """Return a step and its derivatives, from near = 1 + cos phi, far = (1 - cos phi) E, sin phi
     and E."""
@@ -191,28 +181,21 @@ def _derive(
     return east, north, turn, -east_phi, -north_phi, east_phi - north, north_phi + east, keep
 
 
-class ExactSingleLanes(NamedTuple):
-    """Constants of one piece of a step: see `advance`; as many terms as single precision tells."""
+class ExactLanes(NamedTuple):
+    """Constants of one piece of a step: see `advance`."""
 
     rows: Floats  # (N, size)
     pieces: int  # each with a t <= LARGEST_TURN
-    size = 4 + 2 * TERMS_SINGLE - 1
+    size = 4 + 2 * TERMS - 1
 
     @classmethod
     def of(cls, a: Floats, v: Floats, t: float) -> Self:
         """Return the constants of robots with a, v (N,) for steps of t [s]."""
-        return cls(*constants(a, v, t, (cls.size - 3) // 2))
+        return cls(*constants(a, v, t))
 
     advance = staticmethod(advance)
     differentiate = staticmethod(differentiate)
     turn = staticmethod(turn)
-
-
-class ExactLanes(ExactSingleLanes):
-    """The same with as many terms as double precision tells."""
-
-    size = 4 + 2 * TERMS - 1
-    single = ExactSingleLanes
 
 
 class ExactFastLanes(ExactLanes):

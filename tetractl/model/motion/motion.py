@@ -87,10 +87,6 @@ class Lanes(Protocol):
     in one over signals, which are to become vector code: conditional values rather than branches,
     polynomials rather than calls to `math`.
 
-    Where a swarm is to be computed in single precision, all numbers are, constants in the functions
-    too, if they are written as floats: an integer times a number makes a double of it. A class may
-    name as `single` another one, which takes its place then.
-
     A class of one piece whose last signal cannot move the last position may add
     `finish(x, y, c, s, k)`, which returns x, y after that. A class may add `turn(heading, u, a, t)`
     too, a `TurnFunction` of scalars, which may use `np` as well: without it robots are identified

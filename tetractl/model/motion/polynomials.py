@@ -5,8 +5,6 @@ They are plain functions of scalars, which kernels compile and which work withou
 Coefficients are fitted when the module is imported: interpolation at Chebyshev points of the
 degree that brings the error below 1e-13 on the range named, in the squared argument: errors of a
 step only add up, and a path is to agree with the readable model to 1e-9.
-
-Constants are floats rather than integers, so that kernels may take them in single precision.
 """
 
 import math
@@ -36,20 +34,11 @@ def _atan_ratio(q: Floats) -> Floats:
     return np.arctan(root) / root
 
 
-def fit_sines(degree: int) -> dict[str, tuple[float, ...]]:
-    """Return sin(t)/t and cos t of q = t^2, t <= pi/4; 2 sin(x/2)/x and cos(x/2) of q = x^2."""
-    quarter, half = (math.pi / 4) ** 2, (math.pi / 2) ** 2
-    return {
-        "SINE": fit(lambda q: np.sinc(np.sqrt(q) / np.pi), quarter, degree),
-        "COSINE": fit(lambda q: np.cos(np.sqrt(q)), quarter, degree),
-        "HALF_SINE": fit(lambda q: np.sinc(np.sqrt(q) / (2 * np.pi)), half, degree),
-        "HALF_COSINE": fit(lambda q: np.cos(np.sqrt(q) / 2), half, degree),
-    }
-
-
-SINE, COSINE, HALF_SINE, HALF_COSINE = fit_sines(5).values()
-SINGLE = fit_sines(3)
-"""What stands for the globals of these names in single precision: errors below 3e-8."""
+_QUARTER, _HALF = (math.pi / 4) ** 2, (math.pi / 2) ** 2
+SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), _QUARTER, 5)  # sin(t)/t of q = t^2
+COSINE = fit(lambda q: np.cos(np.sqrt(q)), _QUARTER, 5)  # cos t
+HALF_SINE = fit(lambda q: np.sinc(np.sqrt(q) / (2 * np.pi)), _HALF, 5)  # 2 sin(x/2)/x of q = x^2
+HALF_COSINE = fit(lambda q: np.cos(np.sqrt(q) / 2), _HALF, 5)  # cos(x/2)
 TURN = 2 * math.pi
 ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
 ATAN = fit(_atan_ratio, TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z

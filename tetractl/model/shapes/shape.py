@@ -16,8 +16,7 @@ class PackedShapes(Protocol):
     Each class is a type of its own to the compiler. The functions are compiled where a kernel calls
     them, with the functions of the same file that they call; they may use arithmetic, `math` and
     loops. A gap is a number that is at most 0 exactly where an obstacle is met. Comparing a
-    difference with 0 is the same as comparing its terms, and faster in vector code. Constants are
-    to be floats: an integer makes a double of a number in single precision.
+    difference with 0 is the same as comparing its terms, and faster in vector code.
     """
 
     rows: Floats

@@ -11,7 +11,7 @@ Academic Press (1977), chapter 6.
 """
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,7 +29,6 @@ HOLD_S = 0.4  # for which a direction is held at least
 NOISE = ChainNoise(0.01, 0.03)  # of headings [rad], and their random walk [rad/sqrt(s)]
 CANDIDATES, CHANGES = 60, 120
 TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3  # random directions a knot, and when to go back how far
-SAMPLE_S = 0.05
 TURN = 2.0  # rad at most between two directions: a robot commanded to turn back may turn either way
 WEAK = np.array([0.5, 2.0, 1.0])  # deviations of dead time, ln a and bias before the motion
 AWAY = 0.15  # margin, relative to the arena's shorter side, but for robots that start nearer
@@ -106,16 +105,16 @@ class _Room:
         self._obstacles = Obstacles.of(setup.obstacles)
         side = min(setup.arena.width, setup.arena.height)
         starts = setup.starts
-        here = self.distance(starts.x[None], starts.y[None])
+        here = self.distance(starts.array()[None])
         self.margin = min(AWAY * side, 0.5 * here)
 
     def clearance(self, directions: Floats, period: float) -> float:
         """Return the least distance that a sequence keeps, half of it between two robots."""
-        x, y = _path(self.setup, directions, period)
-        return self.distance(x, y)
+        return self.distance(_path(self.setup, directions, period))
 
-    def distance(self, x: Floats, y: Floats) -> float:
-        """Return that of paths x, y (M, N)."""
+    def distance(self, path: Floats) -> float:
+        """Return that of poses (..., N, 3)."""
+        x, y, _ = path.reshape(-1, *path.shape[-2:]).transpose(2, 0, 1)
         least = float(self.setup.arena.inside(x, y).min())
         for shape in self._obstacles.shapes:
             least = min(least, float(shape.distance(x.ravel(), y.ravel()).min()))
@@ -138,10 +137,10 @@ def _random_sequence(
     for _ in range(TRIES * count):
         last = knots[-1] if knots else _ahead(setup)
         u = float(wrap(np.array(last + rng.uniform(-TURN, TURN))))
-        x, y, end = _drive(setup, states[-1], u, seconds)
-        if room.distance(x, y) >= room.margin:
+        path = _drive(setup, states[-1], u, seconds)
+        if room.distance(path) >= room.margin:
             knots.append(u)
-            states.append(end)
+            states.append(Poses.of(path[-1]))
             if len(knots) == count:
                 return np.array(knots)
         elif rng.uniform() < GIVE_UP:
@@ -156,21 +155,22 @@ def _ahead(setup: Setup) -> float:
     return float(np.arctan2(np.sin(heading).mean(), np.cos(heading).mean()))
 
 
-def _path(setup: Setup, directions: Floats, period: float) -> tuple[Floats, Floats]:
-    """Return x, y (M, N) of the robots under directions."""
-    poses, xs, ys = setup.starts, [], []
+def _path(setup: Setup, directions: Floats, period: float) -> Floats:
+    """Return x, y, heading (C, M, N, 3) of the robots under C directions."""
+    poses, rows = setup.starts, []
     for u in directions:
-        x, y, poses = _drive(setup, poses, float(u), period)
-        xs.append(x)
-        ys.append(y)
-    return np.concatenate(xs), np.concatenate(ys)
+        rows.append(_drive(setup, poses, float(u), period))
+        poses = Poses.of(rows[-1][-1])
+    return np.array(rows)
 
 
-def _drive(setup: Setup, poses: Poses, u: float, seconds: float) -> tuple[Floats, Floats, Poses]:
-    """Return x, y (M, N) under a direction, every SAMPLE_S at least, and the poses at its end."""
-    t = np.linspace(0.0, seconds, 1 + max(1, round(seconds / SAMPLE_S)))[1:, None]
-    x, y, heading = step(poses.x, poses.y, poses.heading, np.array(u), setup.a, setup.speed, t)
-    return x, y, Poses(x[-1], y[-1], heading[-1])
+def _drive(setup: Setup, poses: Poses, u: float, seconds: float) -> Floats:
+    """Return x, y, heading (M, N, 3) under a direction: between its begin and end, frames at least
+    SHORTEST_S apart, and last at its end."""
+    count = max(1, int(seconds / SHORTEST_S))
+    t = np.append((np.arange(count) + 0.5) / count, 1.0)[:, None] * seconds
+    moved = step(poses.x, poses.y, poses.heading, np.array(u), setup.a, setup.speed, t)
+    return np.stack(moved, axis=-1)
 
 
 def _score(setup: Setup, directions: Floats, dead_time: float) -> float:
@@ -192,33 +192,19 @@ def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
 
 
 def _driven(setup: Setup, directions: Floats, dead_time: float) -> Track:
-    """Return the track of robots that move as expected, frames SHORTEST_S apart."""
-    period, n = setup.period_s, len(setup.names)
-    sent = np.array([k * period for k in range(len(directions))])
-    end = len(directions) * period
-    times = np.arange(0.0, end + dead_time, SHORTEST_S)
-    poses, rows = setup.starts, [setup.starts.array()]
-    changes = np.append(sent, np.inf) + dead_time
-    for since, until in itertools.pairwise(times):
-        x, y, heading = poses.x, poses.y, poses.heading
-        at = since
-        while at < until - 1e-12:
-            k = int(np.searchsorted(changes, at + 1e-12, "right")) - 1
-            to = min(until, float(changes[k + 1]) if k + 1 < len(changes) else until)
-            if k >= 0:
-                x, y, heading = step(x, y, heading, directions[k], setup.a, setup.speed, to - at)
-            at = to
-        poses = replace(poses, x=x, y=y, heading=heading)
-        rows.append(poses.array())
+    """Return the track of robots that move as expected; each direction acts at its `begin`."""
+    seen = _path(setup, directions, setup.period_s)[:, :-1]
+    per, n = seen.shape[1:3]
+    begin = np.arange(len(directions)) * setup.period_s
     return Track(
-        "the design",
-        "predicted",
-        setup.unit,
-        setup.names,
-        times,
-        np.array(rows),
-        np.ones((len(times), n), dtype=np.bool_),
-        sent,
-        directions,
-        end,
+        source="the design",
+        origin="predicted",
+        unit=setup.unit,
+        names=setup.names,
+        time=(begin[:, None] + (np.arange(per) + 0.5) / per * setup.period_s).ravel(),
+        poses=seen.reshape(-1, n, 3),
+        valid=np.ones((seen.size // (3 * n), n), dtype=np.bool_),
+        sent=begin - dead_time,
+        u=directions,
+        until=len(directions) * setup.period_s,
     )

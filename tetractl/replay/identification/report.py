@@ -30,14 +30,7 @@ def identified(found: IdentifiedRobots, when: str) -> Identified:
         dead_time=_value(found.dead_time),
         frame_age=found.frame_age or 0.0,
         robots={
-            robot.name: IdentifiedRobot(
-                a=_value(robot.a),
-                speed=_value(robot.speed),
-                heading_bias=_value(robot.heading_bias),
-                position_noise=_value(robot.position_noise),
-                heading_noise=_value(robot.heading_noise),
-                heading_walk=_value(robot.heading_walk),
-            )
+            robot.name: IdentifiedRobot(**{q: _value(getattr(robot, q)) for q in QUANTITIES})
             for robot in found.robots
         },
     )

@@ -130,6 +130,16 @@ class Scene {
       context.stroke();
       const [sx, sy] = this.place(...robot.start);
       context.lineWidth = 1.2;
+      const rings = robot.via.map((point) => [this.place(...point), 3]);
+      if (this.trial.hold) {
+        const [edge] = this.place(robot.target[0] + this.trial.hold, robot.target[1]);
+        rings.push([[x, y], Math.abs(edge - x)]);
+      }
+      for (const [[rx, ry], radius] of rings) {
+        context.beginPath();
+        context.arc(rx, ry, radius, 0, 2 * Math.PI);
+        context.stroke();
+      }
       context.beginPath();
       context.arc(sx, sy, 4, 0, 2 * Math.PI);
       context.stroke();

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon, Rectangle
+from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
 
 from tetractl.core.clock import SECOND
@@ -81,8 +81,8 @@ def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
         patch = Polygon(obstacle.outline(), closed=True)
         patch.set(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, linewidth=0.6, zorder=1)
         axes.add_patch(patch)
-    starts = setup.starts.xy
-    for start, target, color in zip(starts, setup.targets, colors, strict=True):
+    starts, hold = setup.starts.xy, setup.hold
+    for robot, (start, target, color) in enumerate(zip(starts, setup.targets, colors, strict=True)):
         look: dict[str, Any] = {
             "markeredgecolor": color,
             "linestyle": "none",
@@ -91,6 +91,10 @@ def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
         }
         axes.plot(*start, marker="o", markersize=6, markerfacecolor="white", **look)
         axes.plot(*target, marker="s", markersize=7, markerfacecolor="none", **look)
+        for point in setup.legs[:-1, robot]:
+            axes.plot(*point, marker="s", ms=4, markerfacecolor="none", **look)
+        if hold is not None:
+            axes.add_patch(Circle(tuple(target), hold.radius, fill=False, ec=color, lw=0.6))
     if len(setup.names) >= NUMBERED:
         for robot, color in enumerate(colors):
             for place, aside in ((starts[robot], (0, 0)), (setup.targets[robot], (6.5, 4))):

@@ -136,7 +136,8 @@ def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: i
     begin = setup.starts.xy
     for robot, color in enumerate(colors):
         canvas.put(*view.cell(*begin[robot]), glyphs.start, Style(color=color))
-        _target(canvas, view, setup.targets[robot], robot, color, glyphs)
+        for place in setup.legs[:, robot]:
+            _target(canvas, view, place, robot, color, glyphs)
     for robot, color in enumerate(colors):
         _robot(canvas, view, frame.poses[robot], robot, color, glyphs)
     return canvas

@@ -14,7 +14,7 @@ from tetractl.view.terminal.progress import trial_line
 
 
 class TerminalPrompt:
-    """A `PlacementPrompt` at the terminal: is shown where robots must go, and presses Enter."""
+    """A `PlacementPrompt` at the terminal: prints where robots must go, and waits for Enter."""
 
     def __init__(self, console: Console, entered: threading.Event) -> None:
         self._console, self._entered = console, entered

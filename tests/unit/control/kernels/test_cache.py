@@ -23,11 +23,7 @@ digest = hashlib.sha256()
 for name in ("three_m3pi", "three_m3pi_paper"):
     experiment = load_spec(Path(sys.argv[1]) / f"{name}.yaml").experiment
     problem = experiment.controller.problem(experiment.setup)
-    for optimizer in (
-        Multistart(rounds=2),
-        Pso(iterations=20),
-        Pso(iterations=20, precision="single"),
-    ):
+    for optimizer in (Multistart(rounds=2), Pso(iterations=20)):
         search = optimizer.search(problem, 30, None, 1, Limits())
         digest.update(search.signals.tobytes() + search.history.tobytes())
         digest.update(compiled_foresee(problem, search.signals).path.tobytes())

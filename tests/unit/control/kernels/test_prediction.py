@@ -30,7 +30,7 @@ from tetractl.model.obstacles import Obstacles
 def test_it_leads_where_the_readable_prediction_does(
     seed, robots, length, motion, swept, separation, first, drifts
 ):
-    world = problems.world(seed, robots, 2, motion, swept)
+    world = problems.world(seed, robots, 3, motion, swept)
     problem = replace(problems.problem(world, separation, drifts), first_period=first)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, length)
     slow, fast = foresee(problem, signals), compiled_foresee(problem, signals)
@@ -61,7 +61,7 @@ def test_robots_that_turn_fast_against_the_direction_go_where_they_should(motion
 @given(seed=st.integers(0, 2**32), swept=st.booleans(), margin=st.sampled_from([0.0, 30.0]))
 def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
     """Some robots start outside, and many leave."""
-    world = problems.world(seed, 3, 1, "exact", swept)
+    world = problems.world(seed, 3, 3, "exact", swept)
     walls = Obstacles.of(world.obstacles, margin, Bounds(50, 50, 750, 750))
     problem = replace(problems.problem(world), obstacles=walls)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (20, 12))
@@ -72,15 +72,15 @@ def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
     assert evaluate(problem, signals).obstacle.max() > 3
 
 
-def test_some_of_these_paths_touch_something():
+@pytest.mark.parametrize("kind", range(3))
+def test_some_of_these_paths_touch_something(kind):
     """The agreement above would mean little where nothing is ever counted."""
-    counts = [
-        compiled_foresee(
-            problems.problem(problems.world(seed, swept=True), 120.0),
-            np.random.default_rng(seed).uniform(-1, 1, 20),
-        ).obstacle
-        for seed in range(20)
-    ]
+    counts = []
+    for seed in range(20):
+        world = problems.world(seed, obstacles=3, swept=True)
+        world.obstacles = world.obstacles[kind : kind + 1]
+        signals = np.random.default_rng(seed).uniform(-1, 1, 20)
+        counts.append(compiled_foresee(problems.problem(world), signals).obstacle)
     assert min(counts) == 0
     assert max(counts) > 3
 

@@ -3,14 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support import problems
 from support.paths import ROOT
 
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits
 from tetractl.core.poses import Poses, wrap
 from tetractl.core.problem import Problem
@@ -19,50 +18,11 @@ from tetractl.model.obstacles import Obstacles
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 NEAR = ["controller.collision.radius=20", "controller.collision.separation=0"]
-SMALL = Multistart(particles=20, polished=2, rounds=2, polish_steps=15)
-MODELS = st.sampled_from(["euler", "arc", "exact"])
 
 
 def reference_problem():
     experiment = load_spec(EXPERIMENT, NEAR).experiment
     return experiment.controller.problem(experiment.setup)
-
-
-@pytest.mark.slow
-@settings(max_examples=60, deadline=None)
-@given(
-    seed=st.integers(0, 2**32),
-    robots=st.integers(1, 4),
-    length=st.integers(1, 40),
-    model=MODELS,
-    swept=st.booleans(),
-    warm=st.booleans(),
-    budget=st.none() | st.integers(21, 3000),
-)
-def test_what_is_found_is_what_it_is_said_to_be(seed, robots, length, model, swept, warm, budget):
-    problem = problems.problem(problems.world(seed, robots, 2, model, swept))
-    start = np.random.default_rng(seed).uniform(-math.pi, math.pi, length) if warm else None
-    found = SMALL.search(problem, length, start, seed, Limits(budget))
-    assert found.signals.shape == (length,)
-    assert np.all(np.abs(found.signals) <= math.pi)
-    again = evaluate(problem, found.signals[None]).total[0]
-    assert found.cost == pytest.approx(again, rel=1e-9, abs=1e-9)
-    assert found.history[-1] == found.cost
-    assert np.all(np.diff(found.history) <= 0)
-    assert found.stopped in ("target", "iterations", "evaluations")
-    assert (found.cost <= SMALL.tolerance) == (found.stopped == "target")
-    if budget is not None:
-        assert found.evaluations <= budget
-    if start is not None:
-        assert found.cost <= evaluate(problem, start[None]).total[0] * (1 + 1e-9)
-
-
-def test_the_same_key_finds_the_same_and_another_key_something_else():
-    problem = reference_problem()
-    one, two, other = (SMALL.search(problem, 44, None, key, Limits()) for key in (1, 1, 2))
-    assert np.array_equal(one.signals, two.signals)
-    assert np.array_equal(one.history, two.history)
-    assert not np.array_equal(one.signals, other.signals)
 
 
 def test_the_reference_problem_is_solved_from_any_seed():
@@ -113,13 +73,6 @@ def test_a_deadline_ends_the_search_with_the_best_so_far():
     assert found.cost == pytest.approx(evaluate(problem, found.signals[None]).total[0], rel=1e-9)
     again = spec.search(problem, 30, None, 1, Limits(found.evaluations))
     assert np.array_equal(again.signals, found.signals)
-
-
-def test_poses_that_are_no_numbers_are_refused():
-    problem = reference_problem()
-    broken = replace(problem, poses=replace(problem.poses, x=np.array([np.nan, 0, 0])))
-    with pytest.raises(ControlError, match="not finite"):
-        SMALL.search(broken, 10, None, 1, Limits())
 
 
 @given(st.floats(-1e4, 1e4))

@@ -87,22 +87,6 @@ def test_a_warm_start_nobody_beats_is_returned_as_it_was(search):
 
 
 @SEARCHERS
-def test_a_search_only_gets_better_and_stays_within_its_bounds(search):
-    found = search(problems.problem(problems.world(4)), 20, None, swarm(40, 60), 5)
-    assert np.all(np.diff(found.history) <= 0)
-    assert found.history[-1] < found.history[0]
-    assert len(found.history) == 61
-    assert np.abs(found.signals).max() <= math.pi
-
-
-@SEARCHERS
-def test_the_stated_cost_is_that_of_the_sequence(search):
-    world = problems.world(5)
-    found = search(problems.problem(world), 9, None, swarm(20, 30), 5)
-    assert found.cost == pytest.approx(oracle.cost(world, found.signals), rel=1e-9)
-
-
-@SEARCHERS
 @pytest.mark.parametrize("warm", [False, True])
 def test_a_budget_ends_a_search_with_the_best_so_far(search, warm):
     problem = problems.problem(problems.world(6))

@@ -34,12 +34,6 @@ def test_every_value_has_its_place_and_text():
     assert document.keys["robots", 0, "start"].column == 17
 
 
-def test_what_is_missing_is_placed_at_what_is_around_it():
-    document = parse_document(TEXT, "s.yaml")
-    assert document.place(("robots", 0, "target", 1)) == document.values["robots", 0]
-    assert document.place(("arena",)) == document.values[()]
-
-
 def test_a_byte_order_mark_and_windows_line_ends_do_not_shift_places():
     document = parse_document("\ufeff" + TEXT.replace("\n", "\r\n"), "s.yaml")
     assert place(document, "robots", 0, "start") == (3, 24, "[900, 800]")

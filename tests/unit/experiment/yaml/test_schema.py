@@ -8,7 +8,7 @@ from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec, resolved_yaml
 from tetractl.experiment.yaml.document import parse_document
-from tetractl.experiment.yaml.schema import describe, experiment_schema, homes, schema_json
+from tetractl.experiment.yaml.schema import experiment_schema, schema_json
 
 EXPERIMENTS = ROOT / "experiments"
 COMMITTED = EXPERIMENTS / "experiment.schema.json"
@@ -77,20 +77,3 @@ def test_shipped_experiments_satisfy_the_committed_schema(path):
 def test_the_schema_refuses_what_the_models_refuse(change):
     data = parse_document(SPECS[0].read_text(encoding="utf-8"), "s").data | change
     assert not validator().is_valid(data)
-
-
-def test_a_place_in_a_spec_is_described_by_the_kind_that_stands_there():
-    data = {"obstacles": [{"type": "circle"}, {"type": "rectangle"}, {"type": "none"}, 3]}
-    assert list(describe(("obstacles", 0), data)["properties"]) == ["type", "center", "radius"]
-    assert "left" in describe(("obstacles", 1), data)["properties"]
-    assert "properties" not in describe(("obstacles", 2), data)
-    assert describe(("robots", 0, "start", 1), data)["type"] == "number"
-    assert "radius" in describe(("wheels",), data)["properties"]
-    assert describe(("nothing", 0, "here"), data) == {}
-
-
-def test_fields_are_found_by_name_anywhere():
-    assert list(homes("particles")) == ["controller.optimizer.particles"]
-    assert list(homes("window")) == ["controller.optimizer.stop.window"]
-    assert "robots.0.speed" in homes("speed")
-    assert list(homes("nothing")) == []

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -119,12 +117,12 @@ def test_nothing_that_is_not_finite_is_drawn(bad: float) -> None:
     poses[0, 0, 0] = poses[2, 1, 2] = bad
     numbers, valid = np.arange(3), np.array([[True, True], [True, False], [True, True]])
     frames = Frames(numbers, numbers, numbers, poses, valid, None)
-    transforms = FrameTransforms.FromString(scene.transforms(frames, EPOCH_NS))
+    transforms = scene.transforms(frames, EPOCH_NS)
     found = [(item.child_frame_id, _stamp(item) - EPOCH_NS) for item in transforms.transforms]
     assert found == [("robot/robot 0", 1), ("robot/robot 0", 2), ("robot/robot 1", 0)]
     path = np.ones((4, 2, 3))
     path[2, 0] = bad
-    lines = SceneUpdate.FromString(scene.plan(path, EPOCH_NS))
+    lines = scene.plan(path, EPOCH_NS)
     assert [len(entity.lines[0].points) for entity in lines.entities] == [3, 4]
     assert all(map(math.isfinite, (*_numbers(transforms), *_numbers(lines))))
 

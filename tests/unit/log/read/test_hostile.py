@@ -140,14 +140,6 @@ def test_records_that_claim_the_same_bytes_are_not_all_read(log: Path, tmp_path:
     assert len(found.entries) == len(scan(log).entries)
 
 
-def test_a_tail_of_zeros_is_an_end(log: Path, tmp_path: Path) -> None:
-    """What a power cut leaves on some file systems."""
-    path = tmp_path / "zeros.mcap"
-    half = log.read_bytes()[: log.stat().st_size // 2]
-    path.write_bytes(half + bytes(5_000_000))
-    assert any("breaks off in the record" in problem for problem in scan(path).problems)
-
-
 def edited(contents: RawLog, path: Path, record: str, changes: dict[str, str]) -> Path:
     return rewrite(
         contents, path, {}, lambda name, facts: facts | (changes if name == record else {})
@@ -216,27 +208,6 @@ def spoilt_step(**changes: object) -> ControllerStep:
     return ControllerStep(**{**whole, **changes})
 
 
-@pytest.mark.parametrize(
-    ("topic", "message"),
-    [
-        (FRAMES, spoilt_frames(x=[1.0] * 3, y=[1.0] * 3, heading=[1.0] * 3, valid=[True] * 3)),
-        (FRAMES, spoilt_frames(y=[])),
-        (FRAMES, spoilt_frames(sampled_ns=[1, 2])),
-        (FRAMES, spoilt_frames(true_x=[1.0] * 2, true_y=[1.0] * 2, true_heading=[1.0] * 2)),
-        (STEP, ControllerStep(chosen=5)),
-        (STEP, ControllerStep(chosen=-1, signals=[1.0])),
-    ],
-)
-def test_messages_that_do_not_fit_the_run_are_one_line(
-    tmp_path: Path, contents: RawLog, topic: str, message
-) -> None:
-    entry = next(entry for entry in contents.entries if entry.topic == topic)
-    new = entry._replace(data=message.SerializeToString())
-    path = rewrite(contents, tmp_path / "trial.mcap", {entry: new})
-    with pytest.raises(LogError, match="holds what tetractl does not write"):
-        read_trial(path)
-
-
 HUGE = "9" * 400  # 10^400 - 1
 
 
@@ -296,6 +267,12 @@ def test_a_bad_run_costs_its_own_trial_only(
 @pytest.mark.parametrize(
     ("topic", "message"),
     [
+        (FRAMES, spoilt_frames(x=[1.0] * 3, y=[1.0] * 3, heading=[1.0] * 3, valid=[True] * 3)),
+        (FRAMES, spoilt_frames(y=[])),
+        (FRAMES, spoilt_frames(sampled_ns=[1, 2])),
+        (FRAMES, spoilt_frames(true_x=[1.0] * 2, true_y=[1.0] * 2, true_heading=[1.0] * 2)),
+        (STEP, ControllerStep(chosen=5)),
+        (STEP, ControllerStep(chosen=-1, signals=[1.0])),
         (FRAMES, spoilt_frames(x=[NAN])),
         (FRAMES, spoilt_frames(x=[INF], valid=[False])),
         (FRAMES, spoilt_frames(heading=[1e300])),
@@ -316,7 +293,7 @@ def test_a_bad_run_costs_its_own_trial_only(
         (STEP, spoilt_step(searches=[Search(length=1, signals=[0.5], history=[-INF])])),
     ],
 )
-def test_an_impossible_number_is_refused(
+def test_a_message_that_tetractl_would_not_write_is_refused(
     tmp_path: Path, contents: RawLog, topic: str, message
 ) -> None:
     """Regression: replay, plot and verify ended with tracebacks."""
@@ -347,18 +324,3 @@ def test_names_in_a_log_are_no_paths(tmp_path: Path, log: Path, name: str) -> No
     assert "evil" in [item.data.decode() for item in scan(Path(str(out.path))).attachments.values()]
     left = {str(Path(root, file)) for root, _, files in os.walk(tmp_path) for file in files}
     assert left == {str(path), str(out.path)}
-
-
-def test_a_spec_in_a_log_is_only_data(tmp_path: Path, contents: RawLog) -> None:
-    spec = b"!!python/object/apply:os.system ['touch executed']\n"
-    from dataclasses import replace
-
-    records = [
-        replace(r, data=spec) if getattr(r, "name", "") == "spec.resolved.yaml" else r
-        for r in contents.records
-    ]
-    evil = RawLog(contents.path, records=records, channels=contents.channels)
-    path = rewrite(evil, tmp_path / "evil.mcap", {})
-    with pytest.raises(LogError, match="the record of the run cannot be read"):
-        read_trial(path)
-    assert [p.name for p in tmp_path.iterdir()] == ["evil.mcap"]

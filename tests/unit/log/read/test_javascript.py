@@ -51,13 +51,11 @@ def log(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
-@pytest.fixture(scope="module")
-def found(reader: Path, log: Path) -> dict[str, Any]:
+def test_our_messages_decode_to_the_values_written(
+    reader: Path, made: Made, log: Path, tmp_path: Path
+) -> None:
     done = subprocess.run(["node", reader, log], capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
-
-
-def test_our_messages_decode_to_the_values_written(made: Made, found: dict[str, Any]) -> None:
+    found: dict[str, Any] = json.loads(done.stdout)
     step = made.steps[0]
     message = found["channels"]["/controller/step"]
     assert (message["type"], message["count"]) == (".tetractl.ControllerStep", 12)
@@ -72,20 +70,12 @@ def test_our_messages_decode_to_the_values_written(made: Made, found: dict[str, 
     assert first["path_heading"] == step.plan.path[..., 2].ravel().tolist()
     assert int(message["logTime"]) == made.start.start_unix_ns + step.command.sent_ns
     assert int(message["publishTime"]) == made.start.start_unix_ns + step.observation.sampled_ns
-
-
-def test_a_nan_spoils_nothing(made: Made, found: dict[str, Any]) -> None:
     x = made.samples[0].observation.poses.x.tolist()
     frame = found["channels"]["/frames"]["first"]
     assert frame["x"][:3] == [x[0], None, x[2]]  # null is how JSON.stringify writes NaN
     assert frame["valid"][:3] == [True, False, True]
     shown = [item["child_frame_id"] for item in found["channels"]["/tf"]["first"]["transforms"]]
     assert set(shown) == {"robot/robot 0", "robot/robot 1", "robot/robot 2"}
-
-
-def test_every_channel_metadata_and_attachment_is_there(
-    made: Made, log: Path, found: dict[str, Any]
-) -> None:
     counts = {topic: channel["count"] for topic, channel in found["channels"].items()}
     steps = len(made.steps)
     assert counts.pop("/log") >= 2
@@ -107,9 +97,6 @@ def test_every_channel_metadata_and_attachment_is_there(
         "tetractl.result",
     }
     assert found["metadata"]["tetractl.result"]["content_digest"] == content_digest(log)
-
-
-def test_it_checks_what_it_reads(reader: Path, log: Path, tmp_path: Path) -> None:
     data = bytearray(log.read_bytes())
     data[len(data) // 2] ^= 0xFF
     spoilt = tmp_path / "spoilt.mcap"

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from support.batches import DISTURBED, REFERENCE, batch, experiment, group
 
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.view.figures.batch import batch_figure
-from tetractl.view.style import file_format, save, svg
+from tetractl.view.style import save, svg
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
 STARTS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
@@ -59,14 +59,6 @@ def test_nothing_to_plot_is_an_error():
     aborted = group(batch(ERRORS.tolist(), outcome=Outcome.ABORTED))
     with pytest.raises(LogError, match="no complete trial"):
         batch_figure([aborted])
-
-
-def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path):
-    file_format(tmp_path / "batch.PNG")
-    with pytest.raises(UsageError, match=r"cannot write '\.gif' pictures"):
-        file_format(tmp_path / "batch.gif")
-    with pytest.raises(UsageError, match="there is no folder"):
-        file_format(tmp_path / "nowhere" / "batch.png")
 
 
 def test_a_headline_names_the_plants():

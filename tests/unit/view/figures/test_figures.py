@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -371,12 +370,6 @@ def test_an_empty_log_still_shows_the_scene(log):
 def test_most_figures_show_one_trial(log, kind):
     with pytest.raises(UsageError, match="one trial"):
         draw(kind, [log, log])
-
-
-@pytest.mark.parametrize("name", ["a.foo", "a", "a.png.gz"])
-def test_unknown_endings_are_refused(name):
-    with pytest.raises(UsageError, match="picture"):
-        style.file_format(Path(name))
 
 
 def test_colours_follow_own_choice_then_name_then_palette():

@@ -122,7 +122,7 @@ class FieldActuator:
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
-        """Ask the driver what it is, what it bears and how it is; switches the field off."""
+        """Ask the driver for its version, limits and state; switches the field off."""
         try:
             reply = self.driver.ask()
         except AbortError as error:

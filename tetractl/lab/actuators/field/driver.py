@@ -4,6 +4,7 @@ import threading
 from contextlib import suppress
 
 from tetractl.core.clock import SECOND, Clock, wait_for
+from tetractl.core.errors import WireError
 from tetractl.lab.actuators.field.driver_protocol import (
     DriverStatus,
     FieldCommand,
@@ -13,7 +14,6 @@ from tetractl.lab.actuators.field.driver_protocol import (
     encode_command,
 )
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.lab_errors import WireError
 from tetractl.lab.serial_port import SerialPort
 
 SILENCE_NS = SECOND // 2

@@ -10,8 +10,8 @@ import struct
 from dataclasses import dataclass
 from enum import IntFlag
 
+from tetractl.core.errors import WireError
 from tetractl.lab.cobs import checked_payload, frame_with_crc
-from tetractl.lab.lab_errors import WireError
 
 COMMAND, REPLY = 0x53, 0x54
 VERSION = 1

@@ -9,13 +9,12 @@ import struct
 from dataclasses import dataclass
 from enum import IntFlag
 
+from tetractl.core.errors import WireError
 from tetractl.lab.cobs import checked_payload, frame_with_crc
-from tetractl.lab.lab_errors import WireError
 from tetractl.model.wheels import COUNT_MAX, Counts
 
 COMMAND, REPLY = 0x51, 0x52
 ROBOTS_MAX = 32
-WATCHDOG_MS = 250  # the robot stops after this long without a valid new frame
 REPLY_SLOT_MS = 10  # robot i answers a poll i slots later, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
 

@@ -1,9 +1,12 @@
-"""The two protocols of m3pi robots over a link: one broadcast for all, or a message each."""
+"""The two protocols of m3pi robots over a link: one broadcast for all, or a message each; and the
+emergency stop by itself, which needs a port and nothing else."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import SECOND, Clock, MonotonicClock
+from tetractl.core.errors import WireError
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.actuators.m3pi import slave
 from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
@@ -15,9 +18,9 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
 )
 from tetractl.lab.actuators.m3pi.section import M3piSection, SlaveSection
+from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.lab_errors import WireError
 from tetractl.model.wheels import STOP
 
 TRIES = 5
@@ -65,7 +68,7 @@ class BroadcastProtocol:
         return self._send(Flag.EMERGENCY_STOP)
 
     def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
-        """Poll, several times where somebody does not answer: broadcasts may be lost."""
+        """Poll, several times where a robot does not answer: broadcasts may be lost."""
         found: dict[int, RobotAnswer] = {}
         wanted = set(self._indices)
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000
@@ -147,3 +150,28 @@ def _keep_reply(frame: bytes, found: dict[int, RobotAnswer]) -> None:
         return
     latched = bool(reply.status & Status.EMERGENCY_STOPPED)
     found[reply.id] = RobotAnswer(reply.battery_mv, latched)
+
+
+def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = True) -> str:
+    """Stop every robot in reach, ten times over 200 ms; return what was done, in words for people.
+
+    The mbed firmware latches its emergency stop on a broadcast frame; the serial-slave program
+    stops on bytes of its own, sent to each address and to all. The module is not checked: a
+    wrong module is better than no stop. Not `alone`, the port may be another process's as well.
+    """
+    clock = MonotonicClock()
+    link = Link(module, clock)
+    sent = 0
+    try:
+        link.open(checked=False, alone=alone)
+        for i in range(STOPS):
+            # both kinds of robots ignore what is meant for the other
+            link.send(encode_command(BroadcastCommand(i, Flag.EMERGENCY_STOP)))
+            link.send(slave.SIGNATURE_REQUEST + slave.STOP)
+            for address in addresses:
+                link.send(slave.SIGNATURE_REQUEST + slave.STOP, address)
+            sent += 2 + len(addresses)
+            clock.sleep_until(clock.now() + STOP_GAP_NS)
+    finally:
+        link.close()
+    return f"sent {sent} stops on {module.port}; switch the robots off and on to free them"

@@ -4,7 +4,7 @@ Bytes from 0x80 on are commands, others their data. **This program has no watchd
 commands the motors run on. A lost data byte leaves the old speed until the next command.
 """
 
-from tetractl.lab.lab_errors import WireError
+from tetractl.core.errors import WireError
 from tetractl.model.wheels import COUNT_MAX
 
 SIGNATURE_REQUEST = b"\x81"  # answered by 6 characters; stops the motors

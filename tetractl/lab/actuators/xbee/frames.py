@@ -8,7 +8,7 @@ import struct
 from dataclasses import astuple, dataclass
 from typing import Any, ClassVar
 
-from tetractl.lab.lab_errors import WireError
+from tetractl.core.errors import WireError
 
 EXPLICIT_RECEIVE = 0x91  # type of the frames that come in place of others with AO=1
 BROADCAST_16 = 0xFFFF
@@ -115,15 +115,7 @@ class Other:
 
 FRAME_TYPES: dict[int, type[XbeeFrame]] = {
     kind.API: kind
-    for kind in (
-        Transmit16,
-        AtCommand,
-        Receive64,
-        Receive16,
-        AtResponse,
-        TransmitStatus,
-        Receive,
-    )
+    for kind in (Transmit16, AtCommand, Receive64, Receive16, AtResponse, TransmitStatus, Receive)
 }
 
 

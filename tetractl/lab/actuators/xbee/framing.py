@@ -4,8 +4,8 @@ Escaped, a 0x7E is always the start of a frame, so a lost byte costs one frame. 
 be data: after a frame that does not check, the search goes on behind its delimiter.
 """
 
+from tetractl.core.errors import WireError
 from tetractl.lab.actuators.xbee.frames import Other, XbeeFrame, pack_content, parse_content
-from tetractl.lab.lab_errors import WireError
 
 START, ESCAPE = 0x7E, 0x7D
 _ESCAPED = frozenset((START, ESCAPE, 0x11, 0x13))  # 0x11 and 0x13: XON, XOFF

@@ -8,15 +8,29 @@ broadcast a second and DigiMesh repeats each.
 """
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
+
+from pydantic import Field
 
 from tetractl.core.errors import AbortError
-from tetractl.lab.actuators.xbee.section import XbeeSection
+from tetractl.experiment.base import Model
 
 RIGHT = "802.15.4"
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # by the value of BD
 MODES = {0: "transparent", 1: "api1", 2: "api2"}  # by the value of AP
 OTHER_BAUDS = (9600, 57600, 115200, 38400, 19200)
+
+
+class XbeeSection(Model):
+    """The XBee module at this computer."""
+
+    port: str = Field(min_length=1, max_length=500)
+    """The serial port, such as /dev/ttyUSB0."""
+    baud: Literal[9600, 19200, 38400, 57600, 115200] = 57600
+    """Bits a second on the port."""
+    mode: Literal["api2", "api1", "transparent"] = "api2"
+    """`api2`: escaped API frames (AP=2); `api1`: plain API frames (AP=1); `transparent`: bytes as
+    they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +93,7 @@ def protocol(hardware: bytes, version: bytes) -> str | None:
 
 
 class AskedModule(Protocol):
-    """What is asked of a link."""
+    """A link to a module, as far as its check needs it."""
 
     def ask(self, command: bytes, timeout_s: float = ...) -> bytes | None:
         """Ask for a parameter; None without an answer."""

@@ -23,7 +23,7 @@ from tetractl.lab.actuators.xbee.frames import (
     XbeeFrame,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
-from tetractl.lab.actuators.xbee.section import XbeeSection
+from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.serial_port import SerialPort
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms

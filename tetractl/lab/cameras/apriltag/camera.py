@@ -7,7 +7,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.commands import Health
 from tetractl.core.poses import Grey
 from tetractl.core.setup import Setup
-from tetractl.lab.cameras.apriltag.health import State, judged
+from tetractl.lab.cameras.apriltag.health import State, health_of
 from tetractl.lab.cameras.apriltag.section import AprilTagSection
 from tetractl.lab.cameras.apriltag.track import Seen, Tracker
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
@@ -45,7 +45,7 @@ class AprilTagCamera(PictureCamera[Seen]):
             damaged=self.damaged,
             skipped=self._skipped,
         )
-        found = judged(self.section, self._tracker.robots, looks, state)
+        found = health_of(self.section, self._tracker.robots, looks, state)
         return replace(found, emulated=self.emulated)
 
     def _see(self, picture: Grey, exposed_ns: int) -> Seen:

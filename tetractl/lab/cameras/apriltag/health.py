@@ -37,7 +37,7 @@ class State:
     skipped: int
 
 
-def judged(
+def health_of(
     section: AprilTagSection, robots: Sequence[RobotTag], looks: Sequence[Look[Seen]], state: State
 ) -> Health:
     """Return the health of a camera from its last looks, oldest first."""

@@ -9,12 +9,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
 from tetractl.core.poses import Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.cells_health import DishState, SeenDish, cell_health
+from tetractl.lab.cameras.cells.crops import FilmCutter
 from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.cells.helix import Piece
 from tetractl.lab.cameras.cells.section import CellsSection
@@ -22,6 +24,7 @@ from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 BACKGROUND = 15  # pictures
+FILMS = 1024  # pictures of which crops wait; each has some 50 kB, one a second a whole picture
 SIGNALS = 4096  # directions that are remembered
 
 
@@ -46,6 +49,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._setup = setup
         self._tracker = CellTracker(section.um_px, known=True, bright=section.bright)
         self._cells: Sequence[SeenCell] = ()
+        self._cutter, self._films = FilmCutter(), deque[CellFilm](maxlen=FILMS)
         self._first: list[Grey] = []
         self._first_ns: int | None = None
         self._identities: list[int] | None = None  # of the robots, once all are seen
@@ -66,6 +70,13 @@ class CellCamera(PictureCamera[SeenDish]):
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
         """Track other robots from now on: the cells of these numbers."""
         self._setup, self._identities = setup, list(numbers)
+
+    def films(self) -> list[CellFilm]:
+        """Return, once, what there is of the pictures since the last call, oldest first."""
+        found: list[CellFilm] = []
+        while self._films:
+            found.append(self._films.popleft())
+        return found
 
     def check(self) -> Health:
         """Look at some pictures and return what is wrong with source, light, focus and cells."""
@@ -92,6 +103,7 @@ class CellCamera(PictureCamera[SeenDish]):
         identities = self._bound(cells)
         found = {cell.identity: cell for cell in cells}
         robots = [found.get(identity) for identity in identities]
+        self._films.append(self._cutter.film(picture, exposed_ns, cells, robots, self._tracker))
         return SeenDish(
             poses=tuple(None if cell is None else self.pose_of(cell) for cell in robots),
             strangers=tuple(self.pose_of(c) for c in cells if c.identity not in identities),

@@ -4,6 +4,8 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
+
 from tetractl.core.commands import Health
 from tetractl.core.poses import Pose
 from tetractl.lab.cameras.cells.detect_cells import Light
@@ -68,6 +70,7 @@ def cell_health(names: Sequence[str], looks: Sequence[Look[SeenDish]], state: Di
     if looks:
         facts["search"] = f"{search_ms(looks):.1f} ms"
         facts["cells"] = str(_cells(looks))
+    facts["opencv"] = cv2.__version__
     facts |= {"damaged": str(state.damaged), "skipped": str(state.skipped)}
     return Health(tuple(problems), tuple(warnings), facts, emulated=state.emulated)
 

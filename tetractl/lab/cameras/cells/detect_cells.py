@@ -88,6 +88,10 @@ class BlobFinder:
     _flat: Grey | None = field(default=None, init=False)
     _stripe: int = field(default=0, init=False)
     _smooth: Grey | None = field(default=None, init=False)
+    searched: Grey | None = field(default=None, init=False)
+    """The newest picture less its background, in which blobs are looked for."""
+    limits: tuple[float, ...] = field(default=(), init=False)
+    """Low and high threshold [grey levels], least and most area [px^2] of that search."""
 
     @property
     def size(self) -> tuple[int, ...] | None:
@@ -134,13 +138,15 @@ class BlobFinder:
         noise = float(np.sqrt(np.mean(np.square(other[other >= 0])))) if (other >= 0).any() else 0.0
         noise = min(noise, 20.0)
         low, high = max(LOW * noise, LEAST_LOW), max(HIGH * noise, LEAST_HIGH)
-        mask = cv2.threshold(difference, low, 255, cv2.THRESH_BINARY)[1]
+        self.searched = searched = _grey(difference)
+        self.limits = (low, high, self.least_px2, self.most_px2)
+        mask = _mask(searched, low)
         changed = cv2.countNonZero(mask) / mask.size
         contours: Sequence = ()
         if changed <= CHANGED:
-            contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+            contours = _contours(mask)
         lost = changed > CHANGED or len(contours) > CONTOURS
-        blobs = [] if lost else self._blobs(contours, _grey(difference), high)
+        blobs = [] if lost else _blobs(contours, searched, self.limits)
         contrast = float(np.median([each.strength for each in blobs])) if blobs else None
         self.light = Light(gain, noise, contrast, changed, lost)
         return blobs
@@ -165,46 +171,74 @@ class BlobFinder:
         cv2.accumulateWeighted(scaled, old, LEARNING, mask)
         self._flat[top:bottom] = cv2.convertScaleAbs(old)
 
-    def _blobs(self, contours: Sequence, difference: Grey, high: float) -> list[Blob]:
-        boxes = [cv2.boundingRect(contour) for contour in contours]
-        floor = 0.3 * self.least_px2
-        large = [(b, c) for b, c in zip(boxes, contours, strict=True) if b[2] * b[3] >= floor]
-        large.sort(key=lambda each: -each[0][2] * each[0][3])
-        found = (self._blob(box, c, difference, high) for box, c in large[:BLOBS])
-        return [blob for blob in found if blob is not None]
 
-    def _blob(
-        self, box: Sequence[int], contour: Grey, difference: Grey, high: float
-    ) -> Blob | None:
-        left, top, wide, tall = box
-        inside = np.zeros((tall, wide), np.uint8)
-        cv2.drawContours(inside, [contour], -1, 1, -1, offset=(-left, -top))
-        part = difference[top : top + tall, left : left + wide] * inside
-        peak = float(part.max())
-        if peak < high:
-            return None
-        kept = cv2.threshold(part, PART_LOW * peak, 1, cv2.THRESH_BINARY)[1]
-        moments = cv2.moments(kept, binaryImage=True)
-        mass = moments["m00"]
-        if not self.least_px2 <= mass <= self.most_px2:
-            return None
-        x, y = moments["m10"] / mass, moments["m01"] / mass
-        xx, yy = moments["mu20"] / mass + 1 / 12, moments["mu02"] / mass + 1 / 12
-        xy = moments["mu11"] / mass
-        spread = math.hypot((xx - yy) / 2, xy)
-        mean = (xx + yy) / 2
-        height, width = difference.shape
-        return Blob(
-            x=left + x,
-            y=top + y,
-            axis=0.5 * math.atan2(2 * xy, xx - yy),
-            long=4 * math.sqrt(mean + spread),
-            wide=4 * math.sqrt(max(mean - spread, 1e-3)),
-            strength=cv2.mean(part, kept)[0],
-            body=_grey(kept),
-            corner=(left, top),
-            at_edge=left == 0 or top == 0 or left + wide == width or top + tall == height,
-        )
+def blobs_of(
+    searched: Grey, limits: Sequence[float], corner: tuple[int, int] = (0, 0)
+) -> list[Blob]:
+    """Return the blobs of a picture less its background, or of a part of one, largest first.
+
+    `limits` are low and high threshold [grey levels], least and most area [px^2]; `corner` is
+    column and row of the part's upper left pixel.
+    """
+    return _blobs(_contours(_mask(searched, limits[0])), searched, limits, corner)
+
+
+def _mask(searched: Grey, low: float) -> Grey:
+    return _grey(cv2.threshold(searched, low, 255, cv2.THRESH_BINARY)[1])
+
+
+def _contours(mask: Grey) -> Sequence:
+    return cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+
+
+def _blobs(
+    contours: Sequence, difference: Grey, limits: Sequence[float], corner: tuple[int, int] = (0, 0)
+) -> list[Blob]:
+    boxes = [cv2.boundingRect(contour) for contour in contours]
+    floor = 0.3 * limits[2]
+    large = [(b, c) for b, c in zip(boxes, contours, strict=True) if b[2] * b[3] >= floor]
+    large.sort(key=lambda each: -each[0][2] * each[0][3])
+    found = (_blob(box, c, difference, limits, corner) for box, c in large[:BLOBS])
+    return [blob for blob in found if blob is not None]
+
+
+def _blob(
+    box: Sequence[int],
+    contour: Grey,
+    difference: Grey,
+    limits: Sequence[float],
+    corner: tuple[int, int],
+) -> Blob | None:
+    left, top, wide, tall = box
+    _, high, least, most = limits
+    inside = np.zeros((tall, wide), np.uint8)
+    cv2.drawContours(inside, [contour], -1, 1, -1, offset=(-left, -top))
+    part = difference[top : top + tall, left : left + wide] * inside
+    peak = float(part.max())
+    if peak < high:
+        return None
+    kept = cv2.threshold(part, PART_LOW * peak, 1, cv2.THRESH_BINARY)[1]
+    moments = cv2.moments(kept, binaryImage=True)
+    mass = moments["m00"]
+    if not least <= mass <= most:
+        return None
+    x, y = moments["m10"] / mass, moments["m01"] / mass
+    xx, yy = moments["mu20"] / mass + 1 / 12, moments["mu02"] / mass + 1 / 12
+    xy = moments["mu11"] / mass
+    spread = math.hypot((xx - yy) / 2, xy)
+    mean = (xx + yy) / 2
+    height, width = difference.shape
+    return Blob(
+        x=left + corner[0] + x,
+        y=top + corner[1] + y,
+        axis=0.5 * math.atan2(2 * xy, xx - yy),
+        long=4 * math.sqrt(mean + spread),
+        wide=4 * math.sqrt(max(mean - spread, 1e-3)),
+        strength=cv2.mean(part, kept)[0],
+        body=_grey(kept),
+        corner=(left + corner[0], top + corner[1]),
+        at_edge=left == 0 or top == 0 or left + wide == width or top + tall == height,
+    )
 
 
 def _sparse(picture: np.ndarray) -> np.ndarray:

@@ -87,6 +87,10 @@ class CellTracker:
         """The questions of identity that the newest picture answered."""
         return self._merges.closed
 
+    def blob(self, track: int) -> Blob | None:
+        """Return the blob of a track in the newest picture, None where it has none."""
+        return next((cell.blob for cell in self._cells if cell.track == track), None)
+
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
         """Return the cells of a picture taken at a time [s]."""
         passed = 0.0 if self._time is None else seconds - self._time

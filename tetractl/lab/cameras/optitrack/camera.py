@@ -73,7 +73,7 @@ class OptitrackCamera:
         self.senders = Senders(section.server, section.command_port)
         self._clock, self._wake = clock, wake
         self._unicast = section.transport == "unicast"
-        self._pinned = _version(section.version) if section.version and self._unicast else None
+        self._pinned = Version.of(section.version) if section.version and self._unicast else None
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
         placement = Placement.of(section, setup.metres)
         self.stream = Stream(robots, placement, self._pinned, up, self._keep)
@@ -304,8 +304,3 @@ class OptitrackCamera:
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         return wait_for(self._clock, done, timeout_s)
-
-
-def _version(text: str) -> Version:
-    major, minor = text.split(".")
-    return Version(int(major), int(minor))

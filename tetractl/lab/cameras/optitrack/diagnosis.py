@@ -1,6 +1,6 @@
 """Why robots are not seen: what came from the camera server, and the setting that mends it."""
 
-from tetractl.core.errors import AbortError
+from tetractl.core.errors import AbortError, WireError
 from tetractl.core.text import printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
 from tetractl.lab.cameras.optitrack.natnet_messages import NEWEST, OLDEST, ModelDef, Version
@@ -8,7 +8,6 @@ from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
-from tetractl.lab.lab_errors import WireError
 
 LAYOUTS = tuple(Version(*v) for v in ((2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
 """The first version of each layout that frames have."""

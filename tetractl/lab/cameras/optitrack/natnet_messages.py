@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 MULTICAST_GROUP = "239.255.42.99"
 
@@ -20,6 +20,12 @@ class Version(NamedTuple):
     def known(self) -> bool:
         """Whether the layouts of this version are known; newer ones are read as 4.3."""
         return OLDEST <= self <= NEWEST
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Return the version written as `major.minor`."""
+        major, minor = text.split(".")
+        return cls(int(major), int(minor))
 
     def __str__(self) -> str:
         return f"{self.major}.{self.minor}"

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
+from tetractl.core.errors import WireError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
@@ -26,7 +27,6 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.sync import ClockSync
 from tetractl.lab.cameras.optitrack.wire import parse, response_float, response_int
-from tetractl.lab.lab_errors import WireError
 
 AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
 MISTIMED = 5  # impossible times of exposure in a row: no damage, but the clock

@@ -2,9 +2,7 @@
 
 import struct
 
-from tetractl.lab.cameras.optitrack.cursor import packed, packed_name
-from tetractl.lab.cameras.optitrack.frame import parse_frame
-from tetractl.lab.cameras.optitrack.modeldef import parse_modeldef
+from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     Connect,
@@ -18,7 +16,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     ServerInfo,
     Version,
 )
-from tetractl.lab.lab_errors import WireError
+from tetractl.lab.cameras.optitrack.payloads import packed, packed_name, parse_frame, parse_modeldef
 
 HEADER = 4  # u16 message id, u16 payload bytes
 DATAGRAM_MAX = 65_507

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.field_bench import LIMITS, Bench, Wire, section
 
-from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
+from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.emulate import firmware
@@ -161,28 +161,6 @@ def stops(stage):
 
 
 @needs_compiler
-def test_a_driver_is_checked_steered_and_stopped():
-    stage = Bench()
-    with stage.opened(SETUP) as actuator:
-        health = actuator.check()
-        assert (health.problems, health.warnings) == ((), ())
-        assert health.facts["field_driver_current_max_a"] == "2"
-        assert health.facts["field_driver_supply_v"] == "12"
-        wished = actuator.coils.currents(1.0, 2.0)
-
-        def flowing():
-            actuator.steer(1.0, POSES, BOTH, 0)
-            return stage.driver.currents == pytest.approx(wished, abs=0.002)
-
-        assert stage.clock.wait(flowing)
-        assert actuator.failure is None
-        actuator.stop()
-        assert stage.clock.wait(lambda: max(map(abs, stage.driver.currents)) < 1e-6)
-    kinds = {event for event, _ in stage.told}
-    assert kinds == {"command"}
-
-
-@needs_compiler
 def test_leaving_switches_the_field_off_before_the_watchdog_would():
     stage = Bench(DriverLimits(2000, 100_000, watchdog_ms=5000))
     with stage.opened(SETUP, watchdog=5.0) as actuator:
@@ -281,27 +259,3 @@ def test_garbage_on_the_line_is_dropped():
     with stage.opened(SETUP) as actuator:
         stage.port.write(random.Random(1).randbytes(2000) + b"\0" + b"\x05noise\0")
         assert actuator.check().problems == ()
-
-
-@needs_compiler
-def test_an_unplugged_driver_raises_and_says_so():
-    stage = Bench()
-    with stage.opened(SETUP) as actuator:
-        actuator.steer(1.0, POSES, BOTH, 0)
-        stage.port.unplug()
-        assert stage.clock.wait(lambda: actuator.failure is not None)
-        assert "the port" in actuator.failure
-        assert "is gone" in actuator.failure
-        for send in (lambda: actuator.steer(1.0, POSES, BOTH, 0), actuator.stop):
-            with pytest.raises(AbortError, match="is gone"):
-                send()
-        (problem,) = actuator.check().problems
-        assert "is gone" in problem
-
-
-def test_there_must_be_a_port(tmp_path):
-    actuator = FieldActuator(section(port=str(tmp_path / "none")), SETUP, MonotonicClock())
-    with pytest.raises(AbortError, match="there is no such port"), actuator:
-        pass
-    with pytest.raises(AbortError, match="is not open"):
-        actuator.steer(1.0, POSES, BOTH, 0)

@@ -1,16 +1,6 @@
 import pytest
 from pydantic import ValidationError
 from support.field_bench import section
-from support.trials import experiment
-
-from tetractl.core.clock import VirtualClock
-from tetractl.lab.actuators.field.actuator import FieldActuator
-
-
-def test_defaults():
-    field = section()
-    assert (field.baud, field.rate, field.watchdog) == (115_200, 40.0, 0.25)
-    assert field.calibrated_coils().gain == (2.0, -4.0)
 
 
 @pytest.mark.parametrize(
@@ -31,9 +21,3 @@ def test_what_cannot_be_is_one_clear_line(changes, says):
     (error,) = got.value.errors()
     assert says in error["msg"]
     assert "\n" not in error["msg"]
-
-
-def test_a_section_builds_its_actuator():
-    actuator = section(rate=50).build(experiment().setup, VirtualClock())
-    assert isinstance(actuator, FieldActuator)
-    assert (actuator.period_ns, actuator.individual, actuator.failure) == (20_000_000, False, None)

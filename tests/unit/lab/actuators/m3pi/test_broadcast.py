@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi.broadcast import (
     ROBOTS_MAX,
@@ -16,16 +17,12 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.lab_errors import WireError
 
 u8, u16 = st.integers(0, 255), st.integers(0, 65535)
 counts = st.integers(-127, 127)
 flags = st.integers(0, 7).map(Flag)
 commands = st.builds(
-    BroadcastCommand,
-    u8,
-    flags,
-    st.lists(st.tuples(counts, counts), max_size=ROBOTS_MAX).map(tuple),
+    BroadcastCommand, u8, flags, st.lists(st.tuples(counts, counts), max_size=ROBOTS_MAX).map(tuple)
 )
 replies = st.builds(Reply, u8, u8, st.integers(0, 7).map(Status), u16, u16, u16)
 
@@ -141,12 +138,3 @@ def test_replies_are_cut_out_of_any_stream(sent, cuts, garbage):
         for frame in splitter.feed(stream[start:stop])
     ]
     assert [decode_reply(frame) for frame in frames[len(frames) - len(sent) :]] == sent
-
-
-def test_splitting_keeps_no_more_than_a_frame():
-    splitter = cobs.Splitter()
-    for _ in range(100):
-        assert splitter.feed(b"\x55" * 50) == []
-        assert len(splitter._buffer) <= cobs.FRAME_MAX + 1
-    assert splitter.feed(b"\0\0\x01\x02\0") == [b"\x01\x02"]
-    assert splitter.overlong == 1

@@ -2,6 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tetractl.core.errors import WireError
 from tetractl.emulate.m3pi.robot import Motor, MotorCount, Query, SlaveDecoder
 from tetractl.lab.actuators.m3pi.slave import (
     BATTERY_REQUEST,
@@ -10,7 +11,6 @@ from tetractl.lab.actuators.m3pi.slave import (
     decode_battery,
     encode_wheels,
 )
-from tetractl.lab.lab_errors import WireError
 
 counts = st.integers(-127, 127)
 

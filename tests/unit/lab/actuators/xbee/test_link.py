@@ -10,20 +10,18 @@ from support.virtual_wires import LabClock, MemoryPort, MemorySerial
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
-from tetractl.lab.actuators.m3pi.broadcast import Reply, Status, decode_command, encode_reply
-from tetractl.lab.actuators.m3pi.serial_protocols import BroadcastProtocol, SlaveProtocol
+from tetractl.lab.actuators.m3pi.broadcast import decode_command
+from tetractl.lab.actuators.m3pi.serial_protocols import BroadcastProtocol
 from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
     AtResponse,
-    Other,
     Receive16,
     Transmit16,
     TransmitStatus,
 )
 from tetractl.lab.actuators.xbee.framing import Decoder, encode
-from tetractl.lab.actuators.xbee.hardware import BAUDS, FAMILIES, protocol
+from tetractl.lab.actuators.xbee.hardware import FAMILIES, XbeeSection, protocol
 from tetractl.lab.actuators.xbee.link import Link
-from tetractl.lab.actuators.xbee.section import XbeeSection
 from tetractl.lab.cobs import Splitter
 
 SERIES_1 = {b"HV": b"\x17\x44", b"VR": b"\x10\xed", b"BD": b"\x00\x00\x00\x06", b"AP": b"\x02"}
@@ -140,43 +138,6 @@ def test_no_hardware_is_of_two_families():
     assert len(codes) == len(set(codes))
 
 
-@pytest.mark.parametrize(("hardware", "version"), [(b"\x7f\x44", b"\x20\x03"), (b"\x22\x44", b"")])
-def test_a_module_that_is_not_known_is_asked_about_and_used(hardware, version):
-    """Regression: it was refused."""
-    radio = Module(SERIES_1 | {b"HV": hardware, b"VR": version})
-    link = radio.opened()
-    told = version.hex() or "not reported"
-    assert link.questions == (
-        f"{radio.name}: the module (HV {hardware.hex().upper()}, VR {told}) is not known here: "
-        "does it run 802.15.4 firmware?",
-    )
-
-
-def test_frames_of_type_0x91_are_reported():
-    """Regression: they were passed over, and every robot was said not to answer."""
-    said = bytes(10) + bytes.fromhex("E8E80011C10501") + b"hello"
-    radio = Module(respond=lambda frame: [Other(0x91, said), Receive16(1, 40, 0, b"x")])
-    link = radio.opened()
-    assert link.problems() == ()
-    link.send(b"data")
-    link.wait(10)
-    (problem,) = link.problems()
-    assert problem == (
-        f"{radio.name}: the module reports what it hears in frames of type 0x91, which are "
-        "not read: set AO in it to 0 or 2"
-    )
-
-
-def test_the_rates_are_the_modules_own():
-    assert BAUDS[3] == 9600
-    assert BAUDS[6] == 57600
-
-
-def test_there_must_be_a_port(tmp_path):
-    with pytest.raises(AbortError, match="there is no such port"):
-        Link(XbeeSection(port=str(tmp_path / "none")), MonotonicClock()).open()
-
-
 def test_a_radio_that_takes_nothing_is_stuck_and_stays_so():
     master, slave = pty.openpty()
     tty.setraw(slave)
@@ -195,70 +156,9 @@ def test_a_radio_that_takes_nothing_is_stuck_and_stays_so():
         os.close(slave)
 
 
-def test_a_radio_that_is_unplugged_raises():
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    link = Link(XbeeSection(port=os.ttyname(slave), mode="transparent"), MonotonicClock())
-    try:
-        link.open()
-        os.close(slave)
-        os.close(master)
-        with pytest.raises(AbortError, match="is gone"):
-            for _ in range(1000):
-                link.send(b"x")
-    finally:
-        link.close()
-
-
-def robot(index, battery_mv=4900):
-    """Answer polls as robot `index`, through a module."""
-    splitter = Splitter()
-
-    def respond(frame):
-        return [
-            Receive16(
-                index + 1,
-                0,
-                0,
-                encode_reply(Reply(index, command.sequence, Status(0), battery_mv, 3, 0)),
-            )
-            for command in map(decode_command, splitter.feed(frame.data))
-            if command.flags & 4
-        ]
-
-    return respond
-
-
-def test_robots_that_answer_a_poll_are_told_from_those_that_do_not():
-    link = Module(respond=robot(2)).opened()
-    found = BroadcastProtocol(link, link._clock, [2, 5]).poll(0.3)
-    assert found[0].battery_mv == 4900
-    assert found[1] is None
-
-
 def test_a_broadcast_puts_every_robot_at_its_number():
     radio = Module()
     link = radio.opened()
     BroadcastProtocol(link, link._clock, [2, 0]).drive([(10, -20), (30, 40)])
     (frame,) = Splitter().feed(radio.sent[0].data)
     assert decode_command(frame).wheels == ((30, 40), (0, 0), (10, -20))
-
-
-def test_slaves_are_spoken_to_one_by_one():
-    def battery(frame):
-        known = frame.destination == 5 and frame.data == b"\xb1"
-        return [Receive16(5, 0, 0, b"\x88\x13")] if known else []
-
-    radio = Module(respond=battery)
-    link = radio.opened()
-    voice = SlaveProtocol(link, link._clock, [5, 6])
-    answers = voice.poll(0.3)
-    assert answers[0].battery_mv == 5000
-    assert answers[1] is None
-    radio.sent.clear()
-    voice.drive([(10, -20), (0, 0)])
-    voice.poll(0.01)
-    assert [(f.destination, f.data) for f in radio.sent[:2]] == [
-        (5, b"\xc1\x0a\xc6\x14"),
-        (6, b"\xc1\x00\xc5\x00"),
-    ]

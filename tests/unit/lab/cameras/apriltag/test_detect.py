@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from support.needs_opencv import cv2
 from support.tag_scene import LARGE, ROBOTS, SMALL, STANDING, rendered
 
 from tetractl.emulate.apriltag.renderer import CARD
@@ -54,23 +53,6 @@ def test_corners_are_found_within_a_fraction_of_a_pixel(size, bound):
         off += [found[robot.tag].corners - truth(renderer, i) for i, robot in enumerate(ROBOTS)]
     assert np.sqrt(np.mean(np.square(off))) < bound
     assert np.abs(np.mean(off, axis=(0, 1))).max() < bound / 2  # no bias
-
-
-def test_the_sides_of_a_tag_give_better_corners_than_the_corners_themselves():
-    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    peer = cv2.aruco.ArucoDetector(family, parameters)
-    renderer = rendered(LARGE)
-    picture = renderer.picture(lambda t: STANDING, 0)
-    ours = {each.tag: each.corners for each in Detector().find(picture)}
-    corners, numbers, _ = peer.detectMarkers(picture)
-    theirs = dict(zip(np.ravel(numbers).tolist(), corners, strict=True))
-    for i, robot in enumerate(ROBOTS):
-        right = truth(renderer, i)
-        mine = np.abs(ours[robot.tag] - right).max()
-        peers = np.roll(theirs[robot.tag].reshape(4, 2), 2, axis=0)
-        assert 2 * mine < np.abs(peers - right).max()
 
 
 @pytest.mark.parametrize("blur", [0.7, 1.2])

@@ -24,13 +24,6 @@ GOOD = {
 }
 
 
-def test_the_shortest_section_is_read():
-    section = AprilTagSection.model_validate(GOOD)
-    assert section.family == "36h11"
-    assert section.lens is None
-    assert [robot.name for robot in section.ordered(["green"])] == ["green"]
-
-
 @pytest.mark.parametrize(
     ("change", "where"),
     [

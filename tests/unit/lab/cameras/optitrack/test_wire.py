@@ -1,6 +1,5 @@
 """NatNet packing and parsing: round trips, layouts written out by hand, and damage."""
 
-import random
 import struct
 
 import pytest
@@ -16,11 +15,8 @@ from support.natnet_samples import (
     pack_full_frame,
 )
 
-from tetractl.emulate.optitrack.server_wire import (
-    pack_answer,
-    pack_modeldef,
-    parse_request,
-)
+from tetractl.core.errors import WireError
+from tetractl.emulate.optitrack.server_wire import pack_answer, pack_modeldef, parse_request
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     BodyName,
@@ -37,14 +33,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Ticks,
     Version,
 )
-from tetractl.lab.cameras.optitrack.wire import (
-    datagram,
-    pack,
-    parse,
-    response_float,
-    response_int,
-)
-from tetractl.lab.lab_errors import WireError
+from tetractl.lab.cameras.optitrack.wire import datagram, pack, parse, response_float, response_int
 
 f32 = st.floats(width=32, allow_nan=False)
 f64 = st.floats(allow_nan=False)
@@ -216,16 +205,6 @@ def test_bad_datagrams_raise_the_one_exception(packed, version):
         parse(packed, version)
 
 
-@pytest.mark.parametrize("count", [2**31 - 1, -1, 60, 2**31 // 19])
-@every_version
-def test_counts_beyond_the_datagram_are_refused(version, count):
-    packed = bytearray(pack_answer(NatNetFrame(1, ()), version))
-    bodies_at = 4 + 4 + (16 if version >= (4, 1) else 8)
-    struct.pack_into("<i", packed, bodies_at, count)
-    with pytest.raises(WireError):
-        parse(bytes(packed), version)
-
-
 @pytest.mark.parametrize(
     ("message", "version"),
     [
@@ -255,49 +234,3 @@ def test_every_truncation_is_refused(version):
             cut = whole[:2] + struct.pack("<H", size - 4) + whole[4:size]
             with pytest.raises(WireError):
                 parse(cut, version)
-
-
-MUTATIONS_A_VERSION = 2_000
-
-
-@every_version
-def test_mutated_datagrams_never_raise_anything_else(version):
-    rng = random.Random(f"{version}")
-    whole = [
-        full_frame(version),
-        full_modeldef(version)[1],
-        pack_answer(ServerInfo("Motive", (3, 1, 0, 0), (*version, 0, 0))),
-        pack_answer(EchoResponse(1, 2)),
-    ]
-    weights = [8, 6, 1, 2]
-    outcomes = {True: 0, False: 0}
-    for _ in range(MUTATIONS_A_VERSION):
-        one, other = rng.choices(whole, weights, k=2)
-        mutated = mutate(rng, bytearray(one), other)
-        try:
-            parse(mutated, version)
-        except WireError:
-            outcomes[False] += 1
-        else:
-            outcomes[True] += 1
-    assert min(outcomes.values()) > MUTATIONS_A_VERSION // 50  # both sides were really tried
-
-
-def mutate(rng, data, other):
-    for _ in range(rng.randint(1, 3)):
-        at = rng.randrange(len(data)) if data else 0
-        match rng.randrange(5):
-            case 0 if data:
-                data[at] ^= 1 << rng.randrange(8)
-            case 1:
-                del data[at:]
-            case 2:
-                data[at:] = other[rng.randrange(len(other)) :]
-            case 3 if len(data) >= 4:
-                count = rng.choice([0, 1, -1, 255, 65_536, 2**31 - 1, -(2**31), rng.getrandbits(8)])
-                struct.pack_into("<i", data, rng.randrange(len(data) - 3), count)
-            case _:
-                data[at:at] = rng.randbytes(rng.randint(1, 8))
-    if len(data) >= 4 and rng.random() < 0.8:  # else the header would stop most of them
-        struct.pack_into("<H", data, 2, len(data) - 4)
-    return bytes(data)

@@ -1,27 +1,95 @@
-"""Checks of a spec that is valid: whether it can work, and as it was meant.
+"""Warns of what is doubtful in a spec that is valid: whether it can work, and as it was meant.
 
-Each yields a `SpecWarning`, with the number that shows it, for each thing it finds.
+Each check is a function in `CHECKS`, and yields a `SpecWarning`, with the number that shows it, for
+each thing it finds. What each means is in docs/reference/warnings.md.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
-from tetractl.experiment.yaml.problems import Loc
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import LoadedSpec, document_of
+from tetractl.experiment.yaml.problems import Loc, SpecProblem
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
-from tetractl.run.plausibility.context import CheckContext, SpecWarning
 
 COARSE = 2.0
 """a T beyond which the headings of (6) overshoot further at every step."""
 OVERSHOOTING = ("euler", "arc")
 """The motions whose heading advances by (6)."""
 TURN = 2 * math.pi
+ALIKE = 0.05
+"""Relative difference of a, and difference of start headings [rad], up to which robots count as
+alike."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpecWarning:
+    """What a check found: where in the spec, what with its number, and what would help."""
+
+    loc: Loc
+    message: str
+    hint: str
+
+
+@dataclass(frozen=True)
+class CheckContext:
+    """An experiment, with what the checks need of its controller.
+
+    A controller of another kind may lack some of it: `signals_max` is None where no plan has a
+    longest length, `motion` is "" where none is named.
+    """
+
+    experiment: Experiment
+    setup: Setup
+    signal_s: float  # for how long one signal of a plan is held
+    signals_max: int | None
+    motion: str
+    margin: float  # kept from obstacles, with the radius of a robot
+    yields: bool  # whether the margin shrinks at starts and targets
+    walls: bool
+    tolerance: float
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> "CheckContext":
+        """Return what the checks need of an experiment."""
+        control: Any = experiment.controller
+        collision = getattr(control, "collision", None)
+        return cls(
+            experiment=experiment,
+            setup=experiment.setup,
+            signal_s=getattr(control, "hold", 1) * control.period,
+            signals_max=getattr(control, "horizon_max", None),
+            motion=getattr(control, "motion", ""),
+            margin=collision.margin + collision.radius if collision else 0.0,
+            yields=collision.adaptive if collision else False,
+            walls=collision.walls if collision else False,
+            tolerance=control.arrival_tolerance,
+        )
+
+    @property
+    def unit(self) -> str:
+        """The length unit."""
+        return self.setup.unit
+
+    @property
+    def longest_s(self) -> float:
+        """How long robots move in a trial at most."""
+        return (self.setup.steps_max + 1) * self.setup.period_s
+
+    @cached_property
+    def least_total_error(self) -> float:
+        """A lower bound of the total error of any plan [length unit], see `model.bounds`."""
+        return bounds.least_total_error(self.setup, self.longest_s)
 
 
 def angles(spec: CheckContext) -> Iterator[SpecWarning]:
@@ -101,11 +169,6 @@ def unknown_dead_time(spec: CheckContext) -> Iterator[SpecWarning]:
             f"{abs(true - assumed) / period:.2g} control periods from when it is meant to",
             f"set controller.dead_time to {true:.4g}",
         )
-
-
-ALIKE = 0.05
-"""Relative difference of a, and difference of start headings [rad], up to which robots count as
-alike."""
 
 
 def out_of_reach(spec: CheckContext) -> Iterator[SpecWarning]:
@@ -274,3 +337,47 @@ def too_close(spec: CheckContext) -> Iterator[SpecWarning]:
                         f"come nearer than {limits.separation_mm:.4g} mm",
                         f"move them apart, or lower {section}.limits.separation_mm",
                     )
+
+
+CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (
+    angles,
+    plan_outlasts_trial,
+    coarse_period,
+    unknown_dead_time,
+    robots_alike,
+    out_of_reach,
+    beyond_the_plan,
+    error_left,
+    walled_off,
+    inside_margin,
+    too_close,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedWarning(SpecProblem):
+    """A warning at its place in the spec's file."""
+
+    hint: str = ""
+
+    def __str__(self) -> str:
+        return f"{SpecProblem.__str__(self)}; {self.hint}"
+
+
+@np.errstate(all="ignore")  # absurd numbers are a spec's own affair
+def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedWarning, ...]:
+    """Return what is doubtful in a spec that was loaded with `sets`, in the order of its lines."""
+    if loaded.experiment.open:  # its robots are stand-ins
+        return ()
+    context = CheckContext.of(loaded.experiment)
+    document = document_of(loaded.text, str(loaded.path or loaded.name), sets)
+    found = []
+    for warning in (warning for check in CHECKS for warning in check(context)):
+        place = document.place(warning.loc)
+        at = place.problem(warning.loc, warning.message, place.text)
+        found.append(
+            PlacedWarning(
+                at.origin, at.message, at.line, at.column, at.field, at.value, warning.hint
+            )
+        )
+    return tuple(sorted(found, key=lambda w: (w.line is None, w.line or 0, w.column or 0)))

@@ -1,0 +1,149 @@
+"""What users type wrong, and what they are answered: one line, a hint where useful, a code."""
+
+import shlex
+import shutil
+
+import pytest
+from support.cli import tetractl
+from support.paths import ROOT
+from support.running import QUICK
+from support.studies import SMALL, write
+
+# A command, what its one line says and, where it matters, how its hint begins.
+USAGE = r"""
+run study.yaml | study.yaml: is a study, not a spec | run it with: tetractl study study.yaml
+study spec.yaml | spec.yaml: is a spec, not a study | run it with: tetractl run spec.yaml; a study
+replay spec.yaml | spec.yaml: is no log (*.mcap) | run it with: tetractl run spec.yaml
+stats out/trials.csv | out/trials.csv: is no log (*.mcap) | name the folder: out
+report out/times.csv | out/times.csv: is no log (*.mcap) | name the folder: out
+run | SPEC
+run nowhere.yaml | nowhere.yaml: there is no such file
+run . | .: is a folder
+run empty.yaml | empty.yaml: is empty
+run binary.yaml | binary.yaml: is a binary file
+run wrong.yaml | wrong.yaml:3:
+run huge.yaml | huge.yaml:8:45: reference.std: 1.0e+308: must be at most 1e+09
+run spec.yaml --trials 0 | --trials: must be at least 1 | try
+run spec.yaml --seed -1 | --seed: must be at least 0 | try
+run spec.yaml --seed x | --seed: is no whole number | try
+run spec.yaml --jobs 0 | --jobs: must be at least 1 | try
+run spec.yaml --set controler.period=1 | did you mean 'controller'?
+run spec.yaml --set robots.x.a=1 | has no entry 'x'
+run spec.yaml --set controller.period=1e-9 | controller.period: 1e-9: must be at least 0.001
+run spec.yaml --set robots.0.name=Kä | robots.0.name: Kä: must be letters without accents
+run spec.yaml --out empty.yaml | empty.yaml: not a folder
+run spec.yaml --out logs | logs: holds logs already | name another folder with --out
+run spec.yaml --out logs --resume --seed 8 | trial-000.mcap: was run with another spec or seed
+run spec.yaml --resume | --resume needs --out
+run spec.yaml --port 1 | --port belongs to --serve
+run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
+serve spec.yaml --paused | only a LOG is played back
+serve LOG --rate 0 | --rate must be above 0
+rerun LOG --seed 3 | No such option
+study study.yaml --shard 3/2 | --shard 3/2: must be i/n
+study study.yaml --logs some | --logs some: must be all, failed, sample:N or none
+study study.yaml nowhere | --merge and the folders of the shares go together
+study study.yaml --merge nowhere -o out | nowhere: holds no trial of this study
+study study.yaml --trial many -o out | --trial many: must be ARM/N
+study study.yaml --trial dead_time=0.1/9 -o out | it has no row in
+study study.yaml --shard 1/2 --trial a/0 | exclude each other: give one
+study study.yaml --slurm 0 | --slurm: must be at least 1
+stats nowhere | nowhere: no such file or folder
+stats empty | empty: no logs
+stats '*.nothing' | matches no log
+stats logs --plot batch.gif | batch.gif: cannot write '.gif' pictures
+stats out --format yaml | --format: 'yaml' is not one of 'table', 'json' | try
+stats out/dead_time=0 --against out | out: is the folder of a study
+info none.mcap | none.mcap: no such file or folder
+info logs | logs: 3 logs | name one of them, such as logs/trial-000.mcap
+recover missing.mcap | missing.mcap: no such file or folder
+report missing | missing: no such file or folder
+report logs -o no/where.html | no/where.html: there is no folder no
+replay | LOG
+replay LOG --rate 0 | --rate must be above 0
+replay LOG --rate nan | --rate must be above 0
+replay LOG --rate fast | --rate: is no number | try
+replay LOG --start 99 | the trial lasts
+replay LOG --paused | --paused needs a terminal
+replay LOG --yes | No such option
+replay logs --loop | --loop without a terminal
+plot LOG -o a.bmp | a.bmp: cannot write '.bmp' pictures | end the name in .png, .svg, .pdf
+plot LOG -o a | needs an ending
+plot LOG -o nowhere/a.png | nowhere/a.png: there is no folder nowhere
+plot LOG --kind pie | no figure is called 'pie'
+plot logs --kind timing | shows one trial, not 3
+plot logs --kind video | a film shows one trial, not 3
+plot LOG --kind video -o film.avi | film.avi: cannot write '.avi' films
+export logs -o x.csv | one file holds one table
+export logs -o x --table no | there is no table 'no'
+export logs -o x --format xls | cannot write 'xls' tables
+export logs -o x.csv --table steps --format parquet | ends in .csv
+export missing -o x | missing: no such file or folder
+identify | LOG
+identify logs --yes | No such option
+identify logs poses.csv | logs and CSV files cannot be identified together
+design spec.yaml --yes | --logs and --yes belong to --plant
+design lab.yaml --plant lab | there is no terminal to ask at | add --yes
+redrive LOG --plant lab --yes | lab
+what-if logs | --set
+what-if LOG --set plant.dead_time=0 | only what is under 'controller' can be replaced
+analyze spec.yaml -o a.txt | a.txt: cannot write '.txt' pictures
+analyze no.yaml | no.yaml: there is no such file
+analyze spec.yaml --plans 0 | --plans: must be at least 1
+kinds --set x=1 | --set belongs to --check
+init Käse | 'Käse' is no name of an experiment | use up to 64 of a to z, A to Z, 0 to 9, dot
+init --lab --cells | --lab and --cells
+init no/first | no/first.yaml: cannot be written: No such file or directory
+init spec | spec.yaml: is there already | give another NAME
+init mine --example three_m3pi | --example writes a file as it is shipped
+init --example three_m3p | there is no example 'three_m3p'; did you mean 'three_m3pi'?
+validate | SPEC
+schema -o no/such/new.json | no/such/new.json: no such file or folder
+"""
+FAILED = """
+info noise.mcap | noise.mcap: not an MCAP file
+recover noise.mcap | noise.mcap: not an MCAP file
+stats noise.mcap | none of 1 logs can be read
+report noise.mcap | none of the logs can be read: noise.mcap: not an MCAP file
+run spec.yaml --out empty.yaml/logs | empty.yaml/logs: cannot create the folder: Not a directory
+"""
+ROWS = [(2, row) for row in USAGE.strip().splitlines()]
+ROWS += [(1, row) for row in FAILED.strip().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with specs, good and bad, a study and its rows, three logs, and no log."""
+    place = tmp_path_factory.mktemp("usage")
+    write(place, SMALL)
+    for words in (
+        ("study", "study.yaml", "--out", "out", "--jobs", 1, "-q"),
+        ("run", "spec.yaml", "--out", "logs", "-q"),
+    ):
+        assert tetractl(place, *words).returncode == 0
+    shutil.copy(ROOT / "experiments" / "three_m3pi_lab.yaml", place / "lab.yaml")
+    for name, content in {
+        "noise.mcap": b"no log",
+        "empty.yaml": b"",
+        "binary.yaml": bytes(range(256)) * 4,
+        "wrong.yaml": QUICK.replace("speed: 200", "speed: -1").encode(),
+        "huge.yaml": f"{QUICK}\nreference: {{source: x, n: 20, mean: 6, std: 1.0e+308}}\n".encode(),
+    }.items():
+        (place / name).write_bytes(content)
+    (place / "empty").mkdir()
+    return place
+
+
+@pytest.mark.parametrize(("code", "row"), ROWS, ids=[row.partition(" |")[0] for _, row in ROWS])
+def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
+    command, message, hint = (*map(str.strip, row.split("|")), "")[:3]
+    before = sorted(folder.rglob("*"))
+    words = shlex.split(command.replace("LOG", "logs/trial-000.mcap"))
+    done = tetractl(folder, *words)
+    assert (done.returncode, done.stdout) == (code, "")
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("damaged: ")]
+    hints = [line for line in lines[1:] if line.startswith(f"hint: {hint}")]
+    assert lines[0].startswith("error: ") and message in lines[0], lines
+    assert len(hints) == len(lines) - 1 <= 1
+    assert hints or not hint
+    assert sorted(folder.rglob("*")) == before

@@ -1,0 +1,32 @@
+"""No trial goes on for long with cells of which it is not known who is who."""
+
+import numpy as np
+
+from tetractl.core.cell_film import CellFilm
+from tetractl.lab.identity_watch import IdentityWatch
+
+
+def seen(seconds, *sure):
+    empty = np.zeros((0, 1, 1), np.uint8), np.zeros((0, 2), np.int64), np.zeros((0, 6))
+    none = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+    return CellFilm(round(1e9 * seconds), *empty, *none, (1.0, 2.0, 3.0, 4.0), np.array(sure))
+
+
+def test_a_meeting_is_said_once_and_ends_the_run_only_where_it_stays_unknown():
+    watch = IdentityWatch(("one", "two"), 3.0)
+    rows = [
+        (0.0, 1.0, 1.0),
+        (1.0, 0.5, 0.5),
+        (1.5, np.nan, 0.6),  # not seen: nothing is known of it
+        (2.0, 0.95, 0.7),
+        (3.9, 0.95, 0.8),
+    ]
+    notes = [note for row in rows for note in watch.see(seen(*row))]
+    assert [(note.t_ns / 1e9, note.level, note.text.split()[0]) for note in notes] == [
+        (1.0, "warning", "one"),
+        (1.0, "warning", "two"),
+        (2.0, "info", "one"),
+    ]
+    assert watch.reason == ""
+    assert list(watch.see(seen(4.1, 0.95, 0.85))) == []
+    assert watch.reason == "for 3 s it has not been known which cell is two"

@@ -1,0 +1,101 @@
+"""Way-points and a hold: robots on wheels stand, others circle, and both are measured."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.paths import ROOT
+
+from tetractl.core.commands import Sample
+from tetractl.core.errors import SpecError
+from tetractl.core.poses import Observation, Poses
+from tetractl.core.tour import HoldTask, TourMeasure
+from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.log.read.reader import read_trial
+from tetractl.replay.audit import audit
+from tetractl.replay.verify import verify
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
+
+MPC = """{horizon_max: 30, steps_max: 200, accept_error: 20, motion: exact,
+  optimizer: {type: multistart, tolerance: 1}}"""
+ONE = f"""
+name: one
+arena: {{left: 0, bottom: 0, width: 3000, height: 3000}}
+robots: [{{name: one, start: [500, 500], via: [[900, 700]], target: [1500, 600], a: 5, speed: 300}}]
+hold: {{radius: 100, time: 6}}
+controller: {MPC}
+plant: {{type: sim, camera_rate: 30, heading_noise: 0.05}}
+"""
+
+
+@pytest.mark.parametrize(("wheels", "least"), [("", 0.9), ("wheels: {radius: 40}", 0.99)])
+def test_robots_pass_way_points_and_stay_circling_or_standing(wheels, least, tmp_path):
+    spec = parse_spec(ONE + wheels, "one.yaml")
+    result = run_trial(spec, tmp_path, 0, (), Interrupt())
+    path = log_path(tmp_path, 0)
+    log = read_trial(path)
+    assert result.outcome.complete
+    assert len(result.passed) == 1
+    assert result.passed[0] < 40  # half the way of a control period is 30
+    assert result.inside[0] >= least
+    legs = [step.plan.leg for step in log.steps]
+    assert legs == sorted(legs)
+    assert set(legs) == {0, 1, 2}
+    held = [step for step in log.steps if step.plan.leg == 2]
+    pauses = [step.plan.pauses for step in held]
+    assert all(pauses) if wheels else not any(pauses)
+    lasted = log.stop.sent_ns - held[0].observation.sampled_ns
+    assert 6 <= lasted / 1e9 < 7
+    assert [note.text for note in log.notes if "way-point" in note.text or "hold" in note.text] == [
+        "way-point 1 of 1 is passed",
+        "the robots have arrived and hold",
+    ]
+    assert verify(path).problems == ()
+    for field in ("inside", "passed"):
+        forged = replace(log, result=replace(result, **{field: (0.999,)}))
+        assert [one.field for one in audit(forged, True).problems] == [f"result.{field}.0"]
+
+
+def test_the_time_inside_is_a_share_of_the_tracked_frames_of_the_hold():
+    def frame(number, x, valid=True, truth=None):
+        poses = Poses(np.array([x]), np.zeros(1), np.zeros(1))
+        seen = Observation(number, number, number, poses, np.array([valid]))
+        true = None if truth is None else Poses(np.array([truth]), np.zeros(1), np.zeros(1))
+        return Sample(seen, true)
+
+    measure = TourMeasure(np.array([[[5.0, 0.0]], [[0.0, 0.0]]]), HoldTask(1.0, 9.0))
+    measure.step(0, frame(0, 9.0).observation)
+    measure.add([frame(1, 0.0)])
+    measure.step(1, frame(2, 4.0).observation)
+    assert measure.inside == ()
+    measure.step(2, frame(3, 0.0).observation)
+    measure.add([frame(2, 0.0), frame(3, 0.0), frame(4, 3.0), frame(5, 0.0, valid=False)])
+    measure.add([frame(6, 9.0, truth=0.5), frame(7, 0.0)], until_ns=6)
+    assert measure.passed == (1.0,)
+    assert measure.inside == (2 / 4,)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("via: [[900, 700]]", "via: [[900, 7000]]", "robots.0.via.0: [900, 7000]: is outside"),
+        (", a: 5, speed: 300}", ", a: 5, speed: 300}, {name: b, start: [1, 1], target: [2, 2], "
+         "a: 4, speed: 9}", "have 0 and 1 way-points in via"),
+        (MPC, "{type: sequence, directions: [0]}", "neither passes"),
+        ("time: 6", "time: 0", "hold.time"),
+    ],
+)  # fmt: skip
+def test_a_tour_that_cannot_be_is_refused(old, new, said):
+    with pytest.raises(SpecError) as found:
+        parse_spec(ONE.replace(old, new), "one.yaml")
+    assert said in str(found.value)
+
+
+@pytest.mark.slow
+def test_the_shipped_cells_are_kept_as_near_as_the_common_field_allows(tmp_path):
+    spec = load_spec(ROOT / "experiments" / "tetrahymena_hold.yaml")
+    result = run_trial(spec, tmp_path, 0, (), Interrupt())
+    assert result.outcome.complete
+    assert not result.left_arena
+    assert sum(result.inside) > 0.9

@@ -1,0 +1,46 @@
+"""What a microscope's picture showed of cells, kept next to the poses that were found in it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.poses import Bools, Floats, Grey
+
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class CellFilm:
+    """One picture of a camera that follows cells, as a log keeps it.
+
+    `crops` (K, T, T) are cut out of the picture less its background, at which the search for
+    contours begins, so that it can be repeated; the upper left pixel of each is at `corners`
+    (K, 2), column and row. `blobs` (K, 6) is what was found in each: x, y [px], axis [rad], long,
+    wide [px], strength [grey levels]. `robots` (K,) are their indices, -1 for a stranger; `merged`
+    (K,) share their blob. `limits` (4,) are those of the search. `sure` (N,) is the probability
+    that each robot's cell is that cell, NaN where it is not seen. `whole` is the picture itself and
+    `background` what it is compared with, both now and then only.
+    """
+
+    sampled_ns: int
+    crops: Grey
+    corners: Integers
+    blobs: Floats
+    robots: Integers
+    merged: Bools
+    limits: tuple[float, ...]
+    sure: Floats
+    whole: Grey | None = None
+    background: Grey | None = None
+
+
+def cut(picture: Grey, column: int, row: int, side: int) -> NDArray[np.uint8]:
+    """Return a square of a picture by its upper left pixel, 0 where it reaches beyond."""
+    found = np.zeros((side, side), np.uint8)
+    left, top = max(column, 0), max(row, 0)
+    part = picture[top : max(row + side, 0), left : max(column + side, 0)]
+    found[top - row : top - row + part.shape[0], left - column : left - column + part.shape[1]] = (
+        part
+    )
+    return found

@@ -1,0 +1,67 @@
+"""What is asked of robots beyond their targets, and how it went: way-points, and a hold.
+
+All robots pass their way-points together: leg j ends where every robot is as near as can be to
+its j-th, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.commands import Sample
+from tetractl.core.poses import Floats, Observation
+
+
+@dataclass(frozen=True, slots=True)
+class HoldTask:
+    """Robots are to stay within `radius` [length unit] of their targets for `seconds`."""
+
+    radius: float
+    seconds: float
+
+
+class TourMeasure:
+    """How N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
+
+    `step` is called with each control step's leg and observation, before the frames of it, which
+    `add` counts up to `until_ns`; the true poses count where they are known.
+    """
+
+    def __init__(self, legs: Floats, hold: HoldTask | None) -> None:
+        self._legs, self._hold, self._leg = legs, hold, 0
+        self._began_ns: int | None = None
+        self._inside, self._frames = np.zeros(legs.shape[1], dtype=np.int64), 0
+        self._passed: list[float] = []
+
+    def step(self, leg: int, observation: Observation) -> str:
+        """Take the leg that a control step is on; return what it begins, for people, or ""."""
+        for past in self._legs[self._leg : min(leg, len(self._legs) - 1)]:
+            self._passed.append(float(observation.poses.distances(past).sum()))
+        begins, self._leg = leg > self._leg, leg
+        if leg == len(self._legs) and self._began_ns is None:
+            self._began_ns = observation.sampled_ns
+            return "the robots have arrived and hold"
+        return f"way-point {leg} of {len(self._legs) - 1} is passed" if begins else ""
+
+    def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
+        """Count the camera frames of the hold; an untracked robot is not inside."""
+        if self._hold is None or self._began_ns is None:
+            return
+        for one in samples:
+            seen = one.observation
+            if seen.sampled_ns < self._began_ns or (until_ns and seen.sampled_ns > until_ns):
+                continue
+            near = (one.truth or seen.poses).distances(self._legs[-1]) <= self._hold.radius
+            self._inside += near if one.truth else near & seen.valid
+            self._frames += 1
+
+    @property
+    def passed(self) -> tuple[float, ...]:
+        """The sum of distances at each way-point passed, as observed [length unit]."""
+        return tuple(self._passed)
+
+    @property
+    def inside(self) -> tuple[float, ...]:
+        """Each robot's share of the hold's frames within its radius, (N,); empty without any."""
+        return tuple((self._inside / self._frames).tolist()) if self._frames else ()

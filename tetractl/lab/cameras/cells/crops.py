@@ -1,0 +1,100 @@
+"""What is kept of the film: a crop of each cell, and the whole picture now and then."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.cell_film import CellFilm, cut
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Grey
+from tetractl.lab.cameras.cells.cell import SeenCell
+from tetractl.lab.cameras.cells.detect_cells import Blob, blobs_of
+from tetractl.lab.cameras.cells.tracking import CellTracker
+
+STEP, LEAST, MOST = 16, 32, 160  # sides of crops [px]
+ROOM = 1.8  # a crop's side over the length of the longest cell
+RIM = 2  # px round a blob, without which its contour might be another one
+HERE_UM = 15.0  # a robot that its filter has further away than this was not found in its blob
+WHOLE_NS, BACKGROUND_NS = SECOND, 10 * SECOND  # from one to the next
+
+
+@dataclass(slots=True)
+class FilmCutter:
+    """Cuts the film of one run."""
+
+    _whole_ns: int = -WHOLE_NS
+    _background_ns: int = -BACKGROUND_NS
+
+    def film(
+        self,
+        picture: Grey,
+        exposed_ns: int,
+        cells: Sequence[SeenCell],
+        robots: Sequence[SeenCell | None],
+        tracker: CellTracker,
+    ) -> CellFilm:
+        """Return what to keep of a picture; `robots` are the robots' cells, None where not seen."""
+        searched, background = tracker.finder.searched, tracker.finder.background
+        assert searched is not None
+        longest = max((cell.long_um for cell in cells), default=0.0) / tracker.um_px
+        side = int(np.clip(STEP * np.ceil(ROOM * longest / STEP), LEAST, MOST))
+        kept = [(c, b) for c in cells if (b := tracker.blob(c.track)) and fits(b, side)]
+        corners = [corner(blob, side) for _, blob in kept]
+        crops = [cut(searched, column, row, side) for column, row in corners]
+        tracks = [-1 if cell is None else cell.track for cell in robots]
+        found_at = [_off(c, b, picture.shape[0], tracker.um_px) < HERE_UM for c, b in kept]
+        whole = exposed_ns - self._whole_ns >= WHOLE_NS
+        bare = exposed_ns - self._background_ns >= BACKGROUND_NS
+        self._whole_ns = exposed_ns if whole else self._whole_ns
+        self._background_ns = exposed_ns if bare else self._background_ns
+        return CellFilm(
+            sampled_ns=exposed_ns,
+            crops=np.array(crops, np.uint8).reshape(-1, side, side),
+            corners=np.array(corners, np.int64).reshape(-1, 2),
+            blobs=np.array([numbers(blob) for _, blob in kept]).reshape(-1, 6),
+            robots=np.array(
+                [
+                    tracks.index(cell.track) if here and cell.track in tracks else -1
+                    for here, (cell, _) in zip(found_at, kept, strict=True)
+                ],
+                np.int64,
+            ),
+            merged=np.array([cell.merged for cell, _ in kept], np.bool_),
+            limits=tracker.finder.limits,
+            sure=np.array([np.nan if cell is None else cell.probability for cell in robots]),
+            whole=picture.copy() if whole else None,
+            background=background.copy() if bare and background is not None else None,
+        )
+
+
+def _off(cell: SeenCell, blob: Blob, height: int, um_px: float) -> float:
+    """Return how far a cell is from its blob, in a picture of so many rows [um]."""
+    x, y = (blob.x + 0.5) * um_px, (height - 0.5 - blob.y) * um_px
+    return math.hypot(cell.x - x, cell.y - y)
+
+
+def fits(blob: Blob, side: int) -> bool:
+    """Return whether a blob with a rim is within a crop of so many pixels a side."""
+    return max(blob.body.shape) + 2 * RIM <= side
+
+
+def corner(blob: Blob, side: int) -> tuple[int, int]:
+    """Return the upper left pixel of a crop with a blob in its middle."""
+    rows, columns = blob.body.shape
+    return blob.corner[0] + columns // 2 - side // 2, blob.corner[1] + rows // 2 - side // 2
+
+
+def numbers(blob: Blob) -> tuple[float, ...]:
+    """Return what a blob says: x, y [px], axis [rad], long, wide [px], strength [grey levels]."""
+    return blob.x, blob.y, blob.axis, blob.long, blob.wide, blob.strength
+
+
+def found_again(
+    crop: Grey, place: Sequence[int], stated: Sequence[float], limits: Sequence[float]
+) -> tuple[float, ...] | None:
+    """Return the numbers of the blob of a crop nearest to the one stated, None for none."""
+    blobs = map(numbers, blobs_of(crop, limits, (place[0], place[1])))
+    x, y = stated[:2]
+    return min(blobs, key=lambda one: (one[0] - x) ** 2 + (one[1] - y) ** 2, default=None)

@@ -1,7 +1,7 @@
 """Measure the closed loop under disturbance: what each part of the controller brings.
 
     python benchmarks/disturbed.py                          the ablation, 20 trials a row
-    python benchmarks/disturbed.py --trials 100 --rate 20   more trials, control at 20 Hz
+    python benchmarks/disturbed.py --trials 100 --rate 5    more trials, control at 5 Hz
     python benchmarks/disturbed.py --part knowledge         what wrong assumptions cost
     python benchmarks/disturbed.py --part accept --figure accept.svg    time against error
     python benchmarks/disturbed.py --part hurting --trials 100      realisations that hurt
@@ -50,7 +50,11 @@ WORLD = (
 )
 FAR_MM = 100.0
 NEAR_MM = 95.0  # between the centres of two m3pi that touch
-FAST = ("controller.period=0.05", "controller.hold=4", "controller.steps_max=1600")
+RATES = {
+    5: ("controller.period=0.2", "controller.hold=1", "controller.steps_max=400"),
+    20: ("controller.period=0.05", "controller.hold=4", "controller.steps_max=1600"),
+}
+"""Settings for each rate of the control [Hz]."""
 PLAIN = (
     "controller.estimate=false",
     "controller.accept_error=0",
@@ -268,7 +272,7 @@ def table(rows: list[Row], world: "World", trials: int, published: bool) -> dict
     print(row("floor: given a, speed, dead time, losses", run(spec, trials, knowing)), flush=True)
     if published:
         print(row("the paper's, 5 Hz", run(world.spec(PAPER, (), slow=True), trials)))
-        print(row("undisturbed", run(load_experiment(OURS, *world.fast), trials)), flush=True)
+        print(row("undisturbed", run(load_experiment(OURS, *world.rate), trials)), flush=True)
     return found
 
 
@@ -310,17 +314,17 @@ class World:
         self, bench: str | None, rate_hz: int, dead_time_s: float, plain: Sequence[str] = WORLD
     ) -> None:
         self.plain = plain
-        self.bench, self.fast = bench, FAST if rate_hz == 20 else ()
+        self.bench, self.rate = bench, RATES[rate_hz]
         self.dead_time_s = dead_time_s
 
     def spec(self, file: str, settings: Sequence[str], slow: bool = False) -> Experiment:
-        fast, settings = () if slow else self.fast, [self._filled(one) for one in settings]
+        rate, settings = () if slow else self.rate, [self._filled(one) for one in settings]
         if self.bench is None:
-            return load_experiment(file, *self.plain, *fast, *settings)
+            return load_experiment(file, *self.plain, *rate, *settings)
         own = [setting for setting in settings if not setting.startswith("plant.")]
         theirs = [setting for setting in settings if setting.startswith("plant.")]
         plant = load_experiment(self.bench, *theirs).plant
-        return load_experiment(file, *fast, *own).model_copy(update={"plant": plant})
+        return load_experiment(file, *rate, *own).model_copy(update={"plant": plant})
 
     def _filled(self, setting: str) -> str:
         head, told, more = setting.partition("{}")
@@ -333,7 +337,9 @@ def main() -> None:
     parser.add_argument("--part", choices=parts, default="ablation")
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--seed", type=int, help="root seed, in place of that of the spec")
-    parser.add_argument("--rate", type=int, choices=(5, 20), default=5, help="of the control [Hz]")
+    parser.add_argument(
+        "--rate", type=int, choices=tuple(RATES), default=20, help="of the control [Hz]"
+    )
     parser.add_argument("--bench", help="the spec in experiments/ whose plant is the world")
     parser.add_argument("--dead-time", type=float, default=0.14, help="of the world [s]")
     parser.add_argument("--figure", type=Path, help="of the rows: error over time")

@@ -4,8 +4,8 @@ Algorithm 2 shortens its sequence from step to step. With few signals left, a la
 cannot be corrected any more: three robots have six coordinates. Where no length of H - 1, H, H + 1
 ends within an accepted total error, longer sequences are searched afresh, which lead the robots
 round and back. The trial ends where stopping is as good as any plan, at the best moment of the
-coming control period; and where no plan was found that keeps clear of all obstacles and a robot is
-about to enter one.
+coming control period; and where no plan was found that keeps clear of all obstacles, no way out of
+the corner either, and a robot is about to enter one.
 """
 
 from collections.abc import Iterator
@@ -13,14 +13,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.control.cost import predict
 from tetractl.control.delay import driven
 from tetractl.control.lengths import GROWTH
+from tetractl.control.margins import Margins
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, wrap
 from tetractl.core.problem import Problem
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
 ACCEPT_GROWTH = 0.1  # share by which the accepted error grows each time the robots go round
+LAST_S = 2.0  # of a plan: going round raises the accepted error only there [s]
+OUT_SIGNALS = 8  # of a way out of a corner
+OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # directions that it begins with [rad]
+OUT_RATES = np.linspace(-6.0, 6.0, 13)  # at which they change [rad/s]
+FINAL_ROOM = 0.2  # what room in the end counts to room on the way
 MOMENTS = 40  # of the coming control period that are tried for the stop
 
 
@@ -52,3 +59,19 @@ def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForec
     errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)
     best = int(np.argmin(errors))
     return StopForecast(round(float(delays[best]) * SECOND), float(errors[best]))
+
+
+def way_out(problem: Problem, margins: Margins, apart: float) -> Floats | None:
+    """Return signals (OUT_SIGNALS,) that lead standing robots away from all that they could enter,
+    and keep two of them `apart`; None where each leads some robot into it.
+
+    Directions that change at a steady rate are tried, whatever the targets.
+    """
+    start, rate = (column.reshape(-1, 1) for column in np.meshgrid(OUT_STARTS, OUT_RATES))
+    signals = wrap(start + rate * problem.period * np.arange(OUT_SIGNALS))
+    path = predict(problem, signals)
+    room = margins.room(path[..., 0], path[..., 1], apart)  # (OUT_SIGNALS + 1, B)
+    least = room.min(axis=0)
+    best = int(np.argmax(least + FINAL_ROOM * room[-1]))
+    outside = room[0, best] < 0  # already: then no further
+    return signals[best] if least[best] > 0 or (outside and least[best] >= room[0, best]) else None

@@ -50,6 +50,11 @@ class StateEstimator:
         known = None if self.estimate is None else self.estimate.dead_time
         return self.predictor.dead_time_s if known is None else known
 
+    @property
+    def heard(self) -> bool:
+        """Whether any robot follows the last command that should act by now, as far as is known."""
+        return self.filter is None or self.filter.heard()
+
     def seen(
         self,
         observation: Observation,

@@ -1,4 +1,4 @@
-"""Where the robots are and how they move, from every camera frame and every direction sent.
+"""Where the robots are and how they move, from the camera's frames and every direction sent.
 
 Each robot i has a state that a Kalman filter follows from frame to frame: the position (x, y) and
 the heading theta of its course, its turning rate a and speed v, a turn bias beta, the marker bias m
@@ -22,7 +22,10 @@ fitted for a while: then the pose is taken from the camera.
 
 The dead time tau, from the sending of a direction to the moment when it acts, is the same for all
 robots. A bank of filters has one tau each, of a grid; their likelihoods decide between them, and
-around the likely ones the grid becomes finer.
+around the likely ones the grid becomes finer. Frames are followed some 30 ms apart, and the newest
+of a control step: wheels answer a command within tens of milliseconds and not at once, and from
+frames that are closer together the beginning of the answer gives too short a dead time and too
+small an a.
 """
 
 import math
@@ -47,6 +50,7 @@ HEADING_NOISE = 0.01  # of a measured heading, if not given [rad]
 SLIP = 0.02  # random walk of the position, as a share of the speed [1/sqrt(s)] ...
 WALK = 0.1  # ... and of the heading [rad/sqrt(s)], before anything is seen
 DRIFTS = (0.01, 0.005, 0.005, 0.002)  # random walks of ln a, ln v, turn and marker bias [1/sqrt(s)]
+SPACING_S = 0.03  # least time between two frames that are followed [s]
 FLOW_DRIFT = 0.05  # of each component of the flow, as a share of what is expected of it
 
 
@@ -175,9 +179,10 @@ class FilterBank:
             self._bank.next[:] -= done
 
     def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Follow the robots to a frame, by way of the frames before it that were not seen yet."""
+        """Follow the robots to a frame, by way of those before it that are SPACING_S apart."""
         for frame in (*earlier, observation):
-            if self._last is not None and frame.sampled_ns <= self._last.sampled_ns:
+            least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
+            if self._last is not None and frame.sampled_ns < self._last.sampled_ns + least:
                 continue
             if self._last is None or self._from_ns is None or frame.sampled_ns < self._from_ns:
                 self._place(frame)
@@ -287,6 +292,12 @@ class FilterBank:
         (N,) [rad] and the flow (N, 2) [length unit/s]."""
         _, z, _, _ = self._likely()
         return Poses.of(z[:, :3]), z[:, 5].copy(), z[:, 7:9].copy()
+
+    def heard(self) -> bool:
+        """Return whether any robot follows the last direction that should act by the last frame."""
+        best, _, _, u = self._likely()
+        acting = int(self._bank.next[best]) - 1
+        return acting < 0 or bool((u == self._u[acting]).any() or np.isnan(self._u[acting]))
 
     def held(self, until: int) -> list[Held]:
         """Return the directions that act from the last frame to a time [ns], oldest first."""

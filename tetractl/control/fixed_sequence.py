@@ -1,10 +1,12 @@
-"""What controllers share that search nothing: the problem whose cost a log states, and the record
-of signals that no search found."""
+"""What controllers share: the problem whose cost a log states where nothing is searched, the record
+of signals that no search found, and how a decision is put together."""
+
+from collections.abc import Callable
 
 import numpy as np
 
-from tetractl.control.cost import evaluate
-from tetractl.core.plan import Search, StopReason
+from tetractl.control.cost import Foreseen, evaluate, foresee
+from tetractl.core.plan import Plan, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem, Region
 from tetractl.core.setup import Setup
@@ -35,3 +37,25 @@ def given_search(problem: Problem, signals: Floats) -> Search:
 def search_of(signals: Floats, cost: float) -> Search:
     """Return the record of given signals (L,) [rad] of a known cost."""
     return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)
+
+
+def make_plan(
+    problem: Problem,
+    searches: list[Search],
+    chosen: int,
+    step_key: int,
+    foreseen: Callable[[Problem, Floats], Foreseen] = foresee,
+) -> Plan:
+    """Assemble the decision from its searches, with the predicted path and the terms of (7)."""
+    best = searches[chosen]
+    ahead = foreseen(problem, best.signals)
+    return Plan(
+        signals=best.signals,
+        path=ahead.path,
+        cost=best.cost,
+        target_cost=ahead.target,
+        obstacle_cost=ahead.obstacle,
+        searches=tuple(searches),
+        chosen=chosen,
+        generator=step_key,
+    )

@@ -4,7 +4,7 @@ Lines 2-5 and 10-23 of Algorithm 2, and, beyond it, longer sequences (`tetractl.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -49,7 +49,7 @@ def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> li
     return sorted(kept, key=lambda one: one[0])
 
 
-def choose(searches: list[Search], good_enough: float | None, count: int) -> int:
+def choose(searches: Sequence[Search], good_enough: float | None, count: int) -> int:
     """Return the index of the least cost, lines 5 and 23.
 
     Among costs that the optimiser counts as equally good, the length nearest to that of the plan
@@ -75,11 +75,16 @@ def least_length(problem: Problem) -> int:
     return max(straight, SIGNALS * len(gaps) if len(gaps) > 1 else 1)
 
 
+def always(_: Floats) -> bool:
+    """Return True: nothing is asked of signals but their cost."""
+    return True
+
+
 class Searcher:
     """Does the searches of one control step, within its limits, and keeps what they found.
 
     `evaluations` bounds the cost evaluations of the step, None for no bound; once `expired()` is
-    true, only a first search is still done.
+    true, only a first search is still done. Only signals that are `safe` are good.
     """
 
     def __init__(
@@ -90,11 +95,13 @@ class Searcher:
         step_key: int,
         evaluations: int | None = None,
         expired: Callable[[], bool] = never,
+        safe: Callable[[Floats], bool] = always,
     ) -> None:
         self._optimizer, self._least = optimizer, section.evaluations_min
         self._problem, self._key = problem, step_key
-        self._left, self._expired = evaluations, expired
+        self._left, self._expired, self._safe = evaluations, expired, safe
         self.found: list[Search] = []
+        self._known = dict[int, bool]()  # whether one of them is safe
 
     def search(self, length: int, start: Floats | None, among: int = 1) -> Search | None:
         """Search one length; None where that is beyond the limits.
@@ -111,6 +118,14 @@ class Searcher:
             self._left -= found.evaluations
         return found
 
+    def good(self, found: Search, good_enough: float) -> bool:
+        """Return whether a plan that was found is safe and costs no more than that."""
+        if found.cost > good_enough:
+            return False
+        if id(found) not in self._known:
+            self._known[id(found)] = self._safe(found.signals)
+        return self._known[id(found)]
+
     def search_all(self, wanted: list[Candidate], good_enough: float | None, count: int) -> None:
         """Search the candidates until the limits are reached.
 
@@ -122,7 +137,7 @@ class Searcher:
             wanted = sorted(wanted, key=lambda one: abs(one[0] - count))
         for i, (length, start) in enumerate(wanted):
             found = self.search(length, start, len(wanted) - i)
-            if found is None or (good_enough is not None and found.cost <= good_enough):
+            if found is None or (good_enough is not None and self.good(found, good_enough)):
                 break
 
     def search_spread(self, least: int, most: int, good_enough: float) -> None:
@@ -133,17 +148,19 @@ class Searcher:
         length, failed = min(least, most), 0
         while True:
             found = self.search(length, None)
-            if found is None or (found.cost > good_enough and length == most):
+            if found is None:
                 return
-            if found.cost <= good_enough:
+            if self.good(found, good_enough):
                 break
+            if length == most:
+                return
             length, failed = min(most, max(length + 1, round(SPREAD * length))), length
         while failed > 0 and length - failed > max(1, FINE * length):
             middle = (length + failed) // 2
             found = self.search(middle, None)
             if found is None:
                 return
-            if found.cost <= good_enough:
+            if self.good(found, good_enough):
                 length = middle
             else:
                 failed = middle

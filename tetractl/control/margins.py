@@ -11,14 +11,21 @@ robots keep their separation and twice that much.
 
 Where a robot or a target is nearer to an obstacle already, the margin is what room there is: no
 plan could start or end inside a margin and keep it.
+
+Robots that hear nothing for a while go on in the direction held. Whether they keep clear then is
+asked of each signal of a plan.
 """
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from tetractl.control.cost import predict
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Poses
+from tetractl.core.problem import Problem
 from tetractl.core.setup import Bounds, Shape
 from tetractl.model.obstacles import Obstacles
 
@@ -26,6 +33,7 @@ LOST = 0.75  # share of a period's way by which a lost command takes a robot off
 SIGMAS = 2.0
 ROOM = 0.98  # share of the room there is that a margin takes
 BISECTIONS = 12
+SAMPLE_S = 0.15  # of the ways of robots that hear nothing
 
 
 def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estimate | None) -> float:
@@ -58,6 +66,45 @@ class Margins:
         its straight way to (x, y) (N,)."""
         crossed = self._bare.cross(poses.x, poses.y, x, y)
         return bool((crossed & ~self._bare.contain(poses.x, poses.y)).any())
+
+    def clear_unheard(
+        self, problem: Problem, path: Floats, signals: Floats, seconds: float, margin: float
+    ) -> bool:
+        """Return whether robots keep clear if a signal, whichever, is held for so long [s].
+
+        path (L, N, 3) is where they are before each of the signals (L,). To be clear is to keep the
+        margin and the problem's separation, or the room there is.
+        """
+        count, steps = len(signals), max(1, math.ceil(seconds / SAMPLE_S))
+        bias = 0.0 if problem.bias is None else problem.bias
+        branches = replace(  # a robot for each signal and robot: each holds its own direction
+            problem,
+            poses=Poses.of(path.reshape(-1, 3)),
+            targets=np.zeros((path[..., 0].size, 2)),
+            a=np.tile(problem.a, count),
+            speed=np.tile(problem.speed, count),
+            bias=(signals[:, None] + bias + np.zeros(len(problem.a))).ravel(),
+            flow=None if problem.flow is None else np.tile(problem.flow, (count, 1)),
+            first_period=seconds / steps,
+            period=seconds / steps,
+        )
+        ways = predict(branches, np.zeros(steps)).reshape(steps + 1, count, -1, 3)
+        x, y = ways[..., 0], ways[..., 1]
+        shapes = self.obstacles(problem.poses, margin)
+        if shapes.cross(x[:-1], y[:-1], x[1:], y[1:]).any():
+            return False
+        return bool((self._gaps(x, y) >= problem.separation).all())
+
+    def room(self, x: Floats, y: Floats, apart: float) -> Floats:
+        """Return the least distance (...) of robots at (..., N) to a shape, and of two of them less
+        `apart`; negative inside."""
+        between = self._gaps(x, y).min(axis=-1, initial=np.inf) - apart
+        return np.minimum(self._bare.distance(x, y).min(axis=-1), between)
+
+    def _gaps(self, x: Floats, y: Floats) -> Floats:
+        """Return the distance of each pair of robots (..., pairs)."""
+        one, other = self._one, self._other
+        return np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the separation to keep: what is wanted, or the room there is between robots."""

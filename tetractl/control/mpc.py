@@ -29,17 +29,18 @@ and stay at their targets (`hold`).
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
-from tetractl.control.cost import Foreseen, evaluate, foresee
+from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
-from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, best_stop, longer
+from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, LAST_S, best_stop, longer, way_out
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.filter import warm_up as warm_up_filter
-from tetractl.control.fixed_sequence import given_search
+from tetractl.control.fixed_sequence import given_search, make_plan
 from tetractl.control.holding import CircleSearch, signals_ahead
 from tetractl.control.lengths import (
     Candidate,
@@ -63,6 +64,9 @@ from tetractl.experiment.controller import OptimizerSection, Square, same
 
 RESTED_S = 2.0
 """Time after a pause before there is another one because no safe plan was found [s]."""
+NEXT = 2  # signals of the plan under way that are to be safe if robots hear nothing
+UNSURE = 2  # last signals of a plan that need not be
+KEPT = 0.4  # of their radius that robots then keep from what they could enter
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """How a leg ends after which the next one begins."""
 LATE = 2.0
@@ -98,9 +102,11 @@ class Mpc:
         self.timer = timer
         self.k = 0
         self.moving = False
+        self.leaving = False  # whether robots are, or were, led out of a corner
         self.blocked = False  # whether the last plan touches an obstacle or its margin
         self.began = 0  # k at which a plan was made from standing
         self.stuck = False  # whether nothing could move safely from standing
+        self.unheard = False  # whether ever a command reached no robot: a stop may not, either
         self.resume = 0  # length from which to go on where the time for longer ones was up
 
     def plan(
@@ -117,6 +123,7 @@ class Mpc:
             self.warm = self.warm[1:]  # lines 6, 24
         first_period = (self.section.hold - phase) * self.section.period
         known = self.estimator.seen(observation, last_command, earlier)
+        self.unheard |= not self.estimator.heard
         while True:
             targets = self.legs[min(self.leg, len(self.legs) - 1)]
             problem = self._problem(replace(known, targets=targets), first_period)
@@ -185,20 +192,32 @@ class Mpc:
         wary = self.blocked and self.section.collision.stop_before_collision
         if wary and self.warm is not None and self._enters(problem, observation, self.warm):
             return self._pause(problem)
+        if self.leaving and self.warm is not None:
+            return self._given(problem, self.warm) if len(self.warm) else self._pause(problem)
         if ended := self._ended(problem, observation, gaps):
+            stops = self.section.collision.stop_before_collision and self.leg == self.last_leg
+            if self.unheard and stops:
+                return self._pause(problem)  # to end at rest
             return ended
         plan = self._decide(problem)
         self.blocked = plan.obstacle_cost > 0
         if self.blocked and self.k > 0 and self.section.collision.stop_before_collision:
-            if self.warm is None and self._enters(problem, observation, plan.signals):
-                self.stuck = True  # ends the trial after a pause, whose step logs these searches
-                return self._pause(problem, plan)
+            if self.warm is None:
+                enters = self._enters(problem, observation, plan.signals)
+                apart = self.section.collision.separation
+                out = way_out(problem, self.margins, apart) if enters or not self.leaving else None
+                if out is not None:
+                    self.began, self.leaving = self.k, True
+                    return self._given(problem, out, plan.searches)
+                if enters:
+                    self.stuck = True  # ends the trial after a pause, whose step logs the searches
+                    return self._pause(problem, plan)
             rested = (self.k - self.began) * self.section.period
             if self.warm is not None and plan.cost > self.accept > 0 and rested > RESTED_S:
                 return self._pause(problem, plan)
         if self.warm is None:
             self.began = self.k
-        self.warm = plan.signals
+        self.warm, self.leaving = plan.signals, False
         self.k += 1
         return plan
 
@@ -211,6 +230,14 @@ class Mpc:
         self.warm, self.blocked, self.resume = None, False, 0
         self.k += 1
         return replace(found, estimate=self.estimator.estimate, pauses=True)
+
+    def _given(self, problem: Problem, signals: Floats, before: Sequence[Search] = ()) -> Plan:
+        """Return the plan of signals given, after searches `before` that found nothing safe."""
+        searches = [*before, given_search(problem, signals)]
+        plan = make_plan(problem, searches, len(before), mix(self.key, self.k))
+        self.warm, self.blocked = signals, True
+        self.k += 1
+        return replace(plan, estimate=self.estimator.estimate)
 
     def _problem(self, known: Problem, first_period: float) -> Problem:
         """Pose the problem where a direction decided now will act, for the robots as known."""
@@ -272,7 +299,13 @@ class Mpc:
         if most is not None:
             wanted = affordable(wanted, self.warm, most // section.optimizer.evaluations_min)
         searcher = Searcher(
-            self.optimizer, section.optimizer, problem, step_key, most, self._expired()
+            self.optimizer,
+            section.optimizer,
+            problem,
+            step_key,
+            most,
+            self._expired(),
+            partial(self._safe, problem),
         )
         good_enough = section.optimizer.good_enough
         count = 0 if self.warm is None else len(self.warm)
@@ -283,12 +316,16 @@ class Mpc:
             if enough is not None and self.accept > 0:
                 enough = min(enough, self.accept)  # what is not accepted makes the robots go round
             searcher.search_all(wanted, enough, count)
-        least = min(search.cost for search in searcher.found)
-        if self.warm is not None and least > self.accept > 0:
+        accepted = max(self.accept, good_enough or 0.0)
+        good = [search for search in searcher.found if searcher.good(search, accepted)]
+        if self.warm is not None and self.accept > 0 and not good:
             self._detour(searcher)
-        chosen = choose(searcher.found, good_enough, count)
-        if self.warm is not None and searcher.found[chosen].length > count + 1:
+            good = [search for search in searcher.found if searcher.good(search, accepted)]
+        among = good or searcher.found
+        best = among[choose(among, good_enough, count)]
+        if self.warm is not None and best.length > count + 1 and count * problem.period <= LAST_S:
             self.accept *= 1 + ACCEPT_GROWTH
+        chosen = next(i for i, search in enumerate(searcher.found) if search is best)
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
         return replace(plan, estimate=self.estimator.estimate)
 
@@ -313,30 +350,25 @@ class Mpc:
             if found is None:
                 self.resume = length
                 return
-            if found.cost <= ENOUGH * self.accept:
+            if searcher.good(found, ENOUGH * self.accept):
                 return
 
+    def _safe(self, problem: Problem, signals: Floats) -> bool:
+        """Return whether robots keep clear if they hear nothing for `silence` from some signal on.
 
-def make_plan(
-    problem: Problem,
-    searches: list[Search],
-    chosen: int,
-    step_key: int,
-    foreseen: Callable[[Problem, Floats], Foreseen] = foresee,
-) -> Plan:
-    """Assemble the decision from its searches, with the predicted path and the terms of (7)."""
-    best = searches[chosen]
-    ahead = foreseen(problem, best.signals)
-    return Plan(
-        signals=best.signals,
-        path=ahead.path,
-        cost=best.cost,
-        target_cost=ahead.target,
-        obstacle_cost=ahead.obstacle,
-        searches=tuple(searches),
-        chosen=chosen,
-        generator=step_key,
-    )
+        The last ones do not count. The plan under way is asked only once some command has reached
+        no robot, and then about the next signals.
+        """
+        under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
+        count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
+        wanted = self.section.collision.silence > 0 and (self.unheard or not under_way)
+        if not wanted or count <= 0:
+            return True
+        path = compiled_foresee(problem, signals[:count]).path[:-1]
+        seconds = self.section.collision.silence + self.section.period
+        return self.margins.clear_unheard(
+            problem, path, signals[:count], seconds, KEPT * self.section.collision.radius
+        )
 
 
 class MpcSection(MpcFields):

@@ -41,6 +41,9 @@ class Collision(Model):
     robot is about to enter one, or no plan within `accept_error` keeps clear; from standing they
     are planned for again, and the trial ends where nothing can move safely. For robots that can
     stand still."""
+    silence: NonNegative = 0.0
+    """Time for which robots may hear nothing and go on in the direction held [s]: plans are
+    preferred that keep clear at whatever signal that begins."""
 
 
 class PriorSection(Model):

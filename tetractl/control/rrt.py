@@ -19,8 +19,7 @@ from pydantic import Field
 from tetractl.control.cost import evaluate
 from tetractl.control.detour import best_stop
 from tetractl.control.estimator import StateEstimator
-from tetractl.control.fixed_sequence import given_search, plain_problem
-from tetractl.control.mpc import make_plan
+from tetractl.control.fixed_sequence import given_search, make_plan, plain_problem
 from tetractl.control.rng import mix, uniform
 from tetractl.core.commands import Command
 from tetractl.core.plan import End, Outcome, Plan

@@ -9,8 +9,7 @@ from pydantic import Field
 
 from tetractl.control.cost import evaluate
 from tetractl.control.estimator import StateEstimator
-from tetractl.control.fixed_sequence import given_search, plain_problem
-from tetractl.control.mpc import make_plan
+from tetractl.control.fixed_sequence import given_search, make_plan, plain_problem
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command

@@ -115,14 +115,15 @@ class Swimmers:
 
     def swim(
         self,
-        field: tuple[float, float],
+        field: tuple[float | Floats, float | Floats],
         seconds: float,
         random: np.random.Generator,
         drift: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         """Advance every cell by the midpoint rule; some milliseconds at a time.
 
-        `field` is B / B_ref times the unit vector of u: turning is in proportion to it. `drift`
+        `field` is B / B_ref times the unit vector of u, of all cells or of each (N,): turning is in
+        proportion to it. `drift`
         [um/s] is the medium's flow. A resting cell drifts and does not turn its helix.
         """
         going = ~self.resting
@@ -174,7 +175,7 @@ class Swimmers:
         daughter.heading -= turn
         return both.joined(daughter)
 
-    def _turning(self, field: tuple[float, float], heading: Floats) -> Floats:
+    def _turning(self, field: tuple[float | Floats, float | Floats], heading: Floats) -> Floats:
         """Turning rate [rad/s] at headings (N,): a (field x dipole), as in (3)."""
         dipole = heading + self.bias
         return self.a * (field[1] * np.cos(dipole) - field[0] * np.sin(dipole))

@@ -23,9 +23,10 @@ from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.swimmers import A_LOG_SD, SPEED_LOG_SD
 from tetractl.model.wheels import wheel_speeds
+from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
-from tetractl.plant.true_motion import TrueMotion
+from tetractl.plant.true_motion import Drive, TrueMotion
 from tetractl.plant.wheel_drive import WheelDrive
 from tetractl.plant.wheel_host import WheelDriveSection
 
@@ -52,6 +53,8 @@ class SimSection(PlantSection):
     drive: WheelDriveSection | None = None
     """Wheels between the direction and the robots; by default robots turn to the direction by
     themselves. Needs `wheels`."""
+    cells: CultureSection | None = None
+    """Swimming cells in place of points that follow (1)-(3); they ignore `motion`."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Measurements a second [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
@@ -90,6 +93,8 @@ class SimSection(PlantSection):
         if poses > POSES_MAX:
             message = f"a control period of {setup.period_s:g} s has {poses:.3g} poses to simulate"
             yield ("truth_rate",), f"{message}, at most {POSES_MAX:g} are done at a time; lower it"
+        if self.drive is not None and self.cells is not None:
+            yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
         if self.drive is not None and setup.wheel_radius is None:
             yield ("drive",), "needs 'wheels: {radius: ..}' of the experiment"
 
@@ -109,7 +114,8 @@ class SimSection(PlantSection):
         noise = self.measurement_noise
         sizes = (noise.position, noise.heading, self.heading_noise, self.dead_time)
         chances = (self.lost_commands, self.a_error, self.speed_error)
-        return self.drive is not None or any((*sizes, *chances, *self.disturbances))
+        made = self.drive is not None or self.cells is not None
+        return made or any((*sizes, *chances, *self.disturbances))
 
     def clock(self) -> Clock:
         """Return virtual time."""
@@ -184,7 +190,7 @@ class SimPlant:
             self._drive,
             self._camera,
             disturbances,
-            section.heading_noise if section.drive is None else 0.0,
+            section.heading_noise if section.drive is None and section.cells is None else 0.0,
             swerving,
             section.truth_rate,
             lambda now: self._news.append(self._transmit(now)),
@@ -288,11 +294,14 @@ class SimPlant:
     def close(self) -> None:
         """Nothing to release."""
 
-    def _driven(self, starts: Poses, seed: np.random.SeedSequence) -> DirectDrive | WheelDrive:
+    def _driven(self, starts: Poses, seed: np.random.SeedSequence) -> Drive:
         section, setup = self.spec, self.setup
+        key = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, WHEELS_KEY))
+        if section.cells is not None:
+            random, walk = np.random.default_rng(key), section.heading_noise
+            return CellDrive(section.cells, setup, self.a, self.speed, starts, walk, random)
         if section.drive is None:
             return DirectDrive(MOTIONS.load(section.motion), self.a, self.speed, starts)
-        key = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, WHEELS_KEY))
         return WheelDrive(
             section.drive,
             setup,

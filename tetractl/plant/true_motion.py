@@ -12,10 +12,12 @@ from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
+from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import SimCamera, due_ns
 from tetractl.plant.wheel_drive import WheelDrive
 
+Drive = DirectDrive | WheelDrive | CellDrive
 UNCHECKED = 200  # stretches of the path that are checked together
 
 
@@ -33,7 +35,7 @@ class TrueMotion:
         setup: Setup,
         a: Floats,
         speed: Floats,
-        drive: DirectDrive | WheelDrive,
+        drive: Drive,
         camera: SimCamera,
         disturbances: Sequence[Disturbance],
         heading_walk: float,

@@ -98,10 +98,10 @@ class FilmCheck:
         if one[1:3] != times or image[1:3] != times:
             raise ValueError("is not of the time of its frame")
         film = decode_crops(cells, crops, int(log.mocap_ns[row]))
-        ours, shown, _ = encode_film(film, cells.frame, times[1])
+        ours, shown, _ = encode_film(film, log.sample(row).observation, begin)
         ours.MergeFrom(CellCrops(picture_crc=cells.picture_crc))
         if ours.SerializeToString() != one.data or shown.SerializeToString() != image.data:
-            raise ValueError("the crops are not those that it states")
+            raise ValueError("the crops or poses are not those that it states")
         self._check_pictures(list(cells.picture_crc), times)
         self._check_robots(film, row)
         if again:

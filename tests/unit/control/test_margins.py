@@ -94,3 +94,32 @@ def test_a_robot_inside_the_margin_does_not_freeze_the_plan():
 
     assert cost(False) > 1e5
     assert cost(True) < 1
+
+
+@pytest.mark.parametrize(
+    ("direction", "seconds", "clear"),
+    [(0.0, 1.0, True), (0.0, 3.0, False), (3.0, 2.5, True), (np.pi / 2, 1.0, True)],
+)
+def test_a_direction_held_for_too_long_leads_into_a_wall(direction, seconds, clear):
+    """Robots at 200 mm/s, the first 400 mm from the wall that it faces."""
+    setup = experiment().setup
+    section = experiment(controller={"motion": "exact"}).controller
+    x = setup.arena.right - 400
+    poses = Poses(np.array([x, x, x]), np.array([600.0, 1200, 1800]), np.zeros(3))
+    problem = replace(section.problem(setup), poses=poses, speed=np.full(3, 200.0))
+    margins = Margins([], setup.arena, setup.targets)
+    path, signals = poses.array()[None], np.array([direction])
+    assert margins.clear_unheard(problem, path, signals, seconds, 20.0) is clear
+
+
+def test_robots_that_meet_under_a_direction_held_are_not_clear():
+    """The first catches up by 100 of the 200 mm between it and the second."""
+    setup = experiment().setup
+    section = experiment(controller={"motion": "exact"}).controller
+    poses = Poses(np.array([900.0, 1100, 900]), np.array([900.0, 900, 1600]), np.zeros(3))
+    problem = replace(section.problem(setup), poses=poses, speed=np.array([200.0, 100, 150]))
+    margins = Margins([], None, setup.targets)
+    for apart, clear in ((50.0, True), (150.0, False)):
+        close = replace(problem, separation=apart)
+        path, signals = poses.array()[None], np.zeros(1)
+        assert margins.clear_unheard(close, path, signals, 1.0, 0.0) is clear

@@ -66,8 +66,7 @@ def test_a_crop_of_another_blob_is_noticed_though_its_checksum_fits(shown, tmp_p
         row, column = body[rng.randrange(len(body))]
         crops_changed[0, row, column] += 1 if crops_changed[0, row, column] < 255 else -1
         forged = replace(seen, crops=crops_changed)
-        frame = sample.observation.frame
-        said, image, _ = encode_film(forged, frame, begin + seen.sampled_ns)
+        said, image, _ = encode_film(forged, sample.observation, begin)
         said.ClearField("picture_crc")
         said.picture_crc[:] = CellCrops.FromString(cells.data).picture_crc
         new = {

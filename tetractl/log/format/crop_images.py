@@ -13,7 +13,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from tetractl.core.cell_film import CellFilm
-from tetractl.core.poses import Grey
+from tetractl.core.poses import Grey, Observation
 from tetractl.log.format import channels
 from tetractl.log.format.scene import stamp
 from tetractl.log.format.tetractl_pb2 import CellCrops
@@ -24,11 +24,14 @@ LENS = "microscope"
 
 
 def encode_film(
-    film: CellFilm, frame: int, unix_ns: int
+    film: CellFilm, seen: Observation, start_ns: int
 ) -> tuple[CellCrops, RawImage, dict[str, CompressedImage]]:
-    """Return what was found in a picture exposed at `unix_ns`, its crops, and pictures by topic."""
+    """Return what was found in a picture, its crops, and pictures by topic.
+
+    `seen` is what the log says of its frame, of a trial that starts at a time [Unix ns].
+    """
     count, side = len(film.crops), film.crops.shape[2]
-    time = stamp(unix_ns)
+    time = stamp(start_ns + seen.sampled_ns)
     crops = RawImage(
         timestamp=time, frame_id=LENS, width=side, height=count * side, encoding="mono8",
         step=side, data=film.crops.tobytes(),
@@ -36,11 +39,11 @@ def encode_film(
     low, high, least, most = film.limits
     x, y, axis, long, wide, strength = film.blobs.reshape(-1, 6).T.tolist()
     message = CellCrops(
-        frame=frame, side=side, low=low, high=high, least_px2=least, most_px2=most,
+        frame=seen.frame, side=side, low=low, high=high, least_px2=least, most_px2=most,
         robot=film.robots.tolist(), merged=film.merged.tolist(), sure=film.sure.tolist(),
         column=film.corners[:, 0].tolist(), row=film.corners[:, 1].tolist(),
         x=x, y=y, axis=axis, long=long, wide=wide, strength=strength,
-        crc=_checksums(film),
+        crc=_checksums(film, seen),
     )  # fmt: skip
     pictures: dict[str, CompressedImage] = {}
     for topic, picture in ((channels.PICTURE, film.whole), (channels.BACKGROUND, film.background)):
@@ -77,9 +80,10 @@ def _paired(one: Sequence[int], other: Sequence[int]) -> np.ndarray:
     return np.column_stack([one, other]).astype(np.int64).reshape(-1, 2)
 
 
-def _checksums(film: CellFilm) -> list[int]:
+def _checksums(film: CellFilm, seen: Observation) -> list[int]:
     """Return a checksum of what is said of the picture, and one of each crop and its numbers."""
-    shared = zlib.crc32(np.array([*film.limits, *film.sure]).tobytes())
+    numbers = [*film.limits, *film.sure, *seen.poses.array().ravel(), *seen.valid]
+    shared = zlib.crc32(np.array(numbers, dtype=np.float64).tobytes())
     said = np.column_stack([film.blobs, film.corners, film.robots, film.merged]).astype(float)
     rows = zip(film.crops, said, strict=True)
     return [shared, *(zlib.crc32(row.tobytes(), zlib.crc32(crop.tobytes())) for crop, row in rows)]

@@ -1,0 +1,67 @@
+"""The way out of a corner, from standing."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.trials import experiment
+
+from tetractl.control.cost import predict
+from tetractl.control.detour import way_out
+from tetractl.control.margins import Margins
+from tetractl.core.poses import Poses
+
+SETUP = experiment().setup
+CIRCLE = float((SETUP.speed / SETUP.a).max())  # the widest that a robot drives at full turn
+
+
+def standing(poses):
+    margins = Margins(SETUP.obstacles, SETUP.arena, SETUP.targets)
+    section = experiment(controller={"motion": "exact"}).controller
+    return replace(section.problem(SETUP), poses=Poses.of(np.array(poses))), margins
+
+
+def facing_the_wall(gap):
+    """Three robots side by side that face the upper edge of the arena."""
+    y = SETUP.arena.top - gap
+    return [[x, y, math.pi / 2] for x in (900.0, 1200.0, 1600.0)]
+
+
+def test_robots_that_face_a_wall_turn_away_from_it_where_there_is_room():
+    problem, margins = standing(facing_the_wall(1.5 * CIRCLE))
+    signals = way_out(problem, margins, 95.0)
+    assert signals is not None
+    room = margins.room(*np.moveaxis(predict(problem, signals)[..., :2], -1, 0), 95.0)
+    assert room.min() > 0
+    assert room[-1] > room[0]
+
+
+def test_there_is_none_where_every_arc_leads_out():
+    problem, margins = standing(facing_the_wall(0.5 * CIRCLE))
+    assert way_out(problem, margins, 95.0) is None
+
+
+def test_two_robots_do_not_come_too_near_on_it():
+    poses = np.array(facing_the_wall(500.0))
+    poses[1] = [1000.0, poses[0, 1] - 30, -math.pi / 2]
+    problem, margins = standing(poses)
+    signals = way_out(problem, margins, 95.0)
+    assert signals is not None
+    x, y = np.moveaxis(predict(problem, signals)[..., :2], -1, 0)
+    assert np.hypot(x[:, 0] - x[:, 1], y[:, 0] - y[:, 1]).min() > 95
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_it_never_leads_further_into_anything(seed):
+    rng = np.random.default_rng(seed)
+    arena = SETUP.arena
+    x = rng.uniform(arena.left, arena.right, 3)
+    y = rng.uniform(arena.bottom, arena.top, 3)
+    problem, margins = standing(np.column_stack([x, y, rng.uniform(-4, 4, 3)]))
+    signals = way_out(problem, margins, 0.0)
+    if signals is not None:
+        path = predict(problem, signals)
+        room = margins.room(path[..., 0], path[..., 1], 0.0)
+        assert room.min() >= min(0.0, room[0])
+    assert signals is not None or margins.room(x, y, 0.0) < 2 * CIRCLE

@@ -1,0 +1,115 @@
+"""Simulated robots that are cells of the one model."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tetractl.core.poses import Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.disturbance import DelayedCommand
+from tetractl.experiment.load import parse_spec
+from tetractl.plant.cell_drive import CellDrive, CultureSection
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
+
+SPEC = """
+name: cells
+units: {length: mm}
+arena: {left: 0, bottom: 0, width: 2, height: 2}
+robots:
+  - {name: one, start: [0.5, 0.5], target: [1.5, 0.7], a: 5, speed: 0.3}
+  - {name: two, start: [0.5, 1.5], target: [1.5, 1.4], a: 3, speed: 0.33}
+"""
+
+
+def setup() -> Setup:
+    return parse_spec(SPEC, "cells.yaml").experiment.setup
+
+
+def drive(walk=0.0, seed=1, **section) -> CellDrive:
+    known = setup()
+    quiet = {"dipole": 0.0, "drift": 0.0} | section
+    made = CultureSection.model_validate(quiet)
+    random = np.random.default_rng(seed)
+    return CellDrive(made, known, known.a, known.speed, known.starts, walk, random)
+
+
+def command(direction, reached=(True, True), off=False):
+    return DelayedCommand(0, 0, direction, np.array(reached), field_off=off)
+
+
+def test_bodies_begin_at_their_starts_and_wait_for_the_first_command():
+    cells = drive()
+    assert np.allclose(cells.poses.xy, setup().starts.xy)
+    x, y, _ = cells.advance(np.array([0.5, 1.0]), np.ones(2))
+    assert np.allclose(np.stack([x, y], -1), setup().starts.xy)
+    assert cells.moving.tolist() == [0, 0]
+
+
+def test_their_axes_turn_by_3_and_their_bodies_stay_a_helix_off():
+    cells = drive()
+    cells.apply(command(math.pi / 2))
+    x, y, heading = cells.advance(np.linspace(0.01, 0.4, 40), np.ones(40))
+    for i, a in enumerate((5.0, 3.0)):
+        left = 2 * math.atan(math.exp(-a * 0.4))
+        assert math.pi / 2 - heading[-1, i] == pytest.approx(left, abs=2e-3)
+    off = np.hypot(x[-1] - cells.cells.x / 1000, y[-1] - cells.cells.y / 1000) * 1000
+    assert (off <= cells.cells.helix_um).all()
+    assert np.ptp(cells.cells.helix_um) > 0
+
+
+def test_it_makes_no_difference_how_often_they_are_read():
+    once, twice = drive(walk=0.3), drive(walk=0.3)
+    for cells in (once, twice):
+        cells.apply(command(1.0))
+    times = np.arange(1, 101) * 0.005
+    once.advance(times, np.ones(100))
+    twice.advance(times[:37], np.ones(37))
+    twice.advance(times[37:] - times[36], np.ones(63))
+    assert np.allclose(once.poses.array(), twice.poses.array(), atol=1e-12)
+
+
+def test_a_command_acts_on_those_that_it_reaches_and_a_stop_holds():
+    cells = drive()
+    cells.apply(command(math.pi, reached=(True, False)))
+    assert cells.moving.tolist() == [1, 0]
+    cells.apply(command(None, off=True))
+    before = cells.cells.heading.copy()
+    cells.advance(np.array([0.3]), np.ones(1))
+    assert cells.moving.tolist() == [1, 1]
+    assert np.allclose(cells.cells.heading, before)  # no field turns them
+    cells.apply(command(None))
+    at = cells.poses.array()
+    cells.advance(np.array([0.3]), np.ones(1))
+    assert np.allclose(cells.poses.array(), at)
+
+
+def test_a_pose_that_is_set_is_the_bodys():
+    cells = drive()
+    wanted = Poses(np.array([1.0, 0.2]), np.array([0.4, 1.9]), np.array([0.3, -2.0]))
+    cells.poses = wanted
+    assert np.allclose(cells.poses.array(), wanted.array())
+
+
+def test_no_cell_leaves_its_dish(tmp_path):
+    """Straight at the wall for 8 s: they slide along it, and stay."""
+    text = SPEC + (
+        "controller: {type: sequence, directions: [" + "0.3, " * 39 + "0.3]}\n"
+        "plant: {type: sim, cells: {}, heading_noise: 0.05, truth_rate: 240,"
+        " camera_rate: 30}\n"
+    )
+    result = run_trial(parse_spec(text, "cells.yaml"), tmp_path, 0, (), Interrupt())
+    assert log_path(tmp_path, 0).exists()
+    assert not result.left_arena
+    assert 0 <= min(result.verdict.edge) < 0.02
+    (tmp_path / "again").mkdir()
+    again = run_trial(parse_spec(text, "cells.yaml"), tmp_path / "again", 0, (), Interrupt())
+    assert again.verdict.final.array().tolist() == result.verdict.final.array().tolist()
+
+
+def test_cells_have_no_wheels():
+    with pytest.raises(Exception, match="have no wheels"):
+        parse_spec(
+            SPEC + "wheels: {radius: 0.1}\nplant: {type: sim, cells: {}, drive: {}}\n", "both.yaml"
+        )

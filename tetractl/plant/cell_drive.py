@@ -1,0 +1,108 @@
+"""Cells that swim on a helix under a field, between walls: `tetractl.model.swimmers` in a plant."""
+
+import math
+
+import numpy as np
+
+from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Model, NonNegative
+from tetractl.experiment.disturbance import DelayedCommand
+from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, bodies
+from tetractl.plant.direct import NEVER
+
+STEP_S = 0.005  # of the midpoint rule, at most
+
+
+class CultureSection(Model):
+    """Robots are swimming cells, with a and speed of the spec and the rest as a culture has it:
+    docs/explanation/cells.md. They turn by (3) and walk by `heading_noise`."""
+
+    dipole: NonNegative = DIPOLE_SD_RAD
+    """Standard deviation of the dipole's angle from a cell's axis [rad]."""
+    drift: NonNegative = DRIFT_UM_S
+    """Flow of the medium, in a direction drawn once a trial [um/s]."""
+    walls: bool = True
+    """Whether the arena's edges are walls, along which cells slide."""
+
+
+class CellDrive:
+    """N cells; a pose is the middle of a body with the heading of its helix, as the `cells` camera
+    has it.
+
+    Cells wait until the first command. A stop holds them, too, so that a trial ends where they are
+    when it acts: real ones swim on.
+    """
+
+    repeats_ns = NEVER  # a field holds until the next
+    rest_s = 0.0
+
+    def __init__(
+        self,
+        section: CultureSection,
+        setup: Setup,
+        a: Floats,
+        speed: Floats,
+        starts: Poses,
+        walk: float,
+        random: np.random.Generator,
+    ) -> None:
+        count, self._um, self._random = len(setup.names), setup.metres * 1e6, random
+        self.cells = cells = Swimmers.drawn(random, count)
+        cells.bias, cells.walk = random.normal(0, section.dipole, count), np.full(count, walk)
+        towards = random.uniform(-math.pi, math.pi)
+        self._drift = section.drift * math.cos(towards), section.drift * math.sin(towards)
+        self._field = np.zeros((2, count))
+        self._low, self._high = (-math.inf, -math.inf), (math.inf, math.inf)
+        if section.walls:
+            arena, rim = setup.arena, float(cells.helix_um.max())
+            self._low = arena.left * self._um + rim, arena.bottom * self._um + rim
+            self._high = arena.right * self._um - rim, arena.top * self._um - rim
+        cells.resting[:] = True
+        self.vary(a, speed)
+        self.poses = starts
+
+    @property
+    def poses(self) -> Poses:
+        """The bodies' poses now."""
+        seen = bodies(self.cells)
+        return Poses(seen.x / self._um, seen.y / self._um, self.cells.heading.copy())
+
+    @poses.setter
+    def poses(self, poses: Poses) -> None:
+        self.cells.heading = poses.heading.copy()
+        seen = bodies(self.cells)
+        self.cells.x += poses.x * self._um - seen.x
+        self.cells.y += poses.y * self._um - seen.y
+
+    @property
+    def moving(self) -> Floats:
+        """1 for cells that swim, 0 for those that are held, (N,)."""
+        return (~self.cells.resting).astype(np.float64)
+
+    def vary(self, a: Floats, speed: Floats) -> None:
+        """Turn and swim at other true rates from now on, (N,) each."""
+        self.cells.a, self.cells.speed = a.copy(), speed * self._um
+
+    def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
+        """Swim on, and return x, y and heading (M, N) after each of the times (M,) from now [s]."""
+        found, now = [], 0.0
+        for until in seconds.tolist():
+            steps = max(1, math.ceil((until - now) / STEP_S))
+            for _ in range(steps if until > now else 0):
+                field = (self._field[0], self._field[1])
+                self.cells.swim(field, (until - now) / steps, self._random, self._drift)
+                self.cells.slide(self._low, self._high)
+            now, p = until, self.poses
+            found.append((p.x, p.y, p.heading))
+        x, y, heading = np.array(found).transpose(1, 0, 2)
+        return x, y, heading
+
+    def apply(self, command: DelayedCommand) -> None:
+        """Let a command act on the cells that it reaches."""
+        got: Bools = command.reached
+        stops = command.direction is None and not command.field_off
+        self.cells.resting = np.where(got, stops, self.cells.resting)
+        u = command.direction
+        new = (0.0, 0.0) if u is None else (math.cos(u), math.sin(u))
+        self._field = np.where(got, np.array(new)[:, None], self._field)

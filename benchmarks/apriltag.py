@@ -30,8 +30,8 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.poses import Grey, Poses
-from tetractl.emulate.apriltag.mjpeg import EmulatedNetworkCamera
 from tetractl.emulate.apriltag.renderer import CARD, Optics, Renderer
+from tetractl.emulate.network_camera import EmulatedNetworkCamera
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.detect import MODULES, refined
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
@@ -302,7 +302,8 @@ def serve(size: tuple[int, int], rate_hz: float, pipe: Connection) -> None:
     """The emulated camera's process: send the address, serve until asked to end."""
     cv2.setNumThreads(1)
     where = scattered(np.random.default_rng(5))
-    server = EmulatedNetworkCamera(renderer(size), lambda t: where, MonotonicClock(), rate_hz)
+    draw = partial(renderer(size).picture, lambda t: where)
+    server = EmulatedNetworkCamera(draw, MonotonicClock(), rate_hz, latency_s=0.05)
     with server:
         pipe.send(server.url)
         pipe.recv()

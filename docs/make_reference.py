@@ -37,9 +37,9 @@ def _sections(path: str, node: dict[str, Any]) -> Iterator[str]:
     yield "\n".join(_section(path, node))
     for option in alternatives(node) or [node]:
         for name, field in option.get("properties", {}).items():
-            inner = _mapping_in(field)
-            if inner is not None:
-                yield from _sections(_join(path, name, field), inner)
+            for kind in _kinds(field):
+                if (inner := _mapping_in(kind)) is not None:
+                    yield from _sections(_join(path, name, kind), inner)
 
 
 def _section(path: str, node: dict[str, Any]) -> Iterator[str]:
@@ -74,6 +74,12 @@ def _join(path: str, name: str, field: dict[str, Any]) -> str:
     return f"{step}.N" if "items" in dereferenced(field) else step
 
 
+def _kinds(field: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the alternatives of a field that is a list or something else, else the field."""
+    options = alternatives(field)
+    return options if any("items" in option for option in options) and len(options) > 1 else [field]
+
+
 def _mapping_in(field: dict[str, Any]) -> dict[str, Any] | None:
     """Return the schema of a field that is a mapping, a union of some, or a list of either."""
     field = dereferenced(field)
@@ -85,6 +91,8 @@ def _mapping_in(field: dict[str, Any]) -> dict[str, Any] | None:
 
 def _value(path: str, name: str, field: dict[str, Any]) -> str:
     field = dereferenced(field)
+    if len(kinds := _kinds(field)) > 1:
+        return " or ".join(_value(path, name, kind) for kind in kinds)
     if _mapping_in(field) is not None:
         where = _join(path, name, field)
         link = f"[`{where}`](#{where.replace('.', '').lower()})"

@@ -110,7 +110,9 @@ def _actuator(folder: Path, spec: str) -> Iterator[ActuatorRig]:
         def moves() -> list[bool]:
             return [not body.standing for body in lab.actuator.bodies]
 
-        yield ActuatorRig(actuator, clock, experiment.setup, moves, lab.actuator.unplug)
+        yield ActuatorRig(
+            actuator, clock, experiment.setup, moves, lambda: lab.actuator.plugged(False)
+        )
         actuator.__exit__(None, None, None)
 
 

@@ -14,7 +14,7 @@ from tetractl.core.files import save_whole
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tetractl.core.setup import Setup
+    from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.lab_section import LabSection
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
@@ -45,8 +45,11 @@ def check(
     from tetractl.lab.rig import build_rig
     from tetractl.view.terminal import findings
 
-    lab, setup = _lab(spec, sets)
-    with build_rig(lab, setup, MonotonicClock()) as rig:
+    lab, experiment = _lab(spec, sets)
+    rig = build_rig(lab, experiment.setup, MonotonicClock())
+    if experiment.open:
+        rig.start_anywhere()
+    with rig:
         found = inspect(rig)
     if json:
         print(dumps(findings.as_json(found), indent=2, allow_nan=False))
@@ -92,8 +95,8 @@ def stop(
     from tetractl.lab.serial_port import PortHeldError, stop_beside
 
     if spec is not None:
-        lab, setup = _lab(spec, sets)
-        stop_all = partial(lab.actuator.stop_all, setup)
+        lab, experiment = _lab(spec, sets)
+        stop_all = partial(lab.actuator.stop_all, experiment.setup)
     else:
         from tetractl.lab.actuators.m3pi import serial_protocols as m3pi
 
@@ -144,7 +147,8 @@ def calibrate(
 
     if output.exists():
         raise UsageError(f"{output}: exists already", "name another with --out")
-    lab, setup = _lab(spec, sets)
+    lab, experiment = _lab(spec, sets)
+    setup = experiment.setup
     names = robot or list(setup.names)
     for name in names:
         if name not in setup.names:
@@ -172,13 +176,13 @@ def calibrate(
     return Exit.DONE
 
 
-def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Setup]":
+def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Experiment]":
     from tetractl.cli.options import load
     from tetractl.experiment.plants import lab_of, on_plant
 
     loaded = load(spec, sets or [])
     experiment = on_plant(loaded, "lab").experiment
-    return lab_of(experiment, loaded.name), experiment.setup
+    return lab_of(experiment, loaded.name), experiment
 
 
 def _xbee(port: str, baud: int, mode: str) -> "XbeeSection":

@@ -71,7 +71,10 @@ def emulate(
     loaded = load(spec, sets or [])
     lab = lab_of(loaded.experiment, loaded.name)
     play = load_script(script, lab.camera.type, lab.actuator.type) if script else NOTHING
-    options = Options(address, command_port, data_port, port_link, record, replace_after, seed)
+    chosen = loaded.experiment.open
+    options = Options(
+        address, command_port, data_port, port_link, record, replace_after, seed, chosen
+    )
     report = _report_json if json else _report
     emulation = EmulatedLab(lab, loaded.experiment.setup, play, options, report)
 

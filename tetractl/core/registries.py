@@ -161,6 +161,7 @@ EMULATED_CAMERAS = Registry(
     {
         "optitrack": "tetractl.emulate.optitrack.side:EmulatedOptitrack",
         "apriltag": "tetractl.emulate.apriltag.side:EmulatedAprilTag",
+        "cells": "tetractl.emulate.dish.side:EmulatedMicroscope",
     },
 )
 EMULATED_ACTUATORS = Registry(

@@ -91,7 +91,7 @@ class EmulatedLab:
         self.camera: EmulatedCamera = sides.camera(
             stage, emulated.camera or sides.camera.Settings(), self.actuator.bodies
         )
-        self._moving = [False] * len(setup.names)
+        self._moving = [False] * len(self.actuator.bodies)
         self._ran = False  # since the robots were last put on their starts
         self._still_since: int | None = start_ns  # None while any robot moves
         self._put_on_starts()
@@ -209,7 +209,12 @@ class EmulatedLab:
         self._report("placed", {})
 
     def _put_on_starts(self) -> None:
-        """Put every robot where the spec, or the script, says that it stands at first."""
+        """Put every robot where the spec, or the script, says that it stands at first.
+
+        Cells that a trial chooses among swim where they are.
+        """
+        if self._options.chosen:
+            return
         mm, starts = self._setup.metres * 1000, self._setup.starts
         placed = {robot.name: robot for robot in self._script.emulation.robots}
         for i, body in enumerate(self.actuator.bodies):

@@ -1,14 +1,11 @@
 """The emulated actuator of type `field`: a current driver on a serial port, coils, cells in a dish.
 
 The driver runs the firmware's own core; its currents follow the core's set points with a
-first-order lag, L/R of the coils. Cells swim by (1)-(3) with the field that truly is there.
-Lengths are millimetres. There are no walls, no collisions and no third dimension.
+first-order lag, L/R of the coils. Cells swim by `model.swimmers` in the field that truly is there.
 """
 
 import math
-import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -17,13 +14,14 @@ from pydantic import Field
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import WireError
+from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture, walls_of
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.emulate.loop import Loop, Timeline
 from tetractl.emulate.port import PluggedDevice, PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative
-from tetractl.lab.actuators.field.coils import Coils, Pair
+from tetractl.lab.actuators.field.coils import Pair
 from tetractl.lab.actuators.field.driver_protocol import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection
 from tetractl.lab.cobs import Splitter
@@ -65,6 +63,11 @@ class CurrentDriver:
     def status(self) -> DriverStatus:
         """What the driver says of itself now."""
         return self._core.status(self._now_ms) if self.powered else DriverStatus.SILENT
+
+    @property
+    def running(self) -> bool:
+        """Whether it makes a field."""
+        return DriverStatus.RUNNING in self.status
 
     def readable(self) -> None:
         """Read what was written to the port; the driver has it after its time on the line."""
@@ -130,96 +133,18 @@ class CurrentDriver:
         return len(data) * 10 * SECOND // self._baud
 
 
-@dataclass(slots=True)
-class Cell:
-    """One cell as it truly is.
-
-    x, y [mm] and heading [rad] in the spec's axes; `a` [rad/s] is its turning rate at the reference
-    field, `speed` [mm/s]; `noise` [rad/s^0.5] makes the heading a Brownian motion. A `waiting` cell
-    is held where it is: no cell does that by itself. One counts as `standing` while no field steers
-    it, for it never does.
-    """
-
-    name: str
-    x: float
-    y: float
-    heading: float
-    a: float
-    speed: float
-    noise: float = 0.0
-    waiting: bool = True
-    standing: bool = True
-
-    def place(self, x: float, y: float, heading: float) -> None:
-        """Put the cell somewhere, to wait there."""
-        self.x, self.y, self.heading = x, y, heading
-        self.waiting = True
-
-    def swim(self, field: Pair, seconds: float, random_source: random.Random) -> None:
-        """Advance (1)-(3) by the midpoint rule, under a field in parts of the reference field.
-
-        `field` is B / B_ref times the unit vector of u, so (3) reads a (field x (cos, sin)
-        heading), with the vectors' cross product.
-        """
-        half = self.heading + self._turning(field, self.heading) * seconds / 2
-        self.x += self.speed * math.cos(half) * seconds
-        self.y += self.speed * math.sin(half) * seconds
-        self.heading += self._turning(field, half) * seconds
-        if self.noise:
-            self.heading += self.noise * math.sqrt(seconds) * random_source.gauss(0.0, 1.0)
-
-    def _turning(self, field: Pair, heading: float) -> float:
-        return self.a * (field[1] * math.cos(heading) - field[0] * math.sin(heading))
-
-
-class Dish:
-    """Cells between the coils of an emulated driver.
-
-    `coils` are the coils as they truly are, `reference_mt` the field at which the cells have
-    their a. Cells that wait are let go when the driver first makes a field: a helper with a
-    pipette is emulated, so that a trial begins with the cells on their starts.
-    """
-
-    def __init__(
-        self,
-        driver: CurrentDriver,
-        coils: Coils,
-        reference_mt: float,
-        cells: Sequence[Cell],
-        start_ns: int,
-        seed: int,
-    ) -> None:
-        self.driver, self.coils, self.cells = driver, coils, tuple(cells)
-        self._reference_mt = reference_mt
-        self._random = random.Random(seed)
-        self._now_ns = start_ns
-
-    @property
-    def field_mt(self) -> Pair:
-        """The field where the cells are, in the spec's axes [mT]."""
-        return self.coils.field(self.driver.currents)
-
-    def advance(self, until_ns: int) -> None:
-        """Move driver and cells on to `until_ns`, in steps of a millisecond."""
-        while self._now_ns + STEP_NS <= until_ns:
-            self._now_ns += STEP_NS
-            self.driver.advance(self._now_ns)
-            steered = DriverStatus.RUNNING in self.driver.status
-            for cell in self.cells:
-                cell.standing = not steered
-                cell.waiting &= not steered
-            x, y = self.field_mt
-            field = x / self._reference_mt, y / self._reference_mt
-            for cell in self.cells:
-                if not cell.waiting:
-                    cell.swim(field, STEP_NS / SECOND, self._random)
-
-
 class FieldSettings(Model):
-    """How driver and cells differ from what the spec says."""
+    """How driver and cells differ from what the spec says.
+
+    `cells` and `strangers` are there where the spec leaves it to the trial to choose its cells.
+    """
 
     heading_noise: NonNegative = 0.05
     """Random walk of every cell's heading [rad/sqrt(s)]."""
+    cells: int = Field(default=6, ge=1, le=60)
+    """How many cells with a magnet the dish has, each drawn as a culture has them."""
+    strangers: int = Field(default=2, ge=0, le=60)
+    """How many without one."""
     supply_mv: int = Field(default=12_000, ge=0, le=60_000)
     """The driver's supply voltage [mV]."""
 
@@ -263,24 +188,27 @@ class EmulatedField(PluggedDevice):
             stage.timeline, self.port, _limits(section), section.baud, tell=stage.note
         )
         self.driver.supply_mv = settings.supply_mv
-        numbers = zip(setup.names, setup.a.tolist(), setup.speed.tolist(), strict=True)
-        self.cells = [
-            Cell(name, 0.0, 0.0, 0.0, a, speed * stage.mm, settings.heading_noise)
-            for name, a, speed in numbers
-        ]
-        coils, seed = section.calibrated_coils(), stage.options.seed
-        self._dish = Dish(self.driver, coils, section.strength_mt, self.cells, start_ns, seed)
+        seed, walk, names = stage.options.seed, settings.heading_noise, setup.names
+        walls = None
+        if stage.options.chosen:
+            walls = walls_of(setup)
+            cells, names = culture(settings.cells, settings.strangers, walk, seed)
+        else:
+            cells = cells_of(setup, walk, seed)
+        coils = section.calibrated_coils()
+        self._dish = Dish(self.driver, coils, section.strength_mt, cells, start_ns, seed, walls)
+        self._bodies = [CellBody(name, self._dish, row) for row, name in enumerate(names)]
         self.readable = self.driver.readable
 
     @property
-    def bodies(self) -> Sequence[Cell]:
+    def bodies(self) -> Sequence[CellBody]:
         """The cells, in the order of the setup."""
-        return self.cells
+        return self._bodies
 
     @property
     def driven(self) -> bool:
         """Whether the driver makes a field."""
-        return DriverStatus.RUNNING in self.driver.status
+        return self.driver.running
 
     @property
     def truth(self) -> dict[str, Any]:

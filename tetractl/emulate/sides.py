@@ -22,7 +22,8 @@ class Options:
     """Where the emulation is to be found. Port 0 takes any; None what the spec says.
 
     `record` is a file for what truly happens. `replace_after` [s]: robots that have stood still
-    that long after a run are switched off and on and put back on their starts.
+    that long after a run are switched off and on and put back on their starts. `chosen`: the spec
+    leaves it to the trial to choose its robots, so the dish has cells of its own.
     """
 
     address: str = "127.0.0.1"
@@ -32,6 +33,7 @@ class Options:
     record: Path | None = None
     replace_after: float | None = None
     seed: int = 1
+    chosen: bool = False
 
 
 @dataclass(frozen=True, slots=True)

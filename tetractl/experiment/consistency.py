@@ -7,6 +7,7 @@ import numpy as np
 from tetractl.core.poses import Bools, Floats
 from tetractl.experiment.base import Point
 from tetractl.experiment.experiment import Arena, Experiment, Robot
+from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
@@ -72,6 +73,13 @@ def section_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
     for loc, message in control.contradictions(experiment.setup):
         yield ("controller", *loc), message
     for name, plant in (("plant", experiment.plant), ("lab", experiment.lab)):
+        if isinstance(plant, LabSection) and experiment.chosen is not None:
+            for device, section in (("camera", plant.camera), ("actuator", plant.actuator)):
+                if not section.settles:
+                    message = (
+                        f"{section.type} cannot find the robots of a trial; name them in robots"
+                    )
+                    yield (name, device), message
         if plant is not None:
             for loc, message in plant.contradictions(experiment.setup):
                 yield (name, *loc), message

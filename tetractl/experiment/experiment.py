@@ -22,6 +22,7 @@ from tetractl.experiment.base import (
     Positive,
     inconsistent,
 )
+from tetractl.experiment.choice import Choice, OrChoice, dealt
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
@@ -150,8 +151,14 @@ class Experiment(Model):
     """Units of all numbers."""
     arena: Arena
     """The field of view; starts and targets must lie in it."""
-    robots: tuple[Robot, ...] = Field(min_length=1, max_length=1000)
-    """The robots, all steered by the one direction u."""
+    robots: Annotated[
+        Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)], OrChoice()
+    ]
+    """The robots, all steered by the one direction u; or a mapping with `choose`, by which each
+    trial finds them."""
+    chosen: Choice | None = None
+    """What `robots` says where it is a mapping; written so in a spec that was resolved. Its robots
+    are stand-ins, until a trial has found its own."""
     assign: Literal["given", "free"] = "given"
     """`free` where any robot may go to any target: targets are then dealt out so that the squares
     of the straight paths add up to the least, which leaves the robots the least to do that is not
@@ -184,19 +191,18 @@ class Experiment(Model):
     @model_validator(mode="after")
     def _with_assigned_targets(self) -> Self:
         """Deal the targets out, once: what is resolved is `given`."""
-        if self.assign == "given":
+        if isinstance(self.robots, Choice):
+            object.__setattr__(self, "chosen", self.robots)  # frozen, but not in use yet
+            object.__setattr__(self, "robots", _stand_ins(self.robots, self.arena))
+        if self.assign == "given" or self.chosen is not None:
             return self
-        from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed
-
-        starts = np.array([robot.start for robot in self.robots])
-        targets = np.array([robot.target for robot in self.robots])
-        squares = np.square(starts[:, None] - targets).sum(axis=2)
-        _, chosen = linear_sum_assignment(squares)
+        targets = [robot.target for robot in self.robots]
+        goals = dealt(np.array([robot.start for robot in self.robots]), np.array(targets))
         robots = tuple(
-            robot.model_copy(update={"target": self.robots[i].target})
-            for robot, i in zip(self.robots, chosen.tolist(), strict=True)
+            robot.model_copy(update={"target": targets[i]})
+            for robot, i in zip(self.robots, goals, strict=True)
         )
-        object.__setattr__(self, "robots", robots)  # frozen, but not in use yet
+        object.__setattr__(self, "robots", robots)
         object.__setattr__(self, "assign", "given")
         return self
 
@@ -208,6 +214,11 @@ class Experiment(Model):
             message = f"have {listed} way-points in via; all pass theirs together, so give as many"
             raise inconsistent("robots", message)
         return self
+
+    @property
+    def open(self) -> bool:
+        """Whether each trial still has to find its robots."""
+        return self.chosen is not None and not self.chosen.found
 
     @cached_property
     def setup(self) -> Setup:
@@ -237,3 +248,14 @@ class Experiment(Model):
             .swapaxes(0, 1),
             hold=HoldTask(self.hold.radius, self.hold.time) if self.hold else None,
         )
+
+
+def _stand_ins(choice: Choice, arena: Arena) -> tuple[Robot, ...]:
+    """Return robots in the arena's middle, for as long as those of a trial are not known."""
+    middle = arena.left + arena.width / 2, arena.bottom + arena.height / 2
+    return tuple(
+        Robot(
+            name=f"cell {i + 1}", start=middle, target=tuple(goal), a=choice.a, speed=choice.speed
+        )
+        for i, goal in enumerate(choice.goals[: choice.choose].tolist())
+    )

@@ -53,6 +53,8 @@ class DeviceSection(Model):
     device: ClassVar[str] = ""
     """The class of the device, as "module:class": imported where one is built."""
     type: Any  # each section's own name, as a Literal
+    settles: ClassVar[bool] = False
+    """Whether a trial can find its robots with it: the device has a `settle`."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield where the section contradicts the experiment or itself, and how.

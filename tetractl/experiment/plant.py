@@ -7,9 +7,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tetractl.core.clock import Clock
+from tetractl.core.errors import UsageError
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Positive
+from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.yaml.problems import Loc
 
 
@@ -44,6 +46,17 @@ class PlantSection(Model):
 
         Only real robots need `supervision`.
         """
+
+    def find(
+        self,
+        choice: Choice,
+        setup: Setup,
+        clock: Clock,
+        seed: np.random.SeedSequence,
+        supervision: LabSupervision,
+    ) -> FoundRobots:
+        """Return the robots that are there for a trial to choose from; `setup` is of stand-ins."""
+        raise UsageError(f"a plant of type {self.type} has no robots to choose from")
 
     @property
     def disturbed(self) -> bool:

@@ -6,7 +6,7 @@ direction is sent at the actuator's rate; a new direction, or a stop, at once.
 
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TypeVar
 
@@ -43,6 +43,7 @@ class InnerLoop:
         emergency: threading.Event,
     ) -> None:
         self.guard, self.frames = guard, FrameBuffer()
+        self.idle: Callable[[int], float] | None = None  # u before robots are steered [rad]
         self.last: Transmission | None = None
         self._camera, self._actuator, self._clock = camera, actuator, clock
         self._on_signal = getattr(camera, "steered", None)
@@ -84,10 +85,15 @@ class InnerLoop:
                 raise AbortError(self.guard.reason)
             return self.last
 
+    def restart(self, guard: Guard) -> None:
+        """Go on with another guard, as of robots that were found; forget the frames so far."""
+        with self._lock:
+            self.guard, self.frames = guard, FrameBuffer()
+
     def stop(self) -> None:
         """Stop every robot, ten times over 200 ms; never raises."""
         with self._held(STOP_S) as held:
-            self._steering = False
+            self._steering, self.idle = False, None
             self.guard.rest()
             self._stops_left, self._next_ns = STOPS, self._clock.now()
         while held and self._stops_left:
@@ -163,6 +169,21 @@ class InnerLoop:
             self._repeat_stop(now)
         elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._steering:
             self._steer(ruling, now)
+        elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:
+            self._turn(self.idle(now), ruling, now)
+
+    def _turn(self, direction: float, ruling: Ruling, now: int) -> None:
+        """Turn the field before any robot is steered; none while no frame comes."""
+        if now < self._next_ns:
+            return
+        self._next_ns = now + self._actuator.period_ns
+        newest = self.frames.newest
+        if newest is None or now - newest.frame.received_ns > self.guard.rules.stale_ns:
+            self._note(self._actuator.stop())
+            return
+        every = (True,) * len(ruling.poses)
+        sampled = newest.frame.sampled_ns
+        self._note(self._actuator.steer(direction, ruling.poses, every, sampled))
 
     def _repeat_stop(self, now: int) -> None:
         if now < self._next_ns:

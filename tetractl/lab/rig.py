@@ -1,15 +1,19 @@
 """A lab in use: a camera and an actuator with the guard and the inner loop between them."""
 
 import threading
+from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Self
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop
+
+ANYWHERE = 1e9  # mm or rad from a start
+FIRST_S = 0.5  # for a first frame of other robots
 
 
 class Rig:
@@ -44,11 +48,14 @@ class Rig:
             emergency or threading.Event(),
         )
         self.frames = self.loop.frames
-        self._threaded = threaded
+        self._threaded, self._entered = threaded, False
         self._opened = ExitStack()
 
     def __enter__(self) -> Self:
-        """Open the devices and begin to watch; AbortError says what is wrong."""
+        """Open the devices and begin to watch, once; AbortError says what is wrong."""
+        if self._entered:
+            return self
+        self._entered = True
         try:
             self._opened.enter_context(self.actuator)
             self._opened.enter_context(self.camera)
@@ -61,6 +68,22 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
+        """Go on with robots that were found, by the camera's numbers: they start where they are."""
+        self.setup = setup
+        self.start_anywhere()
+        self.actuator.settle(setup)  # type: ignore[attr-defined]
+        self.camera.settle(setup, numbers)  # type: ignore[attr-defined]
+        self.guard = Guard(guard_rules(setup, self.limits, self.actuator.individual))
+        self.loop.restart(self.guard)
+        self.frames = self.loop.frames
+        wait_for(self.clock, lambda: self.frames.count > 0, FIRST_S)
+
+    def start_anywhere(self) -> None:
+        """Let robots start where they are."""
+        anywhere = {"start_mm": ANYWHERE, "start_heading": ANYWHERE}
+        self.limits = self.limits.model_copy(update=anywhere)
 
     def not_tracked(self, i: int) -> str:
         """Return a line that robot i is not tracked, and why where that is known."""

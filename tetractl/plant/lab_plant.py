@@ -14,7 +14,9 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
+from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.lab_section import LabSection
+from tetractl.lab.find_cells import turn_field
 from tetractl.lab.guard import GuardState
 from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
@@ -40,6 +42,30 @@ class LabPlantSection(LabSection):
         """Return the plant of one trial; nothing is opened yet."""
         rig = build_rig(self, setup, clock, supervision.emergency)
         return LabPlant(rig, supervision)
+
+    def find(
+        self,
+        choice: Choice,
+        setup: Setup,
+        clock: Clock,
+        seed: np.random.SeedSequence,
+        supervision: LabSupervision,
+    ) -> FoundRobots:
+        """Open the lab, turn the field, and return the cells that answer; the field turns on until
+        the first direction."""
+        rig = build_rig(self, setup, clock, supervision.emergency)
+
+        def build(numbers: Sequence[int], chosen: Setup) -> LabPlant:
+            rig.settle(chosen, numbers)
+            return LabPlant(rig, supervision)
+
+        try:
+            rig.__enter__()
+            cells = turn_field(rig, choice, int(seed.generate_state(1)[0]), supervision)
+        except BaseException:
+            rig.close()
+            raise
+        return FoundRobots(cells, build, rig.close)
 
 
 class LabPlant:

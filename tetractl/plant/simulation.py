@@ -1,7 +1,7 @@
 """The simulated plant: true motion in continuous virtual time, a camera, and disturbances."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -10,20 +10,18 @@ from pydantic import Field, model_validator
 from tetractl.core.clock import SECOND, Clock, VirtualClock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Bools, Floats, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.registries import DISTURBANCES, MOTIONS
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, NonNegative, inconsistent
-from tetractl.experiment.disturbance import (
-    DelayedCommand,
-    DisturbanceSection,
-    overriding,
-)
+from tetractl.experiment.choice import Choice, FoundCell, FoundRobots
+from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
+from tetractl.model.swimmers import A_LOG_SD, SPEED_LOG_SD
 from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.plant.direct import DirectDrive
@@ -33,6 +31,8 @@ from tetractl.plant.wheel_drive import WheelDrive
 from tetractl.plant.wheel_host import WheelDriveSection
 
 NO_FRAME_S = 60
+CULTURE = 6  # cells that there are to choose from
+SURVEYED = 0.03  # share by which a survey knows a and speed
 STOPS_MAX = 3000  # repetitions of a stop that some robot has not heard: one minute
 POSES_MAX = 2_000_000  # of one control period, which are simulated together
 WHEELS_KEY = 2**32 - 1
@@ -126,6 +126,34 @@ class SimSection(PlantSection):
     ) -> "SimPlant":
         """Return the simulation of one trial."""
         return SimPlant(self, setup, clock, seed)
+
+    def find(
+        self,
+        choice: Choice,
+        setup: Setup,
+        clock: Clock,
+        seed: np.random.SeedSequence,
+        supervision: LabSupervision,
+    ) -> FoundRobots:
+        """Return cells drawn as a culture has them, scattered in the arena, with a and speeds as a
+        survey knows them."""
+        random, arena = np.random.default_rng(seed.spawn(1)[0]), setup.arena
+        count = max(CULTURE, choice.choose)
+        x = random.uniform(arena.left + arena.width / 8, arena.right - arena.width / 8, count)
+        y = random.uniform(arena.bottom + arena.height / 8, arena.top - arena.height / 8, count)
+        heading = random.uniform(-np.pi, np.pi, count)
+        a = choice.a * np.exp(random.normal(0, A_LOG_SD, count))
+        speed = choice.speed * np.exp(random.normal(0, SPEED_LOG_SD, count))
+        rows = zip(*(each.tolist() for each in (x, y, heading, a, speed)), strict=True)
+        cells = [
+            FoundCell(i + 1, Pose(*place), a, SURVEYED * a, speed, SURVEYED * speed)
+            for i, (*place, a, speed) in enumerate(rows)
+        ]
+
+        def build(numbers: Sequence[int], chosen: Setup) -> SimPlant:
+            return SimPlant(self, chosen, clock, seed)
+
+        return FoundRobots(cells, build, lambda: None)
 
 
 class SimPlant:

@@ -250,14 +250,12 @@ def differences(one: Experiment, two: Experiment) -> list[str]:
     """Return `path: value != value` for each field in which two experiments differ.
 
     What does not change a trial is left out: the description, the trials' count and seed, and the
-    bound of the tables.
+    bound of the tables; so are robots that each trial found by itself, by the same rule.
     """
-    return list(
-        _differences(
-            one.model_dump(mode="json", exclude=_BOOKKEEPING),
-            two.model_dump(mode="json", exclude=_BOOKKEEPING),
-        )
-    )
+    found = one.chosen is not None and one.chosen == two.chosen
+    left_out = _BOOKKEEPING | ({"robots"} if found else set())
+    ours, theirs = (each.model_dump(mode="json", exclude=left_out) for each in (one, two))
+    return list(_differences(ours, theirs))
 
 
 def _differences(one: Any, two: Any, path: str = "") -> Iterator[str]:

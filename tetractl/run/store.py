@@ -77,6 +77,9 @@ class LogStore:
             return False
         experiment = self._experiment
         same = experiment.model_copy(update={"trials": found.experiment.trials})
+        if experiment.open:  # each trial found its own robots
+            own = {key: getattr(found.experiment, key) for key in ("robots", "chosen")}
+            same = same.model_copy(update=own)
         if found.seed != experiment.trials.seed or spec_hash(found.experiment) != spec_hash(same):
             raise UsageError(
                 f"{path}: was run with another spec or seed", "resume with the spec it was run with"

@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.control.build import build_controller, warm_up
+from tetractl.core.clock import Clock
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome
-from tetractl.core.protocols import LabSupervision, Observer
+from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.experiment.choosing import chosen_cells, settled
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.registry_fields import packages
 from tetractl.log.provenance import host, processor, trial_code
@@ -174,22 +176,40 @@ def run_with(
 
     In real time a background thread calls the observers, so that none of them delays the loop.
     """
-    experiment = spec.experiment
-    plant, real_time = experiment.plant, not experiment.plant.simulated
-    clock, start_unix_ns = plant.clock(), _unix_ns() if real_time else EPOCH_NS
-    key, seed = trial_seeds(experiment.trials.seed, trial)
+    section, real_time = spec.experiment.plant, not spec.experiment.plant.simulated
+    clock, start_unix_ns = section.clock(), _unix_ns() if real_time else EPOCH_NS
+    key, seed = trial_seeds(spec.experiment.trials.seed, trial)
     with ExitStack() as stack:
         if real_time:
             observers = [stack.enter_context(closing(Relay(observer))) for observer in observers]
+        spec, plant = _built(spec, clock, seed, supervision or LabSupervision())
         return Trial(
-            start=start_of(spec, trial, PlantInfo("", plant.simulated, 0.0, {}), start_unix_ns),
-            plant=plant.build(experiment.setup, clock, seed, supervision or LabSupervision()),
-            controller=build_controller(experiment, key),
-            first_plan=experiment.controller.first_plan,
+            start=start_of(spec, trial, PlantInfo("", section.simulated, 0.0, {}), start_unix_ns),
+            plant=plant,
+            controller=build_controller(spec.experiment, key),
+            first_plan=spec.experiment.controller.first_plan,
             clock=clock,
             observers=[*writers, *observers],
             interrupt=interrupt,
         ).run()
+
+
+def _built(
+    spec: LoadedSpec, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
+) -> tuple[LoadedSpec, Plant]:
+    """Return the plant of one trial, and the spec with the robots that it has."""
+    experiment = spec.experiment
+    if experiment.chosen is None or experiment.chosen.found:
+        return spec, experiment.plant.build(experiment.setup, clock, seed, supervision)
+    found = experiment.plant.find(experiment.chosen, experiment.setup, clock, seed, supervision)
+    try:
+        cells = chosen_cells(experiment, found.cells)
+        spec = replace(spec, experiment=settled(experiment, cells))
+        numbers = [cell.number for cell in cells]
+        return spec, found.build(numbers, spec.experiment.setup)
+    except BaseException:
+        found.close()
+        raise
 
 
 def _unix_ns() -> int:

@@ -124,7 +124,7 @@ def test_nothing_is_left_open(tmp_path):
     before = open_files()
     for _ in range(3):
         with emulated(tmp_path) as lab:
-            lab.actuator.unplug()
-            lab.actuator.plug()
+            lab.actuator.plugged(False)
+            lab.actuator.plugged(True)
     assert open_files() == before
     assert [path.name for path in tmp_path.iterdir()] == ["record.jsonl"]

@@ -27,8 +27,7 @@ class Optics:
     `up` is the direction on the floor that is up in the picture [rad]. `distortion` holds OpenCV's
     k1, k2, p1, p2 and, optionally, k3. `blur_px` is the lens's Gaussian blur, `exposure_s` the time
     during which motion smears, `gain` multiplies the light, `noise` is the standard deviation of
-    each pixel in grey levels at gain 1. `latency_s` passes from the middle of the exposure to the
-    picture's departure.
+    each pixel in grey levels at gain 1.
     """
 
     width: int
@@ -42,7 +41,6 @@ class Optics:
     exposure_s: float = 0.004
     noise: float = 2.0
     gain: float = 1.0
-    latency_s: float = 0.05
 
     @classmethod
     def facing(

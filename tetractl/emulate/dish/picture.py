@@ -1,13 +1,13 @@
 """Draws synthetic pictures of a dish: bodies, specks, a bubble, light, blur and noise.
 
 Nothing here is a real picture. Column c and row r of a picture of `um_px` show
-x = (c + 1/2) um_px and y = (height - 1/2 - r) um_px [um]: y points up.
+x = (c + 1/2) um_px and y = (height - 1/2 - r) um_px [um], from its lower left corner: y points up.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -46,7 +46,8 @@ class PictureLook:
     `bright` cells are brighter than the medium. `light` is the grey level of the medium in the
     middle, `contrast` how much a cell's differs; `vignetting` the share lost in the corners,
     `light_drift` [1/s] and `flicker` (100 Hz) shares of the light, `noise` [grey levels] with shot
-    noise, `quality` that of a JPEG (None: no JPEG). `focus_um` is the height that is in focus.
+    noise, `quality` that of a JPEG (None: no JPEG). `focus_um` is the height that is in focus,
+    `corner_um` where the picture's lower left corner is in the dish.
     """
 
     width: int = 1024
@@ -62,6 +63,7 @@ class PictureLook:
     noise: float = 3.0
     quality: int | None = None
     focus_um: float = 0.0
+    corner_um: tuple[float, float] = (0.0, 0.0)
     specks: tuple[RenderedSpeck, ...] = ()
 
     @classmethod
@@ -117,6 +119,10 @@ class DishPainter:
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
 
+    def change(self, **values: Any) -> None:
+        """Give the look other values."""
+        self.look, self._still = replace(self.look, **values), None
+
     def picture(
         self, cells: Swimmers, moments: Sequence[Bodies], shown: Bools, seconds: float
     ) -> Grey:
@@ -167,7 +173,8 @@ class DishPainter:
     def _pixels(self, x: float, y: float) -> tuple[float, float]:
         """Return the column and row of a place [um]."""
         look = self.look
-        return x / look.um_px - 0.5, look.height - 0.5 - y / look.um_px
+        across, up = x - look.corner_um[0], y - look.corner_um[1]
+        return across / look.um_px - 0.5, look.height - 0.5 - up / look.um_px
 
     def _patch(
         self, x: float, y: float, reach_px: float

@@ -101,7 +101,9 @@ def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any] | None) -> d
     for option in options:
         if tag(option) is not None and tag(option) == wanted:
             return option
-    return node
+    kind = "object" if isinstance(data, dict) else "array"
+    fitting = [option for option in options if option.get("type") == kind]
+    return fitting[0] if len(fitting) == 1 else node
 
 
 def dereferenced(node: dict[str, Any], root: dict[str, Any] | None = None) -> dict[str, Any]:

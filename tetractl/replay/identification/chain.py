@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import get_lapack_funcs
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize, minimize_scalar, root_scalar
 
 from tetractl.core.poses import Bools, Floats
 
@@ -145,14 +145,12 @@ class Chain:
                     return 0.0
                 if inside > begin + 40:
                     return np.inf
-            outside = inside + sign * step
-            for _ in range(9):
-                middle = (inside + outside) / 2
-                if profile(which, middle) < LIMIT:
-                    inside = middle
-                else:
-                    outside = middle
-            return float(np.exp((inside + outside) / 2))
+            found = root_scalar(
+                lambda at: profile(which, at) - LIMIT,
+                bracket=(inside, inside + sign * step),
+                xtol=1e-3,
+            )
+            return float(np.exp(found.root))
 
         return (limit(0, -1), limit(0, 1)), (limit(1, -1), limit(1, 1))
 

@@ -131,13 +131,25 @@ def test_many_chunks_together_are_bounded(log: Path, tmp_path: Path) -> None:
         scan(path)
 
 
-def test_records_that_claim_the_same_bytes_are_not_all_read(log: Path, tmp_path: Path) -> None:
+def test_records_that_claim_the_same_bytes_are_not_all_read(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each of these would copy the rest of the file: quadratic, were it not for the limit."""
     trace = bytes(28) + b"\x04\0\0\0zstd" + struct.pack("<Q", 1 << 19)
     path = tmp_path / "overlap.mcap"
     path.write_bytes(log.read_bytes()[:-100] + trace * 12_000)
     found = scan(path)
     assert len(found.entries) == len(scan(log).entries)
+    monkeypatch.setattr(limits, "OVERLAP", 0)
+    assert scan(path).entries == []
+
+
+def test_a_tail_of_zeros_is_an_end(log: Path, tmp_path: Path) -> None:
+    """What a power cut leaves on some file systems."""
+    path = tmp_path / "zeros.mcap"
+    half = log.read_bytes()[: log.stat().st_size // 2]
+    path.write_bytes(half + bytes(5_000_000))
+    assert any("breaks off in the record" in problem for problem in scan(path).problems)
 
 
 def edited(contents: RawLog, path: Path, record: str, changes: dict[str, str]) -> Path:

@@ -64,6 +64,10 @@ class FieldActuator:
             self.stop()
         self.driver.close()
 
+    def settle(self, setup: Setup) -> None:
+        """Turn other cells from now on: those that a trial found."""
+        self._a, self._speed = setup.a, setup.speed
+
     @property
     def period_ns(self) -> int:
         """Time between two commands under a held direction [ns]."""

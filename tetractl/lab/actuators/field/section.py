@@ -42,6 +42,7 @@ class FieldSection(ActuatorSection):
     """A magnetic field steers all cells; a current driver on a serial port feeds the coils."""
 
     device: ClassVar[str] = "tetractl.lab.actuators.field.actuator:FieldActuator"
+    settles: ClassVar[bool] = True
     type: Literal["field"]
     port: str = Field(min_length=1, max_length=500)
     """The serial port, such as /dev/ttyACM0."""

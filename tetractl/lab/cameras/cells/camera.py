@@ -48,6 +48,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self.section = section
         self._setup = setup
         self._tracker = CellTracker(section.um_px, known=True, bright=section.bright)
+        self._cells: Sequence[SeenCell] = ()
         self._cutter, self._films = FilmCutter(), deque[CellFilm](maxlen=FILMS)
         self._first: list[Grey] = []
         self._first_ns: int | None = None
@@ -60,6 +61,15 @@ class CellCamera(PictureCamera[SeenDish]):
         with self._lock:
             if not self._signals or self._signals[-1][1] != direction:
                 self._signals.append((sent_ns, direction))
+
+    @property
+    def cells(self) -> Sequence[SeenCell]:
+        """The cells in the newest picture, each with its filter's state."""
+        return self._cells
+
+    def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
+        """Track other robots from now on: the cells of these numbers."""
+        self._setup, self._identities = setup, list(numbers)
 
     def films(self) -> list[CellFilm]:
         """Return, once, what there is of the pictures since the last call, oldest first."""
@@ -89,13 +99,14 @@ class CellCamera(PictureCamera[SeenDish]):
             self._learn(picture, exposed_ns)
             return None
         cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
+        self._cells = cells
         identities = self._bound(cells)
         found = {cell.identity: cell for cell in cells}
         robots = [found.get(identity) for identity in identities]
         self._films.append(self._cutter.film(picture, exposed_ns, cells, robots, self._tracker))
         return SeenDish(
-            poses=tuple(None if cell is None else self._posed(cell) for cell in robots),
-            strangers=tuple(self._posed(c) for c in cells if c.identity not in identities),
+            poses=tuple(None if cell is None else self.pose_of(cell) for cell in robots),
+            strangers=tuple(self.pose_of(c) for c in cells if c.identity not in identities),
             light=self._tracker.light,
             level=float(np.median(picture[::8, ::8])),
             sharpness=_sharpness(picture, cells, self.section.um_px, self._tracker.light),
@@ -128,7 +139,8 @@ class CellCamera(PictureCamera[SeenDish]):
         self._identities = [cells[int(j)].identity for j in chosen]
         return self._identities
 
-    def _posed(self, cell: SeenCell) -> Pose:
+    def pose_of(self, cell: SeenCell) -> Pose:
+        """Return the pose of a cell in the spec's coordinates."""
         x, y = self.section.placed(cell.x, cell.y, self._setup.metres)
         return Pose(x, y, cell.heading + self.section.rotation)
 

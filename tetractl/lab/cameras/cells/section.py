@@ -13,6 +13,7 @@ class CellsSection(PictureSection):
     """A microscope that looks at swimming cells; those nearest to the starts are the robots."""
 
     device: ClassVar[str] = "tetractl.lab.cameras.cells.camera:CellCamera"
+    settles: ClassVar[bool] = True
     type: Literal["cells"]
     um_px: Annotated[float, Field(ge=0.05, le=100)]
     """Micrometres a pixel, by a stage micrometer."""

@@ -9,8 +9,10 @@ from support.field_bench import LIMITS, Wire, section
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.poses import Pose
+from tetractl.core.setup import MM
 from tetractl.emulate import firmware
-from tetractl.emulate.field import Cell, CurrentDriver, Dish
+from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of
+from tetractl.emulate.field import CurrentDriver
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.port import PseudoPort
 from tetractl.lab.actuators.field.actuator import FieldActuator
@@ -26,13 +28,17 @@ class Stage:
 
     def __init__(self, tmp_path, heading=0.0, noise=0.0, seed=1, **changes):
         spec = section(**changes)
-        setup = SimpleNamespace(a=np.array([A]), speed=np.array([SPEED]))
+        setup = SimpleNamespace(
+            names=("cell",), a=np.array([A]), speed=np.array([SPEED]), metres=MM
+        )
         self.clock = VirtualClock()
         self.timeline = Timeline(lambda until: self.dish.advance(until))
         self.driver = CurrentDriver(self.timeline, PseudoPort(tmp_path / "unused"), LIMITS)
-        self.cell = Cell("cell", 1.0, 2.0, heading, A, SPEED, noise)
         coils, reference = spec.calibrated_coils(), spec.strength_mt
-        self.dish = Dish(self.driver, coils, reference, [self.cell], 0, seed)
+        cells = cells_of(setup, noise, seed)
+        self.dish = Dish(self.driver, coils, reference, cells, 0, seed)
+        self.cell = CellBody("cell", self.dish, 0)
+        self.cell.place(1.0, 2.0, heading)
         self.actuator = FieldActuator(spec, setup, self.clock)
         self.actuator.driver = Wire(self.clock, self.driver)
 
@@ -59,7 +65,7 @@ def test_cells_wait_for_the_first_field_and_swim_straight_on_without_one(tmp_pat
     calm = {"gain_mt_a": 2.0}
     stage = Stage(tmp_path, heading=0.4, coils={"x": calm, "y": calm})
     stage.run(1.0)
-    assert (stage.cell.x, stage.cell.y, stage.cell.waiting) == (1.0, 2.0, True)
+    assert (stage.cell.x, stage.cell.y) == (1.0, 2.0)
     stage.run(0.1, direction=0.4)
     stage.actuator.stop()
     stage.run(0.1)
@@ -99,7 +105,7 @@ def test_the_watchdog_switches_the_field_off(tmp_path):
 def test_heading_noise_is_brownian_and_repeats_with_its_seed(tmp_path):
     def ends(seed):
         stage = Stage(tmp_path, noise=0.2, seed=seed)
-        stage.cell.a = 0.0
+        stage.dish.cells.a[:] = 0.0
         stage.run(0.1, direction=0.0)
         before = stage.cell.heading
         stage.run(1.0)

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Poses
-from tetractl.emulate.apriltag.mjpeg import EmulatedNetworkCamera
+from tetractl.emulate.network_camera import EmulatedNetworkCamera
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.section import FloorTag
 
@@ -173,8 +174,8 @@ class Served:
 
     def __init__(self, rate_hz=40.0, **changes):
         clock = MonotonicClock()
-        self.renderer = rendered(latency_s=0.02)
-        self.server = EmulatedNetworkCamera(self.renderer, standing, clock, rate_hz)
+        draw = partial(rendered().picture, standing)
+        self.server = EmulatedNetworkCamera(draw, clock, rate_hz, latency_s=0.02)
         source = {"type": "mjpeg", "url": self.server.url}
         self.camera, self.woken = built(source, clock, **{"latency": 0.02, **changes})
 
@@ -196,8 +197,8 @@ def test_exposure_times_are_right_to_a_few_milliseconds():
     def driving(t_ns):
         return Poses(STANDING.x + 1e-9 * t_ns * speed, STANDING.y, np.zeros(3))
 
-    renderer = rendered(latency_s=0.04)
-    with EmulatedNetworkCamera(renderer, driving, clock, 30.0) as server:
+    draw = partial(rendered().picture, driving)
+    with EmulatedNetworkCamera(draw, clock, 30.0, latency_s=0.04) as server:
         source = {"type": "mjpeg", "url": server.url}
         camera, woken = built(source, clock, latency=0.04)
         with camera:
@@ -243,7 +244,7 @@ def test_a_camera_that_stops_sending_is_told():
 
 def test_a_camera_without_pictures_is_no_camera():
     clock = MonotonicClock()
-    with EmulatedNetworkCamera(rendered(), standing, clock) as server:
+    with EmulatedNetworkCamera(partial(rendered().picture, standing), clock) as server:
         server.frozen.set()
         camera, _ = built({"type": "mjpeg", "url": server.url}, clock, connect=0.3)
         with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):

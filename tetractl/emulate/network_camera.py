@@ -1,4 +1,4 @@
-"""An emulated network camera: rendered pictures as a multipart MJPEG stream on this computer."""
+"""An emulated network camera: drawn pictures as a multipart MJPEG stream on this computer."""
 
 import queue
 import threading
@@ -12,8 +12,7 @@ import cv2
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import TetractlError
-from tetractl.core.poses import Poses
-from tetractl.emulate.apriltag.renderer import Renderer
+from tetractl.core.poses import Grey
 
 BOUNDARY = "emulated-by-tetractl"
 QUEUED = 32  # pictures of a client that reads slowly; more are dropped
@@ -23,31 +22,34 @@ WAIT_S = 0.05
 class EmulatedNetworkCamera:
     """Serves http://127.0.0.1:`port`/ ; a context manager.
 
-    `poses_at(t_ns)` returns the robots' poses on `clock`, for times up to half an exposure ago.
-    Picture k is exposed k / `rate_hz` after the camera was entered and leaves `latency_s` of the
-    optics later, or as soon as it is drawn; a host too busy to draw all misses some. `mangle`
-    changes the bytes of a part before they are sent; `frozen` stops exposures while it is set. One
-    that `drips` sends its answer's header byte by byte, without an end.
+    `draw(exposed_ns)` returns the picture of an exposure on `clock`. Picture k is exposed
+    k / `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or
+    as soon as it is drawn; a host too busy to draw all misses some. `mangle` changes the bytes of a
+    part before they are sent; `frozen` stops exposures while it is set; of `every` so many pictures
+    one is sent. One that `drips` sends its answer's header byte by byte, without an end.
     TetractlError where the port is taken.
     """
 
     def __init__(
         self,
-        renderer: Renderer,
-        poses_at: Callable[[int], Poses],
+        draw: Callable[[int], Grey],
         clock: Clock,
         rate_hz: float = 30.0,
+        exposure_s: float = 0.0,
+        latency_s: float = 0.0,
         quality: int = 90,
         port: int = 0,
         mangle: Callable[[bytes], bytes] = lambda part: part,
         drips: bool = False,
     ) -> None:
-        self.renderer = renderer
         self.mangle, self._drips = mangle, drips
         self.frozen = threading.Event()
+        self.every = 1
         self.exposed = 0  # the number of the last picture
-        self._poses_at, self._clock = poses_at, clock
+        self._draw, self._clock = draw, clock
         self._rate_hz, self._quality = rate_hz, quality
+        self._half = round(exposure_s * SECOND / 2)
+        self._latency = round(latency_s * SECOND)
         self._clients: set[queue.Queue[tuple[int, bytes]]] = set()
         self._closing = threading.Event()
         camera = self
@@ -100,21 +102,18 @@ class EmulatedNetworkCamera:
             thread.join()
 
     def _expose(self) -> None:
-        optics = self.renderer.optics
-        start = self._clock.now()
-        half, latency = round(optics.exposure_s * SECOND / 2), round(optics.latency_s * SECOND)
+        start, half = self._clock.now(), self._half
         while not self._closing.is_set():
             due = int((self._clock.now() - start - half) * self._rate_hz / SECOND)
             self.exposed = max(self.exposed + 1, due)  # a busy host misses some
             exposed = start + round(self.exposed * SECOND / self._rate_hz)
             self._clock.sleep_until(exposed + half)
-            if self.frozen.is_set() or not self._clients:
+            if self.frozen.is_set() or not self._clients or self.exposed % self.every:
                 continue
-            picture = self.renderer.picture(self._poses_at, exposed)
-            _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
+            jpeg = coded(self._draw(exposed), self._quality)
             for client in list(self._clients):
                 with suppress(queue.Full):
-                    client.put_nowait((exposed + latency, jpeg.tobytes()))
+                    client.put_nowait((exposed + self._latency, jpeg))
 
     def _serve(self, answer: BaseHTTPRequestHandler) -> None:
         mine: queue.Queue[tuple[int, bytes]] = queue.Queue(QUEUED)
@@ -137,6 +136,11 @@ class EmulatedNetworkCamera:
             pass  # the client has gone
         finally:
             self._clients.discard(mine)
+
+
+def coded(picture: Grey, quality: int) -> bytes:
+    """Return a picture as a JPEG file."""
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 def cut_short(whole: bytes) -> bytes:

@@ -1,0 +1,91 @@
+"""Cells that a trial finds and steers through synthetic pictures, emulated, in virtual time."""
+
+import numpy as np
+import pytest
+from support.virtual_dish import virtual_dish
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import AbortError
+from tetractl.core.plan import Outcome
+from tetractl.emulate import firmware
+from tetractl.log.read.reader import read_trial
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import run_trial
+
+pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
+
+SMALL = (  # a smaller dish, and few cells
+    "arena.width=2100",
+    "arena.height=2100",
+    "robots={choose: 2, targets: [[800, 800], [1300, 1300], [800, 1300]], a: 4, speed: 420, "
+    "seconds: 4}",
+    "controller.steps_max=60",
+    "controller.accept_error=120",
+)
+FEW = "emulation: {actuator: {cells: 3, strangers: 1}, camera: {specks: 4}}\n"
+
+
+def play(folder, script="", sets=(), seed=1):
+    """Run a trial; return its log and the cells as they truly are then."""
+    with virtual_dish(folder, seed, (*SMALL, *sets), FEW + script) as dish:
+        run_trial(dish.spec, folder, 0, [], Interrupt(lambda number: None))
+        running = dish.emulation.actuator.driver.running
+        return read_trial(folder / "trial-000.mcap"), dish.cells, running
+
+
+def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
+    log, cells, running = play(tmp_path)
+    setup, result = log.experiment.setup, log.result
+    assert result.outcome.complete, result.reason
+    assert not log.experiment.open
+    assert log.experiment.chosen.found
+    final = result.verdict.final.array()
+    assert setup.distances(final[:, :2]).sum() < 200
+    gaps = np.hypot(final[:, :1] - cells.x, final[:, 1:2] - cells.y)
+    who = gaps.argmin(axis=1)
+    assert len(set(who.tolist())) == 2
+    assert gaps.min(axis=1).max() < 100  # um: they swim on while the end is decided
+    assert setup.a == pytest.approx(cells.a[who], rel=0.15)  # before any plan
+    assert setup.speed == pytest.approx(cells.speed[who], rel=0.05)
+    assert not running
+
+
+@pytest.mark.parametrize(
+    ("fault", "at", "says"),
+    [
+        ("light, share: 0.02", 2, "0 of 0 cells answer the field"),
+        ("off", 2, "the current driver does not answer"),
+        ("light, share: 0.02", 8, "not tracked"),
+        ("no_frames", 8, "no new camera frame"),
+    ],
+)
+def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
+    """Wrong pictures never steer: there is no trial, or it is aborted, and the field is off."""
+    script = f"faults: [{{fault: {fault}, at: {at}}}]"
+    sets = (*SMALL, "controller.accept_error=0.1")
+    with virtual_dish(tmp_path, 1, sets, FEW + script) as dish:
+        if at == 2:  # before the choice
+            with pytest.raises(AbortError, match=says):
+                run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+        else:
+            result = run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+            assert result.outcome is Outcome.ABORTED
+            assert says in result.reason
+        dish.clock.sleep_until(dish.clock.now() + SECOND)
+        assert not dish.emulation.actuator.driver.running
+
+
+def test_what_a_dish_does_every_day_is_borne(tmp_path):
+    faults = ("light, flicker: 0.03", "focus, by_um: 15", "half_rate", "bubble")
+    lines = ", ".join(f"{{fault: {fault}, at: 5}}" for fault in faults)
+    log, _, _ = play(tmp_path, f"faults: [{lines}]")
+    assert log.result.outcome.complete, log.result.reason
+
+
+def test_too_few_cells_that_answer_are_one_clear_error(tmp_path):
+    few = "emulation: {actuator: {cells: 1, strangers: 2}, camera: {specks: 0}}\n"
+    with virtual_dish(tmp_path, 3, SMALL, few) as dish:
+        with pytest.raises(AbortError, match="1 of 3 cells answer the field, 2 are wanted"):
+            run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+        dish.clock.sleep_until(dish.clock.now() + SECOND)
+        assert not dish.emulation.actuator.driver.running

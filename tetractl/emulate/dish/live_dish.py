@@ -1,0 +1,157 @@
+"""Cells that swim between the coils of an emulated driver, in real or virtual time."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.setup import Bounds, Setup
+from tetractl.lab.actuators.field.coils import Coils, Pair
+from tetractl.model.swimmers import Swimmers
+
+FIELD_NS = 1_000_000  # between two looks at the driver's currents
+SWIM_NS = 2_000_000  # a step of the cells
+UM_MM = 1000.0
+DROP = 0.25  # of the dish's width: cells of a drop are so far from its middle at most
+
+
+class FieldDriver(Protocol):
+    """What makes the field: a current driver, or one in a test."""
+
+    @property
+    def currents(self) -> Pair:
+        """The currents that flow [A]."""
+        ...
+
+    @property
+    def running(self) -> bool:
+        """Whether it makes a field."""
+        ...
+
+    def advance(self, until_ns: int) -> None:
+        """Move on to a time [ns]."""
+        ...
+
+
+class Dish:
+    """Cells between the coils of a driver.
+
+    `coils` are the coils as they truly are, `reference_mt` the field at which the cells have their
+    a. `walls` [um] are those that cells slide along, None for a dish that has no end. Where cells
+    are `held`, one that is placed waits there until the driver makes a field: a helper with a
+    pipette is emulated, so that a trial begins with the cells on their starts.
+    """
+
+    def __init__(
+        self,
+        driver: FieldDriver,
+        coils: Coils,
+        reference_mt: float,
+        cells: Swimmers,
+        start_ns: int,
+        seed: int,
+        walls: Bounds | None = None,
+    ) -> None:
+        self.driver, self.coils, self.cells = driver, coils, cells
+        self.held, self.steered = True, False
+        self._walls, self._reference_mt = walls, reference_mt
+        self._random = np.random.default_rng(seed)
+        self._now_ns = self._swum_ns = start_ns
+        self.drop()
+
+    def drop(self) -> None:
+        """Begin again with a fresh drop: cells scattered round the middle, as a pipette does."""
+        if (walls := self._walls) is None:
+            return
+        count, random = len(self.cells), self._random
+        for at, low, size in (
+            (self.cells.x, walls.left, walls.width),
+            (self.cells.y, walls.bottom, walls.height),
+        ):
+            at[:] = low + size * random.uniform(0.5 - DROP, 0.5 + DROP, count)
+        self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
+
+    @property
+    def field_mt(self) -> Pair:
+        """The field where the cells are, in the spec's axes [mT]."""
+        return self.coils.field(self.driver.currents)
+
+    def advance(self, until_ns: int) -> None:
+        """Move driver and cells on to `until_ns`; a shorter rest waits for the next."""
+        while self._now_ns + FIELD_NS <= until_ns:
+            self._now_ns += FIELD_NS
+            self.driver.advance(self._now_ns)
+            steered = self.driver.running
+            if steered and not self.steered:
+                self.cells.resting[:] = False
+            self.steered = steered
+            if self._now_ns - self._swum_ns >= SWIM_NS:
+                self._swim((self._now_ns - self._swum_ns) / SECOND)
+                self._swum_ns = self._now_ns
+
+    def _swim(self, seconds: float) -> None:
+        x, y = self.field_mt
+        field = x / self._reference_mt, y / self._reference_mt
+        self.cells.swim(field, seconds, self._random)
+        if (walls := self._walls) is not None:
+            self.cells.slide((walls.left, walls.bottom), (walls.right, walls.top))
+
+
+class CellBody:
+    """One cell of a dish as it truly is: x, y [mm] and heading [rad] of its helix's axis.
+
+    It counts as standing while no field steers it, for it never does.
+    """
+
+    def __init__(self, name: str, dish: Dish, row: int) -> None:
+        self.name, self.dish, self.row = name, dish, row
+
+    @property
+    def x(self) -> float:
+        """Place [mm]."""
+        return float(self.dish.cells.x[self.row]) / UM_MM
+
+    @property
+    def y(self) -> float:
+        """Place [mm]."""
+        return float(self.dish.cells.y[self.row]) / UM_MM
+
+    @property
+    def heading(self) -> float:
+        """Direction of swimming [rad]."""
+        return float(self.dish.cells.heading[self.row])
+
+    @property
+    def standing(self) -> bool:
+        """Whether no field steers it."""
+        return not self.dish.steered
+
+    def place(self, x: float, y: float, heading: float) -> None:
+        """Put the cell somewhere [mm, rad], to wait there where cells are held."""
+        cells, row = self.dish.cells, self.row
+        cells.x[row], cells.y[row], cells.heading[row] = x * UM_MM, y * UM_MM, heading
+        cells.resting[row] = self.dish.held
+
+
+def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
+    """Return the cells of a spec: its a and speeds, the rest as a culture has it."""
+    cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
+    cells.a, cells.speed = setup.a.copy(), setup.speed * setup.metres * 1e6
+    cells.bias[:], cells.walk[:] = 0.0, walk
+    return cells
+
+
+def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmers, Sequence[str]]:
+    """Return cells of a culture and names of them; the last ones, so many strangers, have no
+    magnet."""
+    cells = Swimmers.drawn(np.random.default_rng(seed), count + strangers, strangers)
+    cells.walk[:] = walk
+    kinds = ["cell"] * count + ["stranger"] * strangers
+    return cells, [f"{kind} {i + 1}" for i, kind in enumerate(kinds)]
+
+
+def walls_of(setup: Setup) -> Bounds:
+    """Return the arena's edges [um]."""
+    um, arena = setup.metres * 1e6, setup.arena
+    return Bounds(arena.left * um, arena.bottom * um, arena.right * um, arena.top * um)

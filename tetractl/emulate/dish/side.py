@@ -1,0 +1,165 @@
+"""The emulated camera of type `cells`: a microscope above the emulated dish."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import SpecError
+from tetractl.core.poses import Floats, Grey
+from tetractl.emulate.dish.live_dish import CellBody
+from tetractl.emulate.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook, RenderedSpeck
+from tetractl.emulate.faults import Fault, Undo, Visible, fault
+from tetractl.emulate.sides import Body, Stage
+from tetractl.emulate.stream_side import STREAM_FAULTS, StreamedCamera, StreamSettings
+from tetractl.experiment.base import Finite, Model, NonNegative, Positive
+from tetractl.lab.cameras.cells.section import CellsSection
+from tetractl.model.swimmers import Bodies, bodies
+
+SPECKS = 12
+BUBBLE_UM = 200.0
+
+
+class MicroscopeSettings(StreamSettings):
+    """What the emulated microscope is like; scale and `latency` are what the spec says."""
+
+    width: int = Field(default=0, ge=0, le=8192)
+    """Columns of a picture [px]; 0 for those that show the arena."""
+    height: int = Field(default=0, ge=0, le=8192)
+    """Rows of a picture [px]; 0 for those that show the arena."""
+    noise: NonNegative = 3.0
+    """Standard deviation of each pixel [grey levels]."""
+    exposure: Positive = 0.01
+    """How long a picture is exposed [s]."""
+    bright: bool = False
+    """Whether cells are brighter than the medium."""
+    contrast: Annotated[float, Field(gt=0, le=255)] = 60.0
+    """By how much cells differ from the medium [grey levels]."""
+    specks: int = Field(default=SPECKS, ge=0, le=200)
+    """How much debris there is."""
+
+
+def _changes(**values: Callable[[Any, PictureLook], Any]) -> Callable[[Any, Any], Undo]:
+    """Return what begins a fault that changes the look of pictures, and takes it back."""
+
+    def begin(fault: Any, device: Any) -> Undo:
+        painter: DishPainter = device.painter
+        before = painter.look
+        painter.change(**{name: value(fault, before) for name, value in values.items()})
+        old = {name: getattr(before, name) for name in values}
+        return lambda: painter.change(**old)
+
+    return begin
+
+
+def _bubble(fault: Any, look: PictureLook) -> tuple[RenderedSpeck, ...]:
+    x, y = look.corner_um
+    middle = x + look.width * look.um_px / 2, y + look.height * look.um_px / 2
+    return (*look.specks, RenderedSpeck(*middle, fault.size_um, 1.0, 0.0, 0.1, rim=True))
+
+
+def _knocked(fault: Any, look: PictureLook) -> tuple[float, float]:
+    return look.corner_um[0] + fault.by_um[0], look.corner_um[1] + fault.by_um[1]
+
+
+class EmulatedMicroscope(StreamedCamera):
+    """A microscope's network camera above cells; every picture is synthetic.
+
+    Whenever a client begins to watch, a helper has just put a fresh drop into the dish.
+    """
+
+    Settings: ClassVar[type[Model]] = MicroscopeSettings
+    faults: ClassVar[Sequence[type[Fault]]] = (
+        *STREAM_FAULTS,
+        fault(
+            "light",
+            "The lamp gives this share of its light, and flickers at 100 Hz by another one.",
+            _changes(
+                light=lambda f, look: look.light * f.share,
+                contrast=lambda f, look: look.contrast * f.share,
+                flicker=lambda f, look: f.flicker,
+            ),
+            Visible.EXPOSED,
+            share=(Annotated[float, Field(ge=0, le=10)], 1.0),
+            flicker=(Annotated[float, Field(ge=0, le=1)], 0.0),
+        ),
+        fault(
+            "focus",
+            "The focus is off by so much.",
+            _changes(focus_um=lambda f, look: f.by_um),
+            Visible.EXPOSED,
+            by_um=Finite,
+        ),
+        fault(
+            "knocked",
+            "The stage is somewhere else.",
+            _changes(corner_um=_knocked),
+            Visible.EXPOSED,
+            by_um=tuple[Finite, Finite],
+        ),
+        fault(
+            "bubble",
+            "A bubble is in the middle of the picture.",
+            _changes(specks=_bubble),
+            Visible.EXPOSED,
+            size_um=(Positive, BUBBLE_UM),
+        ),
+    )
+
+    def __init__(self, stage: Stage, settings: MicroscopeSettings, bodies: Sequence[Body]) -> None:
+        super().__init__(stage, settings)
+        section = stage.lab.camera
+        assert isinstance(section, CellsSection), "the table of kinds goes by the type"
+        if section.rotation or not all(isinstance(body, CellBody) for body in bodies):
+            raise SpecError(
+                "the emulated microscope shows cells, along the spec's axes",
+                "the actuator's type is field, and lab.camera.rotation 0",
+            )
+        self._dish = bodies[0].dish  # type: ignore[attr-defined]
+        self._dish.held = False  # what does not swim is no cell to the camera
+        um, arena = stage.setup.metres * 1e6, stage.setup.arena
+        corner = section.corner[0] * um, section.corner[1] * um
+        sides = (  # as far beyond the arena as at the lower left
+            (arena.right + arena.left) * um - 2 * corner[0],
+            (arena.top + arena.bottom) * um - 2 * corner[1],
+        )
+        width, height = (math.ceil(max(side / section.um_px, 64)) for side in sides)
+        drawn = PictureLook.drawn(np.random.default_rng(self.seed), 1024, section.um_px)
+        self.painter = DishPainter(
+            PictureLook(
+                width=settings.width or width,
+                height=settings.height or height,
+                um_px=section.um_px,
+                corner_um=corner,
+                exposure_s=settings.exposure,
+                bright=settings.bright,
+                light=50.0 if settings.bright else 160.0,
+                contrast=settings.contrast,
+                noise=settings.noise,
+                specks=drawn.specks[: settings.specks],
+            ),
+            self.seed,
+        )
+        self._hidden = False
+
+    def hide(self, hidden: bool) -> None:
+        """Draw no cell, or all again."""
+        self._hidden = hidden
+
+    def _joined(self) -> None:
+        self._dish.drop()
+
+    def _scene(self) -> Floats:
+        seen = bodies(self._dish.cells)
+        return np.array([seen.x, seen.y, seen.height, seen.axis, seen.tilt])
+
+    def _draw(self, exposed_ns: int) -> Grey:
+        span = self.painter.look.exposure_s * SECOND
+        spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
+        moments = [Bodies(*self._scene_at(exposed_ns + round(part * span))) for part in spread]
+        cells = self._dish.cells
+        shown = np.full(len(cells), not self._hidden)
+        return self.painter.picture(cells, moments, shown, exposed_ns / SECOND)

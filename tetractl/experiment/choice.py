@@ -1,0 +1,154 @@
+"""The part of a spec that leaves it to the trial to find its robots: `robots: {choose: N, ...}`."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
+
+from tetractl.core.poses import Floats, Pose
+from tetractl.core.protocols import Plant
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Model, Point, Positive, inconsistent
+
+DEVIATIONS = 2.0  # by which a must be above 0 for a cell to count as magnetised
+
+
+class Ring(Model):
+    """Targets evenly on a circle, one for each robot."""
+
+    center: Point
+    """Its middle [length unit]."""
+    radius: Positive
+    """Its radius [length unit]."""
+
+    def points(self, count: int) -> tuple[tuple[float, float], ...]:
+        """Return so many targets."""
+        angles = 2 * np.pi * np.arange(count) / count
+        x, y = self.center
+        return tuple(
+            (x + self.radius * float(np.cos(one)), y + self.radius * float(np.sin(one)))
+            for one in angles
+        )
+
+
+class WantedCell(Model):
+    """A cell that a survey proposed, by which the trial finds it again."""
+
+    a: Positive
+    """Its turning rate [rad/s]."""
+    speed: Positive
+    """Its speed [length unit/s]."""
+
+
+class Choice(Model):
+    """Robots that the trial finds: those that are there, where they are.
+
+    In the lab the field turns for `seconds`, which shows how each cell answers; of the cells then
+    known, those are taken whose a differ most, or those that are `wanted`. In a simulation they are
+    drawn as a culture has them.
+    """
+
+    choose: int = Field(ge=1, le=20)
+    """How many robots."""
+    targets: tuple[Point, ...] = Field(default=(), max_length=1000)
+    """Where they are to go [x, y], at least as many as robots: each is given one, so that the
+    squares of the straight paths add up to the least."""
+    ring: Ring | None = None
+    """The same as a shape, in place of `targets`."""
+    a: Positive
+    """Turning rate of a usual one [rad/s]."""
+    speed: Positive
+    """Speed of a usual one [length unit/s]."""
+    wanted: tuple[WantedCell, ...] = Field(default=(), max_length=20)
+    """The cells that a survey proposed, as many as robots."""
+    seconds: Positive = Field(default=8.0, le=600)
+    """How long the field is turned before the choice [s]."""
+    turn: Positive = Field(default=3.2, le=60)
+    """How long one turn of the field takes then [s]; cells of a below 2 pi / turn lag behind."""
+
+    found: bool = False
+    """Whether the spec's robots are those that a trial found; written by the trial in its log."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Choice":
+        if (self.ring is None) == (not self.targets):
+            raise inconsistent("targets", "give either targets or a ring")
+        if self.targets and len(self.targets) < self.choose:
+            raise inconsistent("targets", f"must be at least {self.choose}, one for each robot")
+        if self.wanted and len(self.wanted) != self.choose:
+            raise inconsistent("wanted", f"must be {self.choose}, one for each robot")
+        return self
+
+    @property
+    def goals(self) -> Floats:
+        """The targets (M, 2), at least as many as robots."""
+        points = self.targets if self.ring is None else self.ring.points(self.choose)
+        return np.array(points, dtype=np.float64)
+
+
+class OrChoice:
+    """Annotation of the robots' list: a mapping there is a `Choice`."""
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def validate(value: Any, listed: Any, info: core_schema.ValidationInfo) -> Any:
+            if not isinstance(value, dict):
+                return listed(value)
+            strict = bool(info.context and info.context.get("strict"))
+            return Choice.model_validate(value, strict=strict, context=info.context)
+
+        return core_schema.with_info_wrap_validator_function(validate, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"anyOf": [handler(schema), handler(Choice.__pydantic_core_schema__)]}
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCell:
+    """A cell that is there: its number, its pose in the spec's unit, and how it answers the field.
+
+    `a` [rad/s] is known with a deviation `a_sd`, `speed` [length unit/s] with `speed_sd`. One that
+    was near the arena's edge is not `free`: a wall may have turned it.
+    """
+
+    number: int
+    pose: Pose
+    a: float
+    a_sd: float
+    speed: float
+    speed_sd: float
+    free: bool = True
+
+    @property
+    def magnetised(self) -> bool:
+        """Whether it answers the field."""
+        return self.a > DEVIATIONS * self.a_sd
+
+
+@dataclass(frozen=True, slots=True)
+class FoundRobots:
+    """What a plant found to choose from: `build(numbers, setup)` goes on with some of the cells,
+    `close()` gives up."""
+
+    cells: Sequence[FoundCell]
+    build: Callable[[Sequence[int], Setup], Plant]
+    close: Callable[[], None]
+
+
+def dealt(starts: Floats, targets: Floats) -> list[int]:
+    """Return which of the targets (M, 2) each start (N, 2) gets, N <= M.
+
+    The squares of the straight paths add up to the least, which leaves the robots the least to do
+    that is not common to all.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed
+
+    squares = np.square(starts[:, None] - targets).sum(axis=2)
+    return linear_sum_assignment(squares)[1].tolist()

@@ -1,0 +1,92 @@
+"""Which of the cells that are there are the robots of a trial."""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Floats
+from tetractl.experiment.choice import Choice, FoundCell, dealt
+from tetractl.experiment.experiment import Experiment, Robot
+
+UNLIKE = 0.4  # a difference of the logarithms of a beyond which more brings nothing
+NEAR_WALL = 0.5  # s of swimming: nearer to the arena's edge a cell is not taken if another can be
+MISSED = 0.3  # a logarithm: so different a and speed are those of another cell
+MOST = 14  # cells among which all choices are compared; of more, those with the greatest a
+
+
+def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[FoundCell]:
+    """Return the cells that a trial takes, the one that turns fastest first.
+
+    AbortError where there are too few, or other ones than those wanted.
+    """
+    choice = experiment.chosen
+    assert choice is not None, "only a spec that leaves its robots open chooses"
+    able = [cell for cell in cells if cell.magnetised]
+    if len(able) < choice.choose:
+        raise AbortError(
+            f"{len(able)} of {len(cells)} cells answer the field, {choice.choose} are wanted",
+            "more cells, a stronger field, or fewer robots",
+        )
+    able = sorted(able, key=lambda cell: -cell.a)[:MOST]
+    if choice.wanted:
+        return _found_again(choice, able)
+    every = combinations(able, choice.choose)
+    return list(max(every, key=lambda some: _worth(some, experiment)))
+
+
+def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
+    """Return the experiment of these cells, in their order: where they are, and with targets."""
+    choice = experiment.chosen
+    assert choice is not None, "only a spec that leaves its robots open chooses"
+    places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
+    goals = choice.goals
+    robots = tuple(
+        Robot(
+            name=f"cell {i}",
+            start=(cell.pose.x, cell.pose.y),
+            heading=cell.pose.heading,
+            target=tuple(goals[goal].tolist()),
+            a=cell.a,
+            speed=cell.speed,
+        )
+        for i, (cell, goal) in enumerate(zip(cells, dealt(places, goals), strict=True), 1)
+    )
+    found = choice.model_copy(update={"found": True})
+    copied = experiment.model_copy(update={"robots": robots, "chosen": found})
+    vars(copied).pop("setup", None)  # that of the stand-ins
+    return copied
+
+
+def unlikeness(a: Floats, a_sd: Floats) -> float:
+    """Return the least difference of the logarithms of a, less what it may be off; inf for one."""
+    order = np.argsort(a)
+    logs, off = np.log(a[order]), a_sd[order] / a[order]
+    return float(np.min(np.diff(logs) - np.hypot(off[1:], off[:-1]), initial=np.inf))
+
+
+def _worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
+    """Return what is compared: off the walls, of unlike a, and turning fast."""
+    arena = experiment.setup.arena
+    x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
+    speed = np.array([cell.speed for cell in cells])
+    free = bool((arena.inside(x, y) > NEAR_WALL * speed).all()) and all(c.free for c in cells)
+    a = np.array([cell.a for cell in cells])
+    apart = unlikeness(a, np.array([cell.a_sd for cell in cells]))
+    return free, min(apart, UNLIKE), float(a.min())
+
+
+def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
+    """Return the cells that are wanted, each by its a and speed."""
+    wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
+    there = np.log([(cell.a, cell.speed) for cell in cells])
+    found = dealt(wanted, there)
+    for want, i in zip(wanted, found, strict=True):
+        if np.abs(want - there[i]).max() > MISSED:
+            a, speed = np.exp(want)
+            raise AbortError(
+                f"the cell with a = {a:.2f} rad/s and {speed:.0f} a second is not there any more",
+                "survey the dish again",
+            )
+    return [cells[i] for i in found]

@@ -1,0 +1,87 @@
+"""What a trial does before it chooses its cells: turn the field, and watch how each answers it."""
+
+import math
+from collections.abc import Callable, Container
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Pose
+from tetractl.core.protocols import LabSupervision
+from tetractl.experiment.choice import Choice, FoundCell
+from tetractl.lab.cameras.cells.cell import SeenCell
+from tetractl.lab.cameras.cells.helix import SPEED, A
+from tetractl.lab.rig import Rig
+
+LOOK_NS = SECOND // 20
+JITTER = 0.4  # rad about a quarter turn
+BODY_UM = 60.0  # so near the arena's edge, a wall may turn a cell
+SURE = 0.9  # probability of the identity, below which a cell is not taken
+
+
+def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
+    """Return the direction [rad] of a field over time [ns] under which cells go round and stay.
+
+    It turns once in `turn_s`, always the same way, by quarters that are larger and smaller: how a
+    cell follows each tells its a, and its dipole's angle besides. One of a < 2 pi / `turn_s` lags
+    behind.
+    """
+    start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
+
+    def direction(now_ns: int) -> float:
+        k = int(4 * now_ns / SECOND / turn_s)
+        off = float(np.random.default_rng((seed, k)).uniform(-JITTER, JITTER))
+        return math.remainder(start + math.pi / 2 * k + off, math.tau)
+
+    return direction
+
+
+def turn_field(
+    rig: Rig,
+    choice: Choice,
+    seed: int,
+    supervision: LabSupervision,
+    on_look: Callable[[], None] = lambda: None,
+) -> list[FoundCell]:
+    """Turn the field of an entered rig, and return the cells that the camera follows then.
+
+    The field goes on turning. `on_look` is called every now and then. AbortError where no pictures
+    come.
+    """
+    rig.loop.idle = manoeuvre(choice.turn, seed)
+    walled: set[int] = set()
+    began = rig.clock.now()
+    while rig.clock.now() - began < choice.seconds * SECOND:
+        rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
+        walled |= {cell.number for cell in found_cells(rig, walled) if not cell.free}
+        on_look()
+        if supervision.emergency.is_set():
+            raise AbortError("emergency stop by the operator")
+        if supervision.cancelled():
+            raise KeyboardInterrupt
+        if (failure := rig.actuator.failure) is not None:
+            raise AbortError(failure)
+        if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
+            raise AbortError(rig.guard.no_frame(rig.silent_ns()))
+    return found_cells(rig, walled)
+
+
+def found_cells(rig: Rig, walled: Container[int] = ()) -> list[FoundCell]:
+    """Return the cells that the camera follows now, by the state of its filter.
+
+    Those that have been `walled` are not free, nor are those near the arena's edge now.
+    """
+    seen: list[SeenCell] = rig.camera.cells  # type: ignore[attr-defined]
+    per_um = 1e-6 / rig.setup.metres
+    found = []
+    for cell in seen:
+        if cell.found and cell.probability >= SURE:
+            a_sd, speed_sd = (math.sqrt(cell.covariance[i, i]) for i in (A, SPEED))
+            a, speed = float(cell.mean[A]), float(cell.mean[SPEED]) * per_um
+            pose: Pose = rig.camera.pose_of(cell)  # type: ignore[attr-defined]
+            inside = rig.setup.arena.inside(np.array([pose.x]), np.array([pose.y])).item()
+            free = cell.identity not in walled and inside > BODY_UM * per_um
+            number = cell.identity
+            found.append(FoundCell(number, pose, a, a_sd, speed, speed_sd * per_um, free))
+    return found

@@ -4,15 +4,18 @@
     python benchmarks/cells.py identity    who is who after a full merge, by how far a is apart
     python benchmarks/cells.py intervals   how often 95 % intervals of `tetractl track` hold
     python benchmarks/cells.py time        ms a picture of 1024 and of 2048 px
+    python benchmarks/cells.py log         MB/s of a log with crops, share of its changes noticed
 
 Every picture is synthetic, by `tetractl.emulate.dish`, which the same hands wrote. Seeds from 9000
 on are those of the published figures; smaller ones were used in development. --count says how many
-films, or pairs of cells; --seconds how long each film is.
+films, pairs of cells or changes; --seconds how long each film is.
 """
 
 import argparse
 import math
+import random
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -23,6 +26,8 @@ from scipy.stats import beta
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.dish_films import Reel, record, who
+from support.film_logs import write_film
+from support.tampering import noticed, tamperings
 
 from tetractl.emulate.dish.picture import PictureLook
 from tetractl.emulate.dish.synthetic import FilmScript, SyntheticFilm
@@ -31,6 +36,8 @@ from tetractl.film.follow import follow
 from tetractl.lab.cameras.cells.helix import HelixFilter
 from tetractl.lab.cameras.cells.identity import opened
 from tetractl.lab.cameras.cells.tracking import CellTracker
+from tetractl.log.format import channels
+from tetractl.log.read.salvage import scan
 from tetractl.model.swimmers import Swimmers, bodies
 
 FIRST_SEED = 9000
@@ -241,12 +248,35 @@ def intervals(count: int, seconds: float) -> None:
     print(f"95 % interval of the speed holds: {share(int(speed), found)}")
 
 
+def logs(count: int, seconds: float) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(FIRST_SEED, FIRST_SEED + 3):
+            path = Path(folder) / f"{seed}.mcap"
+            made = film(seed, seconds, 1024, 2.3)
+            samples = write_film(made, path, robots=3)
+            crops = np.mean([len(sample.film.crops) for sample in samples])
+            rate = path.stat().st_size * made.script.rate / len(samples) / 1e6
+            print(f"seed {seed}: {rate:.2f} MB/s, {crops:.1f} crops a picture", flush=True)
+        log = scan(path)
+        shown = (*channels.FILM, channels.FRAMES, channels.TRANSFORMS)
+        random.seed(FIRST_SEED)
+        tried = random.sample([one for one in tamperings(log, 60) if one.channel in shown], count)
+        seen = [noticed(log, one, Path(folder) / "changed.mcap") for one in tried]
+    print(f"changed crops, poses and what is said of them, noticed: {share(sum(seen), count)}")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("part", choices=("films", "identity", "intervals", "time"))
+    parser.add_argument("part", choices=("films", "identity", "intervals", "time", "log"))
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=10.0)
     chosen = parser.parse_args()
     cv2.setNumThreads(1)
-    parts = {"films": films, "identity": identity, "intervals": intervals, "time": times}
+    parts = {
+        "films": films,
+        "identity": identity,
+        "intervals": intervals,
+        "time": times,
+        "log": logs,
+    }
     parts[chosen.part](chosen.count, chosen.seconds)

@@ -64,7 +64,7 @@ class Noise:
 
 def left_out(plant: PlantSection) -> tuple[str, ...]:
     """Return the fields of a plant that disturb and are not part of the noise."""
-    names = ("dead_time", "lost_commands", "drive", "disturbances")
+    names = ("dead_time", "lost_commands", "drive", "cells", "disturbances")
     return tuple(name for name in names if getattr(plant, name, None))
 
 

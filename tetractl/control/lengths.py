@@ -21,6 +21,9 @@ GROWTH = 1.2  # of one length to the next, where they are spread: on the way ...
 SPREAD = 1.3  # ... and at step 0
 FINE = 0.05  # share of a length to which the shortest one is looked for
 SIGNALS = 6  # that several robots take at least, each: two coordinates are to be met, by turns
+THOROUGH, THOROUGH_GROWTH = 3, 1.4
+"""Lengths that are searched thoroughly at step 0 where none of the others is good enough, and the
+factor from one to the next."""
 Candidate = tuple[int, Floats | None]
 """A length to try, and the u_gb^0 to start from."""
 
@@ -103,7 +106,9 @@ class Searcher:
         self.found: list[Search] = []
         self._known = dict[int, bool]()  # whether one of them is safe
 
-    def search(self, length: int, start: Floats | None, among: int = 1) -> Search | None:
+    def search(
+        self, length: int, start: Floats | None, among: int = 1, thorough: bool = False
+    ) -> Search | None:
         """Search one length; None where that is beyond the limits.
 
         The evaluations left are shared equally `among` this search and those that are to follow.
@@ -111,7 +116,7 @@ class Searcher:
         share = None if self._left is None else self._left // among
         if self.found and (self._expired() or (share is not None and share < self._least)):
             return None
-        limits, key = Limits(share, self._expired), mix(self._key, length)
+        limits, key = Limits(share, self._expired, thorough), mix(self._key, length)
         found = self._optimizer.search(self._problem, length, start, key, limits)  # lines 3, 21
         self.found.append(found)
         if self._left is not None:
@@ -164,3 +169,19 @@ class Searcher:
                 length = middle
             else:
                 failed = middle
+
+    def search_thoroughly(self, problem: Problem, most: int, good_enough: float) -> Problem:
+        """Search THOROUGH lengths, each with all it takes, until a cost is good enough.
+
+        It is done in `problem`, of the same robots; return the problem of the least cost found.
+        """
+        robots, posed, before = len(problem.a), self._problem, len(self.found)
+        least = max(least_length(problem), 2 * SIGNALS * robots if robots > 1 else 1)
+        self._problem = problem
+        for i in range(THOROUGH):
+            length = min(most, round(least * THOROUGH_GROWTH**i))
+            found = self.search(length, None, THOROUGH - i, thorough=True)
+            if found is None or found.cost <= good_enough or length == most:
+                break
+        best = min(range(len(self.found)), key=lambda i: self.found[i].cost)
+        return problem if best >= before else posed

@@ -55,7 +55,7 @@ from tetractl.control.mpc_section import MpcFields
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Limits, Outcome, Plan, Search, never
+from tetractl.core.plan import End, Estimate, Limits, Outcome, Plan, Search, never
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
@@ -241,12 +241,16 @@ class Mpc:
 
     def _problem(self, known: Problem, first_period: float) -> Problem:
         """Pose the problem where a direction decided now will act, for the robots as known."""
-        collision = self.section.collision
         problem = replace(known, first_period=first_period)
+        return self._with_margins(problem, self.estimator.estimate)
+
+    def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
+        """Grow obstacles and separation by how far off course robots of which so much is known may
+        come, where they are to; None for robots of which all is."""
+        collision = self.section.collision
         if not collision.adaptive:
             return problem
-        dead_time = self.estimator.dead_time_s
-        off = off_course(problem.speed, self.section.period, dead_time, self.estimator.estimate)
+        off = off_course(problem.speed, self.section.period, self.estimator.dead_time_s, known)
         margin = collision.margin + collision.radius + off
         apart = collision.separation + 2 * off if collision.separation else 0.0
         return replace(
@@ -311,6 +315,9 @@ class Mpc:
         count = 0 if self.warm is None else len(self.warm)
         if self.warm is None and section.initial_lengths == "geometric" and good_enough is not None:
             searcher.search_spread(least_length(problem), section.horizon_max, good_enough)
+            if min(search.cost for search in searcher.found) > max(good_enough, self.accept):
+                later = self._with_margins(problem, None)  # they are identified on the way
+                problem = searcher.search_thoroughly(later, section.horizon_max, good_enough)
         else:
             enough = good_enough
             if enough is not None and self.accept > 0:

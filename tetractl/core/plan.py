@@ -66,11 +66,12 @@ class Limits:
     """What one search may spend.
 
     `evaluations` bounds the cost evaluations, None for no bound. Once `expired()` is true, a search
-    returns the best sequence so far.
+    returns the best sequence so far. With `thorough` it may take seconds, for the robots stand.
     """
 
     evaluations: int | None = None
     expired: Callable[[], bool] = never
+    thorough: bool = False
 
     @property
     def timed(self) -> bool:

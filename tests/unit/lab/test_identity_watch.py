@@ -1,8 +1,17 @@
 """No trial goes on for long with cells of which it is not known who is who."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
+from support.labs import fake_lab
+from support.trials import experiment
 
 from tetractl.core.cell_film import CellFilm
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Note
+from tetractl.core.errors import AbortError
+from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.identity_watch import IdentityWatch
 
 
@@ -30,3 +39,28 @@ def test_a_meeting_is_said_once_and_ends_the_run_only_where_it_stays_unknown():
     assert watch.reason == ""
     assert list(watch.see(seen(4.1, 0.95, 0.85))) == []
     assert watch.reason == "for 3 s it has not been known which cell is two"
+
+
+def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
+    lab, sure, made = fake_lab(experiment().setup, LabLimits(identity=1.0)), [1.0, 1.0, 1.0], []
+    frames = lab.camera.frames
+
+    def filmed():
+        fresh = frames()
+        made.extend(replace(seen(0.0, *sure), sampled_ns=frame.sampled_ns) for frame in fresh)
+        return fresh
+
+    lab.camera.frames, lab.camera.films = filmed, lambda: [made.pop(0) for _ in list(made)]
+    plant, notes = lab.plant, []
+    plant.open()
+    with pytest.raises(AbortError, match="for 1 s it has not been known which cell is blue"):
+        for k in range(10):
+            sure[1] = 1.0 if k < 3 else 0.6
+            plant.observe()
+            plant.steer(0.1)
+            assert all(sample.film is not None for sample in plant.samples())
+            notes += [one.text for one in plant.news() if isinstance(one, Note)]
+            lab.clock.sleep_until(lab.clock.now() + SECOND // 5)
+    plant.stop()
+    plant.close()
+    assert [text.split(":")[0] for text in notes] == ["blue has met another cell"]

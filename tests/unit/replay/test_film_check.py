@@ -14,7 +14,6 @@ from support.tampering import noticed, tamperings
 from tetractl.core.cell_film import cut
 from tetractl.log.format import channels
 from tetractl.log.format.crop_images import encode_film
-from tetractl.log.format.tetractl_pb2 import CellCrops
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
@@ -66,15 +65,15 @@ def test_a_crop_of_another_blob_is_noticed_though_its_checksum_fits(shown, tmp_p
         row, column = body[rng.randrange(len(body))]
         crops_changed[0, row, column] += 1 if crops_changed[0, row, column] < 255 else -1
         forged = replace(seen, crops=crops_changed)
-        said, image, _ = encode_film(forged, sample.observation, begin)
-        said.ClearField("picture_crc")
-        said.picture_crc[:] = CellCrops.FromString(cells.data).picture_crc
+        made = encode_film(forged, sample.observation, begin)
         new = {
-            cells: cells._replace(data=said.SerializeToString()),
-            crops: crops._replace(data=image.SerializeToString()),
+            cells: cells._replace(data=made[channels.CELLS].SerializeToString()),
+            crops: crops._replace(data=made[channels.CROPS].SerializeToString()),
         }
         found = verify(rewrite(log, tmp_path / f"{number}.mcap", new))
-        assert [one.message for one in found.problems] == ["crop 0 shows another blob than stated"]
+        assert [one.message for one in found.problems] == [
+            f"frame {sample.observation.frame}: crop 0 shows another blob than stated"
+        ]
 
 
 def test_another_opencv_is_not_comparable_and_no_failure(shown, tmp_path):

@@ -9,12 +9,25 @@ from numba import njit
 from numba.extending import overload
 
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
-INLINE_FAST: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "forceinline": True}
+INLINE_FAST: Any = {
+    "nogil": True,
+    "fastmath": FAST,
+    "error_model": "numpy",
+    "forceinline": True,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
 """Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
 been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
 the cache: two machine codes, and results that differ in the last bits from run to run."""
 ENTRY_FAST: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy"}
-INLINE_STRICT: Any = {"nogil": True, "error_model": "numpy", "forceinline": True}
+INLINE_STRICT: Any = {
+    "nogil": True,
+    "error_model": "numpy",
+    "forceinline": True,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
 ENTRY_STRICT: Any = {"nogil": True, "error_model": "numpy"}
 """The same for what has to round as NumPy does."""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}

@@ -8,6 +8,11 @@ random sequence. What remains global, the way round an obstacle, is left to chan
 selection:
 each round scatters many smooth sequences, evaluates them in one vectorised rollout and polishes
 only the most promising.
+
+A thorough search hops: it polishes again and again what is left when one of the best few sequences
+so far is moved at random, and keeps the better ones (basin hopping; Wales and Doye, J. Phys. Chem.
+A 101 (1997)). Where robots are to go from anywhere to anywhere, most starts end in a corner between
+walls, obstacles and other robots, and what is nearly good leads to what is.
 """
 
 from collections.abc import Callable
@@ -17,17 +22,23 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import require_finite
-from tetractl.control.curves import bearing, places
+from tetractl.control.curves import bearing, interpolate, places
 from tetractl.control.evaluate import compiled_costs
-from tetractl.control.rng import mix
+from tetractl.control.rng import mix, uniform
 from tetractl.control.search_progress import Progress
 from tetractl.core.plan import Limits, Search, StopReason
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, wrap
 from tetractl.core.problem import Problem
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
 SLACK = 0.01  # share of the fastest robot's step by which a path is pushed clear of an obstacle
+HOPS = 1000  # of a thorough search for three robots; they grow with the square of the number
+HOP_WORK = 1e9  # evaluations times signals times robots of a thorough search at most, some seconds
+POOL = 6  # sequences that are kept to hop from
+HOP_STEPS, HOP_PATIENCE = 60, 12  # Levenberg-Marquardt iterations of a hop
+HOP_LEAST, HOP_MOST = 0.15, 1.5  # rad by which signals are moved
+HIT = 0.25  # share of the fastest robot's step that a position in an obstacle counts among hops
 NO_LIMIT = 2**62
 
 
@@ -86,6 +97,9 @@ class Multistart(OptimizerSection):
         merit of its steps: (8) plus the depths inside obstacles.
         """
         progress = _PolishedProgress(self, problem, length, warm, limits)
+        if limits.thorough:
+            progress.hop(key)
+            return progress.search()
         if warm is not None:
             progress.try_one(warm)
             progress.polish(warm[None])
@@ -128,6 +142,9 @@ class _PolishedProgress(Progress):
         self.factor = np.empty((rows, rows))
         self.patience = round(section.patience * growth)
         steps = round(section.polish_steps * growth)
+        if limits.thorough:
+            self.patience, steps = HOP_PATIENCE, HOP_STEPS
+            self.hops = round(HOPS * max(1.0, (len(problem.a) / 3) ** 2))
         self.polished = multistart.workspace(section.polished, length, steps)
 
     def select(self, key: int) -> Floats:
@@ -172,6 +189,33 @@ class _PolishedProgress(Progress):
             last = first + 1 if self.limits.timed else len(starts)
             first += self._polish_some(starts[first:last])
 
+    def hop(self, key: int) -> None:
+        """Polish moved sequences until one is good enough, from the best POOL of them so far.
+
+        A hop adds a curve of random size and knots to all signals or to a span of them, or takes
+        out one signal and puts in another elsewhere. Those in the pool are compared by the merit of
+        the polish, which tells how deep in an obstacle a path is, and by the positions in obstacles
+        that are left.
+        """
+        pool: list[tuple[float, Floats]] = []
+        found, length = self.polished, self.length
+        middle, step = bearing(self.problem), self.slack / SLACK
+        for number in range(self.hops):
+            work = self.evaluations * length * len(self.problem.a)
+            if self.ended or work > HOP_WORK or (self.history and not self.affords(2)):
+                break
+            draws = uniform(mix(key, number), 0, length + 8)
+            start = _moved(pool, draws, length, middle)
+            if number == 0 and self.warm is not None:
+                start = self.warm
+            self.slack = SLACK * step * 30 ** draws[7]
+            self._polish_some(start[None])
+            hits = found.costs[0] // self.problem.obstacle_weight
+            merit = found.merits[0, found.steps[0]] + HIT * step * hits
+            pool.append((float(merit), found.signals[0].copy()))
+            pool.sort(key=lambda one: one[0])
+            del pool[POOL:]
+
     def _polish_some(self, starts: Floats) -> int:
         """Polish sequences, with no look at the time; return how many the limits allowed."""
         most = NO_LIMIT if self.limits.evaluations is None else self.limits.evaluations
@@ -200,3 +244,22 @@ class _PolishedProgress(Progress):
         if self.cost <= self.section.tolerance:
             self.ended = StopReason.TARGET
         return done
+
+
+def _moved(pool: list[tuple[float, Floats]], draws: Floats, length: int, middle: float) -> Floats:
+    """Return a sequence of `length` signals to polish next; see `_PolishedProgress.hop`."""
+    which, way, size, count, first, second = draws[:6]
+    knots = 2 * draws[8:] - 1
+    if len(pool) < POOL:
+        curve = interpolate(knots[: 2 + int(count * (length - 2)), None], length)[:, 0]
+        return wrap(middle + np.pi * curve)
+    base = pool[int(which * len(pool))][1]
+    size = HOP_LEAST * (HOP_MOST / HOP_LEAST) ** size
+    curve = size * interpolate(knots[: 2 + int(count * length / 3), None], length)[:, 0]
+    one, other = int(first * length), int(second * length)
+    if way < 1 / 3:
+        span = np.arange(length)
+        curve[(span < min(one, other)) | (span > max(one, other))] = 0.0
+    elif way < 2 / 3:
+        base = np.insert(np.delete(base, one), other, np.pi * (2 * draws[6] - 1))
+    return wrap(base + curve)

@@ -1,16 +1,17 @@
 """A microscope's film in a log: what was found, crops, and whole pictures.
 
-`/camera/cells` says what each crop is and repeats the checksums of the pictures, so that none can
-be changed by itself. Crops are not compressed: chunks are, and nothing has to be decoded to search
-them again. Whole pictures are JPEG, for people.
+`/camera/cells` says what each crop is and has the checksums of all messages of its picture. Crops
+are not compressed: chunks are, and nothing has to be decoded to search them again. Whole pictures
+are JPEG, for people.
 """
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.message import Message
 
 from tetractl.core.cell_film import CellFilm
 from tetractl.core.poses import Grey, Observation
@@ -23,36 +24,41 @@ LENS = "microscope"
 """The coordinate frame of the images."""
 
 
-def encode_film(
-    film: CellFilm, seen: Observation, start_ns: int
-) -> tuple[CellCrops, RawImage, dict[str, CompressedImage]]:
-    """Return what was found in a picture, its crops, and pictures by topic.
+def encode_film(film: CellFilm, seen: Observation, start_ns: int) -> dict[str, Message]:
+    """Return the messages of a picture by topic.
 
     `seen` is what the log says of its frame, of a trial that starts at a time [Unix ns].
     """
-    count, side = len(film.crops), film.crops.shape[2]
-    time = stamp(start_ns + seen.sampled_ns)
+    time, side = stamp(start_ns + seen.sampled_ns), film.crops.shape[2]
     crops = RawImage(
-        timestamp=time, frame_id=LENS, width=side, height=count * side, encoding="mono8",
-        step=side, data=film.crops.tobytes(),
+        timestamp=time, frame_id=LENS, width=side, height=len(film.crops) * side,
+        encoding="mono8", step=side, data=film.crops.tobytes(),
     )  # fmt: skip
+    shown: dict[str, Message] = {channels.CROPS: crops}
+    for topic, picture in ((channels.PICTURE, film.whole), (channels.BACKGROUND, film.background)):
+        if picture is not None:
+            data = _jpeg(picture)
+            image = CompressedImage(timestamp=time, frame_id=LENS, data=data, format="jpeg")
+            shown[topic] = image
     low, high, least, most = film.limits
     x, y, axis, long, wide, strength = film.blobs.reshape(-1, 6).T.tolist()
-    message = CellCrops(
+    cells = CellCrops(
         frame=seen.frame, side=side, low=low, high=high, least_px2=least, most_px2=most,
         robot=film.robots.tolist(), merged=film.merged.tolist(), sure=film.sure.tolist(),
         column=film.corners[:, 0].tolist(), row=film.corners[:, 1].tolist(),
         x=x, y=y, axis=axis, long=long, wide=wide, strength=strength,
-        crc=_checksums(film, seen),
     )  # fmt: skip
-    pictures: dict[str, CompressedImage] = {}
-    for topic, picture in ((channels.PICTURE, film.whole), (channels.BACKGROUND, film.background)):
-        if picture is not None:
-            data = _jpeg(picture)
-            message.picture_crc.append(zlib.crc32(data))
-            image = CompressedImage(timestamp=time, frame_id=LENS, data=data, format="jpeg")
-            pictures[topic] = image
-    return message, crops, pictures
+    data = (message.SerializeToString() for message in shown.values())
+    cells.crc.extend(checksums(cells, seen, data))
+    return {channels.CELLS: cells, **shown}
+
+
+def checksums(cells: CellCrops, seen: Observation, shown: Iterable[bytes]) -> list[int]:
+    """Return the CRC-32 of what was found, with the poses of its frame, and of each image."""
+    bare = CellCrops.FromString(cells.SerializeToString())
+    bare.ClearField("crc")
+    poses = np.column_stack([seen.poses.array(), seen.valid]).tobytes()
+    return [zlib.crc32(poses, zlib.crc32(bare.SerializeToString())), *map(zlib.crc32, shown)]
 
 
 def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm:
@@ -67,26 +73,13 @@ def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm
     return CellFilm(
         sampled_ns=sampled_ns,
         crops=np.frombuffer(crops.data, np.uint8).reshape(count, side, side),
-        corners=_paired(cells.column, cells.row),
+        corners=np.array([cells.column, cells.row], dtype=np.int64).T.reshape(count, 2),
         blobs=np.array(columns, dtype=np.float64).T.reshape(count, 6),
         robots=np.array(cells.robot, np.int64),
         merged=np.array(cells.merged, np.bool_),
         limits=(cells.low, cells.high, cells.least_px2, cells.most_px2),
         sure=np.array(cells.sure, np.float64),
     )
-
-
-def _paired(one: Sequence[int], other: Sequence[int]) -> np.ndarray:
-    return np.column_stack([one, other]).astype(np.int64).reshape(-1, 2)
-
-
-def _checksums(film: CellFilm, seen: Observation) -> list[int]:
-    """Return a checksum of what is said of the picture, and one of each crop and its numbers."""
-    numbers = [*film.limits, *film.sure, *seen.poses.array().ravel(), *seen.valid]
-    shared = zlib.crc32(np.array(numbers, dtype=np.float64).tobytes())
-    said = np.column_stack([film.blobs, film.corners, film.robots, film.merged]).astype(float)
-    rows = zip(film.crops, said, strict=True)
-    return [shared, *(zlib.crc32(row.tobytes(), zlib.crc32(crop.tobytes())) for crop, row in rows)]
 
 
 def _jpeg(picture: Grey) -> bytes:

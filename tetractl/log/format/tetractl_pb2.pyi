@@ -126,7 +126,7 @@ class ControllerStep(_message.Message):
     def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., path_heading: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ...) -> None: ...
 
 class CellCrops(_message.Message):
-    __slots__ = ("frame", "side", "low", "high", "least_px2", "most_px2", "robot", "merged", "sure", "column", "row", "x", "y", "axis", "long", "wide", "strength", "crc", "picture_crc")
+    __slots__ = ("frame", "side", "low", "high", "least_px2", "most_px2", "robot", "merged", "sure", "column", "row", "x", "y", "axis", "long", "wide", "strength", "crc")
     FRAME_FIELD_NUMBER: _ClassVar[int]
     SIDE_FIELD_NUMBER: _ClassVar[int]
     LOW_FIELD_NUMBER: _ClassVar[int]
@@ -145,7 +145,6 @@ class CellCrops(_message.Message):
     WIDE_FIELD_NUMBER: _ClassVar[int]
     STRENGTH_FIELD_NUMBER: _ClassVar[int]
     CRC_FIELD_NUMBER: _ClassVar[int]
-    PICTURE_CRC_FIELD_NUMBER: _ClassVar[int]
     frame: int
     side: int
     low: float
@@ -164,8 +163,7 @@ class CellCrops(_message.Message):
     wide: _containers.RepeatedScalarFieldContainer[float]
     strength: _containers.RepeatedScalarFieldContainer[float]
     crc: _containers.RepeatedScalarFieldContainer[int]
-    picture_crc: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, frame: _Optional[int] = ..., side: _Optional[int] = ..., low: _Optional[float] = ..., high: _Optional[float] = ..., least_px2: _Optional[float] = ..., most_px2: _Optional[float] = ..., robot: _Optional[_Iterable[int]] = ..., merged: _Optional[_Iterable[bool]] = ..., sure: _Optional[_Iterable[float]] = ..., column: _Optional[_Iterable[int]] = ..., row: _Optional[_Iterable[int]] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., long: _Optional[_Iterable[float]] = ..., wide: _Optional[_Iterable[float]] = ..., strength: _Optional[_Iterable[float]] = ..., crc: _Optional[_Iterable[int]] = ..., picture_crc: _Optional[_Iterable[int]] = ...) -> None: ...
+    def __init__(self, frame: _Optional[int] = ..., side: _Optional[int] = ..., low: _Optional[float] = ..., high: _Optional[float] = ..., least_px2: _Optional[float] = ..., most_px2: _Optional[float] = ..., robot: _Optional[_Iterable[int]] = ..., merged: _Optional[_Iterable[bool]] = ..., sure: _Optional[_Iterable[float]] = ..., column: _Optional[_Iterable[int]] = ..., row: _Optional[_Iterable[int]] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., long: _Optional[_Iterable[float]] = ..., wide: _Optional[_Iterable[float]] = ..., strength: _Optional[_Iterable[float]] = ..., crc: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class StepTiming(_message.Message):
     __slots__ = ("k", "solve_ns", "deadline_missed")

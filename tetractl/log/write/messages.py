@@ -130,8 +130,7 @@ class Messages:
         if sample.film is None:
             return []
         seen = sample.observation
-        cells, crops, pictures = encode_film(sample.film, seen, self._start_ns)
-        made = {channels.CELLS: cells, channels.CROPS: crops, **pictures}
+        made = encode_film(sample.film, seen, self._start_ns)
         times = seen.received_ns, seen.sampled_ns
         return [self._entry(topic, message, *times) for topic, message in made.items()]
 

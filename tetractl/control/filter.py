@@ -318,5 +318,5 @@ class FilterBank:
 def warm_up(prior: Prior, starts: Poses) -> None:
     """Compile, or load from the cache, what a filter bank runs."""
     bank, valid = FilterBank(prior), np.ones(len(prior.a), dtype=np.bool_)
-    for k in range(2):
-        bank.seen(Observation(k, k * SECOND // 100, k * SECOND // 100, starts, valid))
+    for k, now in enumerate((0, round(SPACING_S * SECOND))):
+        bank.seen(Observation(k, now, now, starts, valid))

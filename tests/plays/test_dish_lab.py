@@ -1,13 +1,17 @@
 """Cells that a trial finds and steers through synthetic pictures, emulated, in virtual time."""
 
+import re
+
 import numpy as np
 import pytest
-from support.virtual_dish import virtual_dish
+from support.cli import tetractl
+from support.virtual_dish import DISH, virtual_dish
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.core.plan import Outcome
 from tetractl.emulate import firmware
+from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import run_trial
@@ -80,6 +84,24 @@ def test_what_a_dish_does_every_day_is_borne(tmp_path):
     lines = ", ".join(f"{{fault: {fault}, at: 5}}" for fault in faults)
     log, _, _ = play(tmp_path, f"faults: [{lines}]")
     assert log.result.outcome.complete, log.result.reason
+
+
+def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):
+    with virtual_dish(tmp_path, 1, SMALL, FEW) as dish:
+        words = [word for setting in dish.sets for word in ("--set", setting)]
+        done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "-o", "found.yaml", *words)
+        assert done.returncode == 0, done.stderr
+        magnets = np.sort(dish.cells.a[dish.cells.a > 0])
+    listed = re.findall(r"cell \d+: a (-?[\d.]+) ± [\d.]+ rad/s, speed [\d.]+ ± [\d.]+ um/s$",
+                        done.stdout, re.MULTILINE)  # fmt: skip
+    assert len(listed) >= 2
+    gaps = np.abs(np.array(listed, float)[:, None] / magnets - 1).min(axis=1)
+    assert gaps.max() < 0.1
+    errors = re.findall(r"predicted mean total error ([\d.]+) um", done.stdout)
+    assert [float(error) for error in errors] == sorted(map(float, errors))
+    chosen = load_spec(tmp_path / "found.yaml").experiment.chosen
+    assert chosen.choose == len(chosen.wanted) == 2
+    assert all(np.abs(cell.a / magnets - 1).min() < 0.1 for cell in chosen.wanted)
 
 
 def test_too_few_cells_that_answer_are_one_clear_error(tmp_path):

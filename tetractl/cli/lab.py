@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli import lab_emulate
+from tetractl.cli import lab_emulate, lab_survey
 from tetractl.cli.options import Sets, Yes, require_confirmation
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
@@ -204,4 +204,5 @@ COMMANDS = {
     "check": check,
     "stop": stop,
     "calibrate": calibrate,
+    "survey": lab_survey.survey,
 }

@@ -7,6 +7,7 @@ import numpy as np
 
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
 from tetractl.experiment.choice import Choice, FoundCell, dealt
 from tetractl.experiment.experiment import Experiment, Robot
 
@@ -33,7 +34,7 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
     if choice.wanted:
         return _found_again(choice, able)
     every = combinations(able, choice.choose)
-    return list(max(every, key=lambda some: _worth(some, experiment)))
+    return list(max(every, key=lambda some: worth(some, experiment)))
 
 
 def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
@@ -42,7 +43,7 @@ def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
     assert choice is not None, "only a spec that leaves its robots open chooses"
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
     goals = choice.goals
-    robots = tuple(
+    robots = [
         Robot(
             name=f"cell {i}",
             start=(cell.pose.x, cell.pose.y),
@@ -52,9 +53,25 @@ def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
             speed=cell.speed,
         )
         for i, (cell, goal) in enumerate(zip(cells, dealt(places, goals), strict=True), 1)
-    )
-    found = choice.model_copy(update={"found": True})
-    copied = experiment.model_copy(update={"robots": robots, "chosen": found})
+    ]
+    return _of(experiment, robots)
+
+
+def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
+    """Return the experiment of robots that another trial of it found."""
+    columns = (setup.starts.array(), setup.targets, setup.a, setup.speed)
+    rows = zip(setup.names, *(column.tolist() for column in columns), strict=True)
+    robots = [
+        Robot(name=name, start=(x, y), heading=turn, target=tuple(target), a=a, speed=speed)
+        for name, (x, y, turn), target, a, speed in rows
+    ]
+    return _of(experiment, robots)
+
+
+def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
+    assert experiment.chosen is not None, "only a spec that leaves its robots open chooses"
+    found = experiment.chosen.model_copy(update={"found": True})
+    copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": found})
     vars(copied).pop("setup", None)  # that of the stand-ins
     return copied
 
@@ -66,7 +83,7 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
     return float(np.min(np.diff(logs) - np.hypot(off[1:], off[:-1]), initial=np.inf))
 
 
-def _worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
+def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
     """Return what is compared: off the walls, of unlike a, and turning fast."""
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T

@@ -178,7 +178,7 @@ class InnerLoop:
             return
         self._next_ns = now + self._actuator.period_ns
         newest = self.frames.newest
-        if newest is None or now - newest.frame.received_ns > self.guard.rules.stale_ns:
+        if newest is None or now - newest.frame.received_ns > self.guard.rules.stream_lost_ns:
             self._note(self._actuator.stop())
             return
         every = (True,) * len(ruling.poses)

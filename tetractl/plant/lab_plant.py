@@ -1,6 +1,7 @@
 """The lab as a plant: real robots between a camera and an actuator."""
 
 import math
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from typing import Literal
@@ -25,6 +26,7 @@ from tetractl.lab.rig import Rig, build_rig
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
+RECENT = 600  # frames, some seconds
 
 
 class LabPlantSection(LabSection):
@@ -85,6 +87,8 @@ class LabPlant:
         self._returned: set[int] = set()  # send times of what `steer` has returned
         self._observed_ns: int | None = None
         self._stop: Command | None = None
+        self._stopped_ns = 0
+        self._recent: deque[Observation] = deque(maxlen=RECENT)
 
     def open(self) -> PlantInfo:
         """Connect, look everything over, and wait until the robots stand on their starts."""
@@ -150,7 +154,7 @@ class LabPlant:
 
     def pause(self) -> Command:
         """Stop every robot as `stop` does, until the next direction."""
-        loop = self.rig.loop
+        loop, self._stopped_ns = self.rig.loop, self.clock.now()
         loop.stop()
         self._observed_ns = None
         reached = (self.rig.actuator.failure is None,) * len(self.setup.names)
@@ -173,8 +177,20 @@ class LabPlant:
         if self.rig.guard.state is GuardState.ABORT:
             not_at_rest = not_at_rest or self.rig.guard.reason
         self._take_frames()
-        final = self._newest.poses if self._newest is not None else self.setup.starts
-        return self._path_check.verdict(final, not_at_rest)
+        return self._path_check.verdict(self._final(), not_at_rest)
+
+    def _final(self) -> Poses:
+        """Return where the robots ended: where they stand or, if they swim on, where they were
+        when the stop was sent, between two frames."""
+        if self._newest is None:
+            return self.setup.starts
+        if self.rig.actuator.halts or len(self._recent) < 2:
+            return self._newest.poses
+        times = [one.sampled_ns for one in self._recent]
+        i = min(max(bisect_left(times, self._stopped_ns), 1), len(times) - 1)
+        part = min(max((self._stopped_ns - times[i - 1]) / (times[i] - times[i - 1]), 0.0), 1.0)
+        before, after = (self._recent[k].poses.array() for k in (i - 1, i))
+        return Poses.of(before + part * (after - before))
 
     def close(self) -> None:
         """Release camera and actuator."""
@@ -195,6 +211,7 @@ class LabPlant:
             self._path_check.add(poses.x[None], poses.y[None])
             times = frame.sampled_ns, frame.received_ns
             self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
+            self._recent.append(self._newest)
             film = self._films.get(frame.sampled_ns)
             if film is not None:
                 self._news.extend(self._identities.see(film))

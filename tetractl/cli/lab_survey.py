@@ -1,0 +1,92 @@
+"""`tetractl lab survey`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tetractl.cli.options import Sets, Yes, require_confirmation
+from tetractl.core.errors import Exit, UsageError
+
+NORMAL = 1.96  # deviations of a 95 % interval
+
+
+def survey(
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    sets: Sets = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="FILE", help="Where the spec of the trial goes."),
+    ] = None,
+    plans: Annotated[
+        int, typer.Option(min=1, max=100, metavar="N", help="Plans for each choice of cells.")
+    ] = 2,
+    yes: Yes = False,
+) -> int:
+    """Find the cells of a dish, see how each answers the field, and propose which to steer.
+
+    The field turns for `robots.seconds` of the spec. Every cell with a magnet is listed with 95 %
+    intervals; choices of cells are ranked by the error that `tetractl analyze` predicts, with the
+    noise of the spec's simulation. -o writes a spec by which a trial finds the best ones again, by
+    their a and speed.
+
+    Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
+    """
+    import numpy as np
+
+    from tetractl.analysis.choices import alike, ranked
+    from tetractl.analysis.closed_loop import Noise
+    from tetractl.cli.options import load
+    from tetractl.core.clock import MonotonicClock
+    from tetractl.core.files import save_whole
+    from tetractl.core.protocols import LabSupervision
+    from tetractl.experiment.load import document_of
+    from tetractl.experiment.plants import lab_of, on_plant
+    from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl.lab.find_cells import turn_field
+    from tetractl.lab.rig import build_rig
+    from tetractl.run.interrupt import interrupted_once
+
+    loaded = load(spec, sets or [])
+    experiment = on_plant(loaded, "lab").experiment
+    choice, unit = experiment.chosen, experiment.units.length
+    if choice is None or not experiment.open:
+        raise UsageError(f"{spec}: names its robots", "a survey needs robots: {choose: N, ...}")
+    if output is not None and output.exists():
+        raise UsageError(f"{output}: exists already", "name another with --out")
+    require_confirmation(yes)
+    setup = experiment.setup
+    with interrupted_once(robots=True):
+        rig = build_rig(lab_of(experiment, loaded.name), setup, MonotonicClock())
+        with rig:
+            cells = turn_field(rig, choice, experiment.trials.seed, LabSupervision())
+            rig.loop.stop()
+    for cell in cells:
+        magnet = "" if cell.magnetised else ", does not answer the field"
+        near = "" if cell.free else ", was near the edge: do not rely on a"
+        print(
+            f"cell {cell.number}: a {cell.a:.2f} ± {NORMAL * cell.a_sd:.2f} rad/s, speed "
+            f"{cell.speed:.0f} ± {NORMAL * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
+        )
+    for one, two in alike(cells):
+        print(f"cells {one.number} and {two.number} cannot be distinguished after they meet")
+
+    def done(count: int, of: int) -> None:
+        print(f"choice {count} of {of}", file=sys.stderr)
+
+    found = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
+    for one in found:
+        numbers = ", ".join(str(cell.number) for cell in one.cells)
+        error = f"{one.error:.0f} {unit}" if np.isfinite(one.error) else "no plan reaches"
+        print(f"cells {numbers}: predicted mean total error {error}")
+    if not found or not np.isfinite(found[0].error):
+        print("no choice of these cells can be steered to the targets")
+        return Exit.FAILED
+    if output is not None:
+        data = document_of(loaded.text, str(spec), sets or []).data
+        wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in found[0].cells]
+        data["robots"]["wanted"] = wanted
+        save_whole(output, dump(data).encode())
+        print(f"wrote {output}: a trial of it finds these cells again", file=sys.stderr)
+    return Exit.DONE

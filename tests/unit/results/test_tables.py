@@ -163,3 +163,9 @@ def test_flagged_trials_of_every_group_are_listed():
     one = group(batch(ERRORS[:4]), name="one")
     other = [replace(t, path=f"other/{t.path}") for t in batch(ERRORS, outcome=Outcome.STEPS_MAX)]
     assert "other/trial-000.mcap" in printed(one, group(other, name="other"))
+
+
+def test_outcomes_have_a_row():
+    trials = batch(ERRORS[:4])
+    trials[1] = replace(trials[1], result=result([1, 2, 3], outcome=Outcome.STEPS_MAX))
+    assert shown(group(trials), "outcomes") == "3 sequence completed, 1 steps max"

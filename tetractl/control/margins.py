@@ -68,12 +68,18 @@ class Margins:
         return bool((crossed & ~self._bare.contain(poses.x, poses.y)).any())
 
     def clear_unheard(
-        self, problem: Problem, path: Floats, signals: Floats, seconds: float, margin: float
+        self,
+        problem: Problem,
+        path: Floats,
+        signals: Floats,
+        seconds: float,
+        margin: float,
+        apart: float,
     ) -> bool:
         """Return whether robots keep clear if a signal, whichever, is held for so long [s].
 
         path (L, N, 3) is where they are before each of the signals (L,). To be clear is to keep the
-        margin and the problem's separation, or the room there is.
+        margin, or the room there is, and to be `apart` or as far as the problem's separation.
         """
         count, steps = len(signals), max(1, math.ceil(seconds / SAMPLE_S))
         bias = 0.0 if problem.bias is None else problem.bias
@@ -93,7 +99,7 @@ class Margins:
         shapes = self.obstacles(problem.poses, margin)
         if shapes.cross(x[:-1], y[:-1], x[1:], y[1:]).any():
             return False
-        return bool((self._gaps(x, y) >= problem.separation).all())
+        return bool((self._gaps(x, y) >= min(apart, problem.separation)).all())
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
         """Return the least distance (...) of robots at (..., N) to a shape, and of two of them less

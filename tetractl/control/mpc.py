@@ -66,7 +66,7 @@ RESTED_S = 2.0
 """Time after a pause before there is another one because no safe plan was found [s]."""
 NEXT = 2  # signals of the plan under way that are to be safe if robots hear nothing
 UNSURE = 2  # last signals of a plan that need not be
-KEPT = 0.4  # of their radius that robots then keep from what they could enter
+KEPT = 0.2  # of their radius that robots then keep from what they could enter
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """How a leg ends after which the next one begins."""
 LATE = 2.0
@@ -116,9 +116,7 @@ class Mpc:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Do one control step: decide u_(opt), or that the trial is over."""
-        phase = (
-            self.k - self.began
-        ) % self.section.hold  # control periods since the last knot of the plan
+        phase = (self.k - self.began) % self.section.hold  # control periods since a plan's knot
         if self.warm is not None and phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
         first_period = (self.section.hold - phase) * self.section.period
@@ -363,19 +361,17 @@ class Mpc:
     def _safe(self, problem: Problem, signals: Floats) -> bool:
         """Return whether robots keep clear if they hear nothing for `silence` from some signal on.
 
-        The last ones do not count. The plan under way is asked only once some command has reached
-        no robot, and then about the next signals.
+        The last ones do not count, and of the plan under way only the next ones.
         """
         under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
-        wanted = self.section.collision.silence > 0 and (self.unheard or not under_way)
-        if not wanted or count <= 0:
+        if not self.section.collision.silence or count <= 0:
             return True
         path = compiled_foresee(problem, signals[:count]).path[:-1]
-        seconds = self.section.collision.silence + self.section.period
-        return self.margins.clear_unheard(
-            problem, path, signals[:count], seconds, KEPT * self.section.collision.radius
-        )
+        collision = self.section.collision
+        kept = KEPT * collision.radius, collision.separation
+        seconds = collision.silence + self.section.period
+        return self.margins.clear_unheard(problem, path, signals[:count], seconds, *kept)
 
 
 class MpcSection(MpcFields):

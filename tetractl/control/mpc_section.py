@@ -119,7 +119,8 @@ class MpcFields(ControllerSection):
     """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2, from the
     shortest to the first that is good enough, where the optimiser decides that; or `geometric`,
     with such an optimiser: at growing distances from the shortest that could reach the targets,
-    until one is good enough, and then by halves."""
+    until one is good enough, and then by halves; where none is, three are searched for some seconds
+    each."""
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in (7) [length unit]."""
     collision: Collision = Collision()

@@ -109,7 +109,7 @@ def test_a_direction_held_for_too_long_leads_into_a_wall(direction, seconds, cle
     problem = replace(section.problem(setup), poses=poses, speed=np.full(3, 200.0))
     margins = Margins([], setup.arena, setup.targets)
     path, signals = poses.array()[None], np.array([direction])
-    assert margins.clear_unheard(problem, path, signals, seconds, 20.0) is clear
+    assert margins.clear_unheard(problem, path, signals, seconds, 20.0, 0.0) is clear
 
 
 def test_robots_that_meet_under_a_direction_held_are_not_clear():
@@ -122,4 +122,4 @@ def test_robots_that_meet_under_a_direction_held_are_not_clear():
     for apart, clear in ((50.0, True), (150.0, False)):
         close = replace(problem, separation=apart)
         path, signals = poses.array()[None], np.zeros(1)
-        assert margins.clear_unheard(close, path, signals, 1.0, 0.0) is clear
+        assert margins.clear_unheard(close, path, signals, 1.0, 0.0, apart) is clear

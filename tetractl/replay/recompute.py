@@ -50,12 +50,12 @@ class Rerun:
     A search that the deadline cut short is run with as many readings of the clock as spend the
     logged evaluations: only a reading can end a search, so their number says it all. With
     `search_again` False the logged searches are given back, and what differs in them is in `wrong`.
-    From `start` on, `limit_s` may pass on the clock `wall` [s].
+    From `start` on, `limit_s` may pass on `cpu`, the processor time of the thread [s].
     """
 
-    def __init__(self, search_again: bool, wall: Callable[[], float], limit_s: float) -> None:
+    def __init__(self, search_again: bool, cpu: Callable[[], float], limit_s: float) -> None:
         self.search_again = search_again
-        self._wall, self._limit_s = wall, limit_s
+        self._cpu, self._limit_s = cpu, limit_s
         self._until: float | None = None
         self.wrong: list[tuple[str, str]] = []
         self._left: list[tuple[int, Search]] = []
@@ -67,11 +67,11 @@ class Rerun:
 
     def start(self) -> None:
         """Count the time from now on."""
-        self._until = self._wall() + self._limit_s
+        self._until = self._cpu() + self._limit_s
 
     def expired(self) -> bool:
         """Return whether the time is up."""
-        return self._until is not None and self._wall() > self._until
+        return self._until is not None and self._cpu() > self._until
 
     def begin(self, searches: Sequence[Search]) -> None:
         """Go on with the searches that a step logged."""
@@ -180,20 +180,20 @@ def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: i
 
 
 def recompute(
-    log: TrialLog, search_again: bool, wall: Callable[[], float] = time.perf_counter
+    log: TrialLog, search_again: bool, cpu: Callable[[], float] = time.thread_time
 ) -> Difference | None:
     """Decide every step of a log once more; return the first difference, None for none.
 
     `search_again` True runs the searches again and compares bits, False takes them as logged. Steps
-    behind a gap are not checked: what the controller knew by then is lost. Nor are steps for which
-    there is no time by `bounds` on the clock `wall` [s]; that counts as a difference.
+    behind a gap are not checked: what the controller knew by then is lost. Steps for which the
+    processor time of the thread, `cpu` [s], exceeds the limit count as a difference.
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
         return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.start.seed}")
     setup, limit_s = log.start.setup, limits.seconds_limit()
-    rerun = Rerun(search_again, wall, limit_s)
+    rerun = Rerun(search_again, cpu, limit_s)
     if not search_again:
         rerun.start()
     controller = log.experiment.controller.build(setup, key, rerun.wrap, rerun.timer)

@@ -89,7 +89,7 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     LogError for a search that was not by a particle swarm, has a single signal, does not follow
     from the log, or takes longer than `limits` allows.
     """
-    rerun = Rerun(False, time.perf_counter, limits.seconds_limit())
+    rerun = Rerun(False, time.thread_time, limits.seconds_limit())
     rerun.start()
     asked = _chosen(log, rerun)
     section, logged = asked.optimizer, log.steps[0].plan.search

@@ -311,7 +311,7 @@ def test_a_spec_that_asks_for_very_much_is_not_computed(tmp_path: Path, contents
 
 def test_the_time_that_verifying_takes_is_bounded(log: Path) -> None:
     ticks = iter(range(0, 100_000, 4))
-    found = recompute(read_trial(log), search_again=True, wall=lambda: next(ticks))
+    found = recompute(read_trial(log), search_again=True, cpu=lambda: next(ticks))
     assert found is not None
     assert "not decided again: from here on it takes over 15 s" in found.message
 

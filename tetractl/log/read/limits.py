@@ -60,7 +60,7 @@ def file_limit() -> int:
 
 
 def seconds_limit() -> float:
-    """Return the longest time that deciding the steps of a log again may take [s]."""
+    """Return the most processor time that deciding the steps of a log again may take [s]."""
     return 15.0 * factor()
 
 

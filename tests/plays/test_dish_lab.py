@@ -52,6 +52,8 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
     assert setup.a == pytest.approx(cells.a[who], rel=0.15)  # before any plan
     assert setup.speed == pytest.approx(cells.speed[who], rel=0.05)
     assert not running
+    checked = tetractl(tmp_path, "verify", tmp_path / "trial-000.mcap")
+    assert checked.returncode == 0, checked.stdout
 
 
 @pytest.mark.parametrize(

@@ -179,11 +179,11 @@ class InnerLoop:
         self._next_ns = now + self._actuator.period_ns
         newest = self.frames.newest
         if newest is None or now - newest.frame.received_ns > self.guard.rules.stream_lost_ns:
-            self._note(self._actuator.stop())
+            self._pass_on(self._actuator.stop())
             return
         every = (True,) * len(ruling.poses)
         sampled = newest.frame.sampled_ns
-        self._note(self._actuator.steer(direction, ruling.poses, every, sampled))
+        self._pass_on(self._actuator.steer(direction, ruling.poses, every, sampled))
 
     def _repeat_stop(self, now: int) -> None:
         if now < self._next_ns:
@@ -213,10 +213,14 @@ class InnerLoop:
             self._note(self._actuator.stop())
         self._let, self._new = ruling.moving, False
 
+    def _pass_on(self, sent: Transmission) -> None:
+        """Let a camera that knows robots by how they answer the signal know what was sent."""
+        if self._on_signal is not None:
+            self._on_signal(sent.direction, sent.sent_ns)
+
     def _note(self, sent: Transmission) -> None:
         self.last = sent
-        if self._on_signal is not None:  # a camera that knows robots by how they answer it
-            self._on_signal(sent.direction, sent.sent_ns)
+        self._pass_on(sent)
         self._sent.append(sent)
         self.guard.sent(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
 

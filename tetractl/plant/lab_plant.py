@@ -1,7 +1,6 @@
 """The lab as a plant: real robots between a camera and an actuator."""
 
 import math
-from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from typing import Literal
@@ -181,16 +180,13 @@ class LabPlant:
 
     def _final(self) -> Poses:
         """Return where the robots ended: where they stand or, if they swim on, where they were
-        when the stop was sent, between two frames."""
+        in the frame exposed nearest to the stop's sending."""
         if self._newest is None:
             return self.setup.starts
-        if self.rig.actuator.halts or len(self._recent) < 2:
+        if self.rig.actuator.halts:
             return self._newest.poses
-        times = [one.sampled_ns for one in self._recent]
-        i = min(max(bisect_left(times, self._stopped_ns), 1), len(times) - 1)
-        part = min(max((self._stopped_ns - times[i - 1]) / (times[i] - times[i - 1]), 0.0), 1.0)
-        before, after = (self._recent[k].poses.array() for k in (i - 1, i))
-        return Poses.of(before + part * (after - before))
+        at = self._stopped_ns
+        return min(self._recent, key=lambda one: abs(one.sampled_ns - at)).poses
 
     def close(self) -> None:
         """Release camera and actuator."""

@@ -21,6 +21,7 @@ from tetractl.replay.recompute import ROUNDING
 
 REST = 1e-6  # relative to a coordinate: tolerance for the position of a robot at rest
 STOPPING_S = 1.0  # the longest time until a stop is sent, on a host under load
+STOPPING_NS = 500_000_000  # before the end of a stop, its first repetition has been sent
 LAST_FRAMES = 120  # of a lab trial, one of which shows the final poses
 SLACK = 2.0  # times the lab's limits: a few frames come between its last look and the log's end
 
@@ -240,10 +241,12 @@ def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference
 
 
 def _stands(log: TrialLog, final: Poses) -> bool:
-    """Return whether the final poses are those of the last frames."""
+    """Return whether the final poses are those of the last frames or, of robots that swim on, of a
+    frame about the stop."""
     if not len(log.mocap):
         return True
-    ends: Sequence[bytes] = [
-        np.ascontiguousarray(row).tobytes() for row in log.mocap[-LAST_FRAMES:]
-    ]
+    rows = log.mocap[-LAST_FRAMES:]
+    if log.stop and log.start.plant.facts.get(HALTS) == "no":
+        rows = log.mocap[log.mocap_ns >= log.stop.sent_ns - STOPPING_NS]
+    ends: Sequence[bytes] = [np.ascontiguousarray(row).tobytes() for row in rows]
     return np.ascontiguousarray(final.array()).tobytes() in ends

@@ -22,7 +22,6 @@ LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
 BLOBS = 200  # of one picture; of more, the largest
 CONTOURS = 4000  # a picture with more shows no dish
 CHANGED = 0.25  # share of the picture that differs when something else is in view
-RIM_PX = 3  # pixels round a blob that are part of it: what the low threshold misses
 PART_LOW = 0.35  # of a blob's darkest: what is less is not its body
 
 

@@ -5,7 +5,6 @@ known of that one (turning rate, bias, speed, helix). Where the likelihood of al
 afterwards says so, the question is closed; where cells are too alike it stays open, and says so.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import permutations
@@ -68,15 +67,3 @@ def opened(
     """Return the question which of the cells, whose rows `coasted` since they merged, is which."""
     rows = np.array([[bank.copied(row) for row in coasted] for _ in identities])
     return Question(tuple(identities), rows, now_s)
-
-
-def wrong_probability(a: float, b: float, deviation: float, seconds: float) -> float:
-    """Return how likely two cells with turning rates a, b [rad/s] are still confused afterwards.
-
-    By a quarter turn of the field each second, and headings known to `deviation` [rad] besides.
-    """
-    turns = max(seconds, 1e-9)
-    apart = abs(2 * math.atan(math.exp(-a / 2)) - 2 * math.atan(math.exp(-b / 2))) * math.sqrt(
-        turns
-    )
-    return 0.5 * math.erfc(apart / (2 * deviation))

@@ -87,7 +87,7 @@ def require_confirmation(yes: bool) -> None:
 
 
 @contextmanager
-def progress(what: str) -> "Iterator[Callable[[int, int | None], object]]":
+def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
     """Show a bar on a terminal; yields what to call with the numbers done and of all."""
     from rich.console import Console
     from rich.progress import Progress
@@ -95,7 +95,11 @@ def progress(what: str) -> "Iterator[Callable[[int, int | None], object]]":
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda done, count: bar.update(task, completed=done, total=count)
+
+        def advance(done: int, count: int | None) -> None:
+            bar.update(task, completed=done, total=count)
+
+        yield advance
 
 
 def announce_compiling(quiet: bool, text: str) -> None:

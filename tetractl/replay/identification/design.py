@@ -195,7 +195,7 @@ def _driven(setup: Setup, directions: Floats, dead_time: float) -> Track:
     """Return the track of robots that move as expected; each direction acts at its `begin`."""
     seen = _path(setup, directions, setup.period_s)[:, :-1]
     per, n = seen.shape[1:3]
-    begin: Floats = np.arange(len(directions)) * setup.period_s
+    begin = np.arange(len(directions), dtype=np.float64) * setup.period_s
     return Track(
         source="the design",
         origin="predicted",

@@ -14,8 +14,6 @@ INLINE_FAST: Any = {
     "fastmath": FAST,
     "error_model": "numpy",
     "forceinline": True,
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
 }
 """Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
 been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
@@ -25,8 +23,6 @@ INLINE_STRICT: Any = {
     "nogil": True,
     "error_model": "numpy",
     "forceinline": True,
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
 }
 ENTRY_STRICT: Any = {"nogil": True, "error_model": "numpy"}
 """The same for what has to round as NumPy does."""

@@ -37,7 +37,7 @@ WITHOUT_JSON = [  # they write files, play, or give what has no form but its own
         ("serve",),
         ("report",),
     ),
-    *(("study",), ("warm",), ("lab", "stop"), ("lab", "calibrate")),
+    *(("study",), ("warm",), ("lab", "stop"), ("lab", "calibrate"), ("lab", "survey")),
 ]
 
 

@@ -16,7 +16,6 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.lab_section import LabSection
-from tetractl.lab.find_cells import turn_field
 from tetractl.lab.guard import GuardState
 from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
@@ -54,6 +53,8 @@ class LabPlantSection(LabSection):
     ) -> FoundRobots:
         """Open the lab, turn the field, and return the cells that answer; the field turns on until
         the first direction."""
+        from tetractl.lab.find_cells import turn_field  # imports OpenCV, which other labs lack
+
         rig = build_rig(self, setup, clock, supervision.emergency)
 
         def build(numbers: Sequence[int], chosen: Setup) -> LabPlant:

@@ -125,7 +125,7 @@ class M3piSection(XbeeSection, ActuatorSection):
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot in reach, whatever it runs: until it is switched off where it can."""
-        from tetractl.lab.actuators.m3pi.serial_protocols import stop_all
+        from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]
         return stop_all(self, addresses, alone)

@@ -4,9 +4,8 @@ emergency stop by itself, which needs a port and nothing else."""
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tetractl.core.clock import SECOND, Clock, MonotonicClock
+from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import WireError
-from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.actuators.m3pi import slave
 from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
@@ -18,7 +17,6 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
 )
 from tetractl.lab.actuators.m3pi.section import M3piSection, SlaveSection
-from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Splitter
 from tetractl.model.wheels import STOP
@@ -150,28 +148,3 @@ def _keep_reply(frame: bytes, found: dict[int, RobotAnswer]) -> None:
         return
     latched = bool(reply.status & Status.EMERGENCY_STOPPED)
     found[reply.id] = RobotAnswer(reply.battery_mv, latched)
-
-
-def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = True) -> str:
-    """Stop every robot in reach, ten times over 200 ms; return what was done, in words for people.
-
-    The mbed firmware latches its emergency stop on a broadcast frame; the serial-slave program
-    stops on bytes of its own, sent to each address and to all. The module is not checked: a
-    wrong module is better than no stop. Not `alone`, the port may be another process's as well.
-    """
-    clock = MonotonicClock()
-    link = Link(module, clock)
-    sent = 0
-    try:
-        link.open(checked=False, alone=alone)
-        for i in range(STOPS):
-            # both kinds of robots ignore what is meant for the other
-            link.send(encode_command(BroadcastCommand(i, Flag.EMERGENCY_STOP)))
-            link.send(slave.SIGNATURE_REQUEST + slave.STOP)
-            for address in addresses:
-                link.send(slave.SIGNATURE_REQUEST + slave.STOP, address)
-            sent += 2 + len(addresses)
-            clock.sleep_until(clock.now() + STOP_GAP_NS)
-    finally:
-        link.close()
-    return f"sent {sent} stops on {module.port}; switch the robots off and on to free them"

@@ -91,11 +91,12 @@ def _way_points(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _time_inside(trial: ResultSummary) -> dict[str, Any]:
-    """Return each robot's share of the hold's time inside; None where there was no hold."""
+    """Return each robot's share of the hold's time inside; None where no whole hold was held."""
     if trial.experiment.hold is None:
         return {}
     names = trial.experiment.setup.names
-    shares = trial.result.inside or [None] * len(names)
+    held = trial.result.outcome.complete and trial.result.inside
+    shares = held or [None] * len(names)
     return {f"inside_{name}": share for name, share in zip(names, shares, strict=True)}
 
 

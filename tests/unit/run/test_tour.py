@@ -8,12 +8,14 @@ from support.paths import ROOT
 
 from tetractl.core.commands import Sample
 from tetractl.core.errors import SpecError
+from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.tour import HoldTask, TourMeasure
 from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.log.read.reader import read_trial
+from tetractl.log.read.reader import read_result, read_trial
 from tetractl.replay.audit import audit
 from tetractl.replay.verify import verify
+from tetractl.results.outcomes import TIME_INSIDE
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
@@ -51,6 +53,10 @@ def test_robots_pass_way_points_and_stay_circling_or_standing(wheels, least, tmp
         "way-point 1 of 1 is passed",
         "the robots have arrived and hold",
     ]
+    summary = read_result(path)
+    cut = replace(summary, result=replace(result, outcome=Outcome.INTERRUPTED))
+    assert TIME_INSIDE.of_trial(summary) == {"inside_one": result.inside[0]}
+    assert TIME_INSIDE.of_trial(cut) == {"inside_one": None}
     assert verify(path).problems == ()
     for field in ("inside", "passed"):
         forged = replace(log, result=replace(result, **{field: (0.999,)}))

@@ -205,3 +205,19 @@ def test_the_kernel_does_what_the_readable_filter_does():
                 assert made.cov[0, 0, s] == pytest.approx(one.cov, rel=1e-5, abs=1e-7)
     assert made.scale[0, 0] == pytest.approx(slow.scale, rel=1e-6)
     assert np.isfinite(score)
+
+
+def test_a_covariance_of_many_orders_stays_a_covariance():
+    *_, estimator = know(rate=20, seconds=2)
+    filters = estimator.filter
+    filters._bank.cov[...] *= 1e16
+    for _ in range(3):
+        last = filters._last
+        filters.seen(replace(last, sampled_ns=last.sampled_ns + SECOND // 25))
+        used = filters._bank.weight > -np.inf
+        cov = filters._bank.cov[used]
+        assert np.diagonal(cov, axis1=1, axis2=2).min() >= 0
+        heading, marker = kernel.HEADING, kernel.MARKER
+        both = cov[:, heading, heading] + cov[:, marker, marker] + 2 * cov[:, heading, marker]
+        assert both.min() >= 0
+        assert np.isfinite(filters._bank.score).all()

@@ -112,6 +112,8 @@ def _advance(model, i, z, cov, u, scale, seconds):
 def _correct(z, cov, n, index, factor, off, var):
     """Update by one number, h z with n entries h[index] = factor, that is `off` from it.
 
+    In Joseph's form, (1 - k h) P (1 - k h)' + k var k': where a hypothesis that nothing fitted for
+    long has a P of many orders more than `var`, what rounding leaves of P - k h P is no covariance.
     Returns its variance before.
     """
     gain = np.empty(SIZE)
@@ -124,9 +126,17 @@ def _correct(z, cov, n, index, factor, off, var):
     for j in range(n):
         total += factor[j] * gain[index[j]]
     for k in range(SIZE):
-        z[k] += gain[k] / total * off
+        share, left = gain[k] / total, 0.0
+        z[k] += share * off
         for m in range(SIZE):
-            cov[k, m] -= gain[k] * gain[m] / total
+            cov[k, m] -= share * gain[m]
+        for j in range(n):
+            left += cov[k, index[j]] * factor[j]
+        for m in range(SIZE):
+            cov[k, m] += (var * share - left) * (gain[m] / total)
+    for k in range(SIZE):
+        for m in range(k):
+            cov[k, m] = cov[m, k] = 0.5 * (cov[k, m] + cov[m, k])
     return total
 
 

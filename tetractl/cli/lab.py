@@ -98,7 +98,7 @@ def stop(
         lab, experiment = _lab(spec, sets)
         stop_all = partial(lab.actuator.stop_all, experiment.setup)
     else:
-        from tetractl.lab.actuators.m3pi import serial_protocols as m3pi
+        from tetractl.lab.actuators.m3pi import stop_sequence as m3pi
 
         stop_all = partial(m3pi.stop_all, _xbee(port or "", baud, mode))
     try:

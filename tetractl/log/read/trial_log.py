@@ -74,7 +74,8 @@ class TrialLog(TrialRecords):
 
     `run` are the items of the run record as written and `digest` is the content digest that the
     result record states. `content_digest` is computed from the file; `host_altered` is
-    True where the host records do not match the digest of them that the log states.
+    True where the host records do not match the digest of them that the log states. `pictures` are
+    a microscope's, JPEG files by their time of exposure on the trial's clock [ns].
     """
 
     path: str
@@ -87,6 +88,7 @@ class TrialLog(TrialRecords):
     content_digest: str = ""
     host_altered: bool = False
     run: dict[str, str] = field(default_factory=dict)
+    pictures: tuple[tuple[int, bytes], ...] = ()
 
     @property
     def began_ns(self) -> int:

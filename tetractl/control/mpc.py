@@ -359,7 +359,8 @@ class Mpc:
                 return
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
-        """Return whether robots keep clear if they hear nothing for `silence` from some signal on.
+        """Return whether robots keep clear if they hear nothing for `silence` from some signal on,
+        or until their watchdog stops them.
 
         The last ones do not count, and of the plan under way only the next ones.
         """
@@ -370,7 +371,7 @@ class Mpc:
         path = compiled_foresee(problem, signals[:count]).path[:-1]
         collision = self.section.collision
         kept = KEPT * collision.radius, collision.separation
-        seconds = collision.silence + self.section.period
+        seconds = min(collision.silence + self.section.period, self.setup.watchdog_s)
         return self.margins.clear_unheard(problem, path, signals[:count], seconds, *kept)
 
 

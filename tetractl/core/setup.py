@@ -1,5 +1,6 @@
 """The numbers of an experiment as arrays, computed once."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol
@@ -82,6 +83,10 @@ class Shape(Protocol):
         ...
 
 
+REPEATED = 0.9
+"""Share of the watchdog's time after which a held direction is sent again."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
     """What is fixed in an experiment of N robots before anything moves.
@@ -89,7 +94,8 @@ class Setup:
     `unit` is the length unit of every number and `metres` its length. `targets` (N, 2); `a` (N,)
     rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the largest
     number of control steps and `iterations_max` that of an optimiser's iterations in one search.
-    `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without wheels.
+    `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without wheels;
+    `watchdog_s` the time after which a robot that hears nothing stops, inf where it goes on.
     `way_points` (M, N, 2) are passed before the targets, by all robots together; `hold` is what
     comes after, None for the end of the trial.
     """
@@ -111,6 +117,12 @@ class Setup:
     wheel_radius: float | None
     way_points: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     hold: HoldTask | None = None
+    watchdog_s: float = math.inf
+
+    @property
+    def repeat_s(self) -> float:
+        """Time after which a direction that is held is sent again, for the watchdog's sake [s]."""
+        return REPEATED * self.watchdog_s
 
     @property
     def legs(self) -> Floats:

@@ -24,10 +24,9 @@ ROBOTS = [  # two that hardly turn, along +x
 ]
 
 
-def plant(*disturbances, seed=1, robots=ROBOTS, **fields):
-    spec = experiment(
-        robots=robots, obstacles=[], plant={"disturbances": list(disturbances), **fields}
-    )
+def plant(*disturbances, seed=1, robots=ROBOTS, wheels=None, **fields):
+    section = {"disturbances": list(disturbances), **fields}
+    spec = experiment(robots=robots, obstacles=[], plant=section, wheels=wheels)
     return sim(spec, seed)
 
 
@@ -179,6 +178,37 @@ def test_a_stop_in_a_silence_is_repeated_until_it_is_heard():
     driven(simulated, 1)
     assert all(simulated.stop().delivered)
     assert simulated.settle().final.x - 900 == pytest.approx([350, 175], abs=3)
+
+
+@pytest.mark.parametrize("drive", [None, {}, {"rate": 40}, {"lag": 0.04}])
+@pytest.mark.parametrize(("watchdog", "driven_s"), [(None, 3.0), (0.25, 2.25)])
+def test_a_robot_that_hears_nothing_stops_by_its_watchdog(drive, watchdog, driven_s):
+    silence = {"type": "silent-radio", "duration": 1.0, "between": [1, 1]}
+    wheels = {"radius": 40, "watchdog": watchdog}
+    simulated = plant(silence, wheels=wheels, drive=drive)
+    end = driven(simulated, 3)[-1].truth  # one direction, which is held and sent again
+    lag = 100 * (drive or {}).get("lag", 0.0)
+    sent = 100 * simulated.setup.repeat_s if watchdog else 0.0  # heard last, or first, so long off
+    if (drive or {}).get("rate"):
+        sent = 100 / 40
+    assert end.x[0] - 900 == pytest.approx(100 * driven_s - lag, abs=sent + 1)
+    assert end.x[0] - 900 == pytest.approx(2 * (end.x[1] - 900))
+
+
+def test_a_robot_whose_watchdog_has_stopped_it_obeys_again():
+    wheels = {"radius": 40, "watchdog": 0.25}
+    simulated = plant({"type": "silent-radio", "duration": 1.0, "between": [1, 1]}, wheels=wheels)
+    samples = driven(simulated, 3)
+    speed = np.diff([sample.truth.x[0] for sample in samples]) * 120
+    stands = np.flatnonzero(speed < 1e-6) / 120
+    assert 1.05 <= stands[0] <= 1.25
+    assert stands[-1] - stands[0] == pytest.approx(len(stands) / 120, abs=0.02)
+    assert 1.99 <= stands[-1] <= 2.2
+    simulated.pause()
+    still = simulated.poses.x[0]
+    simulated.clock.sleep_until(5 * SECOND)
+    simulated.samples()
+    assert simulated.poses.x[0] == still
 
 
 def test_each_robot_sticks_as_often_and_as_long_as_the_spec_says():

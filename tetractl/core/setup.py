@@ -83,10 +83,6 @@ class Shape(Protocol):
         ...
 
 
-REPEATED = 0.9
-"""Share of the watchdog's time after which a held direction is sent again."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
     """What is fixed in an experiment of N robots before anything moves.
@@ -118,11 +114,6 @@ class Setup:
     way_points: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     hold: HoldTask | None = None
     watchdog_s: float = math.inf
-
-    @property
-    def repeat_s(self) -> float:
-        """Time after which a direction that is held is sent again, for the watchdog's sake [s]."""
-        return REPEATED * self.watchdog_s
 
     @property
     def legs(self) -> Floats:

@@ -1,7 +1,6 @@
 """The simulated plant: true motion in continuous virtual time, a camera, and disturbances."""
 
 import json
-import math
 from collections.abc import Iterator, Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -25,7 +24,7 @@ from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.swimmers import A_LOG_SD, SPEED_LOG_SD
 from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.cell_drive import CellDrive, CultureSection
-from tetractl.plant.direct import NEVER, DirectDrive
+from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
 from tetractl.plant.true_motion import Drive, TrueMotion
 from tetractl.plant.wheel_drive import WheelDrive
@@ -98,6 +97,10 @@ class SimSection(PlantSection):
             yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
         if self.drive is not None and setup.wheel_radius is None:
             yield ("drive",), "needs 'wheels: {radius: ..}' of the experiment"
+        rate = 1 / setup.period_s if self.drive is None else self.drive.rate or 1 / setup.period_s
+        if rate * setup.watchdog_s <= 1:
+            message = f"at {rate:g} Hz robots with a watchdog of {setup.watchdog_s:g} s would stop"
+            yield ("drive",), f"{message} between two commands; shorten controller.period"
 
     @property
     def loses_frames(self) -> bool:
@@ -194,7 +197,7 @@ class SimPlant:
             section.heading_noise if section.drive is None and section.cells is None else 0.0,
             swerving,
             section.truth_rate,
-            lambda now: self._news.append(self._repeat(now)),
+            lambda now: self._news.append(self._transmit(now)),
         )
         self._stop: Command | None = None
         self._repeats_stops = section.drive is not None or bool(overriding(disturbances, "sent"))
@@ -262,7 +265,8 @@ class SimPlant:
         now = self._plan()
         count = self.a.size
         zeros = np.zeros(count)
-        self._drive.repeats_ns = NEVER
+        if isinstance(self._drive, WheelDrive):
+            self._drive.host.halt()
         heard = np.zeros(count, dtype=np.bool_)
         for i in range(STOPS_MAX if self._repeats_stops else 1):
             if i >= STOPS and heard.all():
@@ -349,21 +353,10 @@ class SimPlant:
         reached = self._motion.dispatch(command).reached
         left = right = None
         setup = self.setup
-        self._held = direction
-        if setup.watchdog_s < math.inf:
-            self._drive.repeats_ns = now + round(setup.repeat_s * SECOND)
         if setup.wheel_radius is not None:
             towards = headings if direction is None else direction
             left, right = wheel_speeds(headings, towards, setup.a, setup.speed, setup.wheel_radius)
         return Command(direction, now, tuple(reached.tolist()), left, right, off)
-
-    def _repeat(self, now: int) -> Command:
-        """Send again what is held."""
-        newest = self._camera.newest
-        assert newest is not None, "open() waits for the first frame"
-        if isinstance(self._drive, WheelDrive):
-            return self._transmit(now)
-        return self._send_direction(self._held, now, newest)
 
     def _transmit(self, now: int) -> Command:
         """Send wheel speeds computed from the newest frame that the host has."""

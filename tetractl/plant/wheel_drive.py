@@ -58,10 +58,6 @@ class WheelDrive:
         """When the next transmission is due [ns]."""
         return self.host.repeats_ns
 
-    @repeats_ns.setter
-    def repeats_ns(self, when: int) -> None:
-        self.host.repeats_ns = when
-
     @property
     def moving(self) -> Floats:
         """1 for robots commanded to move, 0 for those commanded to stand, (N,)."""

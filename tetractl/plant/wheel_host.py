@@ -4,7 +4,6 @@ They are (24)-(25) at the headings of the newest frame received, rounded to whee
 again at the radio's rate or once a control step.
 """
 
-import math
 from typing import Annotated
 
 import numpy as np
@@ -31,8 +30,7 @@ class WheelDriveSection(Model):
 
     rate: Positive | None = None
     """Transmissions a second under a held direction [Hz]. One is sent at once with each new
-    direction, and by default only that, or as often as the watchdog needs; with a rate, it takes
-    the place of the next one due."""
+    direction, and by default only that; with a rate, it takes the place of the next one due."""
     recompute: bool = True
     """Whether each transmission computes the wheel speeds again from the newest frame; else it
     repeats those of the control step."""
@@ -90,7 +88,6 @@ class WheelHost:
             ]
         self._residues = [Residue()] * count
         self._last: tuple[Floats, Floats] | None = None
-        self._repeat_s = setup.repeat_s
 
     def direct(self, direction: float | None) -> None:
         """Hold a direction u [rad] from now on, None for no field.
@@ -98,6 +95,10 @@ class WheelHost:
         Wheel speeds for it have to be sent at once.
         """
         self.direction, self._last = direction, None
+
+    def halt(self) -> None:
+        """Hold no direction any more."""
+        self.repeats_ns = NEVER
 
     def speeds(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
         """Return the wheel speeds to send `now` [ns], and those that they truly make.
@@ -110,8 +111,6 @@ class WheelHost:
             period = round(SECOND / rate)
             before = 0 if self.repeats_ns == NEVER else self.repeats_ns
             self.repeats_ns = max(before + period, now + period // 2)
-        elif self._repeat_s < math.inf:
-            self.repeats_ns = now + round(self._repeat_s * SECOND)
         if self._last is None or self._section.recompute:
             self._last = self._computed(now, seen)
         return self._last

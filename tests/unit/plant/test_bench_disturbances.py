@@ -11,6 +11,7 @@ from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.load import load_spec
+from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.plant.disturbances.wander import WanderSection
 from tetractl.replay.verify import verify
@@ -181,34 +182,36 @@ def test_a_stop_in_a_silence_is_repeated_until_it_is_heard():
 
 
 @pytest.mark.parametrize("drive", [None, {}, {"rate": 40}, {"lag": 0.04}])
-@pytest.mark.parametrize(("watchdog", "driven_s"), [(None, 3.0), (0.25, 2.25)])
-def test_a_robot_that_hears_nothing_stops_by_its_watchdog(drive, watchdog, driven_s):
+@pytest.mark.parametrize("watchdog", [None, 0.25])
+def test_a_robot_that_hears_nothing_stops_by_its_watchdog_until_it_hears_again(drive, watchdog):
     silence = {"type": "silent-radio", "duration": 1.0, "between": [1, 1]}
     wheels = {"radius": 40, "watchdog": watchdog}
     simulated = plant(silence, wheels=wheels, drive=drive)
-    end = driven(simulated, 3)[-1].truth  # one direction, which is held and sent again
-    lag = 100 * (drive or {}).get("lag", 0.0)
-    sent = 100 * simulated.setup.repeat_s if watchdog else 0.0  # heard last, or first, so long off
-    if (drive or {}).get("rate"):
-        sent = 100 / 40
-    assert end.x[0] - 900 == pytest.approx(100 * driven_s - lag, abs=sent + 1)
-    assert end.x[0] - 900 == pytest.approx(2 * (end.x[1] - 900))
-
-
-def test_a_robot_whose_watchdog_has_stopped_it_obeys_again():
-    wheels = {"radius": 40, "watchdog": 0.25}
-    simulated = plant({"type": "silent-radio", "duration": 1.0, "between": [1, 1]}, wheels=wheels)
-    samples = driven(simulated, 3)
-    speed = np.diff([sample.truth.x[0] for sample in samples]) * 120
-    stands = np.flatnonzero(speed < 1e-6) / 120
-    assert 1.05 <= stands[0] <= 1.25
-    assert stands[-1] - stands[0] == pytest.approx(len(stands) / 120, abs=0.02)
-    assert 1.99 <= stands[-1] <= 2.2
+    simulated.open()
+    for k in range(30):
+        simulated.clock.sleep_until(k * SECOND // 10)
+        simulated.steer(0.0)
+    simulated.clock.sleep_until(3 * SECOND)
+    samples = simulated.samples()
+    gone = samples[-1].truth.x - 900
+    lag, sent = (drive or {}).get("lag", 0.0), 0.1  # heard last before the silence
+    stood = 0.75 + sent if watchdog else lag
+    assert gone == pytest.approx(np.array([100, 50]) * (3 - stood), abs=100 * sent)
+    at = [round(120 * when) for when in (1.5, 2.0)]
+    stands = samples[at[1]].truth.x - samples[at[0]].truth.x < 0.1
+    assert stands.all() == stands.any() == (watchdog is not None)
     simulated.pause()
-    still = simulated.poses.x[0]
+    simulated.clock.sleep_until(4 * SECOND)
+    simulated.samples()
+    still = simulated.poses.x
     simulated.clock.sleep_until(5 * SECOND)
     simulated.samples()
-    assert simulated.poses.x[0] == still
+    assert simulated.poses.x == pytest.approx(still)
+
+
+def test_a_watchdog_shorter_than_the_time_between_two_commands_is_refused():
+    with pytest.raises(InvalidSpecError, match="would stop between two commands"):
+        load_spec(ROOT / "experiments" / "three_m3pi.yaml", ["wheels.watchdog=0.05"])
 
 
 def test_each_robot_sticks_as_often_and_as_long_as_the_spec_says():

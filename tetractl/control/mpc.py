@@ -38,7 +38,7 @@ from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
 from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, LAST_S, best_stop, longer, way_out
 from tetractl.control.estimator import StateEstimator
-from tetractl.control.evaluate import compiled_foresee
+from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
 from tetractl.control.fixed_sequence import given_search, make_plan
 from tetractl.control.holding import CircleSearch, signals_ahead
@@ -368,7 +368,7 @@ class Mpc:
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
         if not self.section.collision.silence or count <= 0:
             return True
-        path = compiled_foresee(problem, signals[:count]).path[:-1]
+        path = compiled_path(problem, signals[:count])[:-1]
         collision = self.section.collision
         kept = KEPT * collision.radius, collision.separation
         seconds = min(collision.silence + self.section.period, self.setup.watchdog_s)

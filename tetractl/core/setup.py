@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from tetractl.core.losses import LossRule
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.tour import HoldTask
 
@@ -93,7 +94,8 @@ class Setup:
     `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without wheels;
     `watchdog_s` the time after which a robot that hears nothing stops, inf where it goes on.
     `way_points` (M, N, 2) are passed before the targets, by all robots together; `hold` is what
-    comes after, None for the end of the trial.
+    comes after, None for the end of the trial. `loss` is when the trial goes on without a robot,
+    None where it ends.
     """
 
     name: str
@@ -113,6 +115,7 @@ class Setup:
     wheel_radius: float | None
     way_points: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     hold: HoldTask | None = None
+    loss: LossRule | None = None
     watchdog_s: float = math.inf
 
     @property

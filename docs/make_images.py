@@ -23,7 +23,7 @@ from tetractl.view.film import write_video  # noqa: E402
 FILM_WIDTH = 640
 THIN, COLORS = 5, 24
 """Of the film, the pictures between those that are kept, and its colours: a sixth of the bytes."""
-SCREENS = ((1280, 800), (390, 844))
+SCREENS = ((1280, 800),)
 MIDDLE = 0.55
 """The share of the trial after which the report is photographed."""
 

@@ -13,6 +13,7 @@ from tetractl.core.plan import Outcome
 from tetractl.emulate import firmware
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
+from tetractl.replay.verify import verify
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import run_trial
 
@@ -30,13 +31,18 @@ FEW = "emulation: {actuator: {cells: 3, strangers: 1}, camera: {specks: 4}}\n"
 EVERY_DAY = ("light, flicker: 0.03", "focus, by_um: 15", "half_rate", "bubble")
 
 
+def play(folder, script="", sets=(), seed=1):
+    """Run a trial; return its log and the cells as they truly are then."""
+    with virtual_dish(folder, seed, (*SMALL, *sets), FEW + script) as dish:
+        run_trial(dish.spec, folder, 0, [], Interrupt(lambda number: None))
+        running = dish.emulation.actuator.driver.running
+        return read_trial(folder / "trial-000.mcap"), dish.cells, running
+
+
 def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
     """While it steers, there is what a dish does every day."""
     lines = ", ".join(f"{{fault: {fault}, at: 5}}" for fault in EVERY_DAY)
-    with virtual_dish(tmp_path, 1, SMALL, f"{FEW}faults: [{lines}]") as dish:
-        run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
-        running, cells = dish.emulation.actuator.driver.running, dish.cells
-        log = read_trial(tmp_path / "trial-000.mcap")
+    log, cells, running = play(tmp_path, f"faults: [{lines}]")
     setup, result = log.experiment.setup, log.result
     assert result.outcome.complete, result.reason
     assert not log.experiment.open
@@ -76,6 +82,39 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
             assert says in result.reason
         dish.clock.sleep_until(dish.clock.now() + SECOND)
         assert not dish.emulation.actuator.driver.running
+
+
+@pytest.mark.parametrize(
+    ("on_lost", "notes", "lost"),
+    [
+        ("stop", [], ()),
+        ("drop", ["the run goes on without it"], (1, 0)),
+        ("replace", ["the run goes on without it", "cell 1 is another cell now"], (1, 0)),
+    ],
+)
+def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, notes, lost, tmp_path):
+    script = "faults: [{fault: divides, cell: cell 1, at: 6.5}]"
+    log, cells, _ = play(tmp_path, script, ("controller.accept_error=40", f"on_lost={on_lost}"))
+    result = log.result
+    assert len(cells) == 5
+    assert result.lost == lost
+    assert result.outcome.complete == (on_lost != "stop")
+    if on_lost == "stop":
+        assert result.reason == "cell 1 has divided"
+        return
+    text = " ".join(note.text for note in log.notes)
+    assert "cell 1 has divided" in text
+    assert all(note in text for note in notes)
+    assert verify(tmp_path / "trial-000.mcap").problems == ()
+    left = [1] if on_lost == "drop" else [0, 1]
+    assert max(np.array(result.robot_errors)[left]) < 60
+
+
+def test_a_cell_that_rests_is_still_that_cell(tmp_path):
+    script = "faults: [{fault: rests, cell: cell 1, at: 6.5, for: 1}]"
+    log, _, _ = play(tmp_path, script, ("controller.accept_error=40", "on_lost=drop"))
+    assert log.result.outcome.complete, log.result.reason
+    assert log.result.lost == ()
 
 
 def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):

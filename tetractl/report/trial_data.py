@@ -132,13 +132,14 @@ def _plans(log: TrialLog) -> dict[str, Any]:
     arena = log.start.setup.arena
     error = PLAN_ERROR * max(arena.width, arena.height)
     paths = [step.plan.path[..., :2] for step in log.steps]
-    few = [path[corners(path, error)] for path in paths]
+    kept = corners(paths, error)
+    few = [path[keep] for path, keep in zip(paths, kept, strict=True)]
     return {"at": _starts(few), "values": rounded(_joined(few))}
 
 
 def _histories(log: TrialLog) -> dict[str, Any]:
     histories = [step.plan.search.history for step in log.steps]
-    kept = [corners(_on_log_axes(history)[:, None], HISTORY_ERROR) for history in histories]
+    kept = corners([_on_log_axes(history)[:, None] for history in histories], HISTORY_ERROR)
     costs = [history[keep] for history, keep in zip(histories, kept, strict=True)]
     return {
         "at": _starts(kept),
@@ -154,26 +155,33 @@ def _on_log_axes(history: Floats) -> Floats:
     return np.column_stack([np.linspace(0, 1, len(history)), heights / size])
 
 
-def corners(points: Floats, error: float) -> "np.ndarray[Any, np.dtype[np.intp]]":
-    """Return the indices of some of (n, N, 2) points, rising, the first and last among them.
+def corners(curves: Sequence[Floats], error: float) -> "list[np.ndarray[Any, np.dtype[np.intp]]]":
+    """Return the indices of some points of each curve, (n, N, 2) of N robots: in rising order, with
+    the first and the last.
 
-    No point of the N curves is further than `error` from the straight line between the points kept
-    before and after it (Douglas and Peucker 1973).
+    No point of the N robots is further than `error` from the straight line between the points kept
+    before and after it (Douglas and Peucker 1973). All spans of all curves are divided at once.
     """
-    kept, open_spans = {0, len(points) - 1} if len(points) else set(), [(0, len(points) - 1)]
-    while open_spans:
-        first, last = open_spans.pop()
-        if last - first < 2:
-            continue
-        inner, chord = points[first + 1 : last] - points[first], points[last] - points[first]
+    lengths = np.array([len(curve) for curve in curves], dtype=np.intp)
+    ends = np.cumsum(lengths)
+    points = np.asarray(_joined([curve for curve in curves if len(curve)]))
+    keep = np.zeros(len(points), dtype=bool)
+    keep[(ends - lengths)[lengths > 0]] = keep[ends[lengths > 0] - 1] = True
+    open_points = np.flatnonzero(~keep)
+    while len(open_points):
+        kept = np.flatnonzero(keep)
+        span = np.searchsorted(kept, open_points)
+        first, last = points[kept[span - 1]], points[kept[span]]
+        inner, chord = points[open_points] - first, last - first
         length2 = np.maximum((chord**2).sum(axis=-1), 1e-300)
         share = np.clip((inner * chord).sum(axis=-1) / length2, 0, 1)[..., None]
         gaps = np.linalg.norm(inner - share * chord, axis=-1).max(axis=1)
-        if gaps.max() > error:
-            worst = first + 1 + int(gaps.argmax())
-            kept.add(worst)
-            open_spans += [(first, worst), (worst, last)]
-    return np.array(sorted(kept), dtype=np.intp)
+        _, begins, sizes = np.unique(span, return_index=True, return_counts=True)
+        widest = np.repeat(np.maximum.reduceat(gaps, begins), sizes)
+        worst = np.flatnonzero((gaps == widest) & (gaps > error))
+        keep[open_points[worst[np.unique(span[worst], return_index=True)[1]]]] = True
+        open_points = open_points[(widest > error) & ~keep[open_points]]
+    return [np.flatnonzero(keep[end - n : end]) for n, end in zip(lengths, ends, strict=True)]
 
 
 def _starts(arrays: Sequence[Sized]) -> list[int]:

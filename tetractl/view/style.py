@@ -95,6 +95,8 @@ def _lower_legends(drawing: Figure, share: float) -> float:
 
     The layout leaves space for a legend next to a headline, not below it.
     """
+    if not drawing.legends:
+        return 0.0
     drawing.draw_without_rendering()
     above_in = 0.0
     for legend in drawing.legends:

@@ -18,21 +18,27 @@ def off(curves, points):
     return np.linalg.norm(np.concatenate(lines) - points, axis=2).min(axis=0)
 
 
-@given(st.integers(0, 2**32), st.integers(1, 60), st.integers(1, 3), st.floats(1e-3, 1))
-def test_thinned_curves_stay_within_the_error(seed, count, robots, error):
-    points = np.cumsum(np.random.default_rng(seed).normal(size=(count, robots, 2)), axis=0)
-    kept = corners(points, error)
-    assert (kept[0], kept[-1]) == (0, count - 1)
-    assert (np.diff(kept) > 0).all()
-    for first, last in pairwise(kept):
-        for inner in points[first + 1 : last]:
-            assert off(points[[first, last]], inner).max() <= error * 1.01
+@given(
+    st.integers(0, 2**32),
+    st.lists(st.integers(0, 60), max_size=4),
+    st.integers(1, 3),
+    st.floats(1e-3, 1),
+)
+def test_thinned_curves_stay_within_the_error(seed, counts, robots, error):
+    rng = np.random.default_rng(seed)
+    curves = [np.cumsum(rng.normal(size=(n, robots, 2)), axis=0) for n in counts]
+    for points, kept in zip(curves, corners(curves, error), strict=True):
+        assert kept[[0, -1]].tolist() == [0, len(points) - 1] if len(points) else not len(kept)
+        assert (np.diff(kept) > 0).all()
+        for first, last in pairwise(kept):
+            for inner in points[first + 1 : last]:
+                assert off(points[[first, last]], inner).max() <= error * 1.01
 
 
 def test_a_straight_line_is_its_ends_and_no_curve_is_nothing():
     line = np.linspace((0, 0), (3, 4), 9)[:, None]
-    assert corners(line, 1e-6).tolist() == [0, 8]
-    assert corners(line[:0], 1e-6).tolist() == []
+    assert [kept.tolist() for kept in corners([line, line[:0], line], 1e-6)] == [[0, 8], [], [0, 8]]
+    assert corners([], 1e-6) == []
 
 
 def unpack(packed):

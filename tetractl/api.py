@@ -1,7 +1,7 @@
 """What a notebook or a script needs: the functions that `import tetractl` gives.
 
 What is slow to import (numba, matplotlib, pandas) is imported by the function that needs it. A lab
-is driven by `tetractl run` alone, where a person can stop it.
+is driven by `tetractl run` alone, if a person can stop it.
 """
 
 import logging
@@ -119,7 +119,7 @@ def run_batch(
 def read_log(path: str | Path) -> TrialLog:
     """Read the whole trial from its log; of a damaged log what is intact, see its `damage`.
 
-    Raises LogError where nothing can be read.
+    Raises LogError if nothing can be read.
     """
     from tetractl.log.read.reader import read_trial
 
@@ -142,7 +142,7 @@ class TrialArrays:
     """A trial of M camera frames, K control steps and N robots.
 
     Lengths are in `unit`, angles in radians, times from the first direction sent. The last axis of
-    poses is x, y, heading. `truth` is NaN where the true poses are not known, as in a lab.
+    poses is x, y, heading. `truth` is NaN if the true poses are not known, as in a lab.
     """
 
     unit: str
@@ -190,7 +190,7 @@ def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
 
     These are the tables `poses` and `trials` of `tetractl export`. `origin`, of a trial in the
     frame's `attrs`, names the plant, such as "emulated lab". Earlier attempts at a trial have
-    `attempt` True. Raises UsageError where pandas is not installed.
+    `attempt` True. Raises UsageError if pandas is not installed.
     """
     try:
         import pandas

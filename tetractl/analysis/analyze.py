@@ -38,14 +38,14 @@ class Change:
 class Analysis:
     """What was found of an experiment's N robots; errors are predicted mean total errors.
 
-    `steering` is along those of the `plans` searched that reach the targets, None where none does;
+    `steering` is along those of the `plans` searched that reach the targets, None if none does;
     errors of robots for which no plan was found are NaN. `left_out` names what else of the plant
-    disturbs, and is not in the predictions. A plan reaches the targets where its cost is within the
+    disturbs, and is not in the predictions. A plan reaches the targets if its cost is within the
     `tolerance` of the optimiser or of what is accepted [length unit]. `alike` are the two robots
     whose a differ least, and `gap` by how much, relative to the smaller; None and inf for one
     robot. `by_gap` pairs smallest relative differences with errors: the robots keep their order and
     the geometric mean of their a, and each a is that factor above the next. `by_count` pairs a
-    number of robots, the first of the spec, with the error. `change` is advised where two robots
+    number of robots, the first of the spec, with the error. `change` is advised if two robots
     are too alike and it is worth while; `looked` is whether one was sought.
     """
 

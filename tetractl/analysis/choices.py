@@ -18,7 +18,7 @@ ALIKE = 0.08  # a difference of the logarithms of a: below, who is who is not fo
 @dataclass(frozen=True, slots=True)
 class RankedChoice:
     """Some cells, the fastest turning first, and their predicted mean total error [length unit],
-    inf where no plan reaches the targets."""
+    inf if no plan reaches the targets."""
 
     cells: tuple[FoundCell, ...]
     error: float
@@ -34,7 +34,7 @@ def ranked(
     """Return choices of cells for an experiment that leaves them open, the best first.
 
     Errors are predicted as by `tetractl analyze`, along so many plans each, from where the cells
-    are. Only cells with a magnet count; [] where there are too few.
+    are. Only cells with a magnet count; [] if there are too few.
     """
     choice = experiment.chosen
     assert choice is not None, "only a spec that leaves its robots open chooses"

@@ -10,7 +10,7 @@ normal variables with a joint covariance. Signal by signal, from the first to th
 2. the robots move: errors of a and speed act, and the heading walks.
 
 A controller that identifies a and speed knows them the better the more it has seen of them; what is
-known of them is planned with. There is no feedback where nothing is corrected (`corrects`).
+known of them is planned with. There is no feedback if nothing is corrected (`corrects`).
 """
 
 from dataclasses import dataclass

@@ -37,7 +37,7 @@ class Planned:
 def planner(experiment: Experiment) -> MpcSection:
     """Return the model predictive control that the experiment is analysed with.
 
-    It is the spec's own where it has one, with the multistart optimiser, which tells when a
+    It is the spec's own if it has one, with the multistart optimiser, which tells when a
     sequence is good enough, and without limits; else the default one.
     """
     control = experiment.controller
@@ -112,7 +112,7 @@ def steering(
     section: MpcSection, setup: Setup, noise: Noise, seed: int, count: int
 ) -> Steering | None:
     """Analyse the robots of a setup along those plans of so many trials that reach the targets;
-    None where none does: there is nothing then to hold the robots to."""
+    None if none does: there is nothing then to hold the robots to."""
     found = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
     if not found:
         return None

@@ -25,7 +25,7 @@ def info(
 
     Times count from the first direction sent.
 
-    Everything is read and checked. Exits with 1 where the log is damaged or has no result.
+    Everything is read and checked. Exits with 1 if the log is damaged or has no result.
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
     """

@@ -27,10 +27,10 @@ def kinds(
     """List every kind there is: optimisers, shapes, cameras, sweeps, statistics, figures and so on.
 
     Each line holds the seam, the `type`, the package that provides it, and its code.
-    Exits with 2 where an installed package is broken.
+    Exits with 2 if an installed package is broken.
 
     With --check it tries one that you write: its NumPy functions against its compiled ones and
-    their derivatives, its bounds, and that it repeats. Exits with 1 where something is wrong. A
+    their derivatives, its bounds, and that it repeats. Exits with 1 if something is wrong. A
     camera is opened if it can be; an actuator is not, and nothing moves.
 
     Example: tetractl kinds --check pivot:PIVOT

@@ -63,7 +63,7 @@ def _agreed(questions: "Sequence[str]") -> bool:
     import sys
 
     if questions and not sys.stdin.isatty():
-        typer.echo("not answered: add --yes where there is no terminal", err=True)
+        typer.echo("not answered: add --yes if there is no terminal", err=True)
         return False
     return all(typer.confirm(question, err=True) for question in questions)
 
@@ -86,7 +86,7 @@ def stop(
     m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
     3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
     --port. Needs no camera. A run that has the port is ended: stops are sent past it, it is
-    asked twice to end, then killed. Exit code 1 where another program keeps the port.
+    asked twice to end, then killed. Exit code 1 if another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """

@@ -35,7 +35,7 @@ def open_logs(
     """Show trials in the browser: the page of `tetractl report`, until Ctrl-C.
 
     The page and the logs named, and nothing else, are served on this machine's loopback address
-    under a random path; nothing is uploaded. Where Lichtblick answers, the address that opens the
+    under a random path; nothing is uploaded. If Lichtblick answers, the address that opens the
     first log there is printed too, and that of a layout for its menu "Layouts", "Import from file":
     it frames the arena, shows the scene and plots error, J, solve time and estimate.
 

@@ -32,8 +32,8 @@ GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 class PatientWriter(io.RawIOBase):
     """Bytes to a file descriptor, waited for while the descriptor takes them.
 
-    Where it takes none for `patience_s`, bytes are dropped, without waiting, until it takes some
-    again. What the descriptor refuses is lost too; where `tells`, the OSError is raised, once.
+    If it takes none for `patience_s`, bytes are dropped, without waiting, until it takes some
+    again. What the descriptor refuses is lost too; if `tells`, the OSError is raised, once.
     """
 
     def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
@@ -137,7 +137,7 @@ class Output(io.TextIOWrapper):
         )
 
     def finish(self) -> None:
-        """Write what is buffered, as far as the descriptor takes it; OSError where one tells."""
+        """Write what is buffered, as far as the descriptor takes it; OSError if one tells."""
         self.flush()
         self.writer.finish()
 
@@ -185,9 +185,9 @@ def first_signal_callback(text: bytes) -> Callable[[], None]:
 
 @contextmanager
 def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[None]:
-    """Where `robots` move, send this process SIGHUP once neither stdout nor stderr has a reader.
+    """If `robots` move, send this process SIGHUP once neither stdout nor stderr has a reader.
 
-    Only a pipe, a socket or a terminal has one: where both are files, nothing is sent. Where
+    Only a pipe, a socket or a terminal has one: if both are files, nothing is sent. If
     `unattended`, SIGHUP is ignored instead, as by `nohup`. Main thread only, before `watch`.
     """
     read = [] if unattended or not robots else [one for one in (1, 2) if _has_reader(one)]

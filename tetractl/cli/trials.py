@@ -51,7 +51,7 @@ Unattended = Annotated[
     bool,
     typer.Option(
         "--unattended",
-        help="Lab only, with --yes: go on where the terminal, or every reader of the output, "
+        help="Lab only, with --yes: go on if the terminal, or every reader of the output, "
         "is gone; else that stops the robots.",
     ),
 ]

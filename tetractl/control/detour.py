@@ -1,10 +1,10 @@
-"""What a controller does where its plan no longer ends at the targets: go round, or stop.
+"""What a controller does if its plan no longer ends at the targets: go round, or stop.
 
 Algorithm 2 shortens its sequence from step to step. With few signals left, a late disturbance
-cannot be corrected any more: three robots have six coordinates. Where no length of H - 1, H, H + 1
+cannot be corrected any more: three robots have six coordinates. If no length of H - 1, H, H + 1
 ends within an accepted total error, longer sequences are searched afresh, which lead the robots
-round and back. The trial ends where stopping is as good as any plan, at the best moment of the
-coming control period; and where no plan was found that keeps clear of all obstacles, no way out of
+round and back. The trial ends if stopping is as good as any plan, at the best moment of the
+coming control period; and if no plan was found that keeps clear of all obstacles, no way out of
 the corner either, and a robot is about to enter one.
 """
 
@@ -63,7 +63,7 @@ def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForec
 
 def way_out(problem: Problem, margins: Margins, apart: float) -> Floats | None:
     """Return signals (OUT_SIGNALS,) that lead standing robots away from all that they could enter,
-    and keep two of them `apart`; None where each leads some robot into it.
+    and keep two of them `apart`; None if each leads some robot into it.
 
     Directions that change at a steady rate are tried, whatever the targets.
     """

@@ -45,8 +45,8 @@ class EnsembleSection(ControllerSection):
     """Angular velocity of the rotating field [least a of the robots]: up to 1 every robot follows
     it at a lag of its own, beyond that the slower ones are left behind."""
     fall: Fraction = 0.3
-    """The field is switched off where, over the coming control period, the sum of distances would
-    fall by more than this share of the sum of ways, by which it falls where every robot heads for
+    """The field is switched off if, over the coming control period, the sum of distances would
+    fall by more than this share of the sum of ways, by which it falls if every robot heads for
     its target."""
     turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
     """Turns of the field without such a moment after which the trial ends, where the sum of

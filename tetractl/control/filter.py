@@ -59,7 +59,7 @@ class Prior(NamedTuple):
 
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] with relative deviations, dead time [s]; the
     mean heading bias and marker bias [rad] and flow [length unit/s] are 0. `position_noise`
-    [length unit] and `heading_noise` [rad] are of a measurement, 0 where not known. The helix has
+    [length unit] and `heading_noise` [rad] are of a measurement, 0 if not known. The helix has
     a frequency [Hz] and a radius [length unit], 0 for none.
     """
 

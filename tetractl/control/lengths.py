@@ -22,14 +22,14 @@ SPREAD = 1.3  # ... and at step 0
 FINE = 0.05  # share of a length to which the shortest one is looked for
 SIGNALS = 6  # that several robots take at least, each: two coordinates are to be met, by turns
 THOROUGH, THOROUGH_GROWTH = 3, 1.4
-"""Lengths that are searched thoroughly at step 0 where none of the others is good enough, and the
+"""Lengths that are searched thoroughly at step 0 if none of the others is good enough, and the
 factor from one to the next."""
 Candidate = tuple[int, Floats | None]
 """A length to try, and the u_gb^0 to start from."""
 
 
 def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
-    """Yield each (length, u_gb^0): lines 2-4 at step 0, where `warm` is None, then lines 10-20."""
+    """Yield each (length, u_gb^0): lines 2-4 at step 0, if `warm` is None, then lines 10-20."""
     if warm is None:  # Part I
         for length in range(1, horizon_max + 1):
             yield length, None
@@ -56,7 +56,7 @@ def choose(searches: Sequence[Search], good_enough: float | None, count: int) ->
     """Return the index of the least cost, lines 5 and 23.
 
     Among costs that the optimiser counts as equally good, the length nearest to that of the plan
-    under way, `count` (H), is chosen; at step 0, where it is 0, the shortest.
+    under way, `count` (H), is chosen; at step 0, if it is 0, the shortest.
     """
     if good_enough is not None:
         good = [i for i, search in enumerate(searches) if search.cost <= good_enough]
@@ -109,7 +109,7 @@ class Searcher:
     def search(
         self, length: int, start: Floats | None, among: int = 1, thorough: bool = False
     ) -> Search | None:
-        """Search one length; None where that is beyond the limits.
+        """Search one length; None if that is beyond the limits.
 
         The evaluations left are shared equally `among` this search and those that are to follow.
         """
@@ -134,7 +134,7 @@ class Searcher:
     def search_all(self, wanted: list[Candidate], good_enough: float | None, count: int) -> None:
         """Search the candidates until the limits are reached.
 
-        Where the optimiser counts costs up to `good_enough` as equally good, they are searched in
+        If the optimiser counts costs up to `good_enough` as equally good, they are searched in
         the order in which `choose` prefers them by `count`, until one is that good: the others
         could not be chosen any more.
         """

@@ -1,7 +1,7 @@
 """How far the plan keeps from obstacles and walls, and the robots from each other.
 
 A robot follows its plan but for what is not known of it. The margin is its radius, the spec's
-margin and, where it follows the uncertainty, how far off course the fastest robot may come,
+margin and, if it follows the uncertainty, how far off course the fastest robot may come,
 
     LOST v T + SIGMAS (v sigma_tau + v sigma_a/a tau + sigma_v tau),
 
@@ -9,7 +9,7 @@ with its speed v, the control period T, the dead time tau and the deviations sig
 identified: a command that gets lost costs a period, and what is uncertain acts for a dead time. Two
 robots keep their separation and twice that much.
 
-Where a robot or a target is nearer to an obstacle already, the margin is what room there is: no
+If a robot or a target is nearer to an obstacle already, the margin is what room there is: no
 plan could start or end inside a margin and keep it.
 
 Robots that hear nothing for a while go on in the direction held. Whether they keep clear then is
@@ -47,7 +47,7 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
 
 
 class Margins:
-    """The margins of a trial: `shapes` and, where given, the walls of an arena, and N targets."""
+    """The margins of a trial: `shapes` and, if given, the walls of an arena, and N targets."""
 
     def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
         self._bare = Obstacles.of(shapes, 0.0, walls)
@@ -119,7 +119,7 @@ class Margins:
         return min(wanted, ROOM * min(self._least(poses.x, poses.y), self._apart))
 
     def _least(self, x: Floats, y: Floats) -> float:
-        """Return the least distance between two of N points, inf where there is but one."""
+        """Return the least distance between two of N points, inf if there is but one."""
         one, other = self._one, self._other
         return float(np.hypot(x[one] - x[other], y[one] - y[other]).min(initial=np.inf))
 

@@ -34,12 +34,12 @@ class Collision(Model):
     meet. It is tested at the predicted positions."""
     adaptive: bool = False
     """Whether the margin grows by how far off course a robot may come before the next command acts,
-    by what is known of it, and shrinks to the room there is where a robot or a target is within
+    by what is known of it, and shrinks to the room there is if a robot or a target is within
     it."""
     stop_before_collision: bool = False
-    """Whether all robots pause where the best plan found touches an obstacle or its margin and a
+    """Whether all robots pause if the best plan found touches an obstacle or its margin and a
     robot is about to enter one, or no plan within `accept_error` keeps clear; from standing they
-    are planned for again, and the trial ends where nothing can move safely. For robots that can
+    are planned for again, and the trial ends if nothing can move safely. For robots that can
     stand still."""
     silence: NonNegative = 0.0
     """Time for which robots may hear nothing and go on in the direction held [s]: plans are
@@ -62,9 +62,9 @@ class PriorSection(Model):
     flow: NonNegative = 0.0
     """Of each component of what carries a robot over the ground [length unit/s]."""
     position_noise: NonNegative = 0.0
-    """Of a measured position [length unit]; 0 where it is not known."""
+    """Of a measured position [length unit]; 0 if it is not known."""
     heading_noise: NonNegative = 0.0
-    """Of a measured heading [rad]; 0 where it is not known."""
+    """Of a measured heading [rad]; 0 if it is not known."""
     helix_frequency: NonNegative = 0.0
     """Turns a second of cells that swim on a helix [Hz]."""
     helix_radius: NonNegative = 0.0
@@ -105,8 +105,8 @@ class MpcFields(ControllerSection):
     prior: PriorSection = PriorSection()
     """How far those may be off."""
     accept_error: NonNegative = 0.0
-    """Total error to accept [length unit]. Where no length H - 1, H, H + 1 ends within it, longer
-    sequences are searched, and the trial ends where stopping is within it and as good as any plan:
+    """Total error to accept [length unit]. If no length H - 1, H, H + 1 ends within it, longer
+    sequences are searched, and the trial ends if stopping is within it and as good as any plan:
     the less, the longer a trial takes. Each time the robots go round a tenth more is accepted. 0 is
     Algorithm 2, which only ends with its sequence."""
     stop_between: bool = False
@@ -117,9 +117,9 @@ class MpcFields(ControllerSection):
     horizon h = length - 1."""
     initial_lengths: Literal["all", "geometric"] = "all"
     """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2, from the
-    shortest to the first that is good enough, where the optimiser decides that; or `geometric`,
+    shortest to the first that is good enough, if the optimiser decides that; or `geometric`,
     with such an optimiser: at growing distances from the shortest that could reach the targets,
-    until one is good enough, and then by halves; where none is, three are searched for some seconds
+    until one is good enough, and then by halves; if none is, three are searched for some seconds
     each."""
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in (7) [length unit]."""

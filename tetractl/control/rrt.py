@@ -117,7 +117,7 @@ class Rrt:
         return make_plan(problem, [given_search(problem, signals)], 0, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:
-        """Return the direction of the next corner [rad]; where it is blocked, of a new path's.
+        """Return the direction of the next corner [rad]; if it is blocked, of a new path's.
 
         Inside an obstacle grown by the margin no path begins: the robot keeps to the one it has. A
         robot next to its target, nearer than it can turn to it, would circle it for ever: it goes
@@ -164,7 +164,7 @@ def grow(
     """Grow a tree from `start` (2,) and return the corners (M, 2) of its path to `target` (2,).
 
     Each row of `draws` (D, SHARES), uniform in [0, 1), is one draw. `edge` is in the length unit.
-    None where no path was found.
+    None if no path was found.
     """
     nodes = np.empty((len(draws) + 1, 2))
     before = np.zeros(len(draws) + 1, dtype=np.int64)

@@ -28,8 +28,8 @@ _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 def cache_folder() -> Path:
     """Return the user's cache folder for tetractl, mode 0700.
 
-    Where it cannot be made, or others can write to it, it is a new folder that is removed at the
-    end of the process. OSError where that cannot be made either.
+    If it cannot be made, or others can write to it, it is a new folder that is removed at the
+    end of the process. OSError if that cannot be made either.
     """
     wanted, why = _wanted(), "the user has no home"
     if wanted is not None:

@@ -25,7 +25,7 @@ class Sample:
 class Command:
     """One command as it was sent to N robots.
 
-    `direction` is the common direction u [rad], None for a stop and where the field is switched off
+    `direction` is the common direction u [rad], None for a stop and if the field is switched off
     (`field_off`): robots then go straight on. `sent_ns` is the time of sending on the trial's
     clock. `delivered` (N,) is False for a robot that the plant knows did not receive the command.
     `left`, `right` (N,) are the wheel speeds of (24)-(25) [length unit/s], None for robots without
@@ -130,9 +130,9 @@ class RobotStatus:
 class Health:
     """The state of a device of the lab before a run.
 
-    `problems` keep a run from starting, `warnings` do not, and `questions` are for a person, where
+    `problems` keep a run from starting, `warnings` do not, and `questions` are for a person, if
     there is one, to agree to; all are lines for people. `facts` go into the log's metadata.
-    `emulated` is True where the device says that it is not real: a trial with it is not one of a
+    `emulated` is True if the device says that it is not real: a trial with it is not one of a
     lab, and every table and figure says so.
     """
 

@@ -31,7 +31,7 @@ class Plant(Protocol):
     """
 
     def open(self) -> PlantInfo:
-        """Make ready; raise AbortError where the plant cannot run."""
+        """Make ready; raise AbortError if the plant cannot run."""
         ...
 
     def observe(self) -> Observation:
@@ -74,7 +74,7 @@ class Plant(Protocol):
 class Device(Protocol):
     """A device of the lab that is opened, checked and closed; a context manager.
 
-    Entering connects and raises AbortError where that cannot be; leaving releases everything, is
+    Entering connects and raises AbortError if that cannot be; leaving releases everything, is
     idempotent and never raises.
     """
 
@@ -121,7 +121,7 @@ class Camera(Device, Protocol):
 class Actuator(Device, Protocol):
     """Turns the common direction into motion of N robots.
 
-    Sending raises AbortError where the device does not take it; `failure` says why from then on.
+    Sending raises AbortError if the device does not take it; `failure` says why from then on.
     Times are ns on the clock it was made with.
     """
 
@@ -154,14 +154,14 @@ class Actuator(Device, Protocol):
     ) -> Transmission:
         """Send the common direction u [rad] and return what was really sent.
 
-        `poses` are the newest of each robot, exposed at `exposed_ns`; None where a robot is not
-        tracked. Robots that may not be `moving` are held still where that is possible; an actuator
+        `poses` are the newest of each robot, exposed at `exposed_ns`; None if a robot is not
+        tracked. Robots that may not be `moving` are held still if that is possible; an actuator
         that is not `individual` is only steered while all may move.
         """
         ...
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; an emergency stop latches where the device can."""
+        """Stop every robot; an emergency stop latches if the device can."""
         ...
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
@@ -178,7 +178,7 @@ class Optimizer(Protocol):
         """Return the best sequence of `length` signals found, and how the search went.
 
         `warm` (length,) is a sequence to start from, None for none; it is not changed. `key` fixes
-        every random draw: the same arguments give the same bits. Raises ControlError where a cost
+        every random draw: the same arguments give the same bits. Raises ControlError if a cost
         is not finite.
         """
         ...

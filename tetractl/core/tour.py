@@ -25,7 +25,7 @@ class TourMeasure:
     """How N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
 
     `step` is called with each control step's leg and observation, before the frames of it, which
-    `add` counts up to `until_ns`; the true poses count where they are known.
+    `add` counts up to `until_ns`; the true poses count if they are known.
     """
 
     def __init__(self, legs: Floats, hold: HoldTask | None) -> None:

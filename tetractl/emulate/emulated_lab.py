@@ -230,7 +230,7 @@ class EmulatedLab:
 
 
 def _check_names(script: Script, setup: Setup) -> None:
-    """Raise SpecError where a script names a robot that the spec has not."""
+    """Raise SpecError if a script names a robot that the spec has not."""
     own = script.emulation
     lists = [own.robots, *(getattr(side, "robots", ()) for side in (own.camera, own.actuator))]
     names = [robot.name for robots in lists for robot in robots]

@@ -136,7 +136,7 @@ class CurrentDriver:
 class FieldSettings(Model):
     """How driver and cells differ from what the spec says.
 
-    `cells` and `strangers` are there where the spec leaves it to the trial to choose its cells.
+    `cells` and `strangers` are there if the spec leaves it to the trial to choose its cells.
     """
 
     heading_noise: NonNegative = 0.05

@@ -27,7 +27,7 @@ class EmulatedNetworkCamera:
     as soon as it is drawn; a host too busy to draw all misses some. `mangle` changes the bytes of a
     part before they are sent; `frozen` stops exposures while it is set; of `every` so many pictures
     one is sent. One that `drips` sends its answer's header byte by byte, without an end.
-    TetractlError where the port is taken.
+    TetractlError if the port is taken.
     """
 
     def __init__(

@@ -38,7 +38,7 @@ def _actuator_settings(value: Any, info: ValidationInfo) -> Model:
 
 
 class Placed(Model):
-    """Where a robot truly stands at first, where that is not its start."""
+    """Where a robot truly stands at first, if that is not its start."""
 
     name: Name
     """Name of a robot of the spec."""
@@ -128,7 +128,7 @@ class Sides:
 
     @classmethod
     def of(cls, camera: str, actuator: str) -> Self:
-        """Return the classes for a lab's types; SpecError where one cannot be emulated."""
+        """Return the classes for a lab's types; SpecError if one cannot be emulated."""
         for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
             if name not in registry:
                 known = ", ".join(registry.names())

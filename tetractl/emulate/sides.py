@@ -41,7 +41,7 @@ class Stage:
     """What both sides share; `setup` and `lab` are the spec's.
 
     `note(event, **facts)` adds to the record. A camera's side calls `exposed(exposure, frame)` at
-    each exposure, `sent(exposure)` after its frame has left or, where none is sent, would have,
+    each exposure, `sent(exposure)` after its frame has left or, if none is sent, would have,
     and `client(address)` for each new client.
     """
 

@@ -20,7 +20,7 @@ MOST = 14  # cells among which all choices are compared; of more, those with the
 def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[FoundCell]:
     """Return the cells that a trial takes, the one that turns fastest first.
 
-    AbortError where there are too few, or other ones than those wanted.
+    AbortError if there are too few, or other ones than those wanted.
     """
     choice = experiment.chosen
     assert choice is not None, "only a spec that leaves its robots open chooses"

@@ -65,7 +65,7 @@ class OptimizerSection(Model):
 
     @property
     def good_enough(self) -> float | None:
-        """Cost J up to which sequences count as equally good, None where less is always better."""
+        """Cost J up to which sequences count as equally good, None if less is always better."""
         return None
 
     @abstractmethod
@@ -117,7 +117,7 @@ class ControllerSection(Model):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of iterations of one search, 0 where the controller does not search."""
+        """Largest number of iterations of one search, 0 if the controller does not search."""
         return 0
 
     def arrived(self, gaps: Floats) -> bool:

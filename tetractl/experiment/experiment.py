@@ -157,10 +157,10 @@ class Experiment(Model):
     """The robots, all steered by the one direction u; or a mapping with `choose`, by which each
     trial finds them."""
     chosen: Choice | None = None
-    """What `robots` says where it is a mapping; written so in a spec that was resolved. Its robots
+    """What `robots` says if it is a mapping; written so in a spec that was resolved. Its robots
     are stand-ins, until a trial has found its own."""
     assign: Literal["given", "free"] = "given"
-    """`free` where any robot may go to any target: targets are then dealt out so that the squares
+    """`free` if any robot may go to any target: targets are then dealt out so that the squares
     of the straight paths add up to the least, which leaves the robots the least to do that is not
     common to all. The resolved spec has the targets as dealt out, `given`."""
     hold: HoldSection | None = None
@@ -172,7 +172,7 @@ class Experiment(Model):
     controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
     """What chooses the direction."""
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
-    """What the direction steers; a simulation where no `type` is given."""
+    """What the direction steers; a simulation if no `type` is given."""
     lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)

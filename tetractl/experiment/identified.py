@@ -87,7 +87,7 @@ def merge(document: Document, found: Identified, origin: str) -> None:
     """Put what was identified in the places of a spec's own values; problems join the document's.
 
     Each robot's a and speed and the controller's dead time are replaced, the latter counted as the
-    controller counts it: from the sending of a command where it identifies while driving
+    controller counts it: from the sending of a command if it identifies while driving
     (`estimate`), else from the exposure of the frame.
     """
     data = document.data

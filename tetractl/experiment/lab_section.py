@@ -51,7 +51,7 @@ class DeviceSection(Model):
     """A device of the lab and its parameters."""
 
     device: ClassVar[str] = ""
-    """The class of the device, as "module:class": imported where one is built."""
+    """The class of the device, as "module:class": imported if one is built."""
     type: Any  # each section's own name, as a Literal
     settles: ClassVar[bool] = False
     """Whether a trial can find its robots with it: the device has a `settle`."""
@@ -74,7 +74,7 @@ class CameraSection(DeviceSection):
     def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
         """Return the camera of the setup's robots, in their order; nothing is opened.
 
-        `wake` is called after each frame. AbortError where the camera's software is not installed.
+        `wake` is called after each frame. AbortError if the camera's software is not installed.
         """
         return imported(self.device)(self, setup, clock, wake)
 
@@ -87,17 +87,17 @@ class ActuatorSection(DeviceSection):
     """An actuator and its parameters."""
 
     calibration: ClassVar[str] = ""
-    """A function that does what `calibrate` says, as "module:function"; "" where there is none."""
+    """A function that does what `calibrate` says, as "module:function"; "" if there is none."""
 
     def build(self, setup: Setup, clock: Clock) -> Actuator:
         """Return the actuator of the setup's robots, in their order; nothing is opened."""
         return imported(self.device)(self, setup, clock)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in reach, for good where the actuator can; needs nothing but its port.
+        """Stop every robot in reach, for good if the actuator can; needs nothing but its port.
 
-        Not `alone`, while a run has the port too, where the actuator can. Returns what was done,
-        in words for people; AbortError where nothing can be sent.
+        Not `alone`, while a run has the port too, if the actuator can. Returns what was done,
+        in words for people; AbortError if nothing can be sent.
         """
         clock = MonotonicClock()
         with self.build(setup, clock) as actuator:
@@ -134,19 +134,19 @@ class LabLimits(Model):
     stream_lost: Positive = 0.5
     """The run aborts when no new frame came for this long [s]."""
     untracked_stop: Positive = 0.05
-    """A robot stops when it was not tracked for this long [s]; where the actuator cannot hold one
+    """A robot stops when it was not tracked for this long [s]; if the actuator cannot hold one
     robot alone, it is steered on."""
     untracked_abort: Positive = 0.3
     """The run aborts when a robot was not tracked for this long [s]."""
     identity: Positive = 3.0
     """The run aborts when, after cells have met, it was not known for this long which of them is a
-    robot [s]; only where the camera tells."""
+    robot [s]; only if the camera tells."""
     jump_mm: NonNegative = 30.0
     """A pose is rejected that is further from any of the last second than twice the robot's
     speed allows, plus this [mm]."""
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
     """A body whose height above the floor is not between these two is taken to be off its robot
-    [mm]; the camera system's own zero is the floor. Only where the camera reports heights."""
+    [mm]; the camera system's own zero is the floor. Only if the camera reports heights."""
     tilt: Positive = 0.5
     """So is a body whose upward axis is turned by more than this from the vertical [rad]."""
     damaged_frames: int = Field(default=20, ge=1, le=100_000)

@@ -112,7 +112,7 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
 
 
 def attach(attached: Attached, path: Path, text: str) -> Attached:
-    """Return the files attached with one more; SpecError where a log has another of that name."""
+    """Return the files attached with one more; SpecError if a log has another of that name."""
     name = printable(path.name)
     if name in OWN_FILES or name in dict(attached):
         raise SpecError(
@@ -128,7 +128,7 @@ def document_of(
     """Return the data of a spec with `sets` applied, names of today, and the place of each value.
 
     Values that were `identified`, of a file by its name, take the places of the text's own before
-    that. What is wrong is among its problems; InvalidSpecError where nothing can be made of the
+    that. What is wrong is among its problems; InvalidSpecError if nothing can be made of the
     text.
     """
     document = parse_document(text, origin)

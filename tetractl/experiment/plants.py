@@ -62,7 +62,7 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:
-    """Return the lab of an experiment; SpecError where it has none."""
+    """Return the lab of an experiment; SpecError if it has none."""
     lab = experiment.lab if experiment.plant.simulated else experiment.plant
     if not isinstance(lab, LabSection):
         raise SpecError(

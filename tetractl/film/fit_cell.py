@@ -42,7 +42,7 @@ WIDE_A = 0.3  # a share of a, and rad/s: what is left open of it when the filter
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
-    """A value and the half of its 95 % interval; None where nothing tells it."""
+    """A value and the half of its 95 % interval; None if nothing tells it."""
 
     value: float
     half: float
@@ -134,7 +134,7 @@ def summarise(
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """What blobs say of N cells in K pictures: values and deviations (K, N, 3), NaN where nothing.
+    """What blobs say of N cells in K pictures: values and deviations (K, N, 3), NaN if nothing.
 
     `starts` (N, 5) are first pictures and x, y, heading and speed there. `pieces` (K,) are the
     field since the picture before.

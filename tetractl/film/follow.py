@@ -70,7 +70,7 @@ def follow(
     field: FieldRecord | None,
     on_picture: Callable[[int], None] = lambda number: None,
 ) -> Followed:
-    """Follow the cells of a film; TetractlError where no picture can be read.
+    """Follow the cells of a film; TetractlError if no picture can be read.
 
     Without a scale `um_px` it is guessed from the lengths of what moves.
     """

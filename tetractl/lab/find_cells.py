@@ -46,7 +46,7 @@ def turn_field(
 ) -> list[FoundCell]:
     """Turn the field of an entered rig, and return the cells that the camera follows then.
 
-    The field goes on turning. `on_look` is called every now and then. AbortError where no pictures
+    The field goes on turning. `on_look` is called every now and then. AbortError if no pictures
     come.
     """
     rig.loop.idle = manoeuvre(choice.turn, seed)

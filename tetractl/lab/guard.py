@@ -76,7 +76,7 @@ class GuardRules:
 class Ruling:
     """The decision of a tick: which robots may move (N,), and the accepted poses (N,).
 
-    A pose is None where a robot is not tracked. `reason` says why a run was aborted.
+    A pose is None if a robot is not tracked. `reason` says why a run was aborted.
     """
 
     state: GuardState
@@ -136,7 +136,7 @@ class Guard:
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Why the newest pose of each robot (N,) was refused, "" where it was not or none came."""
+        """Why the newest pose of each robot (N,) was refused, "" if it was not or none came."""
         return tuple(track.refused for track in self._filters)
 
     def ready(self) -> None:
@@ -217,7 +217,7 @@ class Guard:
         return AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
 
     def no_frame(self, silent_ns: int) -> str:
-        """Return what is wrong where no newer frame came for `silent_ns`."""
+        """Return what is wrong if no newer frame came for `silent_ns`."""
         text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
         if not self._outdated_in_a_row:
             return text
@@ -271,7 +271,7 @@ class Guard:
         return self.state in (GuardState.RUN, GuardState.HOLD)
 
     def _fault(self, i: int, pose: Pose, now_ns: int) -> str:
-        """Return why a pose of robot i is not accepted, "" where it is.
+        """Return why a pose of robot i is not accepted, "" if it is.
 
         Only while a run may move it: after a stop, `standstill` finds what moves on.
         """

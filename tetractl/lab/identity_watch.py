@@ -13,7 +13,7 @@ SURE = 0.9
 class IdentityWatch:
     """The robots of one run by their `names`; `reason` is why it must end, "" for none.
 
-    That is where a robot is not known for `patience_s` or longer.
+    That is if a robot is not known for `patience_s` or longer.
     """
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:

@@ -68,8 +68,8 @@ class InnerLoop:
     def steer(self, direction: float) -> Transmission:
         """Hold a direction u [rad] from now on; return the first transmission that carries it.
 
-        That is a stop where the guard lets no robot move just now. AbortError with the guard's
-        reason where no robot may move any more.
+        That is a stop if the guard lets no robot move just now. AbortError with the guard's
+        reason if no robot may move any more.
         """
         with self._held(STEER_S) as held:
             if not held:
@@ -130,7 +130,7 @@ class InnerLoop:
 
     @contextmanager
     def _held(self, timeout_s: float) -> Iterator[bool]:
-        """Hold the lock, or yield False where it cannot be had in time."""
+        """Hold the lock, or yield False if it cannot be had in time."""
         held = self._lock.acquire(timeout=timeout_s)
         try:
             yield held

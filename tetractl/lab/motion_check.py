@@ -91,7 +91,7 @@ class MotionCheck:
         least, most = self._least[first:last], self._most[first:last]
         times = [*self._times[first:last], now_ns]
         if not least or times[0] > self._now_ns - DELAY_NS or max(np.diff(times)) > WATCHDOG_NS:
-            still = np.zeros_like(self._bounds[0])  # before the first, and where none came
+            still = np.zeros_like(self._bounds[0])  # before the first, and if none came
             least, most = [*least, still], [*most, still]
         self._bounds = np.array([np.min(least, axis=0), np.max(most, axis=0)])
         self._allowed = self._allowed + self._bounds * ((now_ns - self._now_ns) / SECOND)
@@ -105,7 +105,7 @@ class MotionCheck:
     def disagrees(self, i: int, before: Pose, pose: Pose) -> str:
         """Return how robot i, last seen at a pose that agreed, moves otherwise than commanded.
 
-        "" where it does not; then the new pose is one that agreed.
+        "" if it does not; then the new pose is one that agreed.
         """
         past, allowed = self._past[i], self._allowed[:, i]
         seen = self._seen[i] + _moved(before, pose) if past else self._seen[i]

@@ -26,8 +26,8 @@ SILENCE_S = 0.5  # a camera silent for this long ends the wait, or longer if the
 class RobotFinding:
     """How one robot stands: distance to its start [mm] and heading off [rad], None untracked.
 
-    `misplaced` says how it is off its start, "" where it is not or is not tracked, and `untracked`
-    that it is not tracked and why, "" where it is.
+    `misplaced` says how it is off its start, "" if it is not or is not tracked, and `untracked`
+    that it is not tracked and why, "" if it is.
     """
 
     name: str
@@ -52,9 +52,9 @@ class RobotFinding:
 class Preflight:
     """What a preflight found.
 
-    `latency_ms` (median, greatest) is the age of frames on arrival, None where the camera does not
+    `latency_ms` (median, greatest) is the age of frames on arrival, None if the camera does not
     report it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own,
-    `questions` what a person, where there is one, has to agree to.
+    `questions` what a person, if there is one, has to agree to.
     """
 
     robots: tuple[RobotFinding, ...]
@@ -152,7 +152,7 @@ def _misplaced(rig: Rig, name: str, off_mm: float, off_heading: float | None) ->
 
 
 def _off(rig: Rig, i: int, frame: AcceptedFrame | None) -> tuple[float | None, float | None]:
-    """Return how far a robot is from its start: [mm] and [rad], None where it is not tracked."""
+    """Return how far a robot is from its start: [mm] and [rad], None if it is not tracked."""
     pose = frame.pose(i) if frame is not None else None
     if pose is None:
         return None, None
@@ -203,7 +203,7 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
 
     Robots that can stand still must do so. Robots that are carried may be off and out
     of sight for a while: without a person, `limits.placing` is how long. AbortError says what is
-    wrong and who is how far off; KeyboardInterrupt where a person wants to wait no longer.
+    wrong and who is how far off; KeyboardInterrupt if a person wants to wait no longer.
     """
     prompt, clock = supervision.prompt, rig.clock
     limit_ns = round(max(rig.limits.placing, GRACE_S) * SECOND)

@@ -19,7 +19,7 @@ FIRST_S = 0.5  # for a first frame of other robots
 class Rig:
     """Everything between the devices and a plant; a context manager. Times are ns on `clock`.
 
-    Entering opens the actuator and the camera and begins to watch: in a thread or, where
+    Entering opens the actuator and the camera and begins to watch: in a thread or, if
     `threaded` is False, at each call of `loop.step`. `wake` must be what the camera was made with.
     `frames` holds the camera frames that the guard accepted.
     """
@@ -86,7 +86,7 @@ class Rig:
         self.limits = self.limits.model_copy(update=anywhere)
 
     def not_tracked(self, i: int) -> str:
-        """Return a line that robot i is not tracked, and why where that is known."""
+        """Return a line that robot i is not tracked, and why if that is known."""
         why = self.guard.refused[i]
         return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
 

@@ -7,7 +7,7 @@ of a delay d and a gain g,
 
 which is the squared residual of j's commands less a term common to all j. The gain is 1 but for a
 robot's own commands: wheels that are not calibrated turn it by some more or less. Robot i follows j
-where Q_ii - Q_ij exceeds a share of the integral of (w_i - w_j)^2. Wheels that differ also turn it
+if Q_ii - Q_ij exceeds a share of the integral of (w_i - w_j)^2. Wheels that differ also turn it
 by a constant rate b besides, so its own commands are g w_i + b. A robot that does as commanded
 follows none, and robots that stand still cannot follow one another in a ring: so robots of a ring
 are swapped. One robot alone may have another fault, and is watched for longer. Robots that are
@@ -92,7 +92,7 @@ class SwapDetector:
             stretch.forget(i)
 
     def fault(self) -> str:
-        """Return which robots answer the commands of others, "" where none does."""
+        """Return which robots answer the commands of others, "" if none does."""
         if self._found is None:
             self._found = self._fault()
         return self._found
@@ -152,7 +152,7 @@ class _TurnIntegrals:
         return (self._differ > DISTINCT) & (better > BETTER * self._differ + CLEAR)
 
     def follows_alone(self, i: int) -> np.ndarray:
-        """Return whom robot i follows, (N,), where it cannot have lost a wheel or swapped its
+        """Return whom robot i follows, (N,), if it cannot have lost a wheel or swapped its
         own."""
         misfits = self._commanded[:, i] - 2.0 * self._common[:, i]
         misfit = misfits.min(axis=0)
@@ -179,7 +179,7 @@ class _TurnIntegrals:
 
 
 def _ring(follows: np.ndarray) -> list[int]:
-    """Return robots each of whom follows the next and the last the first, [] where none do."""
+    """Return robots each of whom follows the next and the last the first, [] if none do."""
     reach = follows.copy()
     for k in range(len(follows)):
         reach |= np.outer(reach[:, k], reach[k])

@@ -70,7 +70,7 @@ def host() -> dict[str, str]:
 
 
 def processor(host: Mapping[str, str]) -> str:
-    """Return the type of a host's processor, as `znver3-1a2b3c`; "" where its record lacks it.
+    """Return the type of a host's processor, as `znver3-1a2b3c`; "" if its record lacks it.
 
     That is LLVM's name for it, and six digits that name the instruction sets in use: code compiled
     for two types may differ in the last bits of its results.
@@ -91,7 +91,7 @@ def versions() -> dict[str, str]:
     """Return the versions behind a result and, from a source checkout, its git state.
 
     `code` names the contents of the sources that decide: `tetractl.control` and `tetractl.model`.
-    `git_commit` and `git_dirty` are left out where tetractl does not run from a git checkout or git
+    `git_commit` and `git_dirty` are left out if tetractl does not run from a git checkout or git
     is not installed.
     """
     sources = [file for part in ("control", "model") for file in (_here() / part).rglob("*.py")]
@@ -169,7 +169,7 @@ def _git_state() -> dict[str, str]:
 
 
 def _git(*arguments: str) -> str | None:
-    """Return the output of git in tetractl's own folder, None where it fails."""
+    """Return the output of git in tetractl's own folder, None if it fails."""
     try:
         done = subprocess.run(
             ["git", "-C", str(_here()), *arguments],

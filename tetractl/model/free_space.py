@@ -41,7 +41,7 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
 def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     """Return how far from its target each robot stays, at least, (N,) [length unit].
 
-    0 where no wall is found between start and target. Robots keep `margin` from obstacles; with
+    0 if no wall is found between start and target. Robots keep `margin` from obstacles; with
     `walls` they stay in the arena, without they may go round through its outside. A start nearer to
     an obstacle than the margin is in no free space, and gives 0.
     """

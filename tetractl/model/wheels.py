@@ -98,7 +98,7 @@ def wheel_counts(
 ) -> tuple[Counts, Residue]:
     """Turn speeds [mm/s] into the counts to send, as sent, and the residue for the next call.
 
-    Where a wheel would exceed the limit both are scaled alike, which keeps the path's curvature.
+    If a wheel would exceed the limit both are scaled alike, which keeps the path's curvature.
     A wheel wished to stand gets exactly 0; both standing clears the residue. Speeds that are not
     finite are refused with ValueError.
     """

@@ -163,7 +163,7 @@ class LabPlant:
         return Command(None, self.clock.now(), reached, *wheels)
 
     def settle(self) -> Verdict:
-        """Wait until the camera shows every robot, standing where it can, and check the path.
+        """Wait until the camera shows every robot, standing if it can, and check the path.
 
         A fault that came too late for a further step, such as a stop that could not be sent, counts
         as robots that are not seen to stand.

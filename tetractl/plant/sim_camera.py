@@ -61,7 +61,7 @@ class SimCamera:
 
     @property
     def arriving_ns(self) -> int | None:
-        """When the next frame under way reaches the host [ns], None where none is under way."""
+        """When the next frame under way reaches the host [ns], None if none is under way."""
         return self._under_way[0].observation.received_ns if self._under_way else None
 
     def due(self, until: int) -> Integers:

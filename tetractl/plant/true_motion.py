@@ -128,7 +128,7 @@ class TrueMotion:
     def _move(self, end: int, event: bool, disturbed: bool) -> None:
         """Move to `end` with everything held, exposing and checking what is due on the way.
 
-        Where it is `disturbed`, the disturbances act at `end`, before a frame is exposed there.
+        If it is `disturbed`, the disturbances act at `end`, before a frame is exposed there.
         Wheels, whose path is a sum, stop at the last sample before `end` unless something happens
         there: so it makes no difference how often they are read.
         """

@@ -209,7 +209,7 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _rest(log: TrialLog) -> Iterator[Difference]:
-    """The last frames of a complete lab trial show every robot, standing where it can."""
+    """The last frames of a complete lab trial show every robot, standing if it can."""
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return

@@ -1,7 +1,7 @@
 """Checks what a log states twice: what viewers show follows from the records of the trial.
 
 The records, decoded, are encoded once more by the writer's own encoder; every message and its times
-must come out with the same bytes. Where another machine or version wrote the log, numbers need only
+must come out with the same bytes. If another machine or version wrote the log, numbers need only
 agree to `NEARLY`, and how the arena is drawn may differ.
 """
 

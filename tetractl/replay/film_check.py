@@ -110,7 +110,7 @@ class FilmCheck:
 
 
 def _search_again(film: CellFilm, tolerance: float) -> None:
-    """Raise ValueError where another blob is found than stated."""
+    """Raise ValueError if another blob is found than stated."""
     from tetractl.lab.cameras.cells.crops import found_again  # needs OpenCV
 
     rows = zip(film.crops, film.corners.tolist(), film.blobs, strict=True)

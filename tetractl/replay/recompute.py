@@ -173,7 +173,7 @@ class _Countdown:
 
 
 def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: int) -> None:
-    """Raise _TooLongError where a round of a search takes more than a log may ask for."""
+    """Raise _TooLongError if a round of a search takes more than a log may ask for."""
     robots, obstacles = problem.a.size, len(problem.obstacles.shapes)
     if optimizer.evaluations_min * length * robots * (1 + obstacles) > limits.swarm_limit():
         raise _TooLongError

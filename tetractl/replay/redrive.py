@@ -24,7 +24,7 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
 
     Periods count from the first direction sent, that of a square too. A direction sent within the
     first half of a period counts for all of it. The remainder is how much longer than a period the
-    last one was held. UsageError where none was sent, and where the field was off at times.
+    last one was held. UsageError if none was sent, and if the field was off at times.
     """
     require_field(log)
     sent = sorted(
@@ -66,7 +66,7 @@ def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> Loa
 class Apart:
     """Two trials of N robots at M times: `time_s` (M,) from the first direction of each.
 
-    `distance` (M, N) is that of a robot's two measured positions [length unit], NaN where it was
+    `distance` (M, N) is that of a robot's two measured positions [length unit], NaN if it was
     not tracked in either.
     """
 

@@ -67,7 +67,7 @@ def _samples(log: TrialLog) -> float:
 
 
 def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
-    """Run the trial again; TetractlError where it cannot be."""
+    """Run the trial again; TetractlError if it cannot be."""
     section, setup = log.experiment.plant, log.start.setup
     _, seed = trial_seeds(log.start.seed, log.start.trial)
     clock = section.clock()
@@ -87,7 +87,7 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
 
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
-    """Return a trial run again with the log's own where a last bit decides: facts, which are text,
+    """Return a trial run again with the log's own if a last bit decides: facts, which are text,
     and whether a robot that just touches an obstacle entered it."""
     assert ours.result
     assert log.result
@@ -137,7 +137,7 @@ class _LoggedPlans:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Return the next logged plan; AbortError where the observation is not the logged one."""
+        """Return the next logged plan; AbortError if the observation is not the logged one."""
         if self._k == len(self._steps):
             return End(self._outcome, max(0, self._ending.delay_ns))
         step = self._steps[self._k]
@@ -149,7 +149,7 @@ class _LoggedPlans:
 
 
 class _Recorder(Recorder):
-    """Records a trial run again, and ends it where the log was ended between two control steps."""
+    """Records a trial run again, and ends it if the log was ended between two control steps."""
 
     failure = ""  # why the trial could not be run to its end
 

@@ -43,7 +43,7 @@ class Method(StrEnum):
 class Verification:
     """The result of verifying one log.
 
-    `method` is REEVALUATED only where `elsewhere` names differences between the host that wrote the
+    `method` is REEVALUATED only if `elsewhere` names differences between the host that wrote the
     log and this one. `checked` counts the steps whose decision came out as logged.
     """
 

@@ -49,7 +49,7 @@ class StepPrediction:
 
 @dataclass(frozen=True, slots=True)
 class WhatIf:
-    """The predictions of a trial; `ended` says why later steps have none, "" where all have."""
+    """The predictions of a trial; `ended` says why later steps have none, "" if all have."""
 
     unit: str
     steps: tuple[StepPrediction, ...]
@@ -66,7 +66,7 @@ def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
     """Return the log's experiment with values of its controller replaced.
 
     UsageError for a setting of anything else, and for another control period: the observations are
-    those of the recorded one. SpecError where the spec is not valid any more.
+    those of the recorded one. SpecError if the spec is not valid any more.
     """
     for setting in sets:
         path = setting.partition("=")[0].strip()
@@ -90,8 +90,8 @@ def what_if(
 ) -> WhatIf:
     """Return what another experiment's controller would have decided at each step of a log.
 
-    `timer` [ns] is the clock of its deadline, where it has one. Steps behind a gap in the log are
-    left out. UsageError where the field is off at times, by either controller.
+    `timer` [ns] is the clock of its deadline, if it has one. Steps behind a gap in the log are
+    left out. UsageError if the field is off at times, by either controller.
     """
     require_field(log)
     if other.controller.switches_field:

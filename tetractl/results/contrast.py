@@ -110,7 +110,7 @@ class GroupComparison:
 def contrast(groups: Sequence[Group], baseline: Group | None = None) -> GroupComparison:
     """Compare every two groups or, with a baseline, each group with that; one group with none.
 
-    Raises UsageError where they do not share the unit of length.
+    Raises UsageError if they do not share the unit of length.
     """
     every = (*groups, baseline) if baseline else tuple(groups)
     first = every[0]
@@ -159,9 +159,9 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
 
 
 def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
-    """Return one minus other of trials of the same seed and number, where their disturbances match.
+    """Return one minus other of trials of the same seed and number, if their disturbances match.
 
-    Where there are no pairs the text says why; it is "" where there are. The world of a trial is
+    If there are no pairs the text says why; it is "" if there are. The world of a trial is
     all of the spec but the controller; from it and the seed a simulation draws its disturbances.
     """
     if not (one.origin.simulated and other.origin.simulated):

@@ -17,7 +17,7 @@ from tetractl.core.table.numbers import NONE, lengths
 
 CONFIDENCE = 0.95
 
-FAR = 10  # medians, above which a value is far off where no bound is stated
+FAR = 10  # medians, above which a value is far off if no bound is stated
 _FEWEST = 3  # values for an interval of a mean: two have no skewness
 _NAN = math.nan
 Z = float(special.ndtri((1 + CONFIDENCE) / 2))
@@ -25,13 +25,13 @@ Z = float(special.ndtri((1 + CONFIDENCE) / 2))
 
 
 def finite(value: float) -> float | None:
-    """Return a number for JSON, None where it is not finite."""
+    """Return a number for JSON, None if it is not finite."""
     return value if math.isfinite(value) else None
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A 95 % interval; where there is none, `low` and `high` are NaN and `reason` is the cause."""
+    """A 95 % interval; if there is none, `low` and `high` are NaN and `reason` is the cause."""
 
     low: float
     high: float
@@ -56,7 +56,7 @@ class Interval:
 
     @property
     def ends(self) -> list[float] | None:
-        """Both ends for JSON, None where there is no interval."""
+        """Both ends for JSON, None if there is no interval."""
         return [self.low, self.high] if self.known else None
 
     def as_dict(self) -> dict[str, Any]:

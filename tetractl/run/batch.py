@@ -99,7 +99,7 @@ class RunObserver(Protocol):
 
 @dataclass(slots=True)
 class Report:
-    """How the trials ended, by arm and number: results, and errors where there is none."""
+    """How the trials ended, by arm and number: results, and errors if there is none."""
 
     results: dict[tuple[str, int], Result] = field(default_factory=dict)
     errors: dict[tuple[str, int], Exception] = field(default_factory=dict)

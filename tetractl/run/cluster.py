@@ -153,7 +153,7 @@ class Cluster:
         self, given: Sequence[tuple[Task, Path]], future: Any
     ) -> list[Finished | Exception] | None:
         """Save the logs of a Dask task; return how its trials finished, or what kept each from an
-        outcome. None where several trials were lost with each worker that had them."""
+        outcome. None if several trials were lost with each worker that had them."""
         from distributed import KilledWorker
 
         found: list[tuple[Finished | Exception, bytes | None]] = []

@@ -45,8 +45,8 @@ class SpecWarning:
 class CheckContext:
     """An experiment, with what the checks need of its controller.
 
-    A controller of another kind may lack some of it: `signals_max` is None where no plan has a
-    longest length, `motion` is "" where none is named.
+    A controller of another kind may lack some of it: `signals_max` is None if no plan has a
+    longest length, `motion` is "" if none is named.
     """
 
     experiment: Experiment

@@ -199,7 +199,7 @@ class Trial:
                 raise KeyboardInterrupt
 
     def _pause(self, again: bool) -> Command:
-        """Stop the robots for a while, and note it where they do not stand already."""
+        """Stop the robots for a while, and note it if they do not stand already."""
         command = self.plant.pause()
         if not again:
             self._say(command, "all robots pause, and a plan is made from standing")

@@ -40,7 +40,7 @@ def limits(experiment: Experiment) -> dict[str, str]:
 
 
 def check(experiment: Experiment) -> None:
-    """Raise SpecError for a spec that cannot work, where only the computed motion shows it."""
+    """Raise SpecError for a spec that cannot work, if only the computed motion shows it."""
     first = experiment.controller.first_plan
     if isinstance(first, Square):
         check_square(experiment, first)

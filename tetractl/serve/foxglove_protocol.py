@@ -29,7 +29,7 @@ _STATUS = {Playback.PLAYING: 0, Playback.PAUSED: 1, Playback.ENDED: 3}
 class Request:
     """What a viewer asks of the playback: to play or pause, the rate, the time to go to [Unix ns].
 
-    `rate` is in seconds of the trial per second; `seek_ns` is None where the time is to stay.
+    `rate` is in seconds of the trial per second; `seek_ns` is None if the time is to stay.
     """
 
     playing: bool
@@ -39,7 +39,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackState:
-    """The state of a playback at a time [Unix ns]; `sought` where the time has jumped there."""
+    """The state of a playback at a time [Unix ns]; `sought` if the time has jumped there."""
 
     playback: Playback
     time_ns: int

@@ -183,7 +183,7 @@ class _Client:
             self.put(foxglove_protocol.message(subscription, entry))
 
     def put(self, message: str | bytes) -> None:
-        """Queue a message; the oldest one is dropped where BACKLOG wait."""
+        """Queue a message; the oldest one is dropped if BACKLOG wait."""
         with self._some:
             self._waiting.append(message)
             self._some.notify()
@@ -226,7 +226,7 @@ class _Link:
             self._flush()
 
     def send(self, message: str | bytes) -> None:
-        """Send a message; OSError or InvalidState where the connection has ended."""
+        """Send a message; OSError or InvalidState if the connection has ended."""
         with self._lock:
             if isinstance(message, str):
                 self._websocket.send_text(message.encode())

@@ -44,7 +44,7 @@ def origins(loaded: LoadedStudy) -> list[Origin]:
 def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write the tables and return their paths; the same rows give the same `trials.csv`.
 
-    Its columns are `log` (a path from the study's folder, empty where no log was kept), `trial`,
+    Its columns are `log` (a path from the study's folder, empty if no log was kept), `trial`,
     `arm`, `controller`, the swept fields by their paths, those of `tetractl export`, `trial_digest`
     and `code`. `times.csv` has what differs from run to run.
     """

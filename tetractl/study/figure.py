@@ -38,7 +38,7 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
     """Draw the mean total error with its 95 % interval against a field; None without any error.
 
-    Where several arms share a value, the mean is over them too, trial by trial.
+    If several arms share a value, the mean is over them too, trial by trial.
     """
     names = dict.fromkeys(arm.controller for arm in loaded.arms)
     curves = {

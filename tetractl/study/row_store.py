@@ -18,7 +18,7 @@ from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.arm import Arm
 
 DECIDING = ("code", "processor", "count")
-"""What rows of a trial have in common where their digests must agree."""
+"""What rows of a trial have in common if their digests must agree."""
 
 
 class Store:
@@ -99,7 +99,7 @@ class Store:
         """Add the rows and logs of other folders of the same study; return how many were added.
 
         Of a trial that both have, the row here stays, unless only the other has the log of the same
-        digest. Logs are linked where the file system can, else copied. Raises UsageError for a
+        digest. Logs are linked if the file system can, else copied. Raises UsageError for a
         folder without a row of the study, and for two rows of a trial by the same code that differ.
         """
         added = 0

@@ -1,7 +1,7 @@
 """Films of a trial: the arena with what moves in it, the error over time, and numbers.
 
 What does not move is drawn once; for each picture only the rest is drawn upon it. MP4 is written by
-ffmpeg where it is installed, GIF and animated WebP by Pillow.
+ffmpeg if it is installed, GIF and animated WebP by Pillow.
 """
 
 import shutil
@@ -43,7 +43,7 @@ SIDE_IN = 2.2  # width of curve and numbers
 MARGINS_IN = (0.62, 0.45, 0.62, 0.3)  # left of the arena, below it, between it and the side, above
 TRAIL_POINTS = 600
 BODY = 0.028
-"""Length of a robot's wedge where the spec gives no wheels, of the longer side of the arena."""
+"""Length of a robot's wedge if the spec gives no wheels, of the longer side of the arena."""
 
 Picture = NDArray[np.uint8]
 
@@ -71,7 +71,7 @@ def write_video(
     """Write a film of a trial and return how many times faster than the trial it plays.
 
     A trial of more than a minute plays faster, by 2, 5, 10 and so on. `progress` is called with the
-    number of pictures drawn and of all. Raises LogError where the file cannot be written.
+    number of pictures drawn and of all. Raises LogError if the file cannot be written.
     """
     ending = check_file(path)
     rate = FORMATS[ending]

@@ -51,7 +51,7 @@ class Bank(NamedTuple):
     state: Floats  # (B, N, SLOTS, SIZE)
     cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
     u: Floats  # (B, N, SLOTS) direction followed [rad], NaN for a robot that stands
-    weight: Floats  # (B, N, SLOTS) ln of the probability, -inf where there is none
+    weight: Floats  # (B, N, SLOTS) ln of the probability, -inf if there is none
     scale: Floats  # (B, N, 2) variances of positions and headings, to those expected
     unfit: Floats  # (B, N) how long no hypothesis has fitted [s]
     tau: Floats  # (B,) dead time [s]

@@ -20,7 +20,7 @@ class SingleShape(NamedTuple):
 
 
 def row(pack: Any, o: int) -> Any:
-    """Return the numbers of obstacle o of a kind: a tuple, or an array where rows differ."""
+    """Return the numbers of obstacle o of a kind: a tuple, or an array if rows differ."""
 
 
 @overload(row, jit_options=INLINE_FAST)
@@ -37,7 +37,7 @@ def count_hits(
 ) -> None:
     """Add 1 to hits[i, n] where robot i is in, or came through, any obstacle.
 
-    It is at x, y (N, P), or has come there from x0, y0 (P,) where `swept`. gap (P,) is 1 before and
+    It is at x, y (N, P), or has come there from x0, y0 (P,) if `swept`. gap (P,) is 1 before and
     after.
     """
 

@@ -15,7 +15,7 @@ INLINE_FAST: Any = {
     "error_model": "numpy",
     "forceinline": True,
 }
-"""Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
+"""Of whatever a kernel calls. A call would cost as much as the loop. And if a kernel has just
 been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
 the cache: two machine codes, and results that differ in the last bits from run to run."""
 ENTRY_FAST: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy"}

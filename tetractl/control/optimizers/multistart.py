@@ -11,7 +11,7 @@ only the most promising.
 
 A thorough search hops: it polishes again and again what is left when one of the best few sequences
 so far is moved at random, and keeps the better ones (basin hopping; Wales and Doye, J. Phys. Chem.
-A 101 (1997)). Where robots are to go from anywhere to anywhere, most starts end in a corner between
+A 101 (1997)). If robots are to go from anywhere to anywhere, most starts end in a corner between
 walls, obstacles and other robots, and what is nearly good leads to what is.
 """
 
@@ -92,7 +92,7 @@ class Multistart(OptimizerSection):
     ) -> Search:
         """Search sequences of `length` signals, from `warm` or from nothing.
 
-        A warm start is polished first; only where that fails is one round scattered, half of it
+        A warm start is polished first; only if that fails is one round scattered, half of it
         around the warm start. The history holds J before and after each polish and, in between, the
         merit of its steps: (8) plus the depths inside obstacles.
         """
@@ -112,7 +112,7 @@ class Multistart(OptimizerSection):
         return progress.search()
 
     def _rounds(self, problem: Problem, length: int) -> int:
-        """Return 1 where even straight lines at full speed leave a cost above the tolerance."""
+        """Return 1 if even straight lines at full speed leave a cost above the tolerance."""
         gaps = problem.poses.distances(problem.targets)
         beyond = float(np.maximum(gaps - problem.speed * problem.seconds(length), 0.0).sum())
         return 1 if beyond > self.tolerance else self.rounds

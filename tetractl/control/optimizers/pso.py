@@ -56,7 +56,7 @@ class PsoFields(OptimizerSection):
         return (self.iterations + 1) * self.particles + 1
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
-        """Yield "evaluations" and "stopped" where the history does not lead to them."""
+        """Yield "evaluations" and "stopped" if the history does not lead to them."""
         if not len(found.history):
             return
         if found.evaluations != self.particles * len(found.history) + warmed:

@@ -16,7 +16,7 @@ def as_text(value: Any) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The values of one quantity, one per row; None or NaN where it is not known.
+    """The values of one quantity, one per row; None or NaN if it is not known.
 
     A reader sees each value through `format`, below the heading "name [unit]"; a data file holds
     the values themselves, below `name_unit`. Columns of `words` are left-aligned and may be
@@ -69,7 +69,7 @@ class Table:
     ) -> Self:
         """Return a table of words, without its columns (but the first) that are empty in all rows.
 
-        A cell is empty where it is "" or "-".
+        A cell is empty if it is "" or "-".
         """
         values = list(zip(*rows, strict=True)) or [()] * len(header)
         columns = [

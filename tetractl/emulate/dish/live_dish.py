@@ -38,7 +38,7 @@ class Dish:
     """Cells between the coils of a driver.
 
     `coils` are the coils as they truly are, `reference_mt` the field at which the cells have their
-    a. `walls` [um] are those that cells slide along, None for a dish that has no end. Where cells
+    a. `walls` [um] are those that cells slide along, None for a dish that has no end. If cells
     are `held`, one that is placed waits there until the driver makes a field: a helper with a
     pipette is emulated, so that a trial begins with the cells on their starts.
     """
@@ -128,7 +128,7 @@ class CellBody:
         return not self.dish.steered
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the cell somewhere [mm, rad], to wait there where cells are held."""
+        """Put the cell somewhere [mm, rad], to wait there if cells are held."""
         cells, row = self.dish.cells, self.row
         cells.x[row], cells.y[row], cells.heading[row] = x * UM_MM, y * UM_MM, heading
         cells.resting[row] = self.dish.held

@@ -57,7 +57,7 @@ class FirmwareProgram:
 
 
 class Motor(Enum):
-    """M1 is the left motor where nothing is swapped."""
+    """M1 is the left motor if nothing is swapped."""
 
     M1 = M1
     M2 = M2

@@ -90,7 +90,7 @@ SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zig
 
 
 class TrueRobot(Model):
-    """A robot as it truly is, where that differs from what the spec says of it."""
+    """A robot as it truly is, if that differs from what the spec says of it."""
 
     name: Name
     """Name of a robot of the spec."""

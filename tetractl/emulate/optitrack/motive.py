@@ -41,7 +41,7 @@ class Motive:
     """The server. `expose` returns the bodies at the timeline's present moment.
 
     Exposures count from 1 and never back. `on_exposed(exposure, frame number)` is called at each,
-    `on_sent(exposure)` after its datagrams have left or, where none are sent, would have.
+    `on_sent(exposure)` after its datagrams have left or, if none are sent, would have.
     """
 
     def __init__(

@@ -140,7 +140,7 @@ class MotiveServer:
         return known.version if known else self.streaming.version
 
     def answer(self, message: Message, sender: Address, now_ns: int) -> Message | None:
-        """Return the answer to a message, None where there is none."""
+        """Return the answer to a message, None if there is none."""
         if sender in self.clients:
             self.clients[sender].heard_ns = now_ns
         match message:

@@ -22,7 +22,7 @@ from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, Versi
 
 
 class TrueBody(Model):
-    """How a robot's rigid body truly is, where that differs from the spec."""
+    """How a robot's rigid body truly is, if that differs from the spec."""
 
     name: Name
     """Name of a robot of the spec."""

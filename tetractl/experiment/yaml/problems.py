@@ -20,7 +20,7 @@ class SpecProblem:
     """One thing to mend.
 
     `origin` is the spec's file name, or `--set PATH=VALUE` for a value given there; `line` and
-    `column` count from 1 and are None where there are none.
+    `column` count from 1 and are None if there are none.
     """
 
     origin: str
@@ -60,7 +60,7 @@ def dotted(loc: Loc) -> str:
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """`; did you mean 'heading'?`, or nothing where no known word is close."""
+    """`; did you mean 'heading'?`, or nothing if no known word is close."""
     lower = {k.lower(): k for k in known}
     plain = word[:SHOWN_LENGTH].lower().translate(MICRO)
     close = difflib.get_close_matches(plain, lower, n=1)

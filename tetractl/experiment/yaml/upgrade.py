@@ -131,7 +131,7 @@ def _refuse_old_lab(document: Document) -> None:
 
 
 def _mapping(data: Any, home: list[str]) -> dict[str, Any]:
-    """Return the mapping at a path, an empty one where there is none."""
+    """Return the mapping at a path, an empty one if there is none."""
     for step in home:
         data = data.get(step) if isinstance(data, dict) else None
     return data if isinstance(data, dict) else {}

@@ -20,7 +20,7 @@ class Frames:
     """M camera frames of N robots in columns.
 
     `numbers`, `sampled_ns` and `received_ns` are (M,), `poses` and `truth` (M, N, 3) and `valid`
-    (M, N); `truth` is None where no true poses are known.
+    (M, N); `truth` is None if no true poses are known.
     """
 
     numbers: Integers

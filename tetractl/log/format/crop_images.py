@@ -62,7 +62,7 @@ def checksums(cells: CellCrops, seen: Observation, shown: Iterable[bytes]) -> li
 
 
 def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm:
-    """Decode what was found and its crops; ValueError where they do not fit together."""
+    """Decode what was found and its crops; ValueError if they do not fit together."""
     columns = (cells.x, cells.y, cells.axis, cells.long, cells.wide, cells.strength)
     others = (cells.robot, cells.merged, cells.column, cells.row)
     count, side = len(cells.robot), cells.side

@@ -152,7 +152,7 @@ def damage_metadata(damage: Damage, source: str, size: int, sha256: str) -> dict
 
 
 def read_damage(items: Mapping[str, str]) -> Damage | None:
-    """Decode what `damage_metadata` encodes; None where nothing was lost."""
+    """Decode what `damage_metadata` encodes; None if nothing was lost."""
     problems, lost = (json.loads(items[key]) for key in ("problems", "lost"))
     if not isinstance(problems, list) or not isinstance(lost, list):
         raise TypeError("no lists")

@@ -226,7 +226,7 @@ def triangulate(outline: Floats) -> NDArray[np.int64]:
     triangles = []
     while len(left) > 3:
         ears = (i for i in range(len(left)) if _is_ear(outline, left, i))
-        i = next(ears, 0)  # none only where rounding blurs nearly collinear corners: any may go
+        i = next(ears, 0)  # none only if rounding blurs nearly collinear corners: any may go
         triangles.append((left[i - 1], left[i], left[i + 1 - len(left)]))
         del left[i]
     return np.array([*triangles, left], dtype=np.int64)

@@ -34,7 +34,7 @@ class Overview:
     record states, and `trial_digest` that of the trial, as a study's row states it, None for a
     damaged log. `run`, `host`
     and `provenance` are the metadata of the run, `attachments` their sizes [byte]. `estimate` is
-    the controller's last estimate of the robots, at control step `estimate_step`; None where it
+    the controller's last estimate of the robots, at control step `estimate_step`; None if it
     estimated nothing.
     """
 

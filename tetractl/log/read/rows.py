@@ -136,7 +136,7 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
     """Return the rows in a file by trial, None for a trial whose row tetractl did not write.
 
     Of two lines of a trial the later counts. Lines that do not even name a trial are passed over,
-    as is a last line without its end, which a killed process left. Raises LogError where the file
+    as is a last line without its end, which a killed process left. Raises LogError if the file
     cannot be read.
     """
     try:
@@ -158,10 +158,10 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
 
 
 def row_results(path: Path) -> dict[int, ResultSummary | None]:
-    """Return the results in a file of rows by trial, None where a row is damaged.
+    """Return the results in a file of rows by trial, None if a row is damaged.
 
-    The experiment is that of the spec next to the file. Raises LogError where the file or its spec
-    cannot be read, or where a row is of another spec.
+    The experiment is that of the spec next to the file. Raises LogError if the file or its spec
+    cannot be read, or if a row is of another spec.
     """
     beside = path.with_name(SPEC)
     try:

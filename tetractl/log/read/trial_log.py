@@ -15,7 +15,7 @@ from tetractl.experiment.experiment import Experiment
 ALTERED = "the content does not match the digest that the log states"
 
 
-_OLD_SERVER = "EMULATED"  # in the camera server's name, where a log has no fact of its own
+_OLD_SERVER = "EMULATED"  # in the camera server's name, if a log has no fact of its own
 
 
 class Origin(StrEnum):
@@ -30,7 +30,7 @@ class Origin(StrEnum):
     def of(cls, experiment: Experiment, plant: PlantInfo) -> "Origin":
         """Return the origin of a trial, from its spec and what its plant said of itself.
 
-        A lab is emulated where a device announced it; the addresses do not matter.
+        A lab is emulated if a device announced it; the addresses do not matter.
         """
         if plant.simulated:
             return cls.DISTURBED if experiment.plant.disturbed else cls.UNDISTURBED
@@ -74,7 +74,7 @@ class TrialLog(TrialRecords):
 
     `run` are the items of the run record as written and `digest` is the content digest that the
     result record states. `content_digest` is computed from the file; `host_altered` is
-    True where the host records do not match the digest of them that the log states.
+    True if the host records do not match the digest of them that the log states.
     """
 
     path: str
@@ -128,7 +128,7 @@ class TrialLog(TrialRecords):
 class ResultSummary:
     """The result of a trial without its course.
 
-    `recovered` is True for a log that is damaged or ends early. Where its result is lost, `result`
+    `recovered` is True for a log that is damaged or ends early. If its result is lost, `result`
     is computed from the last poses of the log, with the outcome `aborted`.
     """
 
@@ -141,7 +141,7 @@ class ResultSummary:
     recovered: bool
     digest: str | None  # content digest that the log states
     warnings: int = 0  # and errors, among the messages for people
-    processor: str = ""  # its type, as `provenance.processor` names it; "" where not stated
+    processor: str = ""  # its type, as `provenance.processor` names it; "" if not stated
 
     @property
     def simulated(self) -> bool:

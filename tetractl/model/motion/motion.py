@@ -30,7 +30,7 @@ class Held:
     direction: Floats  # u [rad]
     turning: Floats  # a sin(u - heading) when the command came [rad/s], (3)
     course: Floats  # heading when the command came [rad]
-    moving: Floats  # 1 where the robot moves, else 0
+    moving: Floats  # 1 if the robot moves, else 0
 
 
 class StepFunction(Protocol):

@@ -8,7 +8,7 @@ random by w a root second. What an interval of t seconds misses the model by is 
 where F_k is the derivative of the model's end by its begin: what walks early in an interval has
 changed by F_k at its end (Simpson's rule for the integral of F_k^(2 x), x from 0 to 1). The
 covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next to it
-where interval k begins with the frame that interval k - 1 ended with. G_k is F_k, but for what is
+if interval k begins with the frame that interval k - 1 ended with. G_k is F_k, but for what is
 measured in two dimensions and projected along a way: the cosine of the angle between the ways of
 both intervals. With A = L L^T, y = L^-1 r are independent and of deviation 1, and
 
@@ -39,7 +39,7 @@ LEAST = 1e-7  # of a deviation, relative to the residuals' own
 
 @dataclass(frozen=True, slots=True)
 class SampleInterval:
-    """A value and its 95 % interval; an end is infinite where the motion does not bound it."""
+    """A value and its 95 % interval; an end is infinite if the motion does not bound it."""
 
     value: float
     low: float
@@ -59,7 +59,7 @@ class Chain:
     """The K intervals of one robot: their length `t` (K,) [s], `slope` F (K,), and which count.
 
     `linked` (K,) tells which begin with the frame that the one before ended with. `coupling` G (K,)
-    is F where it is None.
+    is F if it is None.
     """
 
     t: Floats
@@ -86,7 +86,7 @@ class Chain:
         return found
 
     def whiten(self, factor: Floats, columns: Floats) -> Floats:
-        """Return L^-1 of columns (K, M), 0 where an interval is not used."""
+        """Return L^-1 of columns (K, M), 0 if an interval is not used."""
         columns = np.where(self.used[:, None], columns, 0.0)
         found, info = _SOLVE(factor, columns, uplo="L")
         assert info == 0, "the diagonal of L is positive"

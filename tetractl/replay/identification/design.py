@@ -56,7 +56,7 @@ class Design:
 
 
 def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
-    """Return a design of some seconds; UsageError where the robots have no room for one."""
+    """Return a design of some seconds; UsageError if the robots have no room for one."""
     setup, rng = experiment.setup, np.random.default_rng(seed)
     period = setup.period_s
     hold = max(1, round(HOLD_S / period))
@@ -129,7 +129,7 @@ def _random_sequence(
 ) -> Floats | None:
     """Return random directions, each held for `seconds`, that stay in the room; None for none.
 
-    Each is at most TURN from the one before, the first from where the robots head. Where no
+    Each is at most TURN from the one before, the first from where the robots head. If no
     direction does, the last few are drawn once more.
     """
     knots: list[float] = []

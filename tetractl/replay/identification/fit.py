@@ -34,7 +34,7 @@ POINTS = 6  # of each side of a profile
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The most likely parameters and the ends of their 95 % intervals, infinite where not found.
+    """The most likely parameters and the ends of their 95 % intervals, infinite if not found.
 
     `chains` and `noises` are those of each robot's turns, `used` (K, N) the intervals that count.
     """

@@ -17,7 +17,7 @@ OUTLYING = 4.0  # deviations
 SPEED_ROUNDS = 3
 DEAD_TIME_STD = 0.1  # with which the robust fit looks for the dead time [s]
 A_STD, SPEED_STD, HEADING_BIAS_STD = 0.5, 0.5, 0.2  # likewise, the first two relative
-UNKNOWN_A = 3.0  # rad/s, where nothing is expected
+UNKNOWN_A = 3.0  # rad/s, if nothing is expected
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class IdentifiedRobots:
     """What was identified from some tracks.
 
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is how much earlier the
-    frame was exposed that the direction answers, None where it is not known.
+    frame was exposed that the direction answers, None if it is not known.
     """
 
     origin: str
@@ -62,7 +62,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
     """Identify the robots of some tracks, all of the same robots.
 
     `a` (N,) [rad/s] and the dead time [s] are what is expected, within a factor of some 5 and
-    0.3 s; None where nothing is. UsageError where the tracks show too little.
+    0.3 s; None if nothing is. UsageError if the tracks show too little.
     """
     drives = drives_of(tracks)
     counts = drives.intervals.usable.sum(axis=0)

@@ -56,7 +56,7 @@ class Turns:
     def motion(self, p: Turning, ahead: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Return displacement x and y per unit of speed [s] and the turn [rad], each (K, N).
 
-        Where it is in doubt whether a direction arrived, the mean of both, by their probabilities.
+        If it is in doubt whether a direction arrived, the mean of both, by their probabilities.
         `ahead` [rad] is added to the headings measured.
         """
         arrived, lost = self._followed

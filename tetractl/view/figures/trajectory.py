@@ -154,7 +154,7 @@ def _end_marks(axes: Axes, ends: Floats, color: str, alone: bool) -> None:
 
 
 def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
-    """Show the whole arena and all paths; dash the arena's edge where a path leaves it.
+    """Show the whole arena and all paths; dash the arena's edge if a path leaves it.
 
     What lies further from the arena than FAR times its size is cut off: a single wild pose would
     leave nothing of the rest to see.

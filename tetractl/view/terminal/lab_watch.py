@@ -85,7 +85,7 @@ class LabWatch:
         """Do nothing: a command shows in what the robots do."""
 
     def on_note(self, note: Note) -> None:
-        """Print a note, after the live view where there is one."""
+        """Print a note, after the live view if there is one."""
         self._notes.append(note)
         if not self._view:
             self._print_notes()

@@ -97,7 +97,7 @@ def keys(glyphs: Glyphs) -> tuple[tuple[str, str], ...]:
         ("E e", "previous or next event, and pause"),
         ("Home End", "start or end"),
         ("+ -", "twice or half the rate"),
-        ("p n", "previous or next trial, where several logs are given"),
+        ("p n", "previous or next trial, if several logs are given"),
         ("?", "show or hide this"),
         ("q", "quit"),
     )

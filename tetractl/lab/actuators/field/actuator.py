@@ -89,7 +89,7 @@ class FieldActuator:
 
         The currents go there in a straight line, so a field turned by half a circle passes through
         a weak one. `turning` is that of the field really asked for, 0 for cells without a pose;
-        `moving` cannot be obeyed. AbortError where the driver has failed.
+        `moving` cannot be obeyed. AbortError if the driver has failed.
         """
         if (failure := self.failure) is not None:
             raise AbortError(failure, HINT)
@@ -108,7 +108,7 @@ class FieldActuator:
         """Switch the field off: both currents go to 0 at the slew limit, and the cells swim on.
 
         After an `emergency` stop the driver makes no field until it is switched off and on.
-        AbortError where the port has failed.
+        AbortError if the port has failed.
         """
         with self._lock:
             self._currents = self._now(self._clock.now())

@@ -14,7 +14,7 @@ Pair = tuple[float, float]  # x and y: of the coils' axes for currents, of the s
 
 @dataclass(frozen=True, slots=True)
 class Coils:
-    """Two orthogonal coil pairs: `gain` [mT/A], negative where a winding is reversed, and
+    """Two orthogonal coil pairs: `gain` [mT/A], negative if a winding is reversed, and
     `offset`, the ambient field along each axis [mT]; `rotation` [rad]; greatest current of each
     [A], at least what cancels the ambient field."""
 
@@ -40,7 +40,7 @@ class Coils:
     def currents(self, direction: float, strength: float) -> Pair:
         """Return the currents [A] of a field: direction [rad], strength [mT].
 
-        Where a current would exceed its limit the strength is less, the direction kept.
+        If a current would exceed its limit the strength is less, the direction kept.
         """
         strength = min(strength, self.reach(direction))
         x, y = (

@@ -55,11 +55,11 @@ class Driver:
         return None
 
     def open(self) -> None:
-        """Open the port; AbortError where that cannot be."""
+        """Open the port; AbortError if that cannot be."""
         self._port.open()
 
     def send(self, flags: FieldFlag, x_ma: int = 0, y_ma: int = 0) -> int:
-        """Send a command that polls; return when it left. AbortError where the port has failed."""
+        """Send a command that polls; return when it left. AbortError if the port has failed."""
         with self._lock:
             self._sequence = (self._sequence + 1) % 256
             command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)
@@ -70,9 +70,9 @@ class Driver:
         return sent_ns
 
     def ask(self) -> FieldReply | None:
-        """Poll without running, up to five times 0.1 s; return the reply, None where none came.
+        """Poll without running, up to five times 0.1 s; return the reply, None if none came.
 
-        This switches a field off. AbortError where the port has failed.
+        This switches a field off. AbortError if the port has failed.
         """
         self.newest = None
         for _ in range(TRIES):

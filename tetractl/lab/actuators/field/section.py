@@ -15,7 +15,7 @@ class CoilPair(Model):
     """One coil pair: the field along its axis is offset + gain * current."""
 
     gain_mt_a: Finite
-    """Field per current [mT/A]; negative where the winding is reversed."""
+    """Field per current [mT/A]; negative if the winding is reversed."""
     offset_mt: Finite = 0.0
     """Ambient field along its axis [mT], such as the earth's; the current cancels it."""
 
@@ -51,7 +51,7 @@ class FieldSection(ActuatorSection):
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
     """Commands a second [Hz]."""
     strength_mt: Positive
-    """Field at which the cells have their `a` [mT]; less where the current limit binds."""
+    """Field at which the cells have their `a` [mT]; less if the current limit binds."""
     coils: CoilsSection
     """The coils, as measured by a probe where the cells are."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)

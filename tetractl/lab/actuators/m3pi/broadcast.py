@@ -37,7 +37,7 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class BroadcastCommand:
-    """One frame for all robots: robot i obeys `wheels[i]`, and stops where there is none."""
+    """One frame for all robots: robot i obeys `wheels[i]`, and stops if there is none."""
 
     sequence: int
     flags: Flag

@@ -240,7 +240,7 @@ class _Bench:
     def _run(self, counts: Counts, seconds: float) -> DrivenPath:
         """Hold counts for a while; return the motion once it is steady.
 
-        Again, where frames were missing: the guard may have stopped the robot meanwhile.
+        Again, if frames were missing: the guard may have stopped the robot meanwhile.
         """
         for _ in range(TRIES):
             first = self.rig.frames.count
@@ -269,7 +269,7 @@ class _Bench:
         self.clock.sleep_until(self.clock.now() + SECOND // 4)
 
     def _strayed(self) -> bool:
-        """Return whether the measurement was aborted, as it is where the robot is too far away."""
+        """Return whether the measurement was aborted, as it is if the robot is too far away."""
         guard, newest = self.rig.guard, self.rig.frames.newest
         if newest is not None and (pose := newest.poses[0]) is not None:
             self._home = self._home or pose

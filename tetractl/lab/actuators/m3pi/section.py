@@ -118,13 +118,13 @@ class M3piSection(XbeeSection, ActuatorSection):
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def limit(self, robot: M3piRobot) -> int:
-        """Return the greatest count ever sent to a robot: less where nothing would stop it."""
+        """Return the greatest count ever sent to a robot: less if nothing would stop it."""
         if isinstance(self.protocol, SlaveSection):
             return min(robot.limit, self.protocol.limit)
         return robot.limit
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in reach, whatever it runs: until it is switched off where it can."""
+        """Stop every robot in reach, whatever it runs: until it is switched off if it can."""
         from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]

@@ -136,7 +136,7 @@ def pack_content(frame: XbeeFrame | Other) -> bytes:
 
 
 def parse_content(content: bytes) -> XbeeFrame | Other:
-    """Read a frame's content; WireError where it is too short or too long for its type."""
+    """Read a frame's content; WireError if it is too short or too long for its type."""
     if not content:
         raise WireError("an empty frame")
     kind: Any = FRAME_TYPES.get(content[0])

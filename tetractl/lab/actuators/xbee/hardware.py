@@ -72,7 +72,7 @@ FAMILIES = (
 
 
 def family(hardware: bytes) -> Hardware | None:
-    """Return the family of a module by its HV, None where it is not known."""
+    """Return the family of a module by its HV, None if it is not known."""
     return next((f for f in FAMILIES if hardware and hardware[0] in f.codes), None)
 
 
@@ -82,7 +82,7 @@ def capable(found: Hardware | None) -> bool:
 
 
 def protocol(hardware: bytes, version: bytes) -> str | None:
-    """Return what a module runs by HV and VR, in words for people; None where that is not known.
+    """Return what a module runs by HV and VR, in words for people; None if that is not known.
 
     Without VR it is known only of families that run one protocol alone.
     """

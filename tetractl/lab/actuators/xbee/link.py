@@ -33,7 +33,7 @@ HINT = "the robots stop by their watchdog; plug it in, start again"
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Bytes from another module: its address, None where the mode does not say, and when [ns]."""
+    """Bytes from another module: its address, None if the mode does not say, and when [ns]."""
 
     source: int | None
     t_ns: int

@@ -60,7 +60,7 @@ class Plane:
         """Return the height above the floor [m] and the tilt [rad] of a tag.
 
         `pixels` (4, 2) are the corners of the tag, of side `side` [m]. A small square seen from
-        afar may fit two tilts as well as one: the smaller counts. None where none is found.
+        afar may fit two tilts as well as one: the smaller counts. None if none is found.
         """
         square = np.column_stack([side * SQUARE, np.zeros(4)])
         _, turns, shifts, errors = cv2.solvePnPGeneric(

@@ -1,7 +1,7 @@
 """The `apriltag` camera's part of a spec, and what builds the camera from it.
 
 Lengths whose name ends in `_mm` are millimetres, whatever the spec's length unit; times are
-seconds. OpenCV is imported only where the camera is built.
+seconds. OpenCV is imported only if the camera is built.
 """
 
 from collections.abc import Iterator, Sequence
@@ -89,7 +89,7 @@ class AprilTagSection(PictureSection):
         return self
 
     def ordered(self, names: Sequence[str]) -> tuple[RobotTag, ...]:
-        """Return the tags of robots in the order of their names; SpecError where one has none."""
+        """Return the tags of robots in the order of their names; SpecError if one has none."""
         by_name = {robot.name: robot for robot in self.robots}
         if missing := [name for name in names if name not in by_name]:
             raise SpecError(f"lab.camera.robots: no tag for {', '.join(missing)}")

@@ -16,7 +16,7 @@ class SeenCell:
     `probability` is that of this being the cell of the number `identity`, and not another one.
     `found`: it has a blob; `merged`: it shares the blob with others. `track` is the number of the
     path that it is on. `measured` (6,) is what its blob says by itself: x, y, axis
-    and their deviations; None where it has none of its own.
+    and their deviations; None if it has none of its own.
     """
 
     identity: int

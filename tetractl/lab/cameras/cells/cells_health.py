@@ -38,7 +38,7 @@ class SeenDish:
 
 @dataclass(frozen=True, slots=True)
 class DishState:
-    """The camera, besides its pictures; `ended` says why the source ended, "" where it has not."""
+    """The camera, besides its pictures; `ended` says why the source ended, "" if it has not."""
 
     source: str
     ended: str

@@ -35,7 +35,7 @@ class FilmCutter:
         robots: Sequence[SeenCell | None],
         tracker: CellTracker,
     ) -> CellFilm:
-        """Return what to keep of a picture; `robots` are the robots' cells, None where not seen."""
+        """Return what to keep of a picture; `robots` are the robots' cells, None if not seen."""
         searched, background = tracker.finder.searched, tracker.finder.background
         assert searched is not None
         longest = max((cell.long_um for cell in cells), default=0.0) / tracker.um_px

@@ -105,7 +105,7 @@ class BlobFinder:
     def learn(self, pictures: Sequence[Grey]) -> None:
         """Take the median of pictures of one size (height, width) for the background.
 
-        Tells from them whether cells are brighter or darker, where that is not given.
+        Tells from them whether cells are brighter or darker, if that is not given.
         """
         smooth = [cv2.GaussianBlur(each, (5, 5), 0) for each in pictures]
         levels = [max(float(np.median(_sparse(each))), 1.0) for each in smooth]
@@ -250,7 +250,7 @@ def _chunks(height: int, rows: int = 64) -> list[slice]:
 
 
 def _excess(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Return by how much one picture exceeds another, where that is more than noise."""
+    """Return by how much one picture exceeds another, if that is more than noise."""
     return cv2.threshold(cv2.subtract(above, below), 15, 0, cv2.THRESH_TOZERO)[1]
 
 

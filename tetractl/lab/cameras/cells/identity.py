@@ -1,8 +1,8 @@
 """Who is who after cells were one blob: a probability from how each answers the known signal.
 
 Each cell that leaves a merged blob is followed once for every cell that went in, with what was
-known of that one (turning rate, bias, speed, helix). Where the likelihood of all that is seen
-afterwards says so, the question is closed; where cells are too alike it stays open, and says so.
+known of that one (turning rate, bias, speed, helix). If the likelihood of all that is seen
+afterwards says so, the question is closed; if cells are too alike it stays open, and says so.
 """
 
 from collections.abc import Sequence

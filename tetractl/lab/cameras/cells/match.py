@@ -13,7 +13,7 @@ from tetractl.lab.cameras.cells.detect_cells import Blob
 GATE = 6.0  # deviations from where a cell is expected
 GATE_UM = 12.0  # and as far as this in any case
 FAR = 100.0  # what it costs to leave a cell without a blob
-STOPPED_UM = 45.0  # from where a cell should be, there may be its blob where no other cell's is
+STOPPED_UM = 45.0  # from where a cell should be, there may be its blob if no other cell's is
 STOPPED_UM_S = 200.0  # and further for each second without a blob
 SIZE_SHARE = 0.35  # a cell's blob varies by so much: tilt and focus
 ALIKE = 0.4  # logarithm of sizes, for a cell that is not where it should be

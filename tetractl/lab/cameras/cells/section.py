@@ -30,7 +30,7 @@ class CellsSection(PictureSection):
 
     @property
     def bright(self) -> bool | None:
-        """Whether cells are brighter than the medium; None where that is to be found out."""
+        """Whether cells are brighter than the medium; None if that is to be found out."""
         return None if self.cells == "either" else self.cells == "bright"
 
     def bounds(self) -> dict[str, str]:

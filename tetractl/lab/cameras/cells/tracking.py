@@ -88,7 +88,7 @@ class CellTracker:
         return self._merges.closed
 
     def blob(self, track: int) -> Blob | None:
-        """Return the blob of a track in the newest picture, None where it has none."""
+        """Return the blob of a track in the newest picture, None if it has none."""
         return next((cell.blob for cell in self._cells if cell.track == track), None)
 
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:

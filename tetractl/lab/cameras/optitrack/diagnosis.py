@@ -111,7 +111,7 @@ def no_up_axis(stream: Stream) -> AbortError:
 
 
 def no_names(stream: Stream, timeout_s: float) -> AbortError:
-    """Return the error for a server that does not report names, where bodies are wanted by name."""
+    """Return the error for a server that does not report names, if bodies are wanted by name."""
     if stream.counts.unread_models:
         said = f"its list of rigid bodies cannot be read as protocol {stream.version}"
     else:

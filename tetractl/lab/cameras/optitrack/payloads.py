@@ -90,7 +90,7 @@ class Cursor:
 
 
 def packed(layout: str, *values: Any) -> bytes:
-    """Pack little-endian values; WireError where one does not fit."""
+    """Pack little-endian values; WireError if one does not fit."""
     try:
         return struct.pack("<" + layout, *values)
     except (struct.error, OverflowError) as error:

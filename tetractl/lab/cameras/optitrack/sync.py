@@ -94,7 +94,7 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Least squares slope of server minus host against host; 0 where it cannot be estimated."""
+    """Least squares slope of server minus host against host; 0 if it cannot be estimated."""
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
     if max(t) - min(t) < DRIFT_SPAN:

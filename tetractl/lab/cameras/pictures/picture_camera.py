@@ -30,7 +30,7 @@ CLOSE_S = 2.0
 
 
 class SearchedPicture(Protocol):
-    """What was found in a picture: the robots' poses, None where not tracked, and others."""
+    """What was found in a picture: the robots' poses, None if not tracked, and others."""
 
     @property
     def poses(self) -> tuple[Pose | None, ...]:
@@ -50,7 +50,7 @@ class PictureCamera(ABC, Generic[S]):
     """Tracks robots in pictures; a `Camera` but for what is searched in them.
 
     `wake` is called, in the finding thread, after every new frame. A frame is numbered by its
-    picture: where a live source outruns the finding, numbers are missing. Frames never carry a
+    picture: if a live source outruns the finding, numbers are missing. Frames never carry a
     `fault`.
     """
 
@@ -72,7 +72,7 @@ class PictureCamera(ABC, Generic[S]):
 
     @abstractmethod
     def _see(self, picture: Grey, exposed_ns: int) -> S | None:
-        """Return what is in a picture, None where there is no frame to it yet."""
+        """Return what is in a picture, None if there is no frame to it yet."""
 
     @abstractmethod
     def check(self) -> Health:
@@ -101,7 +101,7 @@ class PictureCamera(ABC, Generic[S]):
         return fresh
 
     def __enter__(self) -> Self:
-        """Open the source and wait for a first frame; AbortError where none comes."""
+        """Open the source and wait for a first frame; AbortError if none comes."""
         patience = self._source.connect
         self._feed = open_feed(self._source.source, self._clock, patience)
         self._threads = [

@@ -1,6 +1,6 @@
 """The part of a spec that all cameras with pictures share: where pictures come from.
 
-OpenCV is imported only where the camera is built.
+OpenCV is imported only if the camera is built.
 """
 
 from collections.abc import Callable

@@ -51,7 +51,7 @@ class Feed(Protocol):
     """An open source. One thread reads and closes; any may interrupt.
 
     Pictures of a `live` source come whether they are read or not. `rate_hz` is what it promises,
-    None where it promises nothing. An `emulated` source shows no robots of this moment.
+    None if it promises nothing. An `emulated` source shows no robots of this moment.
     """
 
     live: bool
@@ -64,7 +64,7 @@ class Feed(Protocol):
         ...
 
     def read(self) -> Picture:
-        """Wait for the next picture; SourceEndedError where none will come."""
+        """Wait for the next picture; SourceEndedError if none will come."""
         ...
 
     def interrupt(self) -> None:
@@ -90,10 +90,10 @@ def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
 
 
 def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
-    """Return the grey levels (height, width) of a picture, None where its JPEG is damaged.
+    """Return the grey levels (height, width) of a picture, None if its JPEG is damaged.
 
     A JPEG of another `size` (height, width), or by default of more than `PIXELS_MAX` a side, is not
-    decoded: None. cv2.error where OpenCV refuses pixels.
+    decoded: None. cv2.error if OpenCV refuses pixels.
     """
     content = picture.content
     if isinstance(content, np.ndarray):

@@ -13,6 +13,7 @@ from tetractl.core.plan import Outcome
 from tetractl.emulate import firmware
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
+from tetractl.replay.verify import verify
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import run_trial
 
@@ -79,6 +80,39 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
             assert says in result.reason
         dish.clock.sleep_until(dish.clock.now() + SECOND)
         assert not dish.emulation.actuator.driver.running
+
+
+@pytest.mark.parametrize(
+    ("on_lost", "notes", "lost"),
+    [
+        ("stop", [], ()),
+        ("drop", ["the run goes on without it"], (1, 0)),
+        ("replace", ["the run goes on without it", "cell 1 is another cell now"], (1, 0)),
+    ],
+)
+def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, notes, lost, tmp_path):
+    script = "faults: [{fault: divides, cell: cell 1, at: 6.5}]"
+    log, cells, _ = play(tmp_path, script, ("controller.accept_error=40", f"on_lost={on_lost}"))
+    result = log.result
+    assert len(cells) == 5
+    assert result.lost == lost
+    assert result.outcome.complete == (on_lost != "stop")
+    if on_lost == "stop":
+        assert result.reason == "cell 1 has divided"
+        return
+    text = " ".join(note.text for note in log.notes)
+    assert "cell 1 has divided" in text
+    assert all(note in text for note in notes)
+    assert verify(tmp_path / "trial-000.mcap").problems == ()
+    left = [1] if on_lost == "drop" else [0, 1]
+    assert max(np.array(result.robot_errors)[left]) < 60
+
+
+def test_a_cell_that_rests_is_still_that_cell(tmp_path):
+    script = "faults: [{fault: rests, cell: cell 1, at: 6.5, for: 1}]"
+    log, _, _ = play(tmp_path, script, ("controller.accept_error=40", "on_lost=drop"))
+    assert log.result.outcome.complete, log.result.reason
+    assert log.result.lost == ()
 
 
 def test_what_a_dish_does_every_day_is_borne(tmp_path):

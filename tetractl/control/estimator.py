@@ -5,7 +5,7 @@ the direction decided now acts, and how they move: as the spec says, from the ne
 bank of filters identifies them while they drive.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +14,10 @@ from tetractl.control.delay import Held, Predictor, advance
 from tetractl.control.filter import FilterBank, Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
+from tetractl.core.errors import ControlError
+from tetractl.core.losses import Losses, LossRule
 from tetractl.core.plan import Estimate
-from tetractl.core.poses import Floats, Observation
+from tetractl.core.poses import Bools, Floats, Observation
 from tetractl.core.problem import Problem
 
 REMEMBERED = SECOND  # ns for which commands are remembered after they stopped acting
@@ -25,7 +27,8 @@ class StateEstimator:
     """The robots of one trial as far as known.
 
     `problem` has a and speed of the spec. With a `prior` they are identified; robots that
-    `drive_first`, in a square, from when they have settled to the first direction.
+    `drive_first`, in a square, from when they have settled to the first direction. Those that are
+    lost by the `loss` rule, `losses.lost`, are left out of what is returned.
     """
 
     def __init__(
@@ -35,8 +38,10 @@ class StateEstimator:
         dead_time_s: float,
         prior: Prior | None,
         drive_first: bool = False,
+        loss: LossRule | None = None,
     ) -> None:
         self.problem = problem
+        self.losses = Losses(loss, len(problem.a))
         self.period = round(period_s * SECOND)
         self.predictor = Predictor(dead_time_s, len(problem.a))
         self.filter = None if prior is None else FilterBank(prior, drive_first)
@@ -49,6 +54,16 @@ class StateEstimator:
         """The dead time, as given or as identified [s]."""
         known = None if self.estimate is None else self.estimate.dead_time
         return self.predictor.dead_time_s if known is None else known
+
+    @property
+    def left(self) -> Bools:
+        """Which robots are not lost, (N,)."""
+        return ~self.losses.lost
+
+    @property
+    def known(self) -> Estimate | None:
+        """The estimate of the robots that are left."""
+        return self.estimate and self.estimate.only(self.left)
 
     @property
     def heard(self) -> bool:
@@ -66,13 +81,16 @@ class StateEstimator:
         if last_command is not None:
             self.sent(last_command)
         self._newest_ns = observation.sampled_ns
+        others = {i for frame in (*earlier, observation) for i in self.losses.see(frame)}
+        if self.losses.lost.all():
+            raise ControlError("every robot is lost")
         if self.filter is not None:
-            return self._identified(observation, earlier)
+            return self._identified(observation, earlier, others).only(self.left)
         self.predictor.forget(self._newest_ns - REMEMBERED)
         poses, acts = observation.poses, self.acts(observation)
         if acts > self._newest_ns:
             poses = advance(self.problem, poses, self.held(acts))
-        return replace(self.problem, poses=poses)
+        return replace(self.problem, poses=poses).only(self.left)
 
     def sent(self, command: Command) -> None:
         """Add how a direction was sent."""
@@ -83,9 +101,12 @@ class StateEstimator:
         if self.filter is not None:
             self.filter.sent(command)
 
-    def _identified(self, observation: Observation, earlier: Sequence[Observation]) -> Problem:
+    def _identified(
+        self, observation: Observation, earlier: Sequence[Observation], others: Iterable[int]
+    ) -> Problem:
         assert self.filter is not None
         self.filter.seen(observation, earlier)
+        self.filter.restart(others)
         estimate = self.estimate = self.filter.estimate()
         poses, bias, flow = self.filter.course()
         known = replace(self.problem, a=estimate.a, speed=estimate.speed, bias=bias, flow=flow)
@@ -98,9 +119,9 @@ class StateEstimator:
         return self.predictor.held(self._newest_ns, until)
 
     def held_at_action(self, observation: Observation) -> Floats:
-        """Return the directions (N,) [rad] held when one decided on a frame will act, NaN for a
-        robot that stands."""
-        return self.held(self.acts(observation) + 1)[-1][2]
+        """Return the directions [rad] that the robots left hold when one decided on a frame will
+        act, NaN for a robot that stands."""
+        return self.held(self.acts(observation) + 1)[-1][2][self.left]
 
     def acts(self, observation: Observation) -> int:
         """Return when a direction decided on a frame will act [ns].

@@ -28,26 +28,34 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
     return evaluate
 
 
-def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Return where a sequence (L,) leads and what it costs: the twin of `cost.foresee`."""
+def compiled_path(problem: Problem, signals: Floats) -> Floats:
+    """Return the poses (L + 1, N, 3) under a sequence (L,): the twin of `cost.predict`."""
+    from tetractl.control.kernels.motion import constants
     from tetractl.control.kernels.prediction import predict
-    from tetractl.control.kernels.rollout import costs, lay_out
 
-    rollout, total = lay_out(problem, 1), np.empty(1)
     path = np.empty((signals.size + 1, problem.a.size, 3))
     path[0] = problem.poses.array()
-    periods = problem.first_period, problem.period
     predict(
         np.ascontiguousarray(signals),
         problem.a,
         problem.speed,
         problem.drift,
-        *periods,
-        rollout.rest,
+        problem.first_period,
+        problem.period,
+        constants(problem)[1],
         path,
     )
+    return path
+
+
+def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
+    """Return where a sequence (L,) leads and what it costs: the twin of `cost.foresee`."""
+    from tetractl.control.kernels.rollout import costs, lay_out
+
+    rollout, total = lay_out(problem, 1), np.empty(1)
     costs(rollout, np.ascontiguousarray(signals[:, None]), total)
     require_finite(total)
+    path = compiled_path(problem, signals)
     missed = path[-1, :, :2] - problem.targets
     target = float(np.hypot(missed[:, 0], missed[:, 1]).sum())  # (8)
     return Foreseen(path, target, float(rollout.lanes[4].sum()))  # (9)

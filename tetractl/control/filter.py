@@ -29,7 +29,7 @@ small an a.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -190,6 +190,19 @@ class FilterBank:
                 self._follow(frame)
             self._last = frame
         self._select()
+
+    def restart(self, robots: Iterable[int]) -> None:
+        """Forget what is known of robots that are others now; they are where the last frame has
+        them."""
+        for i in robots:
+            assert self._last is not None, "only a robot of an earlier frame can be another one"
+            first = self._first_bank(self._bank.tau)
+            for column, fresh in zip(self._bank[:6], first[:6], strict=True):
+                column[:, i] = fresh[:, i]
+            for b, following in enumerate(self._bank.next):
+                if following:
+                    self._bank.u[b, i] = self._u[following - 1]
+                _kernel().place(self._bank, b, i, self._model, self._last.poses.array()[i])
 
     def _place(self, frame: Observation) -> None:
         """Take the poses from a frame, of robots that follow the last command that acts by then."""

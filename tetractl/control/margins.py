@@ -22,7 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control.cost import predict
+from tetractl.control.evaluate import compiled_path
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.problem import Problem
@@ -94,7 +94,7 @@ class Margins:
             first_period=seconds / steps,
             period=seconds / steps,
         )
-        ways = predict(branches, np.zeros(steps)).reshape(steps + 1, count, -1, 3)
+        ways = compiled_path(branches, np.zeros(steps)).reshape(steps + 1, count, -1, 3)
         x, y = ways[..., 0], ways[..., 1]
         shapes = self.obstacles(problem.poses, margin)
         if shapes.cross(x[:-1], y[:-1], x[1:], y[1:]).any():

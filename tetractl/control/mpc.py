@@ -27,7 +27,7 @@ and stay at their targets (`hold`).
 """
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import ClassVar
@@ -38,12 +38,11 @@ from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
 from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, LAST_S, best_stop, longer, way_out
 from tetractl.control.estimator import StateEstimator
-from tetractl.control.evaluate import compiled_foresee
+from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
 from tetractl.control.fixed_sequence import given_search, make_plan
 from tetractl.control.holding import CircleSearch, signals_ahead
 from tetractl.control.lengths import (
-    Candidate,
     Searcher,
     affordable,
     candidates,
@@ -92,16 +91,16 @@ class Mpc:
         problem = section.problem(setup)
         prior = section.prior.of(problem, section.dead_time) if section.estimate else None
         square = isinstance(section.first_plan, Square)
-        self.estimator = StateEstimator(problem, section.period, section.dead_time, prior, square)
         self.setup, self.legs, self.leg = setup, setup.legs, 0
+        self.estimator = StateEstimator(
+            problem, section.period, section.dead_time, prior, square, setup.loss
+        )
         self.hold, self.stands = setup.hold, setup.wheel_radius is not None
         self.held: tuple[int, Outcome] | None = None  # when robots arrived that hold, and how
         self._begin_leg()
-        self.key = key
         self.optimizer, self.circler = optimizer, circler
-        self.timer = timer
-        self.k = 0
-        self.moving = False
+        self.key, self.timer = key, timer
+        self.k, self.moving = 0, False
         self.leaving = False  # whether robots are, or were, led out of a corner
         self.blocked = False  # whether the last plan touches an obstacle or its margin
         self.began = 0  # k at which a plan was made from standing
@@ -122,13 +121,15 @@ class Mpc:
         first_period = (self.section.hold - phase) * self.section.period
         known = self.estimator.seen(observation, last_command, earlier)
         self.unheard |= not self.estimator.heard
+        if (self.estimator.left != self.left).any():
+            self._begin_leg()
         while True:
-            targets = self.legs[min(self.leg, len(self.legs) - 1)]
+            targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
             problem = self._problem(replace(known, targets=targets), first_period)
             decision = (self._drive if self.held is None else self._stay)(problem, observation)
             if isinstance(decision, Plan):
                 self.moving = not decision.pauses
-                return replace(decision, leg=self.leg)
+                return replace(decision, leg=self.leg).of_all(self.left, observation.poses)
             if decision not in PASSED or self.stuck or self.leg == self.last_leg:
                 return decision
             self.leg += 1
@@ -143,9 +144,11 @@ class Mpc:
         return len(self.legs) - (self.hold is None)
 
     def _begin_leg(self) -> None:
-        """Plan for the next way-points or targets from where the robots are."""
+        """Plan for the next way-points or targets of the robots left from where they are."""
+        self.left = self.estimator.left  # robots, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
-        self.margins = Margins(self.setup.obstacles, walls, self.legs[self.leg])
+        targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
+        self.margins = Margins(self.setup.obstacles, walls, targets)
         self.accept = self.section.accept_error  # total error accepted now
         self.warm: Floats | None = None  # u_(warm), None before there is any
 
@@ -239,8 +242,7 @@ class Mpc:
 
     def _problem(self, known: Problem, first_period: float) -> Problem:
         """Pose the problem where a direction decided now will act, for the robots as known."""
-        problem = replace(known, first_period=first_period)
-        return self._with_margins(problem, self.estimator.estimate)
+        return self._with_margins(replace(known, first_period=first_period), self.estimator.known)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
         """Grow obstacles and separation by how far off course robots of which so much is known may
@@ -297,7 +299,7 @@ class Mpc:
         fewer are tried, evenly spread, each with WORTHWHILE times the least of a search.
         """
         section, step_key = self.section, mix(self.key, self.k)
-        wanted, most = list(self._candidates()), section.evaluations_max
+        wanted, most = list(candidates(self.warm, section.horizon_max)), section.evaluations_max
         if most is not None:
             wanted = affordable(wanted, self.warm, most // section.optimizer.evaluations_min)
         searcher = Searcher(
@@ -334,9 +336,6 @@ class Mpc:
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
         return replace(plan, estimate=self.estimator.estimate)
 
-    def _candidates(self) -> Iterable[Candidate]:
-        return candidates(self.warm, self.section.horizon_max)
-
     def _expired(self) -> Callable[[], bool]:
         if self.section.deadline is None or (self.warm is None and not self.moving):
             return never
@@ -367,7 +366,7 @@ class Mpc:
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
         if not self.section.collision.silence or count <= 0:
             return True
-        path = compiled_foresee(problem, signals[:count]).path[:-1]
+        path = compiled_path(problem, signals[:count])[:-1]
         collision = self.section.collision
         kept = KEPT * collision.radius, collision.separation
         seconds = collision.silence + self.section.period

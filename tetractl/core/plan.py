@@ -1,10 +1,12 @@
 """What a controller decides: searches, the plan chosen among them, or the end of the trial."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from tetractl.core.poses import Floats
+import numpy as np
+
+from tetractl.core.poses import Bools, Floats, Poses
 
 
 class Outcome(StrEnum):
@@ -119,6 +121,16 @@ class Estimate:
     dead_time: float | None = None
     dead_time_std: float | None = None
 
+    def only(self, some: Bools) -> "Estimate":
+        """Return what is estimated of some of the robots, (N,) true for those."""
+        a, speed = (self.a[some], self.a_std[some]), (self.speed[some], self.speed_std[some])
+        bias, std = self.heading_bias, self.heading_bias_std
+        kept = (
+            None if bias is None or std is None else bias[some],
+            None if std is None else std[some],
+        )
+        return Estimate(*a, *speed, *kept, self.dead_time, self.dead_time_std)
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:
@@ -145,6 +157,15 @@ class Plan:
     field_off: bool = False
     pauses: bool = False
     leg: int = 0
+
+    def of_all(self, left: Bools, seen: Poses) -> "Plan":
+        """Return the plan made for some of N robots, (N,) true for those, with a path of all: the
+        others stay where they were `seen`."""
+        if left.all():
+            return self
+        path = np.repeat(seen.array()[None], len(self.path), axis=0)
+        path[:, left] = self.path
+        return replace(self, path=path)
 
     @property
     def direction(self) -> float | None:

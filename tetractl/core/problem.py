@@ -1,7 +1,7 @@
 """The optimal control problem of one control step, as data."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -59,6 +59,18 @@ class Problem:
     bias: Floats | None = None
     flow: Floats | None = None
     within: float | None = None
+
+    def only(self, some: Bools) -> "Problem":
+        """Return the problem of some of the robots, (N,) true for those."""
+        return replace(
+            self,
+            poses=Poses.of(self.poses.array()[some]),
+            targets=self.targets[some],
+            a=self.a[some],
+            speed=self.speed[some],
+            bias=None if self.bias is None else self.bias[some],
+            flow=None if self.flow is None else self.flow[some],
+        )
 
     @property
     def drift(self) -> Floats:

@@ -132,6 +132,7 @@ STATISTICS = Registry(  # in the order of the tables
         "apart": "tetractl.results.outcomes:APART",
         "way_points": "tetractl.results.outcomes:WAY_POINTS",
         "time_inside": "tetractl.results.outcomes:TIME_INSIDE",
+        "lost": "tetractl.results.outcomes:LOST",
         "aborted": "tetractl.results.outcomes:ABORTED",
         "interrupted": "tetractl.results.outcomes:INTERRUPTED",
         "recovered": "tetractl.results.outcomes:RECOVERED",

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from tetractl.core.losses import LossRule
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.tour import HoldTask
 
@@ -91,7 +92,8 @@ class Setup:
     number of control steps and `iterations_max` that of an optimiser's iterations in one search.
     `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without wheels.
     `way_points` (M, N, 2) are passed before the targets, by all robots together; `hold` is what
-    comes after, None for the end of the trial.
+    comes after, None for the end of the trial. `loss` is when the trial goes on without a robot,
+    None where it ends.
     """
 
     name: str
@@ -111,6 +113,7 @@ class Setup:
     wheel_radius: float | None
     way_points: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     hold: HoldTask | None = None
+    loss: LossRule | None = None
 
     @property
     def legs(self) -> Floats:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.commands import Sample
+from tetractl.core.losses import Losses, LossRule
 from tetractl.core.poses import Floats, Observation
 
 
@@ -25,14 +26,16 @@ class TourMeasure:
     """How N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
 
     `step` is called with each control step's leg and observation, before the frames of it, which
-    `add` counts up to `until_ns`; the true poses count if they are known.
+    `add` counts up to `until_ns`; the true poses count if they are known. A robot is lost by a
+    `loss` rule.
     """
 
-    def __init__(self, legs: Floats, hold: HoldTask | None) -> None:
+    def __init__(self, legs: Floats, hold: HoldTask | None, loss: LossRule | None = None) -> None:
         self._legs, self._hold, self._leg = legs, hold, 0
         self._began_ns: int | None = None
         self._inside, self._frames = np.zeros(legs.shape[1], dtype=np.int64), 0
         self._passed: list[float] = []
+        self._losses = Losses(loss, legs.shape[1])
 
     def step(self, leg: int, observation: Observation) -> str:
         """Take the leg that a control step is on; return what it begins, for people, or ""."""
@@ -45,12 +48,13 @@ class TourMeasure:
         return f"way-point {leg} of {len(self._legs) - 1} is passed" if begins else ""
 
     def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
-        """Count the camera frames of the hold; an untracked robot is not inside."""
-        if self._hold is None or self._began_ns is None:
-            return
+        """Count lost robots, and the frames of the hold: an untracked robot is not inside."""
         for one in samples:
             seen = one.observation
-            if seen.sampled_ns < self._began_ns or (until_ns and seen.sampled_ns > until_ns):
+            if until_ns and seen.sampled_ns > until_ns:
+                continue
+            self._losses.see(seen)
+            if self._hold is None or self._began_ns is None or seen.sampled_ns < self._began_ns:
                 continue
             near = (one.truth or seen.poses).distances(self._legs[-1]) <= self._hold.radius
             self._inside += near if one.truth else near & seen.valid
@@ -60,6 +64,17 @@ class TourMeasure:
     def passed(self) -> tuple[float, ...]:
         """The sum of distances at each way-point passed, as observed [length unit]."""
         return tuple(self._passed)
+
+    @property
+    def gone(self) -> tuple[bool, ...]:
+        """Whether each robot is lost at the end, (N,)."""
+        return tuple(self._losses.lost.tolist())
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """How often each robot was lost, (N,); empty where none was."""
+        times = self._losses.times
+        return tuple(times.tolist()) if times.any() else ()
 
     @property
     def inside(self) -> tuple[float, ...]:

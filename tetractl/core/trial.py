@@ -67,9 +67,9 @@ class Result:
     their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
     from the opening of the plant if none was sent. `passed` (M,) are the sums of distances at
     the way-points passed and `inside` (N,) the shares of time within the radius of a hold, as
-    `TourMeasure` has them. `solve_ns` is the wall time the controller
-    spent on each control step; it and `deadline_misses`, the steps that took longer than the
-    control period, differ from run to run on the same seed.
+    `TourMeasure` has them, and `lost` (N,) how often each was lost. `solve_ns` is the wall time
+    the controller spent on each control step; it and `deadline_misses`, the steps that took longer
+    than the control period, differ from run to run on the same seed.
     """
 
     outcome: Outcome
@@ -83,6 +83,7 @@ class Result:
     deadline_misses: int = 0
     passed: tuple[float, ...] = ()
     inside: tuple[float, ...] = ()
+    lost: tuple[int, ...] = ()
 
     @classmethod
     def of(
@@ -111,6 +112,7 @@ class Result:
             deadline_misses=deadline_misses,
             passed=tour.passed,
             inside=tour.inside,
+            lost=tour.lost,
         )
 
     @property
@@ -159,7 +161,7 @@ class TrialRecords:
     def tour(self) -> TourMeasure:
         """How the robots passed their way-points and held, up to the stop."""
         setup, stops = self.start.setup, [one.sent_ns for one in self.commands if one.stops]
-        found = TourMeasure(setup.legs, setup.hold)
+        found = TourMeasure(setup.legs, setup.hold, setup.loss)
         for step in self.steps:
             found.step(step.plan.leg, step.observation)
         found.add(map(self.sample, range(len(self.frames))), max(stops, default=None))

@@ -13,14 +13,14 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
-from tetractl.core.errors import WireError
+from tetractl.core.errors import UsageError, WireError
 from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture, walls_of
-from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, fault, settings, switching
+from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.emulate.loop import Loop, Timeline
 from tetractl.emulate.port import PluggedDevice, PseudoPort
 from tetractl.emulate.sides import Facts, Stage
-from tetractl.experiment.base import Model, NonNegative
+from tetractl.experiment.base import Finite, Model, Name, NonNegative
 from tetractl.lab.actuators.field.coils import Pair
 from tetractl.lab.actuators.field.driver_protocol import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection
@@ -153,6 +153,28 @@ def _driver_of(device: Any, fault: Any) -> CurrentDriver:
     return device.driver
 
 
+def _row(fault: Any, device: Any) -> int:
+    names = [body.name for body in device.bodies]
+    if fault.cell not in names:
+        raise UsageError(f"there is no {fault.cell} in the dish", f"there are {', '.join(names)}")
+    return names.index(fault.cell)
+
+
+def _divides(fault: Any, device: Any) -> Undo:
+    device.dish.divide(_row(fault, device))
+    return lambda: None
+
+
+def _dives(fault: Any, device: Any) -> Undo:
+    device.dish.cells.depth[_row(fault, device)] += fault.by_um
+    return lambda: None
+
+
+def _rests(device: Any, fault: Any) -> Callable[[bool], None]:
+    row = _row(fault, device)
+    return lambda resting: device.dish.cells.rest(row, resting)
+
+
 FAULTS = (
     UNPLUG,
     STUCK_PORT,
@@ -168,6 +190,15 @@ FAULTS = (
         "The coils have this temperature.",
         settings(_driver_of, temperature_dc=lambda f: round(10 * f.celsius)),
         celsius=Annotated[float, Field(ge=0, le=200)],
+    ),
+    fault("divides", "A cell becomes two.", _divides, cell=Name),
+    fault("rests", "A cell stops swimming.", switching(_rests), cell=Name),
+    fault(
+        "dives",
+        "A cell leaves the focal plane by so much, and is back within seconds.",
+        _dives,
+        cell=Name,
+        by_um=(Finite, 300.0),
     ),
     fault("mute", "The driver hears but does not reply.", settings(_driver_of, mute=True)),
 )
@@ -196,8 +227,8 @@ class EmulatedField(PluggedDevice):
         else:
             cells = cells_of(setup, walk, seed)
         coils = section.calibrated_coils()
-        self._dish = Dish(self.driver, coils, section.strength_mt, cells, start_ns, seed, walls)
-        self._bodies = [CellBody(name, self._dish, row) for row, name in enumerate(names)]
+        self.dish = Dish(self.driver, coils, section.strength_mt, cells, start_ns, seed, walls)
+        self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
         self.readable = self.driver.readable
 
     @property
@@ -213,7 +244,7 @@ class EmulatedField(PluggedDevice):
     @property
     def truth(self) -> dict[str, Any]:
         """The field where the cells are [mT]."""
-        return {"field_mt": [round(part, 5) for part in self._dish.field_mt]}
+        return {"field_mt": [round(part, 5) for part in self.dish.field_mt]}
 
     def open(self, loop: Loop) -> Facts:
         """Plug the driver in."""
@@ -233,7 +264,7 @@ class EmulatedField(PluggedDevice):
 
     def advance(self, until_ns: int) -> None:
         """Let the currents follow and the cells swim."""
-        self._dish.advance(until_ns)
+        self.dish.advance(until_ns)
 
     def tick(self) -> None:
         """Do nothing: the driver replies at once."""

@@ -163,7 +163,7 @@ class StreamedCamera(ABC):
             return past[0][1]
         (t0, before), (t1, after) = past[i - 1], past[i]
         part = min(max((when - t0) / (t1 - t0), 0.0), 1.0)
-        return before + part * (after - before)
+        return before + part * (after[..., : before.shape[-1]] - before)  # more after a division
 
     def _remember(self) -> None:
         """Keep the scene as it is now, for exposures that are drawn later."""

@@ -94,6 +94,14 @@ def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, flo
     return free, min(apart, UNLIKE), float(a.min())
 
 
+def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCell | None:
+    """Return the cell whose a and speed are most like a robot's, None where none is like it."""
+    wanted = np.log([setup.a[robot], setup.speed[robot]])
+    off = [float(np.abs(np.log([cell.a, cell.speed]) - wanted).max()) for cell in cells]
+    best = min(range(len(cells)), key=off.__getitem__, default=None)
+    return None if best is None or off[best] > MISSED else cells[best]
+
+
 def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
     """Return the cells that are wanted, each by its a and speed."""
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])

@@ -8,6 +8,7 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
+from tetractl.core.losses import LossRule
 from tetractl.core.poses import Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
@@ -24,7 +25,7 @@ from tetractl.experiment.base import (
 )
 from tetractl.experiment.choice import Choice, OrChoice, dealt
 from tetractl.experiment.controller import ControllerSection
-from tetractl.experiment.lab_section import LabSection
+from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.shape_section import ShapeSection
@@ -165,6 +166,11 @@ class Experiment(Model):
     common to all. The resolved spec has the targets as dealt out, `given`."""
     hold: HoldSection | None = None
     """Whether the robots are to stay at their targets; the share of time inside is measured."""
+    on_lost: Literal["stop", "drop", "replace"] = "stop"
+    """What happens where a robot is not tracked for `lab.limits.untracked_abort`, or where a cell
+    is about to leave the arena, has divided, or is not known any more: the trial ends, goes on
+    without it, or with the free cell most like it. A robot that was dropped counts with its
+    distance from where it was seen last."""
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Where no robot may go."""
     wheels: Wheels | None = None
@@ -215,6 +221,15 @@ class Experiment(Model):
             raise inconsistent("robots", message)
         return self
 
+    @model_validator(mode="after")
+    def _can_replace(self) -> Self:
+        if self.on_lost == "replace" and (self.chosen is None or self.obstacles):
+            raise inconsistent(
+                "on_lost",
+                "replace needs robots: {choose: N, ...}, to take another, and no obstacles",
+            )
+        return self
+
     @property
     def open(self) -> bool:
         """Whether each trial still has to find its robots."""
@@ -247,7 +262,15 @@ class Experiment(Model):
             .reshape(len(self.robots), -1, 2)
             .swapaxes(0, 1),
             hold=HoldTask(self.hold.radius, self.hold.time) if self.hold else None,
+            loss=self._loss,
         )
+
+    @property
+    def _loss(self) -> LossRule | None:
+        if self.on_lost == "stop":
+            return None
+        limits: LabLimits = getattr(self.plant, "limits", LabLimits())
+        return LossRule(limits.untracked_abort, self.on_lost == "replace")
 
 
 def _stand_ins(choice: Choice, arena: Arena) -> tuple[Robot, ...]:

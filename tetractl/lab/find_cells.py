@@ -67,6 +67,13 @@ def turn_field(
     return found_cells(rig, walled)
 
 
+def free_cells(rig: Rig) -> list[FoundCell]:
+    """Return the cells that answer the field, are off the walls, and are no robot."""
+    taken = rig.camera.robots  # type: ignore[attr-defined]
+    cells = [cell for cell in found_cells(rig) if cell.magnetised and cell.free]
+    return [cell for cell in cells if cell.number not in taken]
+
+
 def found_cells(rig: Rig, walled: Container[int] = ()) -> list[FoundCell]:
     """Return the cells that the camera follows now, by the state of its filter.
 

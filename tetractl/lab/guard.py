@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
@@ -42,7 +43,8 @@ class GuardRules:
 
     `speeds` (N,) are v of each robot [length unit/s], `turning` (N,) the fastest it turns [rad/s].
     `lowest`, `highest` and `tilt` bound how a body stands; `mm` are the millimetres in a length
-    unit. Robots that are not `individual` can only be stopped together.
+    unit. Robots that are not `individual` can only be stopped together. A run that `goes_on` leaves
+    out a robot that is lost, and ends with the last one.
     """
 
     names: tuple[str, ...]
@@ -70,6 +72,7 @@ class GuardRules:
     wheel_error: float = 0.12
     wheel_radius: float = 0.0  # 0 without wheels
     individual: bool = True
+    goes_on: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +98,7 @@ class Guard:
     reason: str = ""
     emergency: bool = False
     jumps: int = 0  # poses that were refused
+    lost: dict[int, int] = field(default_factory=dict)  # robots, and when each was seen last [ns]
     outdated: int = 0  # frames dropped, since the last start, as exposed no later than others
     _filters: list[PoseFilter] = field(default_factory=list)
     _motion: MotionCheck = field(init=False)
@@ -114,18 +118,11 @@ class Guard:
     _headings: dict[int, tuple[int, float]] = field(default_factory=dict)  # last seen, and when
 
     def __post_init__(self) -> None:
-        rules = self.rules
+        rules, height = self.rules, (self.rules.lowest, self.rules.highest)
         self._filters = [
             PoseFilter(
                 MotionLimits(
-                    speed,
-                    turning,
-                    rules.jump,
-                    rules.jump_heading,
-                    rules.lowest,
-                    rules.highest,
-                    rules.tilt,
-                    rules.mm,
+                    speed, turning, rules.jump, rules.jump_heading, *height, rules.tilt, rules.mm
                 )
             )
             for speed, turning in zip(rules.speeds, rules.turning, strict=True)
@@ -209,12 +206,30 @@ class Guard:
         fresh: list[bool] = []
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             self._disobedient.discard(i)
-            if pose is None:
+            if self.rules.goes_on and now - track.seen_ns >= self.rules.untracked_abort_ns:
+                self.lose(i, self._untracked(i, now))
+            if pose is None or i in self.lost:
                 track.lost()
             elif not track.add(pose, now, self._fault(i, pose, now)):
                 self.jumps += 1
-            fresh.append(pose is not None and not track.refused)
+            fresh.append(pose is not None and i not in self.lost and not track.refused)
         return AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
+
+    def lose(self, i: int, reason: str) -> None:
+        """Go on without a robot, or abort where the rules say so or none is left."""
+        if i in self.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
+            return
+        if not self.rules.goes_on or len(self.lost) + 1 == len(self._filters):
+            self.abort(reason)
+        else:
+            self.lost[i] = self._filters[i].seen_ns
+            self._warnings.append(f"{reason}: the run goes on without it")
+
+    def replaced(self, i: int) -> None:
+        """Go on with another body in the place of a robot that was lost."""
+        del self.lost[i]
+        self._filters[i] = PoseFilter(self._filters[i].limits, seen_ns=self._last_frame_ns or 0)
+        self._motion.forget(i)
 
     def no_frame(self, silent_ns: int) -> str:
         """Return what is wrong if no newer frame came for `silent_ns`."""
@@ -260,7 +275,9 @@ class Guard:
         fresh = now_ns - (self._last_frame_ns or 0) <= self.rules.stale_ns
         let = tracked if self.rules.individual else (True,) * len(tracked)
         moving = let if fresh else still
-        self.state = GuardState.RUN if all(moving) and all(tracked) else GuardState.HOLD
+        well = zip(moving, tracked, self._left, strict=True)
+        held = any(left and not (move and seen) for move, seen, left in well)
+        self.state = GuardState.HOLD if held else GuardState.RUN
         return Ruling(self.state, moving, accepted, "", warnings)
 
     def _behind(self) -> str:
@@ -307,7 +324,8 @@ class Guard:
         newest = self._last_frame_ns or 0
         # a stream that stands still is a fault of its own, not as robots that are not tracked
         return tuple(
-            track.pose is not None and newest - track.seen_ns <= limit for track in self._filters
+            left and track.pose is not None and newest - track.seen_ns <= limit
+            for left, track in zip(self._left, self._filters, strict=True)
         )
 
     def _check_stream(self, now_ns: int) -> None:
@@ -319,20 +337,33 @@ class Guard:
         newest = self._last_frame_ns or 0
         for i, (name, track) in enumerate(zip(self.rules.names, self._filters, strict=True)):
             lost_ns = newest - track.seen_ns
+            if i in self.lost:
+                continue
             if i in self._disobedient and lost_ns > self.rules.untracked_stop_ns:
                 self.abort(f"{name} {track.refused}")
-            elif track.pose is None or lost_ns >= self.rules.untracked_abort_ns:
-                why = f": {track.refused}" if track.refused else ""
-                self.abort(f"{name} is not tracked{why} ({lost_ns / SECOND:.2f} s)")
+            elif lost_ns >= self.rules.untracked_abort_ns:
+                self.lose(i, self._untracked(i, newest))
+
+    @property
+    def _left(self) -> tuple[bool, ...]:
+        return tuple(i not in self.lost for i in range(len(self._filters)))
+
+    def _untracked(self, i: int, now_ns: int) -> str:
+        track = self._filters[i]
+        why = f": {track.refused}" if track.refused else ""
+        seconds = (now_ns - track.seen_ns) / SECOND
+        return f"{self.rules.names[i]} is not tracked{why} ({seconds:.2f} s)"
 
     def _check_places(self, poses: Sequence[Pose | None]) -> None:
         """Stop before a robot is out of the arena or touches another."""
         rules, ahead_s = self.rules, self.rules.reaction_ns / SECOND
         coming: list[tuple[str, Pose, Pose]] = []
         for i, pose in enumerate(poses):
+            if i in self.lost and rules.individual:
+                pose = self._filters[i].pose  # it stands where it was seen last
             if pose is None:
                 continue
-            way = rules.speeds[i] * ahead_s
+            way = 0.0 if i in self.lost else rules.speeds[i] * ahead_s
             then = Pose(
                 pose.x + way * math.cos(pose.heading),
                 pose.y + way * math.sin(pose.heading),
@@ -340,7 +371,8 @@ class Guard:
             )
             inside = rules.left <= then.x <= rules.right and rules.bottom <= then.y <= rules.top
             if not inside and self._outward(pose, then):
-                self.abort(f"{rules.names[i]} is about to leave the arena")
+                leave = self.abort if rules.individual else partial(self.lose, i)
+                leave(f"{rules.names[i]} is about to leave the arena")
             coming.append((rules.names[i], pose, then))
         for i, (name, now, then) in enumerate(coming):
             for other, other_now, other_then in coming[:i]:

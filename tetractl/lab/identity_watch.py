@@ -11,15 +11,13 @@ SURE = 0.9
 
 
 class IdentityWatch:
-    """The robots of one run by their `names`; `reason` is why it must end, "" for none.
-
-    That is if a robot is not known for `patience_s` or longer.
-    """
+    """The robots of one run by their `names`; `unknown` are those that have not been known for
+    `patience_s` or longer, by their index, and why they must not be steered on."""
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:
         self._names, self._patience_ns = names, round(patience_s * SECOND)
         self._since_ns: dict[int, int] = {}  # of robots that are not known
-        self.reason = ""
+        self.unknown: dict[int, str] = {}
 
     def see(self, film: CellFilm) -> Iterator[Note]:
         """Yield what a picture changes, for people; a cell that is not seen changes nothing."""
@@ -31,6 +29,11 @@ class IdentityWatch:
                 yield Note(now, "warning", f"{text} {probability:.2f}")
             elif probability >= SURE and self._since_ns.pop(i, None) is not None:
                 yield Note(now, "info", f"{name} is known again, probability {probability:.2f}")
-            elif not self.reason and now - self._since_ns.get(i, now) > self._patience_ns:
+            elif i not in self.unknown and now - self._since_ns.get(i, now) > self._patience_ns:
                 seconds = self._patience_ns / SECOND
-                self.reason = f"for {seconds:g} s it has not been known which cell is {name}"
+                self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
+
+    def forget(self, i: int) -> None:
+        """Begin again with another cell in the place of a robot."""
+        self._since_ns.pop(i, None)
+        self.unknown.pop(i, None)

@@ -19,7 +19,7 @@ def moving_robots(rig: Rig) -> list[str]:
     window = rig.frames.last(REST_NS)
     if not window:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
-    lines = [_not_at_rest(rig, i, window) for i in range(len(rig.setup.names))]
+    lines = [_not_at_rest(rig, i, window) for i in rig.left]
     return [line for line in lines if line]
 
 
@@ -71,7 +71,7 @@ def _stream_lost(rig: Rig) -> list[str]:
 def _lost(rig: Rig) -> list[str]:
     newest, count = rig.frames.newest, len(rig.setup.names)
     fresh = newest.fresh if newest is not None else (False,) * count
-    return [rig.not_tracked(i) for i in range(count) if not fresh[i]]
+    return [rig.not_tracked(i) for i in rig.left if not fresh[i]]
 
 
 def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:

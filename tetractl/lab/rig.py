@@ -85,6 +85,11 @@ class Rig:
         anywhere = {"start_mm": ANYWHERE, "start_heading": ANYWHERE}
         self.limits = self.limits.model_copy(update=anywhere)
 
+    @property
+    def left(self) -> list[int]:
+        """The robots that are not lost, by their indices."""
+        return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
+
     def not_tracked(self, i: int) -> str:
         """Return a line that robot i is not tracked, and why if that is known."""
         why = self.guard.refused[i]
@@ -141,4 +146,5 @@ def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> Gua
         wheel_error=limits.wheel_error,
         wheel_radius=setup.wheel_radius or 0.0,
         individual=individual,
+        goes_on=setup.loss is not None,
     )

@@ -38,7 +38,7 @@ class PathCheck:
         return cls(Obstacles.of(setup.obstacles), setup.arena, len(setup.names))
 
     def add(self, x: Floats, y: Floats) -> None:
-        """Add M further samples in time order; x, y of shape (M, N)."""
+        """Add M further samples in time order; x, y of shape (M, N), NaN where it is lost."""
         if self._last is not None:
             x, y = np.vstack([self._last[0], x]), np.vstack([self._last[1], y])
         self._last = (x[-1], y[-1])
@@ -46,8 +46,8 @@ class PathCheck:
         before, after = (x[:, :-1], y[:, :-1]), (x[:, 1:], y[:, 1:])
         self.entered |= self.obstacles.contain(x, y).any(axis=1)
         self.entered |= self.obstacles.cross(*before, *after).any(axis=1)
-        self.clearance = np.minimum(self.clearance, self.obstacles.distance(x, y).min(axis=1))
-        self.edge = np.minimum(self.edge, self.arena.inside(x, y).min(axis=1))
+        self.clearance = np.fmin(self.clearance, _least(self.obstacles.distance(x, y)))
+        self.edge = np.fmin(self.edge, _least(self.arena.inside(x, y)))
         self.apart = np.minimum(self.apart, separations(x, y))
 
     def verdict(self, final: Poses, not_at_rest: str = "") -> Verdict:
@@ -60,6 +60,10 @@ class PathCheck:
             tuple(self.edge.tolist()),
             tuple(self.apart.tolist()),
         )
+
+
+def _least(each: Floats) -> Floats:
+    return np.fmin.reduce(each, axis=1)
 
 
 def separations(x: Floats, y: Floats) -> Floats:

@@ -15,6 +15,7 @@ from tetractl.core.poses import Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.experiment.choice import Choice, FoundRobots
+from tetractl.experiment.choosing import most_alike
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.guard import GuardState
 from tetractl.lab.identity_watch import IdentityWatch
@@ -205,19 +206,42 @@ class LabPlant:
         for accepted in frames:
             poses, frame = self._unwrapped(accepted.poses), accepted.frame
             self._heading = poses.heading
-            self._path_check.add(poses.x[None], poses.y[None])
+            path = poses.xy.T[:, None].copy()
+            path[..., list(self.rig.guard.lost)] = np.nan
+            self._path_check.add(*path)
             times = frame.sampled_ns, frame.received_ns
             self._newest = Observation(frame.number, *times, poses, np.array(accepted.fresh))
             self._recent.append(self._newest)
             film = self._films.get(frame.sampled_ns)
             if film is not None:
                 self._news.extend(self._identities.see(film))
-                if self._identities.reason:
-                    self.rig.guard.abort(self._identities.reason)
             self._fresh.append(Sample(self._newest, None, film))
         if self._newest is not None:  # frames that the guard refused leave no sample
             now = self._newest.sampled_ns
             self._films = {at: film for at, film in self._films.items() if at > now}
+            self._lose_cells(now)
+
+    def _lose_cells(self, now: int) -> None:
+        """Give up robots whose cell is not that cell any more; put others in their places."""
+        guard, names, loss = self.rig.guard, self.setup.names, self.setup.loss
+        for i in getattr(self.rig.camera, "divided", ()):
+            guard.lose(i, f"{names[i]} has divided")
+        for i, why in self._identities.unknown.items():
+            guard.lose(i, why)
+        if loss is None or not loss.replaced:
+            return
+        from tetractl.lab.find_cells import free_cells  # imports OpenCV, which other labs lack
+
+        for i, seen_ns in list(guard.lost.items()):
+            if now - seen_ns < loss.after_s * SECOND:
+                continue
+            other = most_alike(self.setup, i, free_cells(self.rig))
+            if other is not None:
+                self.rig.camera.replace(i, other.number)  # type: ignore[attr-defined]
+                self._identities.forget(i)
+                guard.replaced(i)
+                what = f"a {other.a:.2f} rad/s, speed {other.speed:.0f} {self.setup.unit}/s"
+                self._news.append(Note(now, "warning", f"{names[i]} is another cell now: {what}"))
 
     def _unwrapped(self, seen: Sequence[Pose | None]) -> Poses:
         """Return the poses with headings that go on from the last ones without a turn of 2 pi.

@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Sample
@@ -12,14 +11,14 @@ from tetractl.core.poses import Bools, Observation, Poses
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import Disturbance, overriding
 
-Integers = NDArray[np.int64]
 
-
-def due_ns(first: int, rate_hz: float, until: int) -> Integers:
+def due_ns(first: int, rate_hz: float, until: int) -> list[int]:
     """Return the times [ns] of the samples number `first`, `first` + 1, ... up to `until` [ns]."""
-    after = int(until * rate_hz / SECOND) + 2
-    times = np.rint(np.arange(first, max(first, after)) * SECOND / rate_hz).astype(np.int64)
-    return times[times <= until]
+    times, when = list[int](), round(first * SECOND / rate_hz)
+    while when <= until:
+        times.append(when)
+        when = round((first + len(times)) * SECOND / rate_hz)
+    return times
 
 
 class MeasurementNoise(Model):
@@ -64,7 +63,7 @@ class SimCamera:
         """When the next frame under way reaches the host [ns], None if none is under way."""
         return self._under_way[0].observation.received_ns if self._under_way else None
 
-    def due(self, until: int) -> Integers:
+    def due(self, until: int) -> list[int]:
         """Return the times up to `until` at which frames have to be exposed, oldest first [ns]."""
         return due_ns(self._exposed, self.rate_hz, until)
 

@@ -32,6 +32,7 @@ from tetractl.plant.wheel_host import WheelDriveSection
 
 NO_FRAME_S = 60
 CULTURE = 6  # cells that there are to choose from
+FINDING = 1000  # spawn key of their random numbers: those of the plant stay what `verify` has
 SURVEYED = 0.03  # share by which a survey knows a and speed
 STOPS_MAX = 3000  # repetitions of a stop that some robot has not heard: one minute
 POSES_MAX = 2_000_000  # of one control period, which are simulated together
@@ -137,7 +138,8 @@ class SimSection(PlantSection):
     ) -> FoundRobots:
         """Return cells drawn as a culture has them, scattered in the arena, with a and speeds as a
         survey knows them."""
-        random, arena = np.random.default_rng(seed.spawn(1)[0]), setup.arena
+        own = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, FINDING))
+        random, arena = np.random.default_rng(own), setup.arena
         count = max(CULTURE, choice.choose)
         x = random.uniform(arena.left + arena.width / 8, arena.right - arena.width / 8, count)
         y = random.uniform(arena.bottom + arena.height / 8, arena.top - arena.height / 8, count)

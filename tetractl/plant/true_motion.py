@@ -139,14 +139,14 @@ class TrueMotion:
         ticks = due_ns(self._ticks, self._truth_rate, end)
         self._ticks += len(ticks)
         ends = [end] if event or isinstance(self.drive, DirectDrive) else []
-        times = np.sort(np.concatenate([frames, ticks, np.array(ends, dtype=np.int64)]))
-        times = times[np.diff(times, prepend=-1) > 0]  # as np.unique, in half the time
-        if not len(times):
+        times = sorted({*frames, *ticks, *ends})
+        if not times:
             return
-        is_tick = np.zeros(len(times))
-        is_tick[np.searchsorted(times, ticks)] = 1.0
-        x, y, heading = self.drive.advance((times - self._time) / SECOND, is_tick)
-        self._time = int(times[-1])
+        sampled = set(ticks)
+        seconds = np.array([when - self._time for when in times]) / SECOND
+        is_tick = np.array([1.0 if when in sampled else 0.0 for when in times])
+        x, y, heading = self.drive.advance(seconds, is_tick)
+        self._time = times[-1]
         if disturbed:
             self._disturb(end)
             p = self.drive.poses
@@ -157,7 +157,9 @@ class TrueMotion:
         self._path.append((x, y))
         if len(self._path) > UNCHECKED:
             self.check()
-        for due, i in zip(frames.tolist(), np.searchsorted(times, frames).tolist(), strict=True):
+        at = {when: i for i, when in enumerate(times)}
+        for due in frames:
+            i = at[due]
             self._camera.expose(due, Poses(x[i], y[i], heading[i]))
 
     @property

@@ -150,7 +150,7 @@ def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Differen
     )
     if log.damage:  # whose steps may be lost
         lost = {"steps": result.steps, "solve_ns": result.solve_ns}
-        lost |= {"passed": result.passed, "inside": result.inside}
+        lost |= {"passed": result.passed, "inside": result.inside, "lost": result.lost}
         ours = replace(ours, **lost, deadline_misses=result.deadline_misses)
     tolerance = EXACT if same_host else Tolerance(ROUNDING, ROUNDING)
     yield from _at(None, first_difference(ours, result, tolerance, "result"))
@@ -214,7 +214,9 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
     if not isinstance(lab, LabSection) or not len(now):
         return
     halts = log.start.plant.facts.get(HALTS) == "yes"  # early logs do not say
-    for i, name in enumerate(log.start.setup.names):
+    for i, (name, gone) in enumerate(zip(log.start.setup.names, log.tour.gone, strict=True)):
+        if gone:
+            continue
         seen = np.flatnonzero(log.valid[:, i])
         unseen_s = seconds(int(now[-1] - (now[seen[-1]] if len(seen) else 0)))
         if unseen_s > SLACK * lab.limits.untracked_stop:

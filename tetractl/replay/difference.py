@@ -172,6 +172,7 @@ def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
             "steps": result.steps,
             "passed": result.passed,
             "inside": result.inside,
+            "lost": result.lost,
         },
     }
 

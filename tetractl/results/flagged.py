@@ -44,6 +44,8 @@ def _notes(trial: ResultSummary) -> list[str]:
         names = (robot.name for robot in trial.experiment.robots)
         inside = [n for n, e in zip(names, trial.result.verdict.entered, strict=True) if e]
         notes.append(f"{', '.join(inside)} entered an obstacle")
+    if gone := sum(trial.result.lost):
+        notes.append(f"{gone} robot{'s' * (gone > 1)} lost")
     if trial.outcome is Outcome.STEPS_MAX:
         notes.append(f"not over after {trial.result.steps} steps")
     if trial.warnings and not trial.simulated:

@@ -100,6 +100,11 @@ def _time_inside(trial: ResultSummary) -> dict[str, Any]:
     return {f"inside_{name}": share for name, share in zip(names, shares, strict=True)}
 
 
+def _lost(trial: ResultSummary) -> dict[str, Any]:
+    """Return how many robots were lost, in a trial that goes on without them."""
+    return {} if trial.experiment.on_lost == "stop" else {"lost": sum(trial.result.lost)}
+
+
 def mean_of_each(
     of: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
 ) -> Statistic:
@@ -120,6 +125,7 @@ def mean_of_each(
 
 
 WAY_POINTS = mean_of_each(_way_points, "mean distance at a way-point, all robots", digits)
+LOST = mean_of_each(_lost, "mean number of robots", "{:.3g}".format)
 TIME_INSIDE = mean_of_each(_time_inside, "mean share of the hold inside", "{:.3f}".format)
 
 PERCENTILES = {"p50": 50, "p99": 99, "max": 100}

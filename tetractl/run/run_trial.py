@@ -46,7 +46,8 @@ class Trial:
     _between: list[Observation] = field(default_factory=list)  # frames since the last step's
 
     def __post_init__(self) -> None:
-        self._tour = TourMeasure(self.start.setup.legs, self.start.setup.hold)
+        setup = self.start.setup
+        self._tour = TourMeasure(setup.legs, setup.hold, setup.loss)
 
     def run(self) -> Result:
         """Run the trial and return its result.

@@ -106,6 +106,25 @@ def test_an_untracked_robot_stops_after_50_ms_alone_and_the_run_aborts_at_300():
     assert course.guard.reason.startswith("green is not tracked")
 
 
+@pytest.mark.parametrize("individual", [True, False])
+def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_last(individual):
+    course = running(replace(RULES, goes_on=True, individual=individual))
+    guard, lost = course.guard, (None, PLACES[1])
+    ruling = course.frames(40, lost)
+    assert list(guard.lost) == [0]
+    assert ruling.moving == (not individual, True)
+    assert ruling.state is GuardState.RUN
+    course.frames(5)  # it is there again
+    assert course.seen.fresh == (False, True)
+    guard.replaced(0)
+    assert course.frames(5).state is GuardState.RUN
+    assert course.seen.fresh == (True, True)
+    course.frames(40, lost)
+    course.frames(40, (None, None))
+    assert guard.state is GuardState.ABORT
+    assert guard.reason.startswith(("green", "blue"))
+
+
 def test_a_heading_that_flips_is_a_jump():
     course = running()
     flipped = Pose(PLACES[0].x, PLACES[0].y, PLACES[0].heading + math.pi)

@@ -36,9 +36,12 @@ def test_a_meeting_is_said_once_and_ends_the_run_only_where_it_stays_unknown():
         (1.0, "warning", "two"),
         (2.0, "info", "one"),
     ]
-    assert watch.reason == ""
+    assert watch.unknown == {}
     assert list(watch.see(seen(4.1, 0.95, 0.85))) == []
-    assert watch.reason == "for 3 s it has not been known which cell is two"
+    assert watch.unknown == {1: "for 3 s it has not been known which cell is two"}
+    watch.forget(1)
+    assert list(watch.see(seen(4.2, 0.95, 0.95))) == []
+    assert watch.unknown == {}
 
 
 def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():

@@ -72,6 +72,10 @@ class Dish:
             at[:] = low + size * random.uniform(0.5 - DROP, 0.5 + DROP, count)
         self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
 
+    def divide(self, row: int) -> None:
+        """Let a cell become two; the daughter is the last one from then on."""
+        self.cells = self.cells.divide(row, self._random)
+
     @property
     def field_mt(self) -> Pair:
         """The field where the cells are, in the spec's axes [mT]."""

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import astuple
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -160,6 +161,8 @@ class EmulatedMicroscope(StreamedCamera):
         span = self.painter.look.exposure_s * SECOND
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
         moments = [Bodies(*self._scene_at(exposed_ns + round(part * span))) for part in spread]
-        cells = self._dish.cells
-        shown = np.full(len(cells), not self._hidden)
+        there = min(len(moment.x) for moment in moments)  # a division in the exposure shows later
+        moments = [Bodies(*(part[:there] for part in astuple(moment))) for moment in moments]
+        cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < there)
+        shown = np.full(there, not self._hidden)
         return self.painter.picture(cells, moments, shown, exposed_ns / SECOND)

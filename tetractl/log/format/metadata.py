@@ -128,6 +128,7 @@ def result_metadata(result: Result, unit: str, warnings: int = 0) -> dict[str, s
             for name, values in (("passed", result.passed), ("inside", result.inside))
             if values
         },
+        **({"lost": json.dumps(result.lost)} if result.lost else {}),
         WARNINGS: str(warnings),
     }
 
@@ -173,7 +174,8 @@ def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robo
     errors, clearance = _floats(items["robot_errors"]), _floats(items["clearance"])
     edge, apart = (_floats(items.get(key, "[]")) for key in ("edge", "apart"))
     inside = _floats(items.get("inside", "[]"))
-    kept = [column for column in (edge, apart, inside) if column]  # older logs have neither
+    lost = tuple(int(times) for times in json.loads(items.get("lost", "[]")))
+    kept = [column for column in (edge, apart, inside, lost) if column]  # older logs have neither
     if any(len(column) != robots for column in (*final, entered, errors, clearance, *kept)):
         raise ValueError("the result is not of as many robots as the run")
     return Result(
@@ -194,6 +196,7 @@ def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robo
         deadline_misses=int(timing["deadline_misses"]) if timing else 0,
         passed=_floats(items.get("passed", "[]")),
         inside=inside,
+        lost=lost,
     )
 
 

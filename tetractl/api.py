@@ -1,7 +1,7 @@
 """What a notebook or a script needs: the functions that `import tetractl` gives.
 
 What is slow to import (numba, matplotlib, pandas) is imported by the function that needs it. A lab
-is driven by `tetractl run` alone, if a person can stop it.
+is driven by `tetractl run` alone, where a person can stop it.
 """
 
 import logging
@@ -43,7 +43,7 @@ Strings = NDArray[np.str_]
 def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
     """Read and check a spec file; `sets` replace values of it, such as "trials.count=5".
 
-    Raises SpecError with one line a problem.
+    Raises SpecError with one line per problem.
     """
     return load.load_spec(Path(path), sets)
 
@@ -212,7 +212,7 @@ def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
 def summarise(batch: "Batch", name: str = "") -> "Group":
     """Return the statistics of a batch: errors with intervals, outcomes, the published result.
 
-    `name` is what tables and figures call it. Raises UsageError if the trials are not of one
+    `name` is its name in tables and figures. Raises UsageError if the trials are not of one
     experiment.
     """
     from tetractl.results.describe import describe
@@ -264,7 +264,7 @@ def verify(path: str | Path) -> "Verification":
 
 @contextmanager
 def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
-    """Check and compile what a spec needs; give an interrupt that Ctrl-C requests."""
+    """Check a spec and compile what it needs; return the interrupt that Ctrl-C sets."""
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.trial_limits import check

@@ -105,7 +105,7 @@ def _events(found: "Overview") -> "Iterator[str]":
 
 
 def _estimate(found: "Overview") -> dict[str, str]:
-    """Return the last estimate, a line a robot; each value with its standard deviation."""
+    """Return the last estimate, one line per robot; each value with its standard deviation."""
     estimate, unit = found.estimate, found.run.get("unit", "")
     if estimate is None:
         return {}

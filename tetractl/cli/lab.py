@@ -31,7 +31,7 @@ def check(
         bool, typer.Option("--yes", help="Answer yes to what only a person knows, unasked.")
     ] = False,
 ) -> int:
-    """Look the lab over without moving a robot: camera, actuator, robots, batteries, starts.
+    """Check the lab without moving a robot: camera, actuator, robots, batteries, starts.
 
     Exit code 0 means that a run could start now. What only a person knows, such as
     the firmware of an unknown radio, is asked; without a terminal it takes --yes.

@@ -52,7 +52,7 @@ def open_logs(
         print(f"warning: {problem}", file=sys.stderr)
     named = {f"{i}-{path.name}": path for i, path in enumerate(found)}
     server = LoopbackServer(port, html.encode(), layout_of(found), named)
-    in_viewer = answers(viewer)  # before Ctrl-C: interrupted in an import it would be lost
+    in_viewer = answers(viewer)  # imported first: Ctrl-C during an import would be lost
     with suppress(KeyboardInterrupt), interrupted_once(), server:
         print_forwarding(server)
         print(server.page_url, flush=True)

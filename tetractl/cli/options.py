@@ -80,13 +80,14 @@ def require_confirmation(yes: bool) -> None:
     if not yes and (sys.stdin is None or not sys.stdin.isatty()):
         raise UsageError(
             "robots would move, and there is no terminal to ask at",
-            "add --yes to move them all the same",
+            "add --yes to move them without asking",
         )
 
 
 @contextmanager
 def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
-    """Show a bar on a terminal; yields what to call with the numbers done and of all."""
+    """Show a progress bar on a terminal; yields the function to call with the numbers done and of
+    all."""
     from rich.console import Console
     from rich.progress import Progress
 

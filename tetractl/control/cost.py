@@ -28,7 +28,7 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 
 STRAY = 0.3
-"""Cost of a hold radius further away, where that of being outside is 1."""
+"""Cost per hold radius of distance outside, relative to a cost of 1 for being outside."""
 
 
 @dataclass(frozen=True, slots=True)

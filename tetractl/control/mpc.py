@@ -67,7 +67,7 @@ NEXT = 2  # signals of the plan under way that are to be safe if robots hear not
 UNSURE = 2  # last signals of a plan that need not be
 KEPT = 0.2  # of their radius that robots then keep from what they could enter
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
-"""How a leg ends after which the next one begins."""
+"""Outcomes of a leg after which the next leg begins."""
 LATE = 2.0
 """Dead times that a stop may come late: it may be lost once."""
 
@@ -105,7 +105,7 @@ class Mpc:
         self.blocked = False  # whether the last plan touches an obstacle or its margin
         self.began = 0  # k at which a plan was made from standing
         self.stuck = False  # whether nothing could move safely from standing
-        self.unheard = False  # whether ever a command reached no robot: a stop may not, either
+        self.unheard = False  # whether a command ever reached no robot: then a stop may not, either
         self.resume = 0  # length from which to go on if the time for longer ones was up
 
     def plan(
@@ -149,7 +149,7 @@ class Mpc:
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
         self.margins = Margins(self.setup.obstacles, walls, targets)
-        self.accept = self.section.accept_error  # total error accepted now
+        self.accept = self.section.accept_error  # total error accepted at present
         self.warm: Floats | None = None  # u_(warm), None before there is any
 
     def _stay(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
@@ -170,7 +170,7 @@ class Mpc:
         return decision if isinstance(decision, Plan) or self.stuck else self._pause(problem)
 
     def _circle(self, problem: Problem) -> Plan:
-        """Return the directions that keep robots near which cannot stand."""
+        """Return the directions that keep robots which cannot stand near their targets."""
         step_key, limits = mix(self.key, self.k), Limits(None, self._expired())
         length = signals_ahead(problem.period)
         found = self.circler.search(problem, length, self.warm, step_key, limits)
@@ -223,8 +223,8 @@ class Mpc:
         return plan
 
     def _pause(self, problem: Problem, found: Plan | None = None) -> Plan:
-        """Return the plan to stop all robots and to plan from standing next; `found` holds the
-        searches that found nothing better."""
+        """Return the plan that stops all robots, after which the next plan starts from standing
+        robots; `found` holds the searches that found nothing better."""
         step_key = mix(self.key, self.k)
         if found is None:
             found = make_plan(problem, [given_search(problem, np.zeros(1))], 0, step_key)
@@ -245,8 +245,8 @@ class Mpc:
         return self._with_margins(replace(known, first_period=first_period), self.estimator.known)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Grow obstacles and separation by how far off course robots of which so much is known may
-        come, where they are to; None for robots of which all is."""
+        """Grow obstacles and separation by how far off course the robots may come, given the
+        uncertainty of their motion, if the margin follows it; None if everything is known."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem

@@ -58,7 +58,7 @@ class RrtSection(ControllerSection):
         return {"nodes of a tree": f"at most {self.draws_max}"}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield several robots, and one that cannot move."""
+        """Report several robots, and a robot that cannot move."""
         if len(setup.names) > 1:
             message = f"steers one robot, and there are {len(setup.names)}; take mpc for several"
             yield ("type",), message
@@ -140,7 +140,8 @@ class Rrt:
     def _passing(
         self, problem: Problem, observation: Observation, signals: Floats, gap: float
     ) -> Outcome | End | None:
-        """Return the end of the trial at the moment when the robot passes its target, if now."""
+        """Return the stop at the moment when the robot passes its target, None if that is not
+        now."""
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:
             return None

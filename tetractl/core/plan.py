@@ -32,7 +32,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """The end of a trial by a stop that is to be sent `delay_ns` after it was decided."""
+    """The end of a trial by a stop sent `delay_ns` after the decision."""
 
     outcome: Outcome
     delay_ns: int

@@ -1,4 +1,4 @@
-"""The seams: what a plant, a controller, an observer and the lab's devices must offer."""
+"""The protocols of plants, controllers, observers and the lab's devices."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -121,7 +121,7 @@ class Camera(Device, Protocol):
 class Actuator(Device, Protocol):
     """Turns the common direction into motion of N robots.
 
-    Sending raises AbortError if the device does not take it; `failure` says why from then on.
+    Sending raises AbortError if the device does not take it; from then on `failure` says why.
     Times are ns on the clock it was made with.
     """
 
@@ -222,7 +222,7 @@ class Observer(Protocol):
         ...
 
     def on_note(self, note: Note) -> None:
-        """A message for people, such as a robot that does not move as commanded."""
+        """A message for the operator, such as a robot that does not move as commanded."""
         ...
 
     def on_stop(self, stop: Command, result: Result) -> None:
@@ -236,13 +236,13 @@ class PlacementPrompt(Protocol):
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
         """Show what keeps the robots from starting, one line each; none: all is ready.
 
-        Who lets the robots start answers yes to the `questions`, a line each. Called again and
+        Who lets the robots start answers yes to the `questions`, one line each. Called again and
         again while robots are placed.
         """
         ...
 
     def go(self) -> bool:
-        """Return whether the person lets the robots start."""
+        """Return whether the operator lets the robots start."""
         ...
 
 
@@ -251,8 +251,8 @@ class LabSupervision:
     """The people at a run in the lab.
 
     `emergency` set is the emergency stop. `prompt` None: no person is asked, and robots that are
-    not on their starts within the spec's `placing` time end the run. `cancelled` returns whether a
-    person wants to wait no longer.
+    not on their starts within the spec's `placing` time end the run. `cancelled` returns whether
+    the operator gave up waiting.
     """
 
     emergency: threading.Event = field(default_factory=threading.Event)

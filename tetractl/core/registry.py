@@ -19,7 +19,7 @@ class PluginError(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of a seam: its name in a spec, "module:attribute", and the package it is from.
+    """One kind of an interface: its name in a spec, "module:attribute", and the package it is from.
 
     `version` is that of the package; both are "" for a kind that is built in.
     """
@@ -34,12 +34,12 @@ class Kind:
 
 
 class Registry:
-    """The kinds of one seam by name, such as the optimisers.
+    """The kinds of one interface by name, such as the optimisers.
 
     `builtin` maps a name to "module:attribute", and `base` is the class, written alike, that every
     kind is derived from; "" if kinds are no classes. Other packages add their own as entry
-    points of `group`; a name that is built in stays built in, and of two packages that offer the
-    same name the first in the alphabet counts. A module is imported when its kind is loaded.
+    points of `group`; built-in names take precedence, and of two packages that offer the same name
+    the first in alphabetical order is used. A module is imported when its kind is loaded.
     """
 
     def __init__(self, group: str, what: str, builtin: Mapping[str, str], base: str = "") -> None:

@@ -117,7 +117,7 @@ class Result:
 
     @property
     def summary(self) -> str:
-        """The result in words, which end the messages of a log."""
+        """The result in words: the last message of a log."""
         reason = f" ({self.reason})" if self.reason else ""
         return f"{self.outcome.value}{reason} after {self.steps} control steps"
 

@@ -51,7 +51,7 @@ class CurrentDriver:
         self.currents: Pair = (0.0, 0.0)
         self.supply_mv, self.temperature_dc = 12_000, 250
         self.powered, self.mute = True, False
-        self.garbled = 0  # chunks that came at another speed than the driver's
+        self.garbled = 0  # chunks sent at another speed than the driver's
         self._timeline, self._limits, self._baud = timeline, limits, baud
         self._tell, self._splitter = tell, Splitter()
         self._keep = math.exp(-STEP_NS / SECOND / lag_s)
@@ -70,7 +70,7 @@ class CurrentDriver:
         return DriverStatus.RUNNING in self.status
 
     def readable(self) -> None:
-        """Read what was written to the port; the driver has it after its time on the line."""
+        """Read what was written to the port; the driver receives it after the transmission time."""
         data = self.port.read()
         if not data:
             return
@@ -271,6 +271,6 @@ class EmulatedField(PluggedDevice):
 
 
 def _limits(section: FieldSection) -> DriverLimits:
-    """Return limits that are built into a driver which suits the spec."""
+    """Return the built-in limits of a driver that suits the spec."""
     milliamperes, slew = round(1000 * section.current_max_a), round(1000 * section.slew_max_a_s)
     return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

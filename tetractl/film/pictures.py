@@ -68,7 +68,8 @@ def open_film(path: Path, rate_hz: float | None = None) -> FilmPictures:
 
 def opencv():
     """Return OpenCV, quiet; AbortError if it is not installed."""
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what FFmpeg prints is no error of ours
+    # FFmpeg's messages are not errors of tetractl
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
         import cv2
     except ModuleNotFoundError as error:

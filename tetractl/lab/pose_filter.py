@@ -12,7 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 
 FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
-WINDOW_NS = SECOND  # a pose is compared with every accepted pose that is not older
+WINDOW_NS = SECOND  # age of the oldest accepted pose that a pose is compared with
 SPACING_NS = SECOND // 10  # between the poses kept for that, besides the last
 
 

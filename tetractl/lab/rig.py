@@ -70,7 +70,8 @@ class Rig:
         self.close()
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Go on with robots that were found, by the camera's numbers: they start where they are."""
+        """Continue with robots that were found, by the camera's numbers; they start at their
+        present poses."""
         self.setup = setup
         self.start_anywhere()
         self.actuator.settle(setup)  # type: ignore[attr-defined]
@@ -81,7 +82,7 @@ class Rig:
         wait_for(self.clock, lambda: self.frames.count > 0, FIRST_S)
 
     def start_anywhere(self) -> None:
-        """Let robots start where they are."""
+        """Make the robots' present poses their starts."""
         anywhere = {"start_mm": ANYWHERE, "start_heading": ANYWHERE}
         self.limits = self.limits.model_copy(update=anywhere)
 

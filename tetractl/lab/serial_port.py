@@ -59,7 +59,8 @@ class SerialPort:
         self._thread = threading.Thread(target=self._read, name=device, daemon=True)
 
     def open(self, alone: bool = True) -> None:
-        """Open the port and start to read, for this process `alone` or besides the one that has it.
+        """Open the port and start to read, for this process `alone` or in addition to the process
+        that has it.
 
         AbortError if it cannot, PortHeldError if another has it.
         """
@@ -181,11 +182,10 @@ def command_line(pid: int) -> list[str]:
 
 
 def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
-    """Stop the robots of the run that has a port, then end that run, by SIGKILL if need be.
-
-    `stops` sends stops past the run and returns what it did; it is repeated until the port is
-    free, for a run that hangs may still drive. AbortError if the run is not ended: it is not
-    known, another user's, or no tetractl.
+    """Stop the robots of the run that has a port, then end that run, by SIGKILL if necessary.
+    `stops` sends stops past the run and returns what it did; it is repeated until the port is free,
+    since a hanging run may still drive. AbortError if the run cannot be ended: it is unknown,
+    another user's, or not tetractl.
     """
     began, failure, said = time.monotonic(), "", False
     pid = holder(port)
@@ -230,7 +230,7 @@ def _left(
     stops: Callable[[], str] = lambda: "",
     say: Callable[[str], None] = lambda line: None,
 ) -> AbortError:
-    """Return the error of a program that still has the port, after stops past it."""
+    """Return the error for a program that still has the port after the stops."""
     with suppress(AbortError):
         say(stops())
     return AbortError(f"{name} still has the port: it {why}", f"end it yourself; {SWITCH_OFF}")

@@ -1,1 +1,1 @@
-"""What stands behind the controller: the seam and the simulation."""
+"""What stands behind the controller: the interface and the simulation."""

@@ -116,7 +116,7 @@ def _array_difference(
 def trial_difference(
     ours: TrialRecords, logged: TrialRecords, tolerance: Tolerance = EXACT
 ) -> Difference | None:
-    """Return the first difference of two trials but for the times of solving, None for none.
+    """Return the first difference of two trials except for the solve times, None for none.
 
     What both have of commands, frames and steps is compared before how many they have.
     """

@@ -87,8 +87,8 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
 
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
-    """Return a trial run again with the log's own if a last bit decides: facts, which are text,
-    and whether a robot that just touches an obstacle entered it."""
+    """Return a repeated trial with the log's own values wherever a last bit decides: facts, which
+    are text, and whether a robot that just touches an obstacle entered it."""
     assert ours.result
     assert log.result
     found, logged = ours.result.verdict, log.result.verdict

@@ -91,7 +91,8 @@ def verify(path: Path) -> Verification:
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:
-    """Return the differences between the log's host and this one that change bits, a line each."""
+    """Return the differences between the log's host and this one that change bits, one line
+    each."""
     used = provenance.plugins(packages(log.experiment))
     here = provenance.host() | provenance.versions() | used
     there = log.host | log.provenance

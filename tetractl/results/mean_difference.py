@@ -124,7 +124,7 @@ def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
         shape = 1 + extra * (1 - t) / (2 - t) + extra * t / (1 + t)
         return (theta - t) ** 2 - z2 * t * (1 - t) * shape / (m * n)
 
-    edge = 1e-12  # 0 and 1 are roots of their own if theta is 0 or 1
+    edge = 1e-12  # 0 and 1 are roots themselves if theta is 0 or 1
     low = _root(excess, 0.0, min(theta, 1 - edge)) if theta > 0 else 0.0
     high = _root(excess, max(theta, edge), 1.0) if theta < 1 else 1.0
     return Effect(2 * theta - 1, Interval(2 * low - 1, 2 * high - 1, "Newcombe"))
@@ -224,7 +224,7 @@ def _detectable(degrees: int, root: float, tests: int) -> float:
 
     def missing(size: float) -> float:
         low, high = special.nctdtr(degrees, size * root, [-bound, bound])
-        return float(1 - high + np.nan_to_num(low)) - POWER  # NaN far out, if it is nothing
+        return float(1 - high + np.nan_to_num(low)) - POWER  # NaN far out, where it is 0
 
     found = optimize.root_scalar(missing, bracket=(0.0, (1.5 * bound + 3) / root), method="brentq")
     return float(found.root)
@@ -242,7 +242,7 @@ def signed_rank(differences: Floats) -> float:
     n = len(kept)
     if n == 0:
         return math.nan
-    double = _double_ranks(np.abs(kept))  # whole numbers, if mean ranks may be halves
+    double = _double_ranks(np.abs(kept))  # whole numbers, though mean ranks may be halves
     positive, total = int(double[kept > 0].sum()), int(double.sum())
     if n > EXACT:
         variance = float((double.astype(float) ** 2).sum()) / 4

@@ -87,7 +87,7 @@ class Cluster:
 
     @property
     def workers(self) -> int:
-        """The number of trials that run at a time, at least 1; it is asked for now and then."""
+        """The number of trials that run at a time, at least 1; it is asked for occasionally."""
         now = time.monotonic()
         if now >= self._count_at_s and self._connected:
             with suppress(OSError):  # the scheduler goes: `run` says so

@@ -16,8 +16,8 @@ NAME_LENGTH = 100  # of a folder, far below what file systems take
 class Arm:
     """One arm: the spec that its trials are run with, and how it differs from the base.
 
-    `values` are those of the swept fields by path. `hash` is the SHA-256 of the experiment but for
-    the number of trials, which does not change a trial.
+    `values` are those of the swept fields by path. `hash` is the SHA-256 of the experiment except
+    for the number of trials, which does not change a trial.
     """
 
     name: str  # of its folder

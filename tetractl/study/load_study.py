@@ -47,7 +47,7 @@ class LoadedStudy:
 def load_study(path: Path) -> LoadedStudy:
     """Read and check a study's file and the spec of every arm.
 
-    Raises InvalidSpecError, one line a problem. If a value of the study does not fit the spec,
+    Raises InvalidSpecError, one line per problem. If a value of the study does not fit the spec,
     the line is that of the study; if the base is wrong by itself, that of the base.
     """
     document = parse_document(read_text(path), str(path))

@@ -1,6 +1,6 @@
 """Obstacles against positions: the twins of `Obstacles.contain` and `Obstacles.cross`.
 
-`packs` is a tuple of `PackedShapes`, one a kind, see `tetractl.model.obstacles`; what is compiled
+`packs` is a tuple of `PackedShapes`, one per kind, see `tetractl.model.obstacles`; what is compiled
 depends on their classes. Loops over kinds are unrolled by recursion: a tuple of several types has
 no loop in compiled code.
 """

@@ -61,7 +61,7 @@ class Dish:
         self.drop()
 
     def drop(self) -> None:
-        """Begin again with a fresh drop: cells scattered round the middle, as a pipette does."""
+        """Start again with cells scattered around the middle, as from a pipette."""
         if (walls := self._walls) is None:
             return
         count, random = len(self.cells), self._random
@@ -105,7 +105,7 @@ class Dish:
 class CellBody:
     """One cell of a dish as it truly is: x, y [mm] and heading [rad] of its helix's axis.
 
-    It counts as standing while no field steers it, for it never does.
+    It counts as standing while no field steers it, since it never stands.
     """
 
     def __init__(self, name: str, dish: Dish, row: int) -> None:

@@ -33,7 +33,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
 from tetractl.lab.cameras.optitrack.wire import datagram
 
 MODELS_CHANGED, EDIT_MODE = 2, 4
-GROWN = bytes(24)  # what descriptions of bodies are longer by, above 4.3
+GROWN = bytes(24)  # extra bytes of the descriptions of bodies above 4.3
 DATAGRAMS_A_TURN = 100
 
 

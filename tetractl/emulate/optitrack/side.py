@@ -266,7 +266,7 @@ class EmulatedOptitrack:
         return self.tracked[self.place_of(name)]
 
     def place_of(self, name: str) -> int:
-        """Return a robot's place among the robots."""
+        """Return a robot's index."""
         return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
 

@@ -1,4 +1,4 @@
-"""Specs written for an earlier tetractl: keys and values that are called something else now.
+"""Specs written for an earlier tetractl: keys and values that were renamed since.
 
 A spec, a `--set` and the resolved spec in a log all go through here before they are checked. The
 places of the values stay, so that errors point at what was written; each change leaves a notice in
@@ -98,7 +98,7 @@ UPGRADES: tuple[Renamed | Revalued | Removed, ...] = (
     Removed("controller.losses", "with 'estimate' lost commands are always detected"),
     Removed("controller.optimizer.precision", "particles are in double precision always"),
 )
-"""In the order in which they are applied: a later one may name what an earlier one renamed."""
+"""In the order of application: a later one may name a key that an earlier one renamed."""
 
 OLD_LAB = {"mocap", "radio", "protocol", "robots"}
 LAB_PAGE = "docs/reference/spec.md#lab shows them"

@@ -28,7 +28,7 @@ from tetractl.log.format.tetractl_pb2 import (
 FORMAT_VERSION = 2
 
 TEXT = 2000
-"""Characters of a text for people that are read back, control characters as escapes."""
+"""Characters of a Operator messages that are read back, control characters as escapes."""
 
 FRAMES = "/frames"
 TRANSFORMS = "/tf"

@@ -183,7 +183,7 @@ def decode_command(message: pb.WheelCommand) -> Command:
 
 
 def encode_step(step: Step) -> pb.ControllerStep:
-    """Encode one control step without its time of solving, which has its own message."""
+    """Encode one control step without its solve time, which has its own message."""
     plan = step.plan
     return pb.ControllerStep(
         k=step.k,
@@ -243,7 +243,7 @@ def decode_step(
 
 
 def encode_timing(step: Step) -> pb.StepTiming:
-    """Encode the time of solving of a control step."""
+    """Encode the solve time of a control step."""
     return pb.StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
 
 

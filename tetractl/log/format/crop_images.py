@@ -2,7 +2,7 @@
 
 `/camera/cells` says what each crop is and has the checksums of all messages of its picture. Crops
 are not compressed: chunks are, and nothing has to be decoded to search them again. Whole pictures
-are JPEG, for people.
+are JPEG, for display.
 """
 
 import zlib

@@ -13,7 +13,7 @@ HOST_DIGEST = "host_digest"
 class ContentDigest:
     """SHA-256 over the records of a log, in file order, host records left out.
 
-    With `host` it is over the host records alone, but for the report of a recovery.
+    With `host` it is over the host records alone, except for the report of a recovery.
 
     A record is preceded by its number of fields and a field by its length in bytes, so that no two
     different logs give the same bytes to hash. The fields of a message are topic, both times and

@@ -94,7 +94,7 @@ class Scene:
         return made
 
     def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Return one line a robot along its predicted path (length + 1, N, 3).
+        """Return one line per robot along its predicted path (length + 1, N, 3).
 
         The next message replaces it.
         """

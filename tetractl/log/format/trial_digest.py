@@ -21,11 +21,11 @@ BLOCK = 10_000  # frames encoded at a time
 
 
 def trial_digest(trial: TrialRecords) -> str:
-    """Return SHA-256 over the records of a trial but the times of solving.
+    """Return SHA-256 over the records of a trial but the solve times.
 
     Frames, commands, control steps with their estimates, and operator messages each have a hash of
     their own over their encoded messages in order; the digest is over those and over start and
-    result. Texts for people are hashed as a log gives them back: in characters that a terminal can
+    result. Operator messages are hashed as a log gives them back: in characters that a terminal can
     show, and cut. That of a damaged log is another one than the trial had as it ran.
     """
     start, result = trial.start, trial.result

@@ -22,7 +22,7 @@ MESSAGE = 1 << 22
 METADATA = 1 << 18
 """Most bytes of a metadata record: the result of 1000 robots has half as many."""
 TIMING = 1 << 22
-"""Most bytes of the record with the times of solving: those of 400,000 steps."""
+"""Most bytes of the record with the solve times: those of 400,000 steps."""
 KEYS = 10_000
 """Most items of a metadata record."""
 KEY = 200

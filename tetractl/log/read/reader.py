@@ -275,7 +275,7 @@ def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
 
 
 def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
-    """Decode the control steps of N robots, with their times of solving and estimates."""
+    """Decode the control steps of N robots, with their solve times and estimates."""
     data = _messages(contents, channels.HOST_TIMING)
     timings = {m.k: m for m in map(pb.StepTiming.FromString, data)}
     data = _messages(contents, channels.ESTIMATE)

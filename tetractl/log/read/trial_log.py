@@ -58,7 +58,7 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A message for people, `time_s` after the first direction was sent; before it, negative.
+    """A message for the operator, `time_s` after the first direction was sent; before it, negative.
 
     `level` is "info", "warning" or "error".
     """
@@ -140,7 +140,7 @@ class ResultSummary:
     result: Result
     recovered: bool
     digest: str | None  # content digest that the log states
-    warnings: int = 0  # and errors, among the messages for people
+    warnings: int = 0  # and errors, among the operator messages
     processor: str = ""  # its type, as `provenance.processor` names it; "" if not stated
 
     @property

@@ -77,7 +77,7 @@ def check_step(step: Step) -> None:
     check_frames(Frames.of([Sample(seen, None)], robots))
     check_command(step.command, robots)
     _counts("k", [step.k])
-    _counts("a time of solving", [step.solve_ns])
+    _counts("a solve time", [step.solve_ns])
     if len(plan.path) != len(plan.signals) + 1:
         raise ValueError(f"a path of {len(plan.path)} poses for {len(plan.signals)} signals")
     _poses("a predicted pose", plan.path)
@@ -143,7 +143,7 @@ def check_result(result: Result) -> None:
     _within("a clearance", near, -LENGTH_MAX, LENGTH_MAX)
     _within("duration_s", [result.duration_s], 0, TIME_MAX_NS / 1e9)
     _counts("steps", [result.steps, result.deadline_misses])
-    _counts("a time of solving", result.solve_ns)
+    _counts("a solve time", result.solve_ns)
 
 
 def _poses(what: str, poses: Floats) -> None:

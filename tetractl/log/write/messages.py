@@ -159,7 +159,7 @@ class Messages:
         return self._said(self._notes.told(note))
 
     def step(self, step: Step) -> list[Entry]:
-        """Return a control step: decision, command, planned path, time of solving and estimate."""
+        """Return a control step: decision, command, planned path, solve time and estimate."""
         path, sent_ns = step.plan.path, step.command.sent_ns
         sampled_ns, unix_ns = step.observation.sampled_ns, self._start_ns + sent_ns
         plan = self._scene.plan(path, unix_ns)

@@ -25,7 +25,7 @@ class FrozenCameraSection(SpellsSection):
         return not self.repeats
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrozenCamera":
-        """Return the spells of one trial."""
+        """Return the intervals of one trial."""
         return FrozenCamera(self.repeats, self.draw(rng))
 
 

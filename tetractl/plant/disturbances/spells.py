@@ -22,12 +22,12 @@ class SpellsSection(DisturbanceSection):
     """Each begins between these two times of the trial, uniformly distributed [s]."""
 
     def draw(self, rng: np.random.Generator) -> "Spells":
-        """Return the spells of one trial."""
+        """Return the intervals of one trial."""
         return Spells(self, rng)
 
 
 class Spells:
-    """The spells of one trial."""
+    """The intervals of one trial."""
 
     def __init__(self, section: SpellsSection, rng: np.random.Generator) -> None:
         self._begin_s = rng.uniform(*section.between, section.times)

@@ -20,7 +20,7 @@ class StaleCameraSection(SpellsSection):
     """How old the poses are [s]; at the start the oldest there are."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
-        """Return the spells of one trial."""
+        """Return the intervals of one trial."""
         return StaleCamera(self.age, self.draw(rng))
 
 

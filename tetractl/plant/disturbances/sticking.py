@@ -1,4 +1,4 @@
-"""`{type: sticking}`: a robot stands still for a moment now and then, and does not know it."""
+"""`{type: sticking}`: a robot stands still for a moment occasionally, and does not know it."""
 
 from typing import Literal
 
@@ -12,7 +12,7 @@ from tetractl.plant.disturbances.spells import ByTurns
 
 
 class StickingSection(DisturbanceSection):
-    """Each robot sticks now and then, as at a cable or on dust, all independently."""
+    """Each robot sticks occasionally, as at a cable or on dust, all independently."""
 
     type: Literal["sticking"]
     every: Positive

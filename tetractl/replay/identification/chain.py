@@ -8,7 +8,7 @@ random by w a root second. What an interval of t seconds misses the model by is 
 where F_k is the derivative of the model's end by its begin: what walks early in an interval has
 changed by F_k at its end (Simpson's rule for the integral of F_k^(2 x), x from 0 to 1). The
 covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next to it
-if interval k begins with the frame that interval k - 1 ended with. G_k is F_k, but for what is
+if interval k begins with the frame that interval k - 1 ended with. G_k is F_k, except for what is
 measured in two dimensions and projected along a way: the cosine of the angle between the ways of
 both intervals. With A = L L^T, y = L^-1 r are independent and of deviation 1, and
 

@@ -31,7 +31,7 @@ CANDIDATES, CHANGES = 60, 120
 TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3  # random directions a knot, and when to go back how far
 TURN = 2.0  # rad at most between two directions: a robot commanded to turn back may turn either way
 WEAK = np.array([0.5, 2.0, 1.0])  # deviations of dead time, ln a and bias before the motion
-AWAY = 0.15  # margin, relative to the arena's shorter side, but for robots that start nearer
+AWAY = 0.15  # margin, relative to the arena's shorter side, except for robots that start nearer
 
 
 @dataclass(frozen=True, slots=True)

@@ -127,7 +127,7 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[SampleInterval, 
     """Return speed and position noise of a robot, from its displacements along the way predicted.
 
     An interval's displacement along the predicted one is speed times the latter's length a unit of
-    speed, but for the camera's noise at its ends and a random walk of the way.
+    speed, except for the camera's noise at its ends and a random walk of the way.
     """
     x, y, _ = (column[:, robot] for column in fitted.turns.motion(fitted.best))
     length = np.hypot(x, y)  # of which the way predicted from a measured heading shows less

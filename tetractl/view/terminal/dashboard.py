@@ -16,7 +16,7 @@ from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
 SIDE_MIN, SIDE_MAX = 20, 58  # columns of the numbers
-ARENA_SHARE = 0.58  # largest share of the width, if the numbers need the rest
+ARENA_SHARE = 0.58  # largest fraction of the width, since the numbers need the rest
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
 COMPACT = 30  # columns of the numbers below which labels are short
 

@@ -33,7 +33,7 @@ class Coils:
         return strength
 
     def least_reach(self) -> float:
-        """Return the strength [mT] that can be had in every direction."""
+        """Return the strength [mT] that is available in every direction."""
         rooms = zip(self.gain, self.offset, strict=True)
         return min(abs(gain) * self.current_max_a - abs(offset) for gain, offset in rooms)
 
@@ -66,7 +66,8 @@ class Coils:
 
 
 def approach(now: Pair, wished: Pair, step: float) -> Pair:
-    """Return `now` moved in a straight line to `wished`, neither part by more than `step`."""
+    """Return `now` moved in a straight line towards `wished`, neither component by more than
+    `step`."""
     dx, dy = wished[0] - now[0], wished[1] - now[1]
     peak = max(abs(dx), abs(dy))
     if peak <= step:

@@ -17,7 +17,8 @@ from tetractl.lab.cobs import Splitter
 from tetractl.lab.serial_port import SerialPort
 
 SILENCE_NS = SECOND // 2
-UNANSWERED_MAX = 5  # so many frames over that time without any reply: the driver is off
+# more frames than this, over more than this time, without a reply: the driver is off
+UNANSWERED_MAX = 5
 TRIES = 5
 ANSWER_S = 0.1  # a driver replies within 4 ms at 115200 baud, 50 ms at 9600
 HINT = "the driver switches the field off by its watchdog; cells swim on"
@@ -97,6 +98,6 @@ class Driver:
     def _hear(self, data: bytes, now_ns: int) -> None:
         with self._lock:
             for frame in self._splitter.feed(data):
-                with suppress(WireError):  # a damaged reply is one that did not come
+                with suppress(WireError):  # a damaged reply counts as missing
                     self.newest = decode_reply(frame)
                     self._unanswered = 0

@@ -61,9 +61,9 @@ class FieldSection(ActuatorSection):
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
     """The driver switches the field off after this long without a command [s]; as built into it."""
     supply_min_v: NonNegative = 0.0
-    """A run does not start below this supply voltage of the driver [V]; 0 does not look."""
+    """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
     temperature_max_c: Positive = 60.0
-    """A run does not start with the coils this warm [degrees Celsius]."""
+    """A run does not start with coils warmer than this [degrees Celsius]."""
 
     @model_validator(mode="after")
     def _limits_agree(self) -> Self:

@@ -27,7 +27,7 @@ from tetractl.model.wheels import (
 )
 
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until the wheels have it
-AHEAD_MAX_NS = SECOND // 10  # further ahead no heading is predicted
+AHEAD_MAX_NS = SECOND // 10  # longest time over which a heading is predicted
 
 
 class M3piActuator:

@@ -1,8 +1,9 @@
 """Where the camera is and what its lens does, from the corners of the floor tags in its pictures.
 
 A lens that the spec gives is taken as it is. Without one, the principal point is the picture's
-middle, and the focal length f and one coefficient of distortion, k1, are fitted with the pose. How
-lenses usually are is part of the fit: looking straight down, any f fits, and the usual remains.
+middle, and the focal length f and one coefficient of distortion, k1, are fitted with the pose. The
+usual values of lenses are priors of the fit: looking straight down, any f fits, and the prior
+decides.
 """
 
 import math

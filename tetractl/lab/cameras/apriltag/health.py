@@ -1,4 +1,4 @@
-"""What is wrong with an `apriltag` camera, and what is worth knowing; no I/O."""
+"""Problems, warnings and facts of an `apriltag` camera; no I/O."""
 
 import statistics
 from collections import Counter

@@ -96,7 +96,7 @@ class AprilTagSection(PictureSection):
         return tuple(by_name[name] for name in names)
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where the robots cannot be those of the spec."""
+        """Report robots that are not those of the spec."""
         yield from mismatches(self.robots, setup.names, ("tag",))
 
     def bounds(self) -> dict[str, str]:
@@ -113,7 +113,8 @@ def _twice(values: Sequence[str]) -> list[str]:
 
 
 def _flat(points: Sequence[Point]) -> bool:
-    """Whether the points span no area: the widest triangle is a sliver of its longest side."""
+    """Whether the points are nearly collinear: the area of the widest triangle is too small for its
+    longest side."""
     (x0, y0), *others = points
     spans = [(x - x0, y - y0) for x, y in others]
     longest = max(x * x + y * y for x, y in spans)

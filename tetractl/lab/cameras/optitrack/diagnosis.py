@@ -1,4 +1,5 @@
-"""Why robots are not seen: what came from the camera server, and the setting that mends it."""
+"""Diagnoses why robots are not seen: what came from the camera server, and which setting to
+change."""
 
 from tetractl.core.errors import AbortError, WireError
 from tetractl.core.text import printable

@@ -1,4 +1,4 @@
-"""The payloads of FRAMEOFDATA and MODELDEF: rigid bodies are read, the rest is stepped over.
+"""The payloads of FRAMEOFDATA and MODELDEF: rigid bodies are read, the rest is skipped.
 
 A frame is: its number, then sections of counted elements, then a suffix of fixed size. From 4.1
 every section also states its size in bytes; before, elements are measured one by one. The suffix
@@ -248,7 +248,7 @@ def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
 
 
 def _named(cursor: Cursor) -> BodyName:
-    """Read name and id, and step over the parent's id."""
+    """Read name and id, and skip the parent's id."""
     named = BodyName(cursor.name(), cursor.i32())
     cursor.skip(4)
     return named

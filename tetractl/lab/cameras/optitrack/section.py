@@ -38,7 +38,7 @@ VersionText = Annotated[
 
 
 class TrackedRobot(RobotPart):
-    """What a robot is to the cameras."""
+    """A robot's entry in the cameras' section."""
 
     body: str | int
     """Its rigid body in the camera system: name or id."""

@@ -47,7 +47,7 @@ class Tracked:
 
 @dataclass(slots=True)
 class StreamCounts:
-    """What came of the datagrams; every number only grows."""
+    """Counts of datagrams by what became of them; every number only grows."""
 
     frames: int = 0
     missed: int = 0  # numbers skipped between frames

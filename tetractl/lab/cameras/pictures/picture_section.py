@@ -55,7 +55,7 @@ Source = Annotated[DeviceSource | FileSource | MjpegSource, Field(discriminator=
 
 
 def named(source: Source) -> str:
-    """Return the name of a source, for people."""
+    """Return the name of a source, for display."""
     match source:
         case DeviceSource(index=index):
             return f"camera {index}"
@@ -77,7 +77,7 @@ class PictureSection(CameraSection):
 
     @property
     def source_name(self) -> str:
-        """Name of the source, for people."""
+        """Name of the source, for display."""
         return named(self.source)
 
     def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:

@@ -68,7 +68,7 @@ class Feed(Protocol):
         ...
 
     def interrupt(self) -> None:
-        """Make a `read` that waits end soon."""
+        """Interrupt a waiting `read`."""
         ...
 
     def close(self) -> None:
@@ -166,10 +166,10 @@ class DeviceFeed:
 
 
 class FileFeed:
-    """A video file, each picture at its time; without one to spare on a virtual clock."""
+    """A video file, each picture at its time."""
 
     live = False
-    emulated = True  # what was filmed cannot be steered
+    emulated = True  # robots in a film cannot be steered
     damaged = 0
 
     def __init__(self, source: FileSource, clock: Clock) -> None:
@@ -246,7 +246,7 @@ class MjpegFeed:
                 "a stream is multipart/x-mixed-replace with a boundary",
             )
         self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
-        self._socket.settimeout(None)  # from here on, who reads is interrupted by closing
+        self._socket.settimeout(None)  # from here on, closing interrupts the reader
         self._parts = Multipart(boundary)
         self._waiting: list[bytes] = []
 

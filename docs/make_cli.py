@@ -3,12 +3,13 @@
 Run `python docs/make_cli.py` after a change of a command; a test fails while they differ.
 """
 
+import contextlib
+import io
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from unittest import mock
 
 import typer.main
 
@@ -32,15 +33,10 @@ def commands() -> Iterator[tuple[str, ...]]:
 @cache
 def help_text(words: tuple[str, ...]) -> str:
     """Return what a command's --help prints without a terminal."""
-    tetractl = Path(sys.executable).with_name("tetractl")
-    done = subprocess.run(
-        [tetractl, *words[1:], "--help"],
-        env=os.environ | {"COLUMNS": COLUMNS, "TERM": "dumb"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return "\n".join(line.rstrip() for line in done.stdout.strip("\n").splitlines())
+    width = mock.patch.dict(os.environ, {"COLUMNS": COLUMNS, "TERM": "dumb"})
+    with width, contextlib.redirect_stdout(io.StringIO()) as printed:
+        typer.main.get_command(app).main([*words[1:], "--help"], "tetractl", standalone_mode=False)
+    return "\n".join(line.rstrip() for line in printed.getvalue().strip("\n").splitlines())
 
 
 def page(current: str) -> str:

@@ -12,7 +12,7 @@ from hypothesis import settings
 
 # No deadline: a slow machine is no failure. The same cases every time: what passed here passes
 # there. New ones are looked for by `pytest --hypothesis-profile explore`.
-settings.register_profile("tetractl", deadline=None, derandomize=True)
+settings.register_profile("tetractl", deadline=None, derandomize=True, max_examples=50)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("tetractl")
 
@@ -47,8 +47,7 @@ SLOW = (  # tests that start processes, compile, draw pictures or try very many 
 SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels compiled from
     # nothing, clusters, long runs, and pages to the last digit
     "cli/test_docs.py::test_every_example",
-    "cli/test_hostile_logs.py::test_a_log_costs_its_reader_little[endless]",
-    "cli/test_hostile_logs.py::test_a_log_costs_its_reader_little[zeros_behind]",
+    "cli/test_docs.py::test_every_python_example",
     "cli/test_plugin",
     "cli/test_solver_benchmark",
     "cli/test_study_dask",

@@ -28,6 +28,7 @@ SMALL = (  # a smaller dish, and few cells
     "controller.accept_error=120",
 )
 FEW = "emulation: {actuator: {cells: 3, strangers: 1}, camera: {specks: 4}}\n"
+EVERY_DAY = ("light, flicker: 0.03", "focus, by_um: 15", "half_rate", "bubble")
 
 
 def play(folder, script="", sets=(), seed=1):
@@ -39,7 +40,9 @@ def play(folder, script="", sets=(), seed=1):
 
 
 def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
-    log, cells, running = play(tmp_path)
+    """While it steers, there is what a dish does every day."""
+    lines = ", ".join(f"{{fault: {fault}, at: 5}}" for fault in EVERY_DAY)
+    log, cells, running = play(tmp_path, f"faults: [{lines}]")
     setup, result = log.experiment.setup, log.result
     assert result.outcome.complete, result.reason
     assert not log.experiment.open
@@ -62,8 +65,7 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
     [
         ("light, share: 0.02", 2, "0 of 0 cells answer the field"),
         ("off", 2, "the current driver does not answer"),
-        ("light, share: 0.02", 8, "not tracked"),
-        ("no_frames", 8, "no new camera frame"),
+        ("light, share: 0.02", 6, "not tracked"),
     ],
 )
 def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
@@ -113,13 +115,6 @@ def test_a_cell_that_rests_is_still_that_cell(tmp_path):
     log, _, _ = play(tmp_path, script, ("controller.accept_error=40", "on_lost=drop"))
     assert log.result.outcome.complete, log.result.reason
     assert log.result.lost == ()
-
-
-def test_what_a_dish_does_every_day_is_borne(tmp_path):
-    faults = ("light, flicker: 0.03", "focus, by_um: 15", "half_rate", "bubble")
-    lines = ", ".join(f"{{fault: {fault}, at: 5}}" for fault in faults)
-    log, _, _ = play(tmp_path, f"faults: [{lines}]")
-    assert log.result.outcome.complete, log.result.reason
 
 
 def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):

@@ -34,6 +34,7 @@ COMMANDS = {
 }
 
 
+COSTLY = ("info", "info --json", "replay", "plot", "stats", "stats --csv", "verify", "recover")
 LOGS = tuple(COMMANDS)
 STUDIES = ("study stats", "study stats --json", "study report", "study --merge")
 COMMANDS |= {
@@ -98,9 +99,9 @@ def check(command: str, log: Path, out: Path) -> Cost:
     return found
 
 
-if __name__ == "__main__":  # LOG FOLDER [COMMAND]...: a line for each command
+if __name__ == "__main__":  # FOLDER LOG...: a line for each log and command
     os.environ.setdefault("COLUMNS", "200")
-    for name in sys.argv[3:] or LOGS:
-        cost = check(name, Path(sys.argv[1]), Path(sys.argv[2]))
-        last = (cost.err or cost.out).strip().splitlines()[-1:] or [""]
-        print(f"{name}\t{cost.code}\t{cost.seconds:.2f}\t{cost.memory_mb:.0f}\t{last[0][:150]}")
+    for log in sys.argv[2:]:
+        for name in COSTLY:
+            cost = check(name, Path(log), Path(sys.argv[1]))
+            print(f"{Path(log).name} {name}\t{cost.seconds:.2f}\t{cost.memory_mb:.0f}")

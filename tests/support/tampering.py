@@ -76,7 +76,9 @@ def lab_log(folder: Path) -> Path:
     from tetractl.run.run_trial import Trial
     from tetractl.run.task import trial_seeds
 
-    loaded = load_spec(LAB, ["controller.steps_max=8", "controller.horizon_max=8"])
+    few = "controller.optimizer={type: pso, particles: 6, iterations: 14}"
+    sets = (few, "controller.period=0.2", "controller.hold=1", "controller.deadline=0.15")
+    loaded = load_spec(LAB, [*sets, "controller.steps_max=8", "controller.horizon_max=8"])
     spec, experiment, path = on_plant(loaded, "lab"), loaded.experiment, log_path(folder, 0)
     key, _ = trial_seeds(experiment.trials.seed, 0)
     settings = M3piSettings.model_validate({"loss": 0.3})

@@ -1,5 +1,6 @@
 """`tetractl lab`: the commands around a run with real robots."""
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.lab_section import LabSection
+    from tetractl.experiment.lab_section import LabSection, Measured
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
 HELP = "Check, calibrate, stop or emulate the lab of a spec."
@@ -128,26 +129,37 @@ def calibrate(
             help="How hard to drive: for m3pi the greatest wheel count, of 127.",
         ),
     ] = 45,
+    micrometer: Annotated[
+        str | None,
+        typer.Option(
+            metavar="C,R,C,R,UM",
+            help="Columns and rows of two places in a microscope's picture (px), and how far they "
+            "are from each other along the spec's x axis (um).",
+        ),
+    ] = None,
     yes: Yes = False,
 ) -> int:
-    """Measure what the actuator needs to know of each robot, by moving it a little.
+    """Measure what the actuator needs to know of each robot, by moving it a little; or a
+    microscope's scale and rotation, by two marks of a stage micrometer.
 
     m3pi robots: wheels, wheel distance and heading offset. They move one after another, each on
-    some 0.3 m; space or Esc stops them. Name the file in the spec as `lab.calibration`.
+    some 0.3 m; space or Esc stops them. A microscope: the two places may as well be those of one
+    speck before and after the stage moved; nothing is moved or opened. Name the file in the spec as
+    `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """
-    from datetime import UTC, datetime
     from threading import Event
 
     from tetractl.cli.streams import hung_up_unread
-    from tetractl.experiment.plants import Calibration, calibration_yaml
     from tetractl.run.interrupt import interrupted_once
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
     if output.exists():
         raise UsageError(f"{output}: exists already", "name another with --out")
     lab, experiment = _lab(spec, sets)
+    if micrometer is not None:
+        return _save(output, lab.camera.measured_by(*_places(micrometer)))
     setup = experiment.setup
     names = robot or list(setup.names)
     for name in names:
@@ -164,6 +176,24 @@ def calibrate(
         found = lab.actuator.calibrate(
             lab, setup, names, limit, emergency, lambda line: typer.echo(line, err=True)
         )
+    return _save(output, found)
+
+
+def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]:
+    try:
+        a, b, c, d, um = (float(part) for part in text.split(","))
+    except ValueError:
+        a = b = c = d = um = math.nan
+    if not (math.isfinite(a + b + c + d) and 0 < um < math.inf):
+        raise UsageError(f"--micrometer {text}: needs five numbers, such as 112,540,901,548,2000")
+    return (a, b), (c, d), um
+
+
+def _save(output: Path, found: "Measured") -> int:
+    from datetime import UTC, datetime
+
+    from tetractl.experiment.plants import Calibration, calibration_yaml
+
     calibration = Calibration(
         measured=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         camera=dict(found.camera),

@@ -18,7 +18,7 @@ from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.registries import ACTUATORS, CAMERAS
 from tetractl.core.registry import imported
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive, inconsistent
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive, inconsistent
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.problems import Loc
@@ -77,6 +77,11 @@ class CameraSection(DeviceSection):
         `wake` is called after each frame. AbortError if the camera's software is not installed.
         """
         return imported(self.device)(self, setup, clock, wake)
+
+    def measured_by(self, first: Point, second: Point, um: float) -> Measured:
+        """Return scale and rotation by two places of the picture, column and row [px], that are so
+        far from each other along the spec's x axis [um]; UsageError where they mean nothing."""
+        raise UsageError(f"a camera of type {self.type} is not calibrated by a micrometer")
 
     def heading_offset(self, name: str) -> float:
         """Return what the camera adds to the heading it sees of a robot [rad]."""

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support import oracle, problems
 from support.trials import experiment
@@ -18,7 +18,6 @@ def robot_at(x, y, heading=0.0, a=6.0, speed=100.0, target=(0.0, 0.0)):
     return (x, y, heading, *target, a, speed)
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
     robots=st.integers(1, 5),

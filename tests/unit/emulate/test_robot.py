@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.emulate.m3pi.robot import (
@@ -37,7 +37,6 @@ def covered(speed, seconds):
     return speed * (seconds - LAG * -math.expm1(-seconds / LAG))
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(-127, 127), st.integers(-127, 127), st.integers(1, 2000))
 def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
     one = robot(SlaveProgram)

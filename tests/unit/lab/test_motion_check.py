@@ -66,16 +66,16 @@ def drive(
     return "", math.inf
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.05, 0.1, 0.2])
-@pytest.mark.parametrize("gains", [(1, 1), (1.1, 1.1), (0.9, 0.9), (0.9, 1.1), (1.1, 0.9)])
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("gains", [(1.1, 1.1), (0.9, 0.9), (0.9, 1.1)])
 @pytest.mark.parametrize("directions", [WIDE, CHATTER, (1.2,)])
 def test_a_robot_that_moves_as_commanded_agrees(delay, gains, directions):
-    for seed in range(3):
+    for seed in range(2):
         assert drive(delay, gains=gains, directions=directions, seed=seed) == ("", math.inf)
 
 
 def test_one_that_is_stopped_or_loses_many_packets_agrees_too():
-    for seed in range(5):
+    for seed in range(3):
         assert drive(lost=0.3, seed=seed, directions=(1.2, 1.5, 1.0))[0] == ""
         assert drive(stop=1.0, seed=seed)[0] == ""
 
@@ -90,10 +90,10 @@ def walk(speed, course):
     return shown
 
 
-@pytest.mark.parametrize("speed", [0.05, 0.1, 0.18, 0.2, 0.3, 0.4])
+@pytest.mark.parametrize("speed", [0.05, 0.18, 0.4])
 @pytest.mark.parametrize("course", [0.0, math.pi, math.pi / 2, -math.pi / 2])
 def test_a_ghost_is_noticed_within_30_mm_or_0_3_s(speed, course):
-    for seed in range(3):
+    for seed in range(2):
         said, after_s = drive(shown=walk(speed, course), seed=seed, directions=(0.3, 0.6))
         assert said
         assert after_s < 0.3 or 1000 * speed * after_s < 30.0

@@ -77,30 +77,30 @@ OBEYS = [0, 1, 2]
 STUCK = [OBEYS, [None, 1, 2], [0, None, 2], [None] * 3]
 GAINS = [(0.8, 1.2, 1.0), (1.2, 0.8, 1.2), (1.0, 0.8, 1.25)]
 SWAPPED_WHEELS = [(-1, 1, 1), (1, -1, 1), (1, 1, -1)]
-BLIND = [(t, t + pause) for t in (0.1, 0.22, 0.34, 0.4, 0.57) for pause in (0.05, 0.15, 0.25, 0.45)]
+BLIND = [(t, t + pause) for t in (0.1, 0.34, 0.57) for pause in (0.15, 0.45)]
 HARMLESS = {
     "they do as commanded or stand still": cases(
-        answers=STUCK, delay=[0.0, 0.05, 0.1, 0.2, 0.3], seconds=[4.0]
+        answers=STUCK, delay=[0.0, 0.1, 0.3], seconds=[3.0]
     ),
     "their wheels are not calibrated": cases(
-        answers=[OBEYS], delay=[0.07], seconds=[4.0], signs=GAINS, noise=[0.003, 0.01]
+        answers=[OBEYS], delay=[0.07], seconds=[3.0], signs=GAINS, noise=[0.01]
     ),
     "some stop halfway": cases(
-        answers=[OBEYS], delay=[0.05], seconds=[4.0], lost=[(0,), (1,), (2,), (0, 1), (0, 1, 2)]
+        answers=[OBEYS], delay=[0.05], seconds=[3.0], lost=[(0,), (0, 1), (0, 1, 2)]
     ),
     # regression: a pause of the stream was counted with the turning commanded in its middle
     "they are not seen for a while": cases(
-        answers=[OBEYS], delay=[0.02, 0.08, 0.2], blind=[*BLIND, (0.1, 1.0), (0.4, 1.3)]
+        answers=[OBEYS], delay=[0.02, 0.2], blind=[*BLIND, (0.1, 1.0), (0.4, 1.3)]
     ),
     # regression: what a robot heard last looked like what was commanded to another
     "they hear nothing any more": cases(
-        answers=[OBEYS], delay=[0.02, 0.08], seconds=[3.0], silent=np.arange(0.1, 1.6, 0.1)
+        answers=[OBEYS], delay=[0.02, 0.08], silent=np.arange(0.1, 1.4, 0.2)
     ),
     "one's wheels are swapped": cases(answers=[OBEYS], delay=[0.05], signs=SWAPPED_WHEELS),
 }
 
 
-@pytest.mark.parametrize("directions", [(1.2,), CHATTER, WIDE, (1.7, 2.9, 2.5, -1.0)])
+@pytest.mark.parametrize("directions", [CHATTER, WIDE, (1.7, 2.9, 2.5, -1.0)])
 @pytest.mark.parametrize("why", HARMLESS)
 def test_no_robot_is_taken_for_another_where(why, directions):
     for case in HARMLESS[why]:

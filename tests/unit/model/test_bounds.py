@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.bounded import best_plan, seconds_of, spec
 
@@ -37,7 +37,6 @@ def widest_gap(a_1, a_2, turned, seconds, steps=4000):
     turned=st.floats(0, 3),
     seconds=st.floats(0.01, 3),
 )
-@settings(max_examples=60)
 def test_no_direction_drives_two_robots_further_apart(a_1, share, turned, seconds):
     most = drift(*map(np.asarray, (a_1, a_1 * share, turned)), seconds)
     assert widest_gap(a_1, a_1 * share, turned, seconds) <= most * (1 + 1e-3) + 1e-9

@@ -64,7 +64,7 @@ def test_without_noise_everything_is_found_exactly():
     assert [one.heading_bias.value for one in found.robots] == pytest.approx([0] * 3, abs=2e-3)
 
 
-@pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("dead_time", [0.05, 0.2])
 def test_noise_and_lost_commands_leave_the_truth_near_the_intervals(dead_time):
     sets = (*NOISY, f"plant.dead_time={dead_time}", "plant.a_error=0.2", "plant.lost_commands=0.05")
     plant, track = drive(3, *sets)
@@ -92,8 +92,6 @@ def test_lost_commands_are_counted():
     _, track = drive(8, *NOISY, "plant.dead_time=0.06", "plant.lost_commands=0.1")
     found = identify([track], EXPECTED)
     assert 6 <= sum(robot.lost for robot in found.robots) <= 25  # of 150, 15 expected
-    _, track = drive(8, *NOISY, "plant.dead_time=0.06")
-    assert sum(robot.lost for robot in identify([track], EXPECTED).robots) == 0
 
 
 def test_a_is_found_where_nothing_is_expected():
@@ -106,6 +104,7 @@ def test_pooled_tracks_tell_more_than_one():
     tracks = [drive(seed, *NOISY, "plant.dead_time=0.1")[1] for seed in (1, 2, 3)]
     one, all_three = identify(tracks[:1], EXPECTED), identify(tracks, EXPECTED)
     assert all_three.commands == 150
+    assert sum(robot.lost for robot in one.robots) == 0
     for less, more in zip(one.robots, all_three.robots, strict=True):
         assert more.a.high - more.a.low < 0.8 * (less.a.high - less.a.low)
 
@@ -176,8 +175,8 @@ def test_a_design_stays_clear_and_tells_much():
     assert design.seconds == pytest.approx(6.0, abs=0.2)
     assert design.clearance >= 100
     assert (design.a_std < 0.02).all()
-    again = propose(experiment, 6.0, 1)
-    assert again.directions.tolist() == design.directions.tolist()
+    short, again = (propose(experiment, 2.0, 1).directions.tolist() for _ in range(2))
+    assert short == again
 
 
 POSES = "time_s,robot,x_mm,y_mm,heading_rad,valid\n0,one,1,2,0.1,True\n0.1,one,3,2,0.2,False\n"

@@ -39,7 +39,7 @@ def test_a_simulation_is_noticed_to_be_tampered_with_anywhere(tmp_path: Path) ->
     assert missed(sim_log(tmp_path)) == set()
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_of_a_lab_only_what_it_alone_knows_can_be_changed(tmp_path: Path) -> None:
     found = missed(lab_log(tmp_path))
     assert {kind for kind in found if not {kind, (kind[0], None)} & ONLY_THE_LAB_KNOWS} == set()

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from mcap.records import Attachment
 from numpy._core._multiarray_umath import __cpu_dispatch__
 from support import mutate, random_trials
 from support.mutate import rewrite, with_entry
@@ -24,7 +23,6 @@ from tetractl.log import provenance
 from tetractl.log.format.channels import (
     HOST,
     LOG,
-    RESOLVED_SPEC,
     RESULT,
     RUN,
     STEP,
@@ -275,8 +273,12 @@ run_trial(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1, (), Inter
 @pytest.mark.parametrize(
     ("settings", "key"),
     [
-        ({"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}, "numba_settings"),
         ({"NPY_DISABLE_CPU_FEATURES": " ".join(__cpu_dispatch__)}, "numpy_dispatch"),
+        pytest.param(
+            {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
+            "numba_settings",
+            marks=pytest.mark.system,  # compiles everything again
+        ),
     ],
 )
 def test_a_log_of_other_instruction_sets_is_honest(
@@ -291,22 +293,6 @@ def test_a_log_of_other_instruction_sets_is_honest(
     found = verify(log_path(tmp_path, 1))
     assert found.problems == ()
     assert [line.split(":")[0] for line in found.elsewhere] == [key]
-
-
-def test_a_spec_that_asks_for_very_much_is_not_computed(tmp_path: Path, contents: RawLog) -> None:
-    """Regression: `verify` went on for hours."""
-    records = []
-    for record in contents.records:
-        if isinstance(record, Attachment) and record.name == RESOLVED_SPEC:
-            text = record.data.replace(b"iterations: 14", b"iterations: 1000000")
-            text = text.replace(b"particles: 6", b"particles: 1000000")
-            assert text.count(b"1000000") == 2
-            record = replace(record, data=text)
-        records.append(record)
-    asking = RawLog(contents.path, records=records, channels=contents.channels)
-    found = verify(rewrite(asking, tmp_path / "asking.mcap", {}))
-    assert not found.ok
-    assert found.seconds < 60
 
 
 def test_the_time_that_verifying_takes_is_bounded(log: Path) -> None:

@@ -131,7 +131,7 @@ def test_the_p_of_a_table_and_its_interval_are_of_one_test(paired):
     """With equal means and unequal spread ranks differ, the means do not."""
     rng = np.random.default_rng(3)
     off = ranks = 0
-    for _ in range(200):
+    for _ in range(80):
         ours, theirs = rng.gamma(16, 1 / 16, (20, 1)), rng.gamma(1, 1, (20, 1))
         fields = {"seed": 1 if paired else 2, "controller": EXACT}
         found = only(arm("a", ours, robots=1), arm("b", theirs, robots=1, **fields))
@@ -139,7 +139,7 @@ def test_the_p_of_a_table_and_its_interval_are_of_one_test(paired):
         assert (found.p_holm < 0.05) == (interval.high < 0 or interval.low > 0)
         off += found.p_holm < 0.05
         ranks += found.rank_p_holm < 0.05
-    assert off < 25
+    assert off < 10
     assert ranks > off
 
 

@@ -19,7 +19,6 @@ def only(values):
     return found
 
 
-@settings(max_examples=40)
 @given(samples)
 def test_figures_agree_with_the_standard_library(values):
     found = only(values)
@@ -31,7 +30,6 @@ def test_figures_agree_with_the_standard_library(values):
         assert found.std == pytest.approx(statistics.stdev(values), rel=1e-9, abs=1e-9)
 
 
-@settings(max_examples=40)
 @given(samples)
 def test_the_interval_holds_the_mean_or_says_why_there_is_none(values):
     found = only(values)
@@ -66,7 +64,6 @@ def test_rows_are_described_apart():
     assert distributions(rows) == [only(row) for row in rows]
 
 
-@settings(max_examples=40)
 @given(samples, st.one_of(st.none(), st.floats(1, 5000)))
 def test_the_tail_is_what_lies_above_the_bound(values, bound):
     (found,) = distributions(np.array([values], dtype=float), bound)
@@ -124,7 +121,6 @@ def test_without_skewness_the_logarithm_of_the_mean_is_students():
     assert np.log([found.low, found.high]) == pytest.approx(math.log(100) + np.array([-half, half]))
 
 
-@settings(max_examples=60)
 @given(st.lists(lengths, min_size=3, max_size=12).filter(lambda v: max(v) - min(v) > 1e-100))
 def test_a_distance_is_never_negative(values):
     found = only(values)

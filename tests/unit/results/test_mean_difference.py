@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -30,7 +30,6 @@ def test_welch_gives_the_handbooks_figures():
     assert found.p_value < 1e-20
 
 
-@settings(max_examples=50)
 @given(
     st.lists(lengths, min_size=2, max_size=20).filter(lambda v: np.std(v) > 1e-3),
     st.lists(lengths, min_size=2, max_size=20).filter(lambda v: np.std(v) > 1e-3),
@@ -90,7 +89,6 @@ def test_the_interval_from_both_covers_where_one_side_errs_far_more():
     assert covered > 0.9
 
 
-@settings(max_examples=50)
 @given(st.lists(st.tuples(lengths, lengths), min_size=2, max_size=20))
 def test_pairs_agree_with_scipy(pairs):
     ours, theirs = np.array(pairs).T
@@ -113,7 +111,6 @@ def test_one_pair_or_pairs_that_differ_alike_carry_no_interval():
     assert (alike.value, alike.ci95.reason) == (2.0, "all pairs differ alike")
 
 
-@settings(max_examples=60)
 @given(samples, samples)
 def test_cliffs_delta_counts_pairs(ours, theirs):
     found = cliffs_delta(np.array(ours), np.array(theirs))

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -12,7 +12,6 @@ values = st.lists(st.floats(-1e3, 1e3, allow_subnormal=False), min_size=2, max_s
 tied = st.lists(st.integers(-3, 3), min_size=2, max_size=8)
 
 
-@settings(max_examples=60)
 @given(values)
 def test_the_signed_rank_test_is_scipys_without_ties(found):
     found = np.array(found)
@@ -21,7 +20,6 @@ def test_the_signed_rank_test_is_scipys_without_ties(found):
     assert signed_rank(found) == pytest.approx(stats.wilcoxon(found, method="exact").pvalue)
 
 
-@settings(max_examples=40)
 @given(tied.filter(lambda found: any(found)))
 def test_with_ties_every_case_is_counted(found):
     kept = np.array([value for value in found if value], dtype=float)
@@ -33,7 +31,6 @@ def test_with_ties_every_case_is_counted(found):
     assert signed_rank(np.array(found, dtype=float)) == pytest.approx(expected)
 
 
-@settings(max_examples=60)
 @given(values, values)
 def test_the_rank_sum_test_is_scipys_without_ties(ours, theirs):
     if len({*ours, *theirs}) < len(ours) + len(theirs):

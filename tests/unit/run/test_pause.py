@@ -14,7 +14,9 @@ from tetractl.replay.verify import verify
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
+SLOW = ("controller.period=0.2", "controller.hold=1")  # 5 Hz
 SILENT = (
+    *SLOW,
     "trials.seed=7000",
     "plant.dead_time=0.11",
     "plant.a_error=0.2",
@@ -29,8 +31,8 @@ SILENT = (
 @pytest.mark.slow
 def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", SILENT)
-    result = run_trial(spec, tmp_path, 4, (), Interrupt())
-    log = read_trial(log_path(tmp_path, 4))
+    result = run_trial(spec, tmp_path, 10, (), Interrupt())
+    log = read_trial(log_path(tmp_path, 10))
     pauses = [k for k, step in enumerate(log.steps) if step.plan.pauses]
     assert pauses
     assert [note.text for note in log.notes if "pause" in note.text] == [
@@ -48,7 +50,7 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     robots = identify([track_of(log)], log.start.setup.a).robots
     true = json.loads(log.start.plant.facts["true_speed"])
     assert [one.speed.value for one in robots] == pytest.approx(true, rel=0.01)
-    found = verify(log_path(tmp_path, 4))
+    found = verify(log_path(tmp_path, 10))
     assert found.problems == ()
     assert found.checked == len(log.steps)
 
@@ -56,10 +58,10 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
 def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(tmp_path):
     """Regression: the trial ended on searches that no log held, and `verify` failed it."""
     poor = "controller.optimizer={type: pso, particles: 2, iterations: 1}"
-    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", (poor,))
-    result = run_trial(spec, tmp_path, 7, (), Interrupt())
-    log = read_trial(log_path(tmp_path, 7))
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", (*SLOW, poor))
+    result = run_trial(spec, tmp_path, 3, (), Interrupt())
+    log = read_trial(log_path(tmp_path, 3))
     assert result.outcome is Outcome.NOTHING_BETTER
     assert log.steps[-1].plan.pauses
     assert len(log.steps[-1].plan.searches) > 1
-    assert verify(log_path(tmp_path, 7)).problems == ()
+    assert verify(log_path(tmp_path, 3)).problems == ()

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support import problems
 
@@ -31,7 +31,6 @@ def traced(problem, signals):
     return work.traced
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
     robots=st.integers(1, 4),
@@ -48,7 +47,6 @@ def test_the_path_is_the_predicted_one(seed, robots, length, model, first, drift
     assert path == pytest.approx(predict(problem, signals)[1:, :, :2].transpose(2, 1, 0), rel=1e-10)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
     robots=st.integers(1, 3),

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from oracles import levenberg
 from support import problems
@@ -41,7 +41,6 @@ def random_start(seed, length):
     return np.interp(np.linspace(0, 3, length), np.arange(4), knots)
 
 
-@settings(max_examples=120, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
     robots=st.integers(1, 4),
@@ -66,7 +65,6 @@ def test_the_compiled_twin_takes_the_same_steps(
     )
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
     obstacles=st.integers(0, 3),
@@ -92,7 +90,6 @@ def test_a_polish_never_makes_it_worse_and_keeps_its_limits(
     assert evaluate(problem, found.signals[None]).target[0] <= found.merit * (1 + 1e-9) + 1e-9
 
 
-@settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32), length=st.integers(1, 20), motion=MOTIONS)
 @example(0, 12, "euler")
 def test_the_derivatives_are_those_of_the_prediction(seed, length, motion):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support import problems
 
@@ -19,7 +19,6 @@ from tetractl.core.poses import wrap
 TOLERANCE, SLACK, PATIENCE, STEPS, MUCH = 1e-3, 0.5, 6, 8, 2**62
 
 
-@settings(max_examples=80, deadline=None)
 @given(
     key=st.integers(0, 2**64 - 1),
     count=st.integers(1, 13),

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support import problems
 
@@ -16,7 +16,6 @@ from tetractl.core.setup import Bounds
 from tetractl.model.obstacles import Obstacles
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
     robots=st.integers(1, 5),
@@ -57,7 +56,6 @@ def test_robots_that_turn_fast_against_the_direction_go_where_they_should(motion
     assert fast.target == pytest.approx(slow.target, rel=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32), swept=st.booleans(), margin=st.sampled_from([0.0, 30.0]))
 def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
     """Some robots start outside, and many leave."""

@@ -34,7 +34,6 @@ def compiled_costs(problem, signals):
     return total
 
 
-@settings(max_examples=150, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
     robots=st.integers(1, 5),

@@ -1,6 +1,7 @@
 import importlib.util
 import json
 import re
+from functools import cache
 
 import jsonschema
 import pytest
@@ -57,6 +58,7 @@ def test_every_field_and_kind_has_a_description():
     assert bare == []
 
 
+@cache
 def validator():
     schema = json.loads(COMMITTED.read_text(encoding="utf-8"))
     jsonschema.Draft202012Validator.check_schema(schema)

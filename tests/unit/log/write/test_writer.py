@@ -141,7 +141,7 @@ print(*errors, sep="\\n")
 """
 
 
-@pytest.mark.parametrize("limit", [0, 2_000, 60_000, 80_000])
+@pytest.mark.parametrize("limit", [0, 60_000])
 def test_a_full_disk_is_told_once_and_what_is_written_stays(tmp_path: Path, limit: int) -> None:
     path = tmp_path / "trial.mcap"
     done = subprocess.run(

@@ -5,8 +5,13 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from tetractl.core.errors import UsageError
 from tetractl.experiment.base import Finite, Point, Positive
+from tetractl.experiment.lab_section import Measured
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
+
+LEAST_PX = 50  # between two places that a scale is measured by
+PLACED_PX = 1.0  # deviation of each
 
 
 class CellsSection(PictureSection):
@@ -36,6 +41,21 @@ class CellsSection(PictureSection):
     def bounds(self) -> dict[str, str]:
         """Return where pictures come from."""
         return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
+
+    def measured_by(self, first: Point, second: Point, um: float) -> Measured:
+        """Return scale and rotation by two places of the picture [px], `um` along x from each
+        other."""
+        across, up = second[0] - first[0], first[1] - second[1]
+        long = math.hypot(across, up)
+        if long < LEAST_PX:
+            raise UsageError(f"two places {long:.3g} px from each other, at least {LEAST_PX}")
+        um_px, rotation = um / long, -math.atan2(up, across)
+        off = math.sqrt(2) * PLACED_PX / long
+        lines = (
+            f"{um_px:.4f} um/px +- {off * um_px:.4f}, where places are right to {PLACED_PX:g} px",
+            f"rotation {rotation:.4f} rad +- {off:.4f}",
+        )
+        return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)
 
     def placed(self, x_um: float, y_um: float, metres: float) -> tuple[float, float]:
         """Return a place of the picture [um] in the spec's coordinates, `metres` a unit."""

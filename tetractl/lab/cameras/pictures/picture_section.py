@@ -51,7 +51,19 @@ class MjpegSource(Model):
     """Address of the stream, such as http://192.168.1.30:8080/stream."""
 
 
-Source = Annotated[DeviceSource | FileSource | MjpegSource, Field(discriminator="type")]
+class MicroManagerSource(Model):
+    """A microscope's camera by Micro-Manager; never tried on a real one."""
+
+    type: Literal["micromanager"]
+    config: str = Field(min_length=1, max_length=500)
+    """The configuration file that Micro-Manager's wizard wrote."""
+    adapters: tuple[str, ...] = Field(default=(), max_length=20)
+    """Folders with Micro-Manager's device adapters; by default the folder of `config`."""
+
+
+Source = Annotated[
+    DeviceSource | FileSource | MjpegSource | MicroManagerSource, Field(discriminator="type")
+]
 
 
 def named(source: Source) -> str:
@@ -63,6 +75,8 @@ def named(source: Source) -> str:
             return path
         case MjpegSource(url=url):
             return url
+        case MicroManagerSource(config=config):
+            return config
 
 
 class PictureSection(CameraSection):

@@ -25,6 +25,7 @@ from tetractl.lab.cameras.pictures.picture_section import (
     PIXELS_MAX,
     DeviceSource,
     FileSource,
+    MicroManagerSource,
     MjpegSource,
     Source,
 )
@@ -85,6 +86,10 @@ def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
             return FileFeed(source, clock)
         case MjpegSource():
             return MjpegFeed(source, clock, timeout_s)
+        case MicroManagerSource():
+            from tetractl.lab.cameras.pictures.micro_manager import MicroManagerFeed
+
+            return MicroManagerFeed(source, clock)
         case _:
             assert_never(source)
 

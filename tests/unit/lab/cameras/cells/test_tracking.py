@@ -11,7 +11,7 @@ from tetractl.lab.cameras.cells.detect_cells import BLOBS, BlobFinder
 from tetractl.lab.cameras.cells.tracking import CellTracker
 
 
-@pytest.mark.parametrize(("seed", "known"), [(1, True), (3, True), (1, False)])
+@pytest.mark.parametrize(("seed", "known"), [(1, True), (1, False)])
 def test_poses_of_swimming_cells(seed, known):
     made = film(seed=seed, side=512, cells=5)
     found = score(made, followed(made, known))

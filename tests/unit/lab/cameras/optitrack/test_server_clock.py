@@ -94,8 +94,7 @@ class Server:
         self._coming.sort(key=lambda item: item[:1])
 
 
-@pytest.mark.parametrize("after_s", [10.1, 10.3, 70.2])
-@pytest.mark.parametrize("jump_s", [0.05, 0.2, 1.0, 5.0])
+@pytest.mark.parametrize(("after_s", "jump_s"), [(10.1, 0.05), (10.3, 5.0), (40.2, 0.2)])
 def test_a_clock_that_jumps_forward_is_a_fault_within_a_tenth_of_a_second(jump_s, after_s):
     server = Server()
     assert server.until(after_s) is None
@@ -138,12 +137,12 @@ def test_frames_of_another_clock_than_the_echoes_are_named():
     assert "s before they came: it was set" in server.stream.newest.fault
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("drift", "delay_ms"), [(1e-4, (0.1, 0.5)), (-9e-4, (0.1, 0.5)), (5e-4, (0.1, 150.0))]
 )
 def test_a_good_clock_is_no_fault_however_late_echoes_are(drift, delay_ms, seed):
     server = Server(seed, delay_ms)
     server.run_at(1 + drift)
-    assert server.until(100) is None
+    assert server.until(50) is None
     assert server.stream.counts.bad == 0

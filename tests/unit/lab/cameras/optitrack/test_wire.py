@@ -3,7 +3,7 @@
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.natnet_samples import (
     VERSIONS,
@@ -70,7 +70,6 @@ def clutters():
     )
 
 
-@settings(max_examples=120)
 @given(version=st.sampled_from(VERSIONS), data=st.data())
 def test_frames_round_trip(version, data):
     frame = data.draw(frames(version))
@@ -78,7 +77,6 @@ def test_frames_round_trip(version, data):
     assert parse(pack_full_frame(frame, version, data.draw(clutters())), version) == frame
 
 
-@settings(max_examples=60)
 @given(
     version=st.sampled_from(VERSIONS),
     found=tuples(st.builds(BodyName, names, i32)),

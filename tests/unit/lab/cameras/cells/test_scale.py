@@ -1,0 +1,40 @@
+"""The scale of a microscope by two places of its picture."""
+
+import math
+
+import pytest
+from support.cli import tetractl
+from support.virtual_dish import DISH
+
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import calibrated, on_plant
+
+
+@pytest.mark.parametrize("rotation", [0.0, 0.3, -2.5])
+def test_a_calibration_file_has_scale_and_rotation_and_places_the_two_as_measured(
+    rotation, tmp_path
+):
+    um_px, um = 2.3, 1000.0
+    first = 700.0, 650.0
+    long, axis = um / um_px, -rotation  # of the spec's x axis in the picture, y upwards
+    second = first[0] + long * math.cos(axis), first[1] - long * math.sin(axis)
+    places = ",".join(f"{each!r}" for each in (*first, *second, um))
+    out = tmp_path / "scale.yaml"
+    done = tetractl(tmp_path, "lab", "calibrate", DISH, f"--micrometer={places}", "-o", out)
+    assert done.returncode == 0, done.stderr
+    assert "2.3000 um/px" in done.stdout
+    loaded = on_plant(load_spec(DISH), "lab")
+    camera = calibrated(loaded.experiment, out.read_text(), "scale.yaml").plant.camera
+    assert camera.um_px == pytest.approx(um_px)
+    assert camera.rotation == pytest.approx(rotation)
+    at = [camera.placed(c * um_px, -r * um_px, 1e-6) for c, r in (first, second)]
+    assert at[1][0] - at[0][0] == pytest.approx(um)
+    assert at[1][1] - at[0][1] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("places", ["1,2,3", "0,0,nan,0,5", "0,0,9,0,100", "0,0,100,0,-1"])
+def test_places_that_mean_nothing_are_refused(places, tmp_path):
+    done = tetractl(tmp_path, "lab", "calibrate", DISH, "--micrometer", places)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) <= 2
+    assert not (tmp_path / "calibration.yaml").exists()

@@ -1,0 +1,83 @@
+"""Pictures of a microscope's camera by Micro-Manager's core, `pymmcore`; never tried on a real one.
+
+By its documentation the core fills a circular buffer while a sequence runs. Every picture is taken
+out of it as it comes, so that none waits there; the camera skips and counts those it cannot search.
+"""
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.errors import AbortError
+from tetractl.lab.cameras.pictures.picture_section import MicroManagerSource
+from tetractl.lab.cameras.pictures.source import Picture, SourceEndedError
+
+WAIT_NS = SECOND // 500
+SILENT_NS = 10 * SECOND
+
+
+class MicroManagerFeed:
+    """A camera that Micro-Manager knows: the upper eight bits of its grey levels, or the mean of
+    red, green and blue."""
+
+    live = True
+    rate_hz: float | None = None
+    emulated = False
+    damaged = 0
+
+    def __init__(self, source: MicroManagerSource, clock: Clock) -> None:
+        try:
+            from pymmcore import CMMCore  # type: ignore[import-not-found]
+        except ModuleNotFoundError as error:
+            raise AbortError(
+                "a source of type micromanager needs pymmcore, which is not installed",
+                "pip install 'tetractl[microscope]'",
+            ) from error
+        self._clock, self._closing = clock, threading.Event()
+        folders = source.adapters or (str(Path(source.config).resolve().parent),)
+        self._core: Any = CMMCore()
+        try:
+            self._core.setDeviceAdapterSearchPaths(list(folders))
+            self._core.loadSystemConfiguration(source.config)
+            self._shift = max(0, self._core.getImageBitDepth() - 8)
+            self._core.startContinuousSequenceAcquisition(0.0)
+        except RuntimeError as error:  # as the core's own errors come
+            self._core.reset()
+            raise AbortError(
+                f"{source.config}: {error}", "does Micro-Manager itself show this camera live?"
+            ) from error
+
+    def read(self) -> Picture:
+        """Wait for the next picture."""
+        silent = self._clock.now() + SILENT_NS
+        while not self._closing.is_set():
+            try:
+                if self._core.getRemainingImageCount():
+                    return Picture(self._grey(self._core.popNextImage()), self._clock.now())
+                running = self._core.isSequenceRunning()
+            except RuntimeError as error:
+                raise SourceEndedError(f"Micro-Manager says: {error}") from error
+            if not running or self._clock.now() > silent:
+                raise SourceEndedError("Micro-Manager's camera delivers no more")
+            self._clock.sleep_until(self._clock.now() + WAIT_NS)
+        raise SourceEndedError("Micro-Manager's camera was closed")
+
+    def interrupt(self) -> None:
+        """Make a `read` that waits end soon."""
+        self._closing.set()
+
+    def close(self) -> None:
+        """End the sequence and release the camera."""
+        try:
+            self._core.stopSequenceAcquisition()
+        finally:
+            self._core.reset()
+
+    def _grey(self, pixels: np.ndarray) -> np.ndarray:
+        if pixels.dtype.itemsize < 4:
+            return np.minimum(pixels >> self._shift, 255).astype(np.uint8)
+        colours = np.ascontiguousarray(pixels).view(np.uint8).reshape(*pixels.shape, 4)
+        return colours[..., :3].mean(axis=-1).astype(np.uint8)

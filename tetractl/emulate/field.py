@@ -142,7 +142,7 @@ class FieldSettings(Model):
     heading_noise: NonNegative = 0.05
     """Random walk of every cell's heading [rad/sqrt(s)]."""
     cells: int = Field(default=6, ge=1, le=60)
-    """How many cells with a magnet the dish has, each drawn as a culture has them."""
+    """How many cells with a magnet the dish has, each drawn at random."""
     strangers: int = Field(default=2, ge=0, le=60)
     """How many without one."""
     supply_mv: int = Field(default=12_000, ge=0, le=60_000)

@@ -47,7 +47,7 @@ class WantedCell(Model):
 class Choice(Model):
     """Robots that the trial finds at their present poses. In the lab the field turns for `seconds`,
     which shows how each cell answers; of these cells, those whose a differ most are taken, or those
-    that are `wanted`. In a simulation they are drawn as a culture has them.
+    that are `wanted`. In a simulation they are drawn at random.
     """
 
     choose: int = Field(ge=1, le=20)

@@ -21,7 +21,7 @@ class IdentityWatch:
         self.unknown: dict[int, str] = {}
 
     def see(self, film: CellFilm) -> Iterator[Note]:
-        """Yield what a picture changes, for people; a cell that is not seen changes nothing."""
+        """Yield what a picture changes, as text; a cell that is not seen changes nothing."""
         now = film.sampled_ns
         for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:

@@ -1,4 +1,4 @@
-"""The provenance of a log: machine, hour, versions, and state of the source tree."""
+"""The provenance of a log: machine, time, versions, and state of the source tree."""
 
 import hashlib
 import json
@@ -136,8 +136,8 @@ def is_version(key: str) -> bool:
 
 @cache
 def environment() -> str:
-    """Return machine, versions, every installed package and local changes, as JSON."""
-    installed = [item.metadata for item in metadata.distributions()]  # each look parses a file
+    """Return machine, versions, installed packages and local changes, as JSON."""
+    installed = [item.metadata for item in metadata.distributions()]  # each call parses a file
     packages = {item["Name"]: item["Version"] for item in installed if item["Name"]}
     found: dict[str, object] = {
         "host": host(),
@@ -201,7 +201,7 @@ def _cpu_features() -> str:
 
 def _numpy_dispatch() -> str:
     """Return the instruction sets that numpy found and uses."""
-    from numpy._core._multiarray_umath import (  # in no public place
+    from numpy._core._multiarray_umath import (  # not public in numpy
         __cpu_features__ as features,
     )
 

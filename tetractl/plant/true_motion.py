@@ -66,7 +66,7 @@ class TrueMotion:
         return int(self._acting_ns.max(initial=0))
 
     def dispatch(self, command: DelayedCommand) -> DelayedCommand:
-        """Put a command on its way, and return what becomes of it."""
+        """Schedule a command, and return it as it will be received."""
         for disturbance in self._disturbances:
             command = disturbance.sent(command)
         late = 0 if command.late_ns is None else command.late_ns
@@ -103,7 +103,7 @@ class TrueMotion:
                 return
 
     def _swerve(self) -> None:
-        """Let the headings walk as far as they do between two frames."""
+        """Let the headings walk at random over one frame period."""
         drive, p = self.drive, self.drive.poses
         walk = self._walk * self._walking.standard_normal(p.x.size) * drive.moving
         drive.poses = Poses(p.x, p.y, p.heading + walk)

@@ -1,4 +1,4 @@
-"""Checks a log against itself: values it states twice, and values that follow from others."""
+"""Checks the consistency of a log: values stored twice, and values that follow from others."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -160,7 +160,7 @@ def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Differen
 
 
 def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """What the plant of a lab found follows from the logged frames."""
+    """The verdict of a lab's plant follows from the logged frames."""
     if not log.damage:
         if not _stands(log, result.verdict.final):
             yield Difference(None, "result.final", "is not where the robots were seen last")

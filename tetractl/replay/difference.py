@@ -15,7 +15,7 @@ COORDINATES = ("x", "y", "heading")
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first thing that does not come out as logged: in step `step`, None for the trial."""
+    """The first value that differs from the log: in step `step`, None for the trial."""
 
     step: int | None
     field: str
@@ -135,7 +135,8 @@ def trial_difference(
 
 
 def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
-    """Return what of a trial is compared, in that order, with so many commands, frames, steps."""
+    """Return the parts of a trial that are compared, in that order, with a given number of
+    commands, frames, steps."""
     commands, frames, steps = common
     result = trial.result
     return {

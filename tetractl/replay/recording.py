@@ -50,7 +50,7 @@ class Recording:
     """A recorded trial, of which `at` returns any instant.
 
     Times [ns] are on the trial's clock. A control step begins when its command is sent; `began_ns`
-    is the time of the first direction, from which people count, and `event_ns` are the times of the
+    is the time of the first direction, which is 0 for users, and `event_ns` are the times of the
     events.
     """
 

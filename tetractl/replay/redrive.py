@@ -1,4 +1,5 @@
-"""A plant driven again with the recorded commands of a trial, open loop, and how far apart they go.
+"""Drives a plant again with the recorded commands of a trial, open loop, and measures the distance
+between both paths.
 
 The directions are sent by a controller of kind `sequence` in a trial of its own, which is run,
 logged and, in the lab, guarded as any other.
@@ -83,7 +84,7 @@ class Apart:
 
 
 def paths_apart(recorded: TrialLog, again: TrialLog) -> Apart:
-    """Return how far two trials of the same robots go apart, at the recorded frames.
+    """Return the distances between two trials of the same robots, at the recorded frames.
 
     The positions of the trial driven again are interpolated between its frames. Times before the
     first direction and after the end of either are left out.

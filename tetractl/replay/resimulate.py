@@ -27,11 +27,11 @@ from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
 
 ROUGHLY = Tolerance(1e-6, 1e-6)
-"""Of what another processor computes."""
+"""Tolerance for the results of another processor."""
 
 
 def resimulate(log: TrialLog, same_host: bool) -> Difference | None:
-    """Return the first thing that the plant does not do as logged, None for none.
+    """Return the first difference between the repeated trial and its log, None for none.
 
     On the same host bits are compared. A trial in the lab cannot be repeated, nor can the
     simulation of a damaged log.
@@ -119,7 +119,7 @@ class _Ending:
     def delay_ns(self) -> int:
         """How much later than now the stop was decided [ns]."""
         now = self.clock.now()
-        if self.plans:  # the time until a stop is sent is drawn by the stop; a copy of it tells
+        if self.plans:  # the stop draws the time until it is sent; a copy of the plant shows it
             now = copy.deepcopy(self.plant).stop().sent_ns
         return self.sent_ns - now
 

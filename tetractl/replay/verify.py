@@ -29,7 +29,7 @@ DECIDES_BITS = (
     "numba",
     "llvmlite",
 )
-"""What must be the same on two hosts for the same bits to come out."""
+"""Facts that must agree on two hosts to give the same bits."""
 
 
 class Method(StrEnum):

@@ -1,4 +1,4 @@
-"""Describes a batch of trials: its errors with intervals, how the trials ended, what is known."""
+"""Describes a batch of trials: its errors with intervals, and how the trials ended."""
 
 import math
 from dataclasses import dataclass

@@ -70,7 +70,7 @@ class Tail:
 
     A mean of a few values says little of rare large ones: of 20 trials, two of three batches show
     none of what happens in 2 %. `stated` is whether the spec states the bound; else it is 10
-    medians. None of it is known of no values, or of a median that is not positive.
+    medians. Without values, or with a median that is not positive, the fields are None.
     """
 
     bound: float
@@ -147,7 +147,7 @@ def distributions(rows: Floats, bound: float | None = None) -> list[Distribution
 
 
 def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distribution:
-    """Describe values of which no more than these figures are known."""
+    """Describe values of which only these figures are known."""
     unknown = Tail(_NAN, 0, n, False, Interval.none(""))
     return Distribution(n, mean, std, _NAN, _NAN, _NAN, ci95, unknown)
 
@@ -231,5 +231,5 @@ def proportion_interval(successes: int, n: int) -> Interval:
 
 
 def percent(share: Interval) -> str:
-    """Return an interval of a share such as " (0 to 16 %)", "" for none."""
+    """Return the interval of a fraction such as " (0 to 16 %)", "" for none."""
     return f" ({100 * share.low:.0f} to {100 * share.high:.0f} %)" if share.known else ""

@@ -1,4 +1,4 @@
-"""Differences of two batches: of their means, in deviations, of their deviations, and by ranks.
+"""Differences of two batches: of means, effect sizes, standard deviations, and ranks.
 
 Tests by ranks assume no distribution. Their p-values are two-sided and exact as long as there are
 at most EXACT values: the distribution of the sum of ranks is counted out over all equally probable

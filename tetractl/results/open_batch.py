@@ -20,14 +20,14 @@ OnLog = Callable[[int, int], object]
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """A log from which no trial could be read, or rows that lack some, and why."""
+    """A log from which no trial could be read, or a damaged row, and why."""
 
     path: str
     problem: str
 
     @property
     def set_aside(self) -> bool:
-        """Whether it is an attempt that was set aside, so that the batch lacks nothing."""
+        """Whether it is an attempt that was set aside."""
         return is_set_aside(Path(self.path).name)
 
 

@@ -130,7 +130,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _upgrade(self, converse: Callable[[socket.socket, bytes], None]) -> None:
-        """Let `converse` serve the WebSocket; it is given the request, which was read here."""
+        """Hand the WebSocket to `converse`, with the request, which was read here."""
         self.close_connection = True
         token, origin = self.path.strip("/"), self.headers.get("Origin")
         if not (self._let_in(token) and is_viewers_origin(origin, self._site.viewer)):

@@ -113,7 +113,7 @@ def panel(axes: Axes, letter: str, title: str) -> None:
 
 
 def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "picture") -> str:
-    """Return which of the formats of pictures, or of something else, a file's name has.
+    """Return the format of a file by its name, among those of pictures or those given.
 
     Raises UsageError for a name without one, and if the file's folder does not exist.
     """

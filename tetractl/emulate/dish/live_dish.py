@@ -139,7 +139,7 @@ class CellBody:
 
 
 def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
-    """Return the cells of a spec: its a and speeds, the rest as a culture has it."""
+    """Return the cells of a spec: its a and speeds, the rest drawn from a culture."""
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
     cells.a, cells.speed = setup.a.copy(), setup.speed * setup.metres * 1e6
     cells.bias[:], cells.walk[:] = 0.0, walk

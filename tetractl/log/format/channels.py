@@ -1,6 +1,6 @@
 """The records of a log by name: channels and their schemas, metadata, attachments.
 
-A host record describes the machine and the hour and differs between two runs of the same trial; all
+A host record describes the machine and the time and differs between two runs of the same trial; all
 other records of a simulated trial's log repeat byte for byte.
 """
 
@@ -42,7 +42,7 @@ ESTIMATE = "/controller/estimate"
 CELLS, CROPS = "/camera/cells", "/camera/crops"
 PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
 FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
-"""What a camera that follows cells adds."""
+"""Channels of a camera that follows cells."""
 
 MOCAP, TRUTH, PLAN = "/mocap", "/truth", "/controller/plan"  # of format 1 alone
 

@@ -12,7 +12,7 @@ from tetractl.core.text import printable
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 
-STOPPED = 60  # characters of why a search ended that are read back
+STOPPED = 60  # largest length of a stop reason that is read
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from tetractl.log.read.trial_log import Damage
 FORMAT = "format_version"
 WARNINGS = "warnings"
 _PLANT = "plant."
-_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # what readers of format 1 know
+_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # the name in format 1
 
 
 def add_checksum(items: Mapping[str, str]) -> dict[str, str]:
@@ -45,7 +45,7 @@ def run_metadata(start: Start) -> dict[str, str]:
     """Return the metadata record at the start of a log, which identifies the trial."""
     setup, plant = start.setup, start.plant
     run_id = f"{start.spec_hash[:12]}-{start.seed}-{start.trial}"
-    if not plant.simulated:  # the same trial in the lab twice is two runs
+    if not plant.simulated:  # a trial repeated in the lab is another run
         run_id += f"-{start.start_unix_ns}"
     return {
         FORMAT: str(FORMAT_VERSION),

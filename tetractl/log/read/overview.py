@@ -1,4 +1,4 @@
-"""What is in a log: its metadata, and the counts and sizes of its records."""
+"""An overview of a log: its metadata, and the counts and sizes of its records."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -121,7 +121,7 @@ class RawLog:
 
     @property
     def warnings(self) -> int:
-        """How many warnings and errors for people the log states; 0 if it states none."""
+        """How many operator warnings and errors the log states; 0 if it states none."""
         stated = self.metadata.get(channels.RESULT, {}).get(WARNINGS, "")
         return int(stated) if stated.isdecimal() and len(stated) < 12 else 0
 
@@ -146,7 +146,7 @@ class RawLog:
 
     @cached_property
     def host(self) -> dict[str, str]:
-        """Machine and hour of the run."""
+        """Machine and time of the run."""
         items = self.metadata.get(channels.HOST, {})
         return {k: v for k, v in items.items() if k != CHECKSUM and not provenance.is_version(k)}
 
@@ -187,7 +187,7 @@ class RawLog:
 
 
 def _reason(error: Exception) -> str:
-    """Return what is wrong with a record, in at most a line."""
+    """Return the error of a record in one line."""
     text = f"{error} is missing" if isinstance(error, KeyError) else str(error)
     return printable(text or type(error).__name__, 200)
 

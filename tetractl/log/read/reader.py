@@ -56,7 +56,7 @@ def trial_of(contents: RawLog) -> TrialLog:
     except TooMuchError as error:
         raise LogError(f"{contents.path}: {error}") from None
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
-        # intact, but not as we write it
+        # intact, but not as tetractl writes it
         raise LogError(f"{contents.path}: holds what tetractl does not write: {error}") from None
 
 

@@ -129,7 +129,7 @@ def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
 
 
 def _sha256(path: Path) -> str:
-    """Return the SHA-256 of the bytes that are read of a file: all but of a giant."""
+    """Return the SHA-256 of the bytes that are read of a file: all, unless it is too large."""
     found, left = hashlib.sha256(), file_limit()
     with path.open("rb") as file:
         while left > 0 and (piece := file.read(min(left, 1 << 20))):

@@ -190,7 +190,7 @@ class _Scan:
                 self._verify(offset, opcode)
             except TooMuchError:
                 raise
-            except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other ancestor
+            except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other common base
                 why = str(error).splitlines()[0] if str(error) else type(error).__name__
                 if len(self._problems) < limits.PROBLEMS:
                     self._problems.append(f"the record at byte {offset} is damaged: {why}")
@@ -301,7 +301,7 @@ class _Scan:
             self._topics = dict(enumerate(CHANNELS_1 if first else CHANNELS, start=1))
         for offset, record in sorted(self._found.items()):
             if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
-                continue  # it may be damaged: another program's, without a checksum
+                continue  # it may be damaged, or another program's, without a checksum
             if isinstance(record, int):
                 result.chunks += 1
                 result.records += [

@@ -19,7 +19,7 @@ _OLD_SERVER = "EMULATED"  # in the camera server's name, if a log has no fact of
 
 
 class Origin(StrEnum):
-    """What a trial's robots were; every table and figure says it."""
+    """The plant of a trial, which every table and figure names."""
 
     UNDISTURBED = "undisturbed simulation"
     DISTURBED = "disturbed simulation"
@@ -44,7 +44,7 @@ class Origin(StrEnum):
 
     @property
     def comparable(self) -> bool:
-        """Whether a published result of real robots is a fair thing to compare with."""
+        """Whether comparison with a published result of real robots makes sense."""
         return self in (Origin.DISTURBED, Origin.LAB)
 
 
@@ -81,7 +81,7 @@ class TrialLog(TrialRecords):
     experiment: Experiment
     stop: Command | None
     damage: Damage | None
-    host: dict[str, str]  # machine and hour of the run
+    host: dict[str, str]  # machine and time of the run
     provenance: dict[str, str]  # versions of the code that ran the trial
     digest: str | None = None
     content_digest: str = ""
@@ -90,7 +90,7 @@ class TrialLog(TrialRecords):
 
     @property
     def began_ns(self) -> int:
-        """When the first direction was sent: 0 on every time axis that people read.
+        """The time of the first direction: 0 on every time axis shown to users.
 
         In the lab the trial's clock starts earlier, while the robots are placed. A log that lost
         its first steps gives the time by the control period; one without any direction, 0.
@@ -109,7 +109,7 @@ class TrialLog(TrialRecords):
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """The notes at the times that people read, in the order of their times."""
+        """The notes at the times shown to users, in the order of their times."""
         found = [Event(self.elapsed_s(one.t_ns), one.level, one.text) for one in self.notes]
         return tuple(sorted(found, key=lambda event: event.time_s))
 

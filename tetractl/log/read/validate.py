@@ -28,7 +28,7 @@ COST_MAX = 1e100
 TIME_MAX_NS = 10**18
 """Of a time since the trial began: thirty years."""
 COUNT_MAX = 2**53
-"""Of steps, evaluations and the like: what a double still counts one by one."""
+"""Limit of counts such as steps: integers that a double represents exactly."""
 UNIX_MAX_NS = 2**63 - TIME_MAX_NS
 RATE_MAX_HZ = 1e6
 
@@ -108,7 +108,7 @@ def _check_estimate(estimate: Estimate) -> None:
 
 
 def check_note(note: Note) -> None:
-    """Check a message for people."""
+    """Check an operator message."""
     _times([note.t_ns])
 
 
@@ -118,7 +118,7 @@ def stated_result(
     """Return the result that the records of a log or row state, of `robots` robots and in `unit`.
 
     Its reason is put into characters that a terminal can show. Raises KeyError, OverflowError,
-    RecursionError, TypeError or ValueError for what tetractl does not write.
+    RecursionError, TypeError or ValueError for values that tetractl does not write.
     """
     result = read_result(items, timing, robots)
     check_result(result)

@@ -58,8 +58,8 @@ class Sink:
     readable as NAME.part. Later calls do nothing, so that stopping a trial because of a full disk
     gives no second error.
 
-    With another `part` than ".part" the unfinished file is a copy of something and not a trial:
-    what is left of an earlier one is replaced, unless a process is still writing it.
+    With another `part` than ".part" the file is a copy and not a trial: an unfinished earlier one
+    is replaced, unless a process is still writing it.
     """
 
     def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
@@ -220,7 +220,7 @@ class Sink:
         raise OSError(errno.ENOENT, "the file or its folder was moved during the trial")
 
     def _fail(self, error: OSError) -> NoReturn:
-        with suppress(OSError):  # closing writes what is buffered and meets the same refusal
+        with suppress(OSError):  # closing writes the buffer and fails in the same way
             self._release()
         why = error.strerror or str(error)
         kept = os.path.lexists(self._part) and self._part.stat().st_size > 0

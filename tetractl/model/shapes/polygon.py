@@ -1,7 +1,7 @@
 """Simple polygons, concave ones too: the walls and channels of micro-arenas.
 
-A polygon is grown as a body of that radius meets it: by a margin on the signed distance, which
-rounds the corners that a geometric offset would leave sharp.
+A polygon is grown by a margin on its signed distance, which rounds its corners, as for a round
+body.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Tracked poses of robots, and the directions they were sent: what robots are identified from."""
+"""Tracked poses of robots and the directions they were sent: the data of identification."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -45,8 +45,8 @@ class Intervals(NamedTuple):
     """K intervals between two camera frames of N robots.
 
     `since`, `until` (K,) [s]; `heading` (K, N) at `since` [rad]; `turned` (K, N) [rad] and
-    `travelled` (K, N) [length unit] until `until`; `usable` (K, N) is False if nothing is to be
-    learnt: a robot that was not tracked, or did not move yet.
+    `travelled` (K, N) [length unit] until `until`; `usable` (K, N) is False for a robot that was
+    not tracked, or did not move yet.
     """
 
     since: Floats
@@ -66,7 +66,7 @@ class Directions(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Drives:
-    """Tracks put one behind the other, APART_S apart: K intervals between frames of N robots.
+    """Tracks put one after the other, APART_S apart: K intervals between frames of N robots.
 
     `moved` (K, N, 2) is the displacement of an interval [length unit]. `after` (K,) is True if
     an interval begins with the frame that the one before ended with.
@@ -84,7 +84,7 @@ class Drives:
 
 
 def track_of(log: TrialLog) -> Track:
-    """Return the track of a log: what the camera saw and what was sent, never the truth."""
+    """Return the track of a log: measured poses and commands, never the true poses."""
     require_field(log)
     setup = log.start.setup
     sent = [one for one in log.commands if one.direction is not None]

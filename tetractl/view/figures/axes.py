@@ -1,4 +1,4 @@
-"""What several figures share: one trial of the logs given, and logarithmic axes."""
+"""Functions shared by figures: the trial of the logs given, and logarithmic axes."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 
-NUMBERED = 8  # from so many robots on numbers distinguish them: there are no more colours
+NUMBERED = 8  # number of robots from which numbers distinguish them
 NAME_LENGTH = 16  # of a robot in a figure [characters]
 
 
@@ -67,7 +67,7 @@ def unfinished(log: TrialLog) -> str:
 
 
 def broken_off(logs: Sequence[TrialLog]) -> str:
-    """Return what a figure says of trials that did not run to their own end, "" for none."""
+    """Return a figure's note on trials that did not run to their own end, "" for none."""
     if len(logs) == 1:
         return unfinished(logs[0])
     cut = sum(1 for log in logs if unfinished(log))

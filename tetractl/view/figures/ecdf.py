@@ -31,7 +31,7 @@ def band(n: int) -> float:
 
 
 def ecdf_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the final total errors of trials, one curve a folder; only complete trials count."""
+    """Draw the final total errors of trials, one curve per folder; only complete trials count."""
     batches = by_folder(logs)
     errors = [
         np.array([log.result.total_error for log in found if log.result is not None])

@@ -116,8 +116,8 @@ def _dead_time(
 def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: TrialLog) -> list[Curve]:
     """Draw values (K, N) of the robots with their bands, and return the curves.
 
-    The axis shows what lies between the 1st and the 99th percentile: one wild value would squash
-    the rest.
+    The axis shows the range between the 1st and the 99th percentile, so that one outlier does not
+    hide the rest.
     """
     curves = robot_curves(log.start.setup, values, values - stds, values + stds)
     draw_curves(axes, time_s, curves)

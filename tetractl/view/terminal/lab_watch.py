@@ -44,7 +44,7 @@ class LabWatch:
     """Shows a batch in the lab: lines, or each trial's live view; an `Observer` and a watcher.
 
     Notes go to `console`, one line per trial to `quiet`, which may drop it; `unit` is the length
-    unit. Between trials the live view gives the screen back, for placing the robots.
+    unit. Between trials the live view restores the screen, for placing the robots.
     """
 
     def __init__(self, console: Console, quiet: Console, unit: str, live: bool) -> None:

@@ -34,7 +34,7 @@ class StopKey:
         if self.listening:
             self._fd = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._fd)
-            tty.setcbreak(self._fd, termios.TCSANOW)  # waits for no terminal that stands still
+            tty.setcbreak(self._fd, termios.TCSANOW)  # does not wait for a blocked terminal
             self._thread.start()
         return self
 

@@ -1,6 +1,5 @@
 """What a run adds in the lab: the operator's stop, placing the robots."""
 
-import gc
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -53,7 +52,5 @@ def run_in_lab(
         def supervision(trial: int) -> "Iterator[LabSupervision]":
             yield LabSupervision(emergency, prompt, lambda: interrupt.requested)
 
-        gc.collect()
-        gc.freeze()  # so that collecting what was imported never delays the inner loop
         executor = Here(interrupt, [watch, *served], supervision)
         return run_batch(tasks, store, executor, watch, fail_fast=True)

@@ -222,7 +222,8 @@ class FilterBank:
         same = (last == now).all(axis=1)
         if not len(self._when) and frame.valid.any() and not same.all():
             self._noisy = True
-        seen = frame.valid & ~(same & self._noisy)  # a noisy camera never shows the same twice
+        frozen = len(same) > 1 and same.all()  # never do all robots stop between two frames
+        seen = frame.valid & ~(same & (self._noisy | frozen))  # noise never shows the same twice
         since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
         _kernel().follow(
             self._bank, self._model, self._step, since, until, self._when, self._u, now, seen

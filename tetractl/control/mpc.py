@@ -63,6 +63,9 @@ from tetractl.experiment.controller import OptimizerSection, Square, same
 
 RESTED_S = 2.0
 """Time after a pause before there is another one because no safe plan was found [s]."""
+SEARCH_S = 0.005
+"""Time of a control period for each search of a longer plan [s]: what such a search takes, and as
+much again for the rest of the step."""
 NEXT = 2  # signals of the plan under way that are to be safe if robots hear nothing
 UNSURE = 2  # last signals of a plan that need not be
 KEPT = 0.2  # of their radius that robots then keep from what they could enter
@@ -343,14 +346,18 @@ class Mpc:
         return lambda: self.timer() >= end
 
     def _detour(self, searcher: Searcher) -> None:
-        """Search longer sequences until one is good enough, as far as horizon and steps allow."""
+        """Search longer sequences until one is good enough, as far as horizon and steps allow.
+
+        What a control period has no time for, the next step goes on with.
+        """
         assert self.warm is not None
         section = self.section
         most = min((section.steps_max - self.k) // section.hold, section.horizon_max)
         lengths = [n for n in longer(len(self.warm), most) if n >= self.resume]
         self.resume = 0
-        for length in lengths:
-            found = searcher.search(length, None)
+        for i, length in enumerate(lengths):
+            in_time = (i + 1) * SEARCH_S < section.period or i == 0
+            found = searcher.search(length, None) if in_time else None
             if found is None:
                 self.resume = length
                 return
@@ -358,7 +365,8 @@ class Mpc:
                 return
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
-        """Return whether robots keep clear if they hear nothing for `silence` from some signal on.
+        """Return whether robots keep clear if they hear nothing for `silence` from some signal on,
+        or until their watchdog stops them.
 
         The last ones do not count, and of the plan under way only the next ones.
         """
@@ -369,7 +377,7 @@ class Mpc:
         path = compiled_path(problem, signals[:count])[:-1]
         collision = self.section.collision
         kept = KEPT * collision.radius, collision.separation
-        seconds = collision.silence + self.section.period
+        seconds = min(collision.silence + self.section.period, self.setup.watchdog_s)
         return self.margins.clear_unheard(problem, path, signals[:count], seconds, *kept)
 
 

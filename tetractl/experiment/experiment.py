@@ -1,5 +1,6 @@
 """The experiment: everything a batch of trials depends on."""
 
+import math
 from functools import cached_property
 from typing import Annotated, Literal, Self
 
@@ -258,6 +259,7 @@ class Experiment(Model):
             steps_max=control.steps_max,
             iterations_max=control.iterations_max,
             wheel_radius=self.wheels.radius if self.wheels else None,
+            watchdog_s=(self.wheels and self.wheels.watchdog) or math.inf,
             way_points=np.array([robot.via for robot in self.robots], dtype=np.float64)
             .reshape(len(self.robots), -1, 2)
             .swapaxes(0, 1),

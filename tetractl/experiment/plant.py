@@ -80,3 +80,7 @@ class Wheels(Model):
 
     radius: Positive
     """Distance r from a wheel to the robot's centre [length unit]."""
+    watchdog: Positive | None = None
+    """Time after which a robot that hears nothing stops by itself [s], as the m3pi firmware does
+    after 0.25; by default it goes on for ever. It moves again with the next command that it
+    hears."""

@@ -98,6 +98,10 @@ class SimSection(PlantSection):
             yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
         if self.drive is not None and setup.wheel_radius is None:
             yield ("drive",), "needs 'wheels: {radius: ..}' of the experiment"
+        rate = 1 / setup.period_s if self.drive is None else self.drive.rate or 1 / setup.period_s
+        if rate * setup.watchdog_s <= 1:
+            message = f"at {rate:g} Hz robots with a watchdog of {setup.watchdog_s:g} s would stop"
+            yield ("drive",), f"{message} between two commands; shorten controller.period"
 
     @property
     def loses_frames(self) -> bool:

@@ -1,5 +1,6 @@
 """The true motion of simulated robots: commands on their way, disturbances, camera, path check."""
 
+import math
 from bisect import insort
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -13,7 +14,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.cell_drive import CellDrive
-from tetractl.plant.direct import DirectDrive
+from tetractl.plant.direct import NEVER, DirectDrive
 from tetractl.plant.sim_camera import SimCamera, due_ns
 from tetractl.plant.wheel_drive import WheelDrive
 
@@ -55,6 +56,8 @@ class TrueMotion:
         self._truth_rate = truth_rate
         self._under_way: deque[DelayedCommand] = deque()  # on their way, by `due_ns`
         self._acting_ns = np.zeros(len(setup.names), dtype=np.int64)  # when the last one sent acts
+        self._watchdog_s = setup.watchdog_s
+        self._stopping_ns = np.full(len(setup.names), NEVER)  # when each stops if it hears nothing
         self._time = 0
         self._disturbed_ns = -1  # until when the disturbances have acted
         self._ticks = 0  # true samples taken so far
@@ -82,12 +85,13 @@ class TrueMotion:
         while True:
             frame = self._camera.next_ns
             end = min(until, frame) if self._by_frame else until
-            end = min(end, self.drive.repeats_ns)
-            command = (
-                self._under_way.popleft()
-                if self._under_way and self._under_way[0].due_ns <= end
-                else None
-            )
+            stopping = int(self._stopping_ns.min())
+            end = min(end, self.drive.repeats_ns, stopping)
+            command = None
+            if self._under_way and self._under_way[0].due_ns <= end:
+                command = self._under_way.popleft()
+            elif end == stopping:
+                command = self._silent(end)
             reached = command.due_ns if command else end
             disturbed = self._disturbs and (reached == frame or command is not None)
             repeats = command is None and reached == self.drive.repeats_ns
@@ -96,11 +100,24 @@ class TrueMotion:
             if self._walk > 0 and reached == frame:
                 self._swerve()
             if command:
-                self.drive.apply(command)
+                self._apply(command)
             elif repeats:
                 self._repeat(reached)
             elif reached == until:
                 return
+
+    def _apply(self, command: DelayedCommand) -> None:
+        """Let a command act on the robots that it reaches."""
+        self.drive.apply(command)
+        if self._watchdog_s < math.inf:
+            stops = command.direction is None and not command.field_off
+            until = NEVER if stops else command.due_ns + round(self._watchdog_s * SECOND)
+            self._stopping_ns = np.where(command.reached, until, self._stopping_ns)
+
+    def _silent(self, now: int) -> DelayedCommand:
+        """Return the stop of the robots whose watchdog ends now [ns]."""
+        silent = self._stopping_ns == now
+        return DelayedCommand(now, now, None, silent, wheels=np.zeros((2, silent.size)))
 
     def _swerve(self) -> None:
         """Let the headings walk at random over one frame period."""

@@ -1,5 +1,6 @@
 """One trial as an executor runs it: its log, its digest, its result."""
 
+import gc
 import pickle
 import time
 from collections.abc import Sequence
@@ -145,6 +146,8 @@ def _loaded(spec: bytes, code: str) -> LoadedSpec:
         )
     with suppress(TetractlError):  # the trial raises it again
         warm_up(loaded.experiment, lambda text: None)
+    gc.collect()
+    gc.freeze()  # so that collecting what was loaded never delays a control step
     return loaded
 
 

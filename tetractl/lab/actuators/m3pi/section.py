@@ -1,5 +1,6 @@
 """The section of the spec for m3pi robots behind an XBee: `actuator: {type: m3pi-xbee, ...}`."""
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
@@ -89,6 +90,9 @@ class M3piSection(XbeeSection, ActuatorSection):
         if slave and self.mode == "transparent":
             message = "cannot address one robot, which the slave protocol needs; use api2"
             yield ("mode",), message
+        if slave and setup.watchdog_s < math.inf:
+            message = "these robots drive on when they hear nothing; leave out wheels.watchdog"
+            yield ("protocol",), message
         for i, robot in enumerate(self.robots):
             if setup.wheel_radius is None and robot.radius_mm is None:
                 message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"

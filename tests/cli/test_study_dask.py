@@ -93,7 +93,7 @@ def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_
             scheduler.kill()
             assert running.end() == 1
     assert running.err.read_text() == (
-        f"error: {address}: the scheduler is gone; what had come back by then is stored\n"
+        f"error: {address}: the scheduler is gone; results so far are stored\n"
         "hint: start a scheduler again; the same command, with its address, goes on with it\n"
     )
     assert 10 <= rows(out) < 96

@@ -77,6 +77,7 @@ def test_space_is_the_operators_emergency_stop(lab, tmp_path):
 
 LONG = ("controller.steps_max=40", "lab.limits.placing=30", "robots.0.target=[1500, 500]")
 SLAVES = (
+    "wheels.watchdog=null",
     "lab.actuator.protocol={type: slave, accept_no_watchdog: true}",
     *(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3)),
 )

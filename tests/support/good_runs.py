@@ -11,7 +11,10 @@ import numpy as np
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.audit import audit
 
-SLAVES = tuple(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3))
+SLAVES = (
+    "wheels.watchdog=null",
+    *(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3)),
+)
 UNEVEN = """
 emulation:
   camera: {version: '4.3'}

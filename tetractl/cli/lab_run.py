@@ -1,6 +1,5 @@
 """What a run adds in the lab: the operator's stop, placing the robots."""
 
-import gc
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,7 +40,7 @@ def run_in_lab(
     from tetractl.view.terminal.lab_watch import LabWatch, TerminalPrompt
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
-    quiet, console = console, Console(stderr=True)  # what concerns safety is always said
+    quiet, console = console, Console(stderr=True)  # messages on safety are always printed
     emergency, entered = threading.Event(), threading.Event()
     with StopKey(emergency.set, entered.set, unattended) as key:
         says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
@@ -53,7 +52,5 @@ def run_in_lab(
         def supervision(trial: int) -> "Iterator[LabSupervision]":
             yield LabSupervision(emergency, prompt, lambda: interrupt.requested)
 
-        gc.collect()
-        gc.freeze()  # so that collecting what was imported never delays the inner loop
         executor = Here(interrupt, [watch, *served], supervision)
         return run_batch(tasks, store, executor, watch, fail_fast=True)

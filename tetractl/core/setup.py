@@ -1,5 +1,6 @@
 """The numbers of an experiment as arrays, computed once."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol
@@ -90,7 +91,8 @@ class Setup:
     `unit` is the length unit of every number and `metres` its length. `targets` (N, 2); `a` (N,)
     rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the largest
     number of control steps and `iterations_max` that of an optimiser's iterations in one search.
-    `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without wheels.
+    `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without wheels;
+    `watchdog_s` the time after which a robot that hears nothing stops, inf where it goes on.
     `way_points` (M, N, 2) are passed before the targets, by all robots together; `hold` is what
     comes after, None for the end of the trial. `loss` is when the trial goes on without a robot,
     None where it ends.
@@ -114,6 +116,7 @@ class Setup:
     way_points: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     hold: HoldTask | None = None
     loss: LossRule | None = None
+    watchdog_s: float = math.inf
 
     @property
     def legs(self) -> Floats:

@@ -1,5 +1,6 @@
 """The true motion of simulated robots: commands on their way, disturbances, camera, path check."""
 
+import math
 from bisect import insort
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -13,7 +14,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.cell_drive import CellDrive
-from tetractl.plant.direct import DirectDrive
+from tetractl.plant.direct import NEVER, DirectDrive
 from tetractl.plant.sim_camera import SimCamera, due_ns
 from tetractl.plant.wheel_drive import WheelDrive
 
@@ -55,6 +56,8 @@ class TrueMotion:
         self._truth_rate = truth_rate
         self._under_way: deque[DelayedCommand] = deque()  # on their way, by `due_ns`
         self._acting_ns = np.zeros(len(setup.names), dtype=np.int64)  # when the last one sent acts
+        self._watchdog_s = setup.watchdog_s
+        self._stopping_ns = np.full(len(setup.names), NEVER)  # when each stops if it hears nothing
         self._time = 0
         self._disturbed_ns = -1  # until when the disturbances have acted
         self._ticks = 0  # true samples taken so far
@@ -66,7 +69,7 @@ class TrueMotion:
         return int(self._acting_ns.max(initial=0))
 
     def dispatch(self, command: DelayedCommand) -> DelayedCommand:
-        """Put a command on its way, and return what becomes of it."""
+        """Schedule a command, and return it as it will be received."""
         for disturbance in self._disturbances:
             command = disturbance.sent(command)
         late = 0 if command.late_ns is None else command.late_ns
@@ -82,12 +85,13 @@ class TrueMotion:
         while True:
             frame = self._camera.next_ns
             end = min(until, frame) if self._by_frame else until
-            end = min(end, self.drive.repeats_ns)
-            command = (
-                self._under_way.popleft()
-                if self._under_way and self._under_way[0].due_ns <= end
-                else None
-            )
+            stopping = int(self._stopping_ns.min())
+            end = min(end, self.drive.repeats_ns, stopping)
+            command = None
+            if self._under_way and self._under_way[0].due_ns <= end:
+                command = self._under_way.popleft()
+            elif end == stopping:
+                command = self._silent(end)
             reached = command.due_ns if command else end
             disturbed = self._disturbs and (reached == frame or command is not None)
             repeats = command is None and reached == self.drive.repeats_ns
@@ -96,14 +100,27 @@ class TrueMotion:
             if self._walk > 0 and reached == frame:
                 self._swerve()
             if command:
-                self.drive.apply(command)
+                self._apply(command)
             elif repeats:
                 self._repeat(reached)
             elif reached == until:
                 return
 
+    def _apply(self, command: DelayedCommand) -> None:
+        """Let a command act on the robots that it reaches."""
+        self.drive.apply(command)
+        if self._watchdog_s < math.inf:
+            stops = command.direction is None and not command.field_off
+            until = NEVER if stops else command.due_ns + round(self._watchdog_s * SECOND)
+            self._stopping_ns = np.where(command.reached, until, self._stopping_ns)
+
+    def _silent(self, now: int) -> DelayedCommand:
+        """Return the stop of the robots whose watchdog ends now [ns]."""
+        silent = self._stopping_ns == now
+        return DelayedCommand(now, now, None, silent, wheels=np.zeros((2, silent.size)))
+
     def _swerve(self) -> None:
-        """Let the headings walk as far as they do between two frames."""
+        """Let the headings walk at random over one frame period."""
         drive, p = self.drive, self.drive.poses
         walk = self._walk * self._walking.standard_normal(p.x.size) * drive.moving
         drive.poses = Poses(p.x, p.y, p.heading + walk)
@@ -128,7 +145,7 @@ class TrueMotion:
     def _move(self, end: int, event: bool, disturbed: bool) -> None:
         """Move to `end` with everything held, exposing and checking what is due on the way.
 
-        Where it is `disturbed`, the disturbances act at `end`, before a frame is exposed there.
+        If it is `disturbed`, the disturbances act at `end`, before a frame is exposed there.
         Wheels, whose path is a sum, stop at the last sample before `end` unless something happens
         there: so it makes no difference how often they are read.
         """

@@ -110,6 +110,7 @@ def test_a_lab_of_the_old_form_gets_one_error_that_names_the_page(place, old):
         (["lab.actuator.type=m3pi"], "did you mean 'm3pi-xbee'?"),
         (["lab.type=sim"], "lab.type: must be one of lab"),
         (["lab.actuator.protocol.type=slave"], "protocol.accept_no_watchdog: is missing"),
+        ([SLAVE], "lab.actuator.protocol: these robots drive on when they hear nothing"),
         ([SLAVE], "lab.actuator.robots.1.address: is missing; the slave protocol addresses"),
         (
             ["lab.actuator.protocol={type: slave, accept_no_watchdog: false}"],

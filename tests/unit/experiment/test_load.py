@@ -321,13 +321,14 @@ def test_the_reference_experiment_is_that_of_section_v(name):
     assert (reference.n, reference.mean, reference.std) == (20, 648.6, 225.1)
 
 
-def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_the_controller_alone():
+def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_controller_and_watchdog_alone():
     paper = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment
     ours = load_spec(EXPERIMENTS / "three_m3pi.yaml").experiment
     assert paper.controller.optimizer.stop.type == "paper"
     assert paper.controller.motion == "euler"
     assert paper.controller.collision.test == "samples"
-    same = {"name": paper.name, "controller": paper.controller}
+    same = {"name": paper.name, "controller": paper.controller, "wheels": paper.wheels}
+    assert ours.wheels.model_copy(update={"watchdog": None}) == paper.wheels
     assert ours.model_copy(update=same) == paper
 
 

@@ -11,6 +11,7 @@ from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.load import load_spec
+from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.plant.disturbances.wander import WanderSection
 from tetractl.replay.verify import verify
@@ -24,10 +25,9 @@ ROBOTS = [  # two that hardly turn, along +x
 ]
 
 
-def plant(*disturbances, seed=1, robots=ROBOTS, **fields):
-    spec = experiment(
-        robots=robots, obstacles=[], plant={"disturbances": list(disturbances), **fields}
-    )
+def plant(*disturbances, seed=1, robots=ROBOTS, wheels=None, **fields):
+    section = {"disturbances": list(disturbances), **fields}
+    spec = experiment(robots=robots, obstacles=[], plant=section, wheels=wheels)
     return sim(spec, seed)
 
 
@@ -179,6 +179,39 @@ def test_a_stop_in_a_silence_is_repeated_until_it_is_heard():
     driven(simulated, 1)
     assert all(simulated.stop().delivered)
     assert simulated.settle().final.x - 900 == pytest.approx([350, 175], abs=3)
+
+
+@pytest.mark.parametrize("drive", [None, {}, {"rate": 40}, {"lag": 0.04}])
+@pytest.mark.parametrize("watchdog", [None, 0.25])
+def test_a_robot_that_hears_nothing_stops_by_its_watchdog_until_it_hears_again(drive, watchdog):
+    silence = {"type": "silent-radio", "duration": 1.0, "between": [1, 1]}
+    wheels = {"radius": 40, "watchdog": watchdog}
+    simulated = plant(silence, wheels=wheels, drive=drive)
+    simulated.open()
+    for k in range(30):
+        simulated.clock.sleep_until(k * SECOND // 10)
+        simulated.steer(0.0)
+    simulated.clock.sleep_until(3 * SECOND)
+    samples = simulated.samples()
+    gone = samples[-1].truth.x - 900
+    lag, sent = (drive or {}).get("lag", 0.0), 0.1  # heard last before the silence
+    stood = 0.75 + sent if watchdog else lag
+    assert gone == pytest.approx(np.array([100, 50]) * (3 - stood), abs=100 * sent)
+    at = [round(120 * when) for when in (1.5, 2.0)]
+    stands = samples[at[1]].truth.x - samples[at[0]].truth.x < 0.1
+    assert stands.all() == stands.any() == (watchdog is not None)
+    simulated.pause()
+    simulated.clock.sleep_until(4 * SECOND)
+    simulated.samples()
+    still = simulated.poses.x
+    simulated.clock.sleep_until(5 * SECOND)
+    simulated.samples()
+    assert simulated.poses.x == pytest.approx(still)
+
+
+def test_a_watchdog_shorter_than_the_time_between_two_commands_is_refused():
+    with pytest.raises(InvalidSpecError, match="would stop between two commands"):
+        load_spec(ROOT / "experiments" / "three_m3pi.yaml", ["wheels.watchdog=0.05"])
 
 
 def test_each_robot_sticks_as_often_and_as_long_as_the_spec_says():

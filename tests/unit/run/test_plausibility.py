@@ -14,6 +14,7 @@ EXPERIMENTS = sorted((ROOT / "experiments").glob("*.yaml"))
 THREE = ROOT / "experiments" / "three_m3pi.yaml"
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 WALL = "{type: rectangle, left: 1200, bottom: 0, width: 100, height: 3000}"
+ON = "wheels.watchdog=null"
 NEAR = "controller.collision.radius=20"
 FIXED = "controller.collision.adaptive=false"
 GAP = (
@@ -98,14 +99,14 @@ def test_the_shipped_experiments_have_none(path):
         ),
         (
             THREE,
-            ["controller.period=0.4", "controller.motion=euler"],
+            ["controller.period=0.4", "controller.motion=euler", ON],
             "controller.period",
             "a T = 2.4 for green, .* T = 0.4 s, is above 2: by (6) it overshoots",
             "less than 0.333 s",
         ),
         (
             THREE,
-            ["controller.period=0.6"],
+            ["controller.period=0.6", ON],
             "controller.period",
             "a T = 3.6 for green, .* 2 robots do 90.9 %",
             "less than 0.333 s",
@@ -154,8 +155,8 @@ def test_each_is_found_at_its_field_with_its_number(path, sets, field, message, 
         ["robots.blue.a=6", "robots.blue.heading=0.5"],
         ["robots.blue.a=5.6"],
         ["controller.horizon_max=101"],
-        ["controller.period=0.3", "controller.motion=euler"],
-        ["controller.period=0.4"],
+        ["controller.period=0.3", "controller.motion=euler", ON],
+        ["controller.period=0.4", ON],
         ["plant.dead_time=0.2"],
         ["plant.dead_time=0.3", "controller.dead_time=0.25"],
         ["obstacles=[]"],
@@ -241,7 +242,7 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
 
 def test_a_value_under_an_earlier_name_is_found_where_it_was_written():
     text = THREE.read_text("utf-8").replace("motion: exact  ", "model: euler  ")
-    sets = ["controller.period=0.4"]
+    sets = ["controller.period=0.4", ON]
     (warning,) = find_warnings(parse_spec(text, "old", sets), sets)
     assert warning.origin == "--set controller.period=0.4"
     assert "by (6) it overshoots" in warning.message

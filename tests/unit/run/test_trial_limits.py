@@ -10,6 +10,7 @@ SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 def test_a_dry_run_in_the_lab_says_where_it_would_go_and_what_ends_it():
     slave = ["lab.actuator.protocol={type: slave, accept_no_watchdog: true, limit: 20}"]
     slave += [f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3)]
+    slave += ["wheels.watchdog=null"]
     found = limits(on_plant(load_spec(SPEC, slave), "lab").experiment)
     assert found["cameras"] == "192.168.1.10:1510, multicast"
     assert found["radio"] == "/dev/ttyUSB0, 40 commands a second"

@@ -1,7 +1,7 @@
 """How well cells are found, followed and distinguished in synthetic films.
 
     python benchmarks/cells.py films       position, axis, heading, F1, wrong identities, ms
-    python benchmarks/cells.py identity    who is who after a full merge, by how far a is apart
+    python benchmarks/cells.py identity    identities after a full merge, by the difference of a
     python benchmarks/cells.py intervals   how often 95 % intervals of `tetractl track` hold
     python benchmarks/cells.py time        ms a picture of 1024 and of 2048 px
     python benchmarks/cells.py log         MB/s of a log with crops, share of its changes noticed

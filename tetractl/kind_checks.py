@@ -310,7 +310,7 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
 
 
 def check_camera(section: CameraSection, setup: Setup) -> Findings:
-    """Check that a camera can be built and, where it can be opened, what its frames are."""
+    """Check that a camera can be built and, if it can be opened, what its frames are."""
     from threading import Event
 
     from tetractl.core.clock import MonotonicClock, seconds

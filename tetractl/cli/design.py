@@ -1,4 +1,5 @@
-"""`tetractl design`: a motion from which much can be identified, and the driving of it."""
+"""`tetractl design`: proposes a motion from which the robots can be identified well, and drives
+it."""
 
 from datetime import UTC, datetime
 from pathlib import Path

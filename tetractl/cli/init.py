@@ -99,5 +99,5 @@ def template(name: str, file: str, kind: str) -> str:
     from tetractl.experiment.yaml.core_yaml import dump
 
     text = (files("tetractl.experiment") / "templates" / f"{kind}.yaml").read_text("utf-8")
-    named = dump({"name": name}).strip("{}\n")  # in quotes where the name reads as a number
+    named = dump({"name": name}).strip("{}\n")  # in quotes if the name reads as a number
     return text.replace("@NAME@", named).replace("@FILE@", file)

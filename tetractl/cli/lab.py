@@ -32,7 +32,7 @@ def check(
         bool, typer.Option("--yes", help="Answer yes to what only a person knows, unasked.")
     ] = False,
 ) -> int:
-    """Look the lab over without moving a robot: camera, actuator, robots, batteries, starts.
+    """Check the lab without moving a robot: camera, actuator, robots, batteries, starts.
 
     Exit code 0 means that a run could start now. What only a person knows, such as
     the firmware of an unknown radio, is asked; without a terminal it takes --yes.
@@ -64,7 +64,7 @@ def _agreed(questions: "Sequence[str]") -> bool:
     import sys
 
     if questions and not sys.stdin.isatty():
-        typer.echo("not answered: add --yes where there is no terminal", err=True)
+        typer.echo("not answered: add --yes if there is no terminal", err=True)
         return False
     return all(typer.confirm(question, err=True) for question in questions)
 
@@ -87,7 +87,7 @@ def stop(
     m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
     3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
     --port. Needs no camera. A run that has the port is ended: stops are sent past it, it is
-    asked twice to end, then killed. Exit code 1 where another program keeps the port.
+    asked twice to end, then killed. Exit code 1 if another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """

@@ -21,7 +21,7 @@ def recover(
 ) -> int:
     """Copy the intact records of a damaged log to a complete file, and print what is lost.
 
-    Exits with 0 where nothing is lost, 3 where something is, 1 where nothing can be saved.
+    Exits with 0 if nothing is lost, 3 if something is, 1 if nothing can be saved.
 
     Example: tetractl recover logs/batch/trial-003.mcap.part
     """

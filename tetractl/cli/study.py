@@ -174,8 +174,8 @@ def _conclude(
     how: str,
     stopped: bool = False,
 ) -> int:
-    """Write tables and figures, print the errors, say what is lacking and `how` to go on; return
-    the exit code."""
+    """Write tables and figures, print the errors, and say which trials are lacking and `how` to run
+    them; return the exit code."""
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.study.arm_table import arms_table, counted_rows, write_tables
     from tetractl.study.figure import write_figures

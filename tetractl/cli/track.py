@@ -48,7 +48,7 @@ def track(
     """Follow the cells of a film: speed, path and sway of each, with 95 % intervals.
 
     With the field's direction over time also a, heading bias, and whether the cell has a magnet.
-    Nothing is steered. Exits with 1 where no cell swims in it.
+    Nothing is steered. Exits with 1 if no cell swims in it.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
     """

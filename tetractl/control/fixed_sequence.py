@@ -1,4 +1,4 @@
-"""What controllers share: the problem whose cost a log states where nothing is searched, the record
+"""What controllers share: the problem whose cost a log states if nothing is searched, the record
 of signals that no search found, and how a decision is put together."""
 
 from collections.abc import Callable

@@ -36,13 +36,13 @@ class Progress:
         self.keep(signals[:, leader], float(costs[leader]))
 
     def keep(self, signals: Floats, cost: float) -> None:
-        """Add an entry to the history; the sequence (length,) is kept if it is the best."""
+        """Add an entry to the history; keep the sequence (length,) if it is the best."""
         if cost < self.cost or not self.history:
             self.best, self.cost = signals.copy(), cost
         self.history.append(self.cost)
 
     def search(self) -> Search:
-        """Return what was found; a search that nothing else ended did all its iterations."""
+        """Return the result; a search that nothing else ended did all its iterations."""
         return Search(
             length=self.length,
             signals=self.best,

@@ -32,7 +32,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """The end of a trial by a stop that is to be sent `delay_ns` after it was decided."""
+    """The end of a trial by a stop sent `delay_ns` after the decision."""
 
     outcome: Outcome
     delay_ns: int
@@ -50,7 +50,7 @@ class StopReason(StrEnum):
 
     @classmethod
     def read(cls, text: str) -> "StopReason | str":
-        """Return the reason that a log states; the text itself where it is none of these."""
+        """Return the reason that a log states; the text itself if it is none of these."""
         return next((reason for reason in cls if reason.value == text), text)
 
 
@@ -109,7 +109,7 @@ class Estimate:
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values that the plan is made with.
     `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent, and
     `dead_time` [s] the time from the sending of a direction to the moment when it acts, shared by
-    all robots; both are None where they are not estimated.
+    all robots; both are None if they are not estimated.
     """
 
     a: Floats
@@ -139,7 +139,7 @@ class Plan:
     cost = target_cost + obstacle_weight * obstacle_cost, (7). `path` holds the predicted poses
     (length + 1, N, 3), the observed ones first. `searches` are all horizons tried, in order;
     `chosen` indexes the best. `generator` is the key all random draws of this step came from.
-    `estimate` is what the plan was made with, None where the controller estimates nothing. With
+    `estimate` is what the plan was made with, None if the controller estimates nothing. With
     `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
     then not sent. With `pauses` all robots are stopped instead, and stand for PAUSE_S. `leg` counts
     the way-points passed; one more than all of them while the robots hold.
@@ -169,7 +169,7 @@ class Plan:
 
     @property
     def direction(self) -> float | None:
-        """The direction to be sent in this step [rad], None where none is sent."""
+        """The direction to be sent in this step [rad], None if none is sent."""
         return None if self.field_off or self.pauses else float(self.signals[0])
 
     @property

@@ -42,7 +42,7 @@ class Problem:
     predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added to the
     direction that each robot turns towards, and `flow` (N, 2) [length unit/s] carries it; None for
     none. With `within` [length unit] the robots are to stay that near to their targets. A problem
-    is equal to itself alone, so that what is computed from it can be kept by it.
+    is equal to itself alone, so it can be the key of a cache.
     """
 
     poses: Poses

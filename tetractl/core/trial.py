@@ -47,7 +47,7 @@ class Start:
 class Step:
     """One control step k: observation, plan and command.
 
-    `solve_ns` is the wall time of planning; `deadline_missed` is True where it exceeds the control
+    `solve_ns` is the wall time of planning; `deadline_missed` is True if it exceeds the control
     period. Both differ from run to run on the same seed.
     """
 
@@ -65,7 +65,7 @@ class Result:
 
     `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
     their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
-    from the opening of the plant where none was sent. `passed` (M,) are the sums of distances at
+    from the opening of the plant if none was sent. `passed` (M,) are the sums of distances at
     the way-points passed and `inside` (N,) the shares of time within the radius of a hold, as
     `TourMeasure` has them, and `lost` (N,) how often each was lost. `solve_ns` is the wall time
     the controller spent on each control step; it and `deadline_misses`, the steps that took longer
@@ -117,7 +117,7 @@ class Result:
 
     @property
     def summary(self) -> str:
-        """The result in words, which end the messages of a log."""
+        """The result in words: the last message of a log."""
         reason = f" ({self.reason})" if self.reason else ""
         return f"{self.outcome.value}{reason} after {self.steps} control steps"
 
@@ -139,10 +139,10 @@ class TrialRecords:
     Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad. `mocap`
     (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
     numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
-    where a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN where a
+    if a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN if a
     damaged log lost them, and None for a trial in the lab. `commands` are all commands: of the
     control steps, between them, and the stop; `notes` are the operator messages, such as a command
-    that did not arrive. `result` is None where the run crashed or the end of the log is lost.
+    that did not arrive. `result` is None if the run crashed or the end of the log is lost.
     """
 
     start: Start

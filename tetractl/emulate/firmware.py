@@ -63,9 +63,9 @@ def source_folder() -> Path:
 
 @cache
 def load(name: str, folder: Path | None = None) -> ctypes.CDLL:
-    """Return the compiled core `name`, built in `folder` (default: the cache) where needed.
+    """Return the compiled core `name`, built in `folder` (default: the cache) if needed.
 
-    TetractlError where there is no compiler, no source, or the source does not compile.
+    TetractlError if there is no compiler, no source, or the source does not compile.
     """
     sources = source_folder()
     codes = [sources / f"{name}_core.c", sources / "framing.c"]

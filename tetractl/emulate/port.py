@@ -55,7 +55,7 @@ class PseudoPort:
         self._far = -1  # kept open, so that our end lives on while the port is not open
 
     def plug(self) -> None:
-        """Make the port and its name; UsageError where the name cannot be had."""
+        """Make the port and its name; UsageError if the name cannot be had."""
         self.fd, self._far = os.openpty()
         try:
             tty.setraw(self._far)

@@ -17,11 +17,11 @@ from tetractl.experiment.base import Model
 class DelayedCommand:
     """A command on its way to N robots: sent at `sent_ns`, it acts from `due_ns` on.
 
-    `direction` is u [rad], None for a stop and where it switches the `field_off`. `reached` (N,)
+    `direction` is u [rad], None for a stop and if it switches the `field_off`. `reached` (N,)
     are the robots that receive it, on which it acts `late_ns` (N,) later still, None for all at
     once. `headings` (N,) are those that the host had measured when it sent the command [rad];
     `wheels` (2, N) are the left and right wheel speeds that the command makes [length unit/s], None
-    where robots are sent the direction itself.
+    if robots are sent the direction itself.
     """
 
     sent_ns: int
@@ -67,7 +67,7 @@ class Disturbance:
     def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return what becomes of a command or of one of the repeated stops.
 
-        Where it would act on a robot before one that was sent earlier, it acts together with that.
+        If it would act on a robot before one that was sent earlier, it acts together with that.
         """
         return command
 
@@ -87,7 +87,7 @@ class Disturbance:
         return poses, valid
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return when a frame exposed at `exposed_ns` reaches the host [ns]; None where it is lost.
+        """Return when a frame exposed at `exposed_ns` reaches the host [ns]; None if it is lost.
 
         `received_ns` is the time after the disturbances before this one. Frames arrive in order:
         one that would overtake another arrives together with that.

@@ -1,4 +1,4 @@
-"""Which plant an experiment is run on, and what a calibration changes in its lab."""
+"""Selects the plant of an experiment, and applies the calibration to its lab."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -31,9 +31,9 @@ class Calibration(Model):
     measured: str = Field(max_length=100)
     """When it was measured."""
     camera: dict[str, Any] = Field(default={})
-    """Values that take the places of those in `lab.camera`."""
+    """Values that replace those in `lab.camera`."""
     actuator: dict[str, Any] = Field(default={})
-    """Values that take the places of those in `lab.actuator`."""
+    """Values that replace those in `lab.actuator`."""
 
 
 def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
@@ -62,7 +62,7 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:
-    """Return the lab of an experiment; SpecError where it has none."""
+    """Return the lab of an experiment; SpecError if it has none."""
     lab = experiment.lab if experiment.plant.simulated else experiment.plant
     if not isinstance(lab, LabSection):
         raise SpecError(
@@ -101,7 +101,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
 
 
 def _calibration(text: str, origin: str) -> Document:
-    """Parse a calibration; of a file that is none, whatever it holds, no line is shown."""
+    """Parse a calibration; errors never show lines of a file that is none."""
     try:
         document = parse_document(text, origin)
     except InvalidSpecError:

@@ -1,4 +1,4 @@
-"""What a trial does before it chooses its cells: turn the field, and watch how each answers it."""
+"""Finds the cells of a trial: turns the field, and observes how each cell answers."""
 
 import math
 from collections.abc import Callable, Container
@@ -16,17 +16,17 @@ from tetractl.lab.rig import Rig
 
 LOOK_NS = SECOND // 20
 JITTER = 0.4  # rad about a quarter turn
-BODY_UM = 60.0  # so near the arena's edge, a wall may turn a cell
+BODY_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
 STEP_UM = 35.0  # a cell must not swim further between two pictures, or it is not recognised
 SURE = 0.9  # probability of the identity, below which a cell is not taken
 
 
 def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
-    """Return the direction [rad] of a field over time [ns] under which cells go round and stay.
+    """Return the direction [rad] of a field over time [ns] under which cells circle and stay.
 
-    It turns once in `turn_s`, always the same way, by quarters that are larger and smaller: how a
-    cell follows each tells its a, and its dipole's angle besides. One of a < 2 pi / `turn_s` lags
-    behind.
+    It turns once in `turn_s`, always the same way, by quarters that are larger and smaller: from
+    how a cell follows, its a and its dipole's angle are identified. One with a < 2 pi / `turn_s`
+    lags behind.
     """
     start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
 
@@ -47,7 +47,7 @@ def turn_field(
 ) -> list[FoundCell]:
     """Turn the field of an entered rig, and return the cells that the camera follows then.
 
-    The field goes on turning. `on_look` is called every now and then. AbortError where no pictures
+    The field goes on turning. `on_look` is called at times. AbortError if no pictures
     come.
     """
     rig.loop.idle = manoeuvre(choice.turn, seed)

@@ -22,8 +22,8 @@ SMALL = 0.3
 class WheelDrive:
     """N robots on wheels, and their host.
 
-    `a`, `speed` (N,) are the true ones: where they differ from the setup's, the robot turns, and
-    drives, by so much more than its wheels make it. `walk` [rad/sqrt(s)] is the random walk of the
+    `a`, `speed` (N,) are the true ones: if they differ from the setup's, turning and speed are
+    scaled by the ratio. `walk` [rad/sqrt(s)] is the random walk of the
     heading, at `truth_rate` [Hz], drawn from `walking`; `erring` feeds what is drawn once a trial.
     """
 

@@ -15,7 +15,7 @@ OF_A_BATCH = {
     "errors": "The error of each trial over time, the median, and the middle half of the trials",
     "scatter": "Where each robot ended round its target, a dot per trial, with the covariance",
 }
-FEWEST = 2  # trials of which the figures of a batch say anything
+FEWEST = 2  # least number of trials for the figures of a batch
 
 
 def lean(log: TrialLog) -> TrialLog:

@@ -1,4 +1,4 @@
-"""What the page's player shows of one trial, as an object for JSON.
+"""The data of one trial for the page's player, as an object for JSON.
 
 Arrays are base64 of little-endian numbers, unpacked by assets/data.js.
 """
@@ -24,7 +24,7 @@ PLAN_ERROR = 1e-3
 HISTORY_ERROR = 5e-3
 """How far a search's curve of log J over the iterations may be from the logged one, of its size."""
 MISSING = -32768
-"""What stands for NaN among 16-bit numbers."""
+"""The 16-bit number for NaN."""
 LARGEST = 32767
 
 

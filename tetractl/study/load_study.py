@@ -47,8 +47,8 @@ class LoadedStudy:
 def load_study(path: Path) -> LoadedStudy:
     """Read and check a study's file and the spec of every arm.
 
-    Raises InvalidSpecError, one line a problem. Where a value of the study does not fit the spec,
-    the line is that of the study; where the base is wrong by itself, that of the base.
+    Raises InvalidSpecError, one line per problem. If a value of the study does not fit the spec,
+    the line is that of the study; if the base is wrong by itself, that of the base.
     """
     document = parse_document(read_text(path), str(path))
     study = _study(document)
@@ -150,7 +150,7 @@ def _arm(
 
 
 def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Document) -> SpecProblem:
-    """Return a problem of a spec at its place in the study, where a setting is to blame."""
+    """Return a problem of a spec at its place in the study, if a setting is to blame."""
     loc = settings.get(problem.origin)
     if loc is None:
         return problem

@@ -8,7 +8,7 @@ robot and signal, the partial derivatives of d and of the next heading g:
 (the turn depends on phi alone). The derivative of a later position by an earlier signal follows by
 the chain rule backwards in time, in `backward`.
 
-Only the headings wait for the step before. They are followed first, as cosine and sine; then the
+Only the headings depend on the step before. They are computed first, as cosine and sine; then the
 steps of a robot are independent of each other, and the loop over them is vector code. So arrays
 over the signals are as long as whole vectors, `width` (L); what is beyond the last signal means
 nothing. Each quantity is an array (N, M) of its own: rows of different ones that lie between each

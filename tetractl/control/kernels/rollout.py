@@ -120,7 +120,7 @@ def begin(rollout, lanes, scratch):
 
 
 def follow(rollout: Any, lanes: Any, scratch: Any, signals: Any, j: int) -> None:
-    """Move every robot by signal j of every particle, and count who is in an obstacle."""
+    """Move every robot by signal j of every particle, and count those in an obstacle."""
 
 
 @overload(follow, jit_options=INLINE_FAST)

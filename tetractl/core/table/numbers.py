@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 NONE = "-"
-"""What a reader sees of a value that is not known."""
+"""The text for an unknown value."""
 
 
 def fixed(decimals: int) -> Callable[[float], str]:

@@ -53,7 +53,7 @@ class Optics:
         tilt: float = 0.35,
         up: float = math.pi / 2,
     ) -> Self:
-        """Return a camera, as near as it can be, that sees all floor tags with some margin.
+        """Return the nearest camera that sees all floor tags with some margin.
 
         `view` is the horizontal angle of view [rad] and `tilt` the angle between the optical axis
         and the vertical [rad].

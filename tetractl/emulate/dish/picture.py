@@ -21,7 +21,7 @@ Shades = NDArray[np.float32]
 TAPER = 0.2  # how much narrower the front is than the middle
 SUB_EXPOSURES = 4
 LENS_PX = 0.6  # blur in focus
-SPREAD = 0.1  # um of blur a um of defocus: a numerical aperture of about 0.1
+SPREAD = 0.1  # um of blur per um of defocus: a numerical aperture of about 0.1
 NOISE_SPARE = 64  # pixels by which the field of noise is larger than a picture
 
 
@@ -120,7 +120,7 @@ class DishPainter:
         self._random = np.random.default_rng(self.seed)
 
     def change(self, **values: Any) -> None:
-        """Give the look other values."""
+        """Change values of the look."""
         self.look, self._still = replace(self.look, **values), None
 
     def picture(

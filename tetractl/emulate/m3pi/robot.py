@@ -57,7 +57,7 @@ class FirmwareProgram:
 
 
 class Motor(Enum):
-    """M1 is the left motor where nothing is swapped."""
+    """M1 is the left motor if nothing is swapped."""
 
     M1 = M1
     M2 = M2
@@ -135,11 +135,11 @@ class SlaveProgram:
                     self._answer += battery_mv.to_bytes(2, "little")
 
     def counts(self, now_ms: int) -> Counts:
-        """Return what was last heard, however long ago."""
+        """Return the last commanded counts, however old."""
         return self._counts[0], self._counts[1]
 
     def answer(self, now_ms: int) -> bytes:
-        """Return the answers, at once."""
+        """Return the answers, without delay."""
         answer, self._answer = self._answer, b""
         return answer
 
@@ -197,7 +197,7 @@ class EmulatedRobot:
 
     @property
     def standing(self) -> bool:
-        """Whether both wheels are at rest, as near as can be seen."""
+        """Whether both wheels are at rest, as far as can be seen."""
         return max(abs(self.left), abs(self.right)) < STANDING_MM_S
 
     @property

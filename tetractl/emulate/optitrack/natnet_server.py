@@ -59,9 +59,9 @@ class Streaming:
 
 @dataclass(slots=True)
 class Trouble:
-    """What faults set: silent (answers nothing, sends nothing), no frames, the same frame again
-    and again, the counter back by so many, edit mode, a share of damaged datagrams, or so many
-    `outdated` frames, stamped `outdated_s` too old."""
+    """What faults set: silent (answers nothing, sends nothing), no frames, the same frame repeated,
+    a counter set back, edit mode, a share of damaged datagrams, or a number of `outdated` frames,
+    stamped `outdated_s` too old."""
 
     silent: bool = False
     no_frames: bool = False
@@ -140,7 +140,7 @@ class MotiveServer:
         return known.version if known else self.streaming.version
 
     def answer(self, message: Message, sender: Address, now_ns: int) -> Message | None:
-        """Return the answer to a message, None where there is none."""
+        """Return the answer to a message, None if there is none."""
         if sender in self.clients:
             self.clients[sender].heard_ns = now_ns
         match message:

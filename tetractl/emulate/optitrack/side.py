@@ -22,7 +22,7 @@ from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, Versi
 
 
 class TrueBody(Model):
-    """How a robot's rigid body truly is, where that differs from the spec."""
+    """How a robot's rigid body truly is, if that differs from the spec."""
 
     name: Name
     """Name of a robot of the spec."""
@@ -266,7 +266,7 @@ class EmulatedOptitrack:
         return self.tracked[self.place_of(name)]
 
     def place_of(self, name: str) -> int:
-        """Return a robot's place among the robots."""
+        """Return a robot's index."""
         return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
 

@@ -118,7 +118,7 @@ def read_text(path: Path) -> str:
 
 
 def parse_document(text: str, origin: str) -> Document:
-    """Parse a spec's text; raise InvalidSpecError where nothing can be made of it.
+    """Parse a spec's text; raise InvalidSpecError if nothing can be made of it.
 
     What is wrong but leaves the rest readable is in the document's `problems` and `refused`.
     """
@@ -211,7 +211,7 @@ class _Builder:
                 yield key.value, value
 
     def place(self, node: Node) -> Place:
-        """Return where a node was written, and its text where that is a single line."""
+        """Return where a node was written, and its text if that is a single line."""
         start, end = node.start_mark, node.end_mark
         text = self.text[start.index : end.index].strip()
         one_line = "\n" not in text and not isinstance(node, MappingNode)

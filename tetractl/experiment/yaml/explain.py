@@ -61,7 +61,7 @@ def validated(model: type[Section], document: Document) -> Section:
 def explain(
     error: ValidationError, document: Document, schema: Schema | None = None
 ) -> Iterator[SpecProblem]:
-    """Yield the errors as problems, without those the document speaks of already.
+    """Yield the errors as problems, without those that the document has already.
 
     `schema` is the JSON schema of the file, by default that of a spec.
     """
@@ -134,7 +134,7 @@ def _problem(
 
 
 def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schema | None) -> str:
-    """Return what is wrong as `words` does, with the schema's own words on the field."""
+    """Return the error as `words` does, with the schema's description of the field."""
     kind, context = details["type"], details.get("ctx", {})
     about = describe(loc, data, schema)
     if kind == "literal_error":

@@ -12,7 +12,7 @@ from tetractl.plant.disturbances.spells import ByTurns
 
 
 class TrackingLossSection(DisturbanceSection):
-    """The camera loses each robot now and then, all independently."""
+    """The camera loses each robot occasionally, independently of the others."""
 
     type: Literal["tracking-loss"]
     every: Positive

@@ -70,7 +70,7 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
-    """Draw what does not move: obstacles, starts and targets, with numbers for many robots."""
+    """Draw the static part: obstacles, starts and targets, with numbers for many robots."""
     unit = unit_of(setup.unit)
     axes.set_aspect("equal")
     axes.set_xlabel(f"x [{unit}]")
@@ -157,10 +157,10 @@ def _end_marks(axes: Axes, ends: Floats, color: str, alone: bool) -> None:
 
 
 def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
-    """Show the whole arena and all paths; dash the arena's edge where a path leaves it.
+    """Show the whole arena and all paths; dash the arena's edge if a path leaves it.
 
-    What lies further from the arena than FAR times its size is cut off: a single wild pose would
-    leave nothing of the rest to see.
+    Points further from the arena than FAR times its size are cut off, so that one outlier does not
+    hide the rest.
     """
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])

@@ -94,7 +94,7 @@ class LiveView:
         self._draw_in_time()
 
     def on_command(self, command: Command) -> None:
-        """Count the time from the first direction; the rest of it is seen in the trails."""
+        """Count the time from the first direction; the trails show the command's effect."""
         if self._first_ns is None and not command.stops:
             self._first_ns = command.sent_ns
 

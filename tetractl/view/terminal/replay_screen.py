@@ -34,7 +34,7 @@ def play(
     """
     index, drawn, helping = 0, None, False
     live = Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False)
-    # the keyboard is the outer one: until the screen is given back, no signal breaks off anything
+    # the keyboard is the outer context: until the screen is restored, no signal interrupts
     with Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard, live:
         while player.state is not Playback.QUIT:
             follow()
@@ -97,7 +97,7 @@ def keys(glyphs: Glyphs) -> tuple[tuple[str, str], ...]:
         ("E e", "previous or next event, and pause"),
         ("Home End", "start or end"),
         ("+ -", "twice or half the rate"),
-        ("p n", "previous or next trial, where several logs are given"),
+        ("p n", "previous or next trial, if several logs are given"),
         ("?", "show or hide this"),
         ("q", "quit"),
     )

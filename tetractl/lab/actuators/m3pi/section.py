@@ -26,7 +26,7 @@ class SlaveSection(Model):
 
     type: Literal["slave"]
     accept_no_watchdog: Literal[True]
-    """Must be true: somebody stands by to switch the robots off."""
+    """Must be true: confirms that a person stands by to switch the robots off."""
     limit: int = Field(default=25, ge=1, le=40)
     """Greatest wheel count ever sent, of 127."""
 
@@ -35,15 +35,15 @@ class WheelSection(Model):
     """One wheel: its speed is gain times the counts beyond the dead zone."""
 
     gain_mm: float = Field(default=1000 / 127, gt=0, le=100, allow_inf_nan=False)
-    """Speed gained a count [mm/s]."""
+    """Speed per count [mm/s]."""
     dead_zone: int = Field(default=0, ge=0, le=60)
-    """Counts that do not move the wheel yet."""
+    """Largest count that does not move the wheel."""
     invert: bool = False
     """The motor turns backward on positive counts."""
 
 
 class M3piRobot(RobotPart):
-    """What a robot is to the radio, and its wheels."""
+    """A robot's entry in the actuator's section: radio address and wheels."""
 
     index: int | None = Field(default=None, ge=0, le=31)
     """Its number in broadcasts, as its firmware was built; its place in this list by default."""
@@ -56,7 +56,7 @@ class M3piRobot(RobotPart):
     right: WheelSection = WheelSection()
     """The right wheel."""
     swap: bool = False
-    """The left wheel hangs on the motor meant for the right."""
+    """The left wheel is connected to the right motor's output."""
     limit: int = Field(default=127, ge=1, le=127)
     """Greatest wheel count ever sent to it."""
 
@@ -81,7 +81,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     """A robot below this voltage is warned of [V]."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where robots, their numbers and wheels, or the radio's mode cannot be as given."""
+        """Report invalid robots, numbers, wheels, or radio mode."""
         indexed = [
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
@@ -113,7 +113,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         }
 
     def robot(self, name: str) -> M3piRobot:
-        """Return the part of a robot."""
+        """Return a robot's entry."""
         return next(robot for robot in self.robots if robot.name == name)
 
     def index(self, name: str) -> int:
@@ -122,13 +122,14 @@ class M3piSection(XbeeSection, ActuatorSection):
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def limit(self, robot: M3piRobot) -> int:
-        """Return the greatest count ever sent to a robot: less where nothing would stop it."""
+        """Return the greatest count ever sent to a robot: less if nothing would stop it."""
         if isinstance(self.protocol, SlaveSection):
             return min(robot.limit, self.protocol.limit)
         return robot.limit
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in reach, whatever it runs: until it is switched off where it can."""
+        """Stop every robot in reach, whatever its program; latched until switched off if
+        possible."""
         from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]

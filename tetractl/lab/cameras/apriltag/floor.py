@@ -1,8 +1,9 @@
 """Where the camera is and what its lens does, from the corners of the floor tags in its pictures.
 
 A lens that the spec gives is taken as it is. Without one, the principal point is the picture's
-middle, and the focal length f and one coefficient of distortion, k1, are fitted with the pose. How
-lenses usually are is part of the fit: looking straight down, any f fits, and the usual remains.
+middle, and the focal length f and one coefficient of distortion, k1, are fitted with the pose. The
+usual values of lenses are priors of the fit: looking straight down, any f fits, and the prior
+decides.
 """
 
 import math
@@ -118,7 +119,7 @@ MISFIT_MM = 10.0  # floor tags further off than this are not where the spec puts
 class Floor:
     """Keeps the plane calibrated from the floor tags while they are seen.
 
-    The corners are averaged over some pictures, for neither the camera nor a floor tag moves. Where
+    The corners are averaged over some pictures, for neither the camera nor a floor tag moves. If
     one does, by `MOVED_PX`, the plane is given up until all floor tags are seen in one picture
     again; a plane on which they do not lie as the spec says, by `MISFIT_MM`, is not used.
     """

@@ -13,7 +13,7 @@ from tetractl.lab.cameras.apriltag.floor import Floor
 from tetractl.lab.cameras.apriltag.plane import MM, SQUARE
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 
-ODD_SIZE = 0.2  # a tag that differs by this share from its size is not the one, or not up there
+ODD_SIZE = 0.2  # a tag whose size differs by this fraction is another one, or at another height
 _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 
 
@@ -21,9 +21,9 @@ _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 class Seen:
     """What was found in one picture.
 
-    `poses` has one entry a robot, None where it is not tracked, and `strangers` those of unknown
+    `poses` has one entry per robot, None if it is not tracked, and `strangers` those of unknown
     tags, as if they lay on the floor; both in the spec's unit. `tags` are the numbers of all tags,
-    as often as each was seen. `sizes` are measured sides over `size_mm` by robot, where seen.
+    as often as each was seen. `sizes` are measured sides over `size_mm` by robot, if seen.
     `blur` is the largest blur of a wanted tag's edges in modules, `side_px` the shortest side of
     one; None without wanted tags.
     """

@@ -63,7 +63,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._signals: deque[tuple[int, float | None]] = deque(maxlen=SIGNALS)
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Take note of the direction sent at a time [rad in the spec's axes], None for no field."""
+        """Note the direction sent at a time [rad in the spec's axes], None for no field."""
         with self._lock:
             if not self._signals or self._signals[-1][1] != direction:
                 self._signals.append((sent_ns, direction))
@@ -90,14 +90,14 @@ class CellCamera(PictureCamera[SeenDish]):
         self.divided.discard(robot)
 
     def films(self) -> list[CellFilm]:
-        """Return, once, what there is of the pictures since the last call, oldest first."""
+        """Return, once, the film's data since the last call, oldest first."""
         found: list[CellFilm] = []
         while self._films:
             found.append(self._films.popleft())
         return found
 
     def check(self) -> Health:
-        """Look at some pictures and return what is wrong with source, light, focus and cells."""
+        """Examine some pictures and return the problems of source, light, focus and cells."""
         looks = self._look()
         state = DishState(
             source=self.section.source_name,

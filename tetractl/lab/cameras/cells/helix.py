@@ -1,4 +1,4 @@
-"""A Kalman filter for many swimming cells at once: position, heading, helix and what turns them.
+"""A Kalman filter for many swimming cells at once: position, heading, helix and turning.
 
 State of one cell, in um, s and rad:
 
@@ -32,7 +32,7 @@ HELIX_UM = 6.0  # deviation of c and s
 A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
-SLOWEST_UM_S = 60.0  # slower, a cell rests: then its helix tells nothing of its axis
+SLOWEST_UM_S = 60.0  # below this speed a cell rests: then its helix says nothing about its axis
 BACKWARDS_UM_S = -60.0  # so fast backwards, the heading was the wrong way round
 # growth of deviations in a second's root: x, y, heading, speed, c, s, rate, a, bias
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
@@ -89,7 +89,8 @@ class HelixFilter:
                 self._move(seconds, ux, uy)
 
     def loosen(self, rows: Sequence[int]) -> None:
-        """Let cells that move otherwise than predicted have another speed, heading and helix."""
+        """Increase the uncertainty of speed, heading and helix of cells that do not move as
+        predicted."""
         for state, deviation in ((X, 5), (Y, 5), (HEADING, 0.3), (SPEED, 120), (C, 4), (S, 4)):
             self.covariance[rows, state, state] += deviation**2
 
@@ -145,7 +146,7 @@ class HelixFilter:
         return likelihood, distance
 
     def _turn_round(self, rows: np.ndarray) -> None:
-        """Turn round what swims backwards: its heading was the wrong end of its axis."""
+        """Reverse the heading of cells that swim backwards: it was the wrong end of the axis."""
         wrong = rows[self.mean[rows, SPEED] < BACKWARDS_UM_S]
         if len(wrong):
             signs = np.ones(STATES)

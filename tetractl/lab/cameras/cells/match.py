@@ -12,8 +12,8 @@ from tetractl.lab.cameras.cells.detect_cells import Blob
 
 GATE = 6.0  # deviations from where a cell is expected
 GATE_UM = 12.0  # and as far as this in any case
-FAR = 100.0  # what it costs to leave a cell without a blob
-STOPPED_UM = 45.0  # from where a cell should be, there may be its blob where no other cell's is
+FAR = 100.0  # cost of leaving a cell without a blob
+STOPPED_UM = 45.0  # from where a cell should be, there may be its blob if no other cell's is
 STOPPED_UM_S = 200.0  # and further for each second without a blob
 SIZE_SHARE = 0.35  # a cell's blob varies by so much: tilt and focus
 ALIKE = 0.4  # logarithm of sizes, for a cell that is not where it should be
@@ -79,7 +79,7 @@ def stopped(
 ) -> list[int]:
     """Give cells that are not where they should be the blobs near them that no cell has.
 
-    A cell that stops or turns by itself is so found again. Returns these cells.
+    So a cell that stops or turns by itself is found again. Returns these cells.
     """
     taken = set(owner.values()) | specks
     free = [j for j in range(len(places)) if j not in taken]
@@ -150,7 +150,7 @@ def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> 
 
 
 def second_best(squared: Floats, best: float) -> float:
-    """Return the least sum of squared distances of any assignment but the likeliest one."""
+    """Return the least sum of squared distances of the assignments other than the best."""
     track, cell = linear_sum_assignment(squared)
     least = math.inf
     for t, c in zip(track, cell, strict=True):

@@ -15,19 +15,19 @@ PLACED_PX = 1.0  # deviation of each
 
 
 class CellsSection(PictureSection):
-    """A microscope that looks at swimming cells; those nearest to the starts are the robots."""
+    """A microscope above swimming cells; those nearest to the starts are the robots."""
 
     device: ClassVar[str] = "tetractl.lab.cameras.cells.camera:CellCamera"
     settles: ClassVar[bool] = True
     type: Literal["cells"]
     um_px: Annotated[float, Field(ge=0.05, le=100)]
-    """Micrometres a pixel, by a stage micrometer."""
+    """Micrometres per pixel, by a stage micrometer."""
     corner: Point = (0.0, 0.0)
     """Where the picture's lower left corner is in the spec's coordinates [length unit]."""
     rotation: Finite = 0.0
     """From the spec's x axis to the picture's rows, anticlockwise [rad]."""
     cells: Literal["dark", "bright", "either"] = "either"
-    """What cells are against the medium; by default it is found out."""
+    """Whether cells are brighter or darker than the medium; by default it is determined."""
     learning: Annotated[float, Field(ge=0.5, le=30)] = 1.5
     """How long pictures are taken for the background before the first frame [s]."""
     connect: Positive = 8.0
@@ -35,7 +35,7 @@ class CellsSection(PictureSection):
 
     @property
     def bright(self) -> bool | None:
-        """Whether cells are brighter than the medium; None where that is to be found out."""
+        """Whether cells are brighter than the medium; None to determine it."""
         return None if self.cells == "either" else self.cells == "bright"
 
     def bounds(self) -> dict[str, str]:

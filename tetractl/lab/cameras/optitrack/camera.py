@@ -111,7 +111,7 @@ class OptitrackCamera:
         return self
 
     def open(self) -> None:
-        """Open the sockets and begin to ask and to read; AbortError where they cannot be had."""
+        """Open the sockets and begin to ask and to read; AbortError if they cannot be had."""
         try:
             self._open_sockets()
         except OSError as error:

@@ -109,7 +109,7 @@ class BodyName:
 class ModelDef:
     """The rigid bodies a server streams.
 
-    `complete` is False where a data set of unknown layout and unknown size (before 4.1) ended the
+    `complete` is False if a data set of unknown layout and unknown size (before 4.1) ended the
     reading early: a missing name is then no proof that there is no such body.
     """
 

@@ -46,7 +46,7 @@ def stream_lines(
     declared_hz: float | None,
     damaged: int,
 ) -> tuple[list[str], list[str]]:
-    """Return problems and warnings of a stream of pictures, for people."""
+    """Return problems and warnings of a stream of pictures, for display."""
     problems: list[str] = []
     warnings: list[str] = []
     if ended:

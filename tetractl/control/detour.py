@@ -1,4 +1,4 @@
-"""What a controller does if its plan no longer ends at the targets: make a detour, or stop.
+"""Chooses between a detour and a stop if the plan no longer ends at the targets.
 
 Algorithm 2 shortens its sequence from step to step. With few signals left, a late disturbance
 cannot be corrected any more: three robots have six coordinates. If no length of H - 1, H, H + 1

@@ -147,7 +147,8 @@ class Mpc:
         return len(self.legs) - (self.hold is None)
 
     def _begin_leg(self) -> None:
-        """Plan for the next way-points or targets of the robots left from where they are."""
+        """Plan for the next way-points or targets of the remaining robots from their present
+        poses."""
         self.left = self.estimator.left  # robots, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
@@ -268,7 +269,7 @@ class Mpc:
         """Return how the trial ends now: with its sequence, or if stopping is as good as that,
         or safer. `gaps` (N,) are the distances to the targets.
 
-        No search is done for it, so that a log tells all that the end depends on.
+        No search is done for it, so the log has all that the end depends on.
         """
         if self.warm is None:
             return None
@@ -348,7 +349,7 @@ class Mpc:
     def _detour(self, searcher: Searcher) -> None:
         """Search longer sequences until one is good enough, as far as horizon and steps allow.
 
-        What a control period has no time for, the next step goes on with.
+        The next step continues if the control period is too short.
         """
         assert self.warm is not None
         section = self.section

@@ -60,7 +60,7 @@ class Emulation(Model):
 
 
 class Runner(Model):
-    """What a test does to the run that drives the lab."""
+    """A test's actions on the run."""
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings that both sides get."""
@@ -109,9 +109,9 @@ class Script(Model):
     faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
         default=(), max_length=100
     )
-    """What goes wrong, and when."""
+    """The faults and their times."""
     runner: Runner = Runner()
-    """What a test does to the run that drives the lab."""
+    """A test's actions on the run."""
     expect: Expect | None = None
     """What a test expects."""
 

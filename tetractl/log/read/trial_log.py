@@ -1,4 +1,4 @@
-"""What reading a log returns: a whole trial, or only its result."""
+"""The results of reading a log: a whole trial, or only its result."""
 
 import itertools
 from dataclasses import dataclass, field
@@ -50,7 +50,7 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """What is wrong with a log, and what is missing from it, one sentence each."""
+    """The problems and losses of a log, one sentence each."""
 
     problems: tuple[str, ...]
     lost: tuple[str, ...]

@@ -1,6 +1,5 @@
-"""What a notebook or a script needs: the functions that `import tetractl` gives.
-
-What is slow to import (numba, matplotlib, pandas) is imported by the function that needs it. A lab
+"""The functions of `import tetractl`, for notebooks and scripts. Slow libraries
+(numba, matplotlib, pandas) are imported by the functions that need them. A lab
 is driven by `tetractl run` alone, where a person can stop it.
 """
 
@@ -43,7 +42,7 @@ Strings = NDArray[np.str_]
 def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
     """Read and check a spec file; `sets` replace values of it, such as "trials.count=5".
 
-    Raises SpecError with one line a problem.
+    Raises SpecError with one line per problem.
     """
     return load.load_spec(Path(path), sets)
 
@@ -119,7 +118,7 @@ def run_batch(
 def read_log(path: str | Path) -> TrialLog:
     """Read the whole trial from its log; of a damaged log what is intact, see its `damage`.
 
-    Raises LogError where nothing can be read.
+    Raises LogError if nothing can be read.
     """
     from tetractl.log.read.reader import read_trial
 
@@ -142,7 +141,7 @@ class TrialArrays:
     """A trial of M camera frames, K control steps and N robots.
 
     Lengths are in `unit`, angles in radians, times from the first direction sent. The last axis of
-    poses is x, y, heading. `truth` is NaN where the true poses are not known, as in a lab.
+    poses is x, y, heading. `truth` is NaN if the true poses are not known, as in a lab.
     """
 
     unit: str
@@ -190,7 +189,7 @@ def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
 
     These are the tables `poses` and `trials` of `tetractl export`. `origin`, of a trial in the
     frame's `attrs`, names the plant, such as "emulated lab". Earlier attempts at a trial have
-    `attempt` True. Raises UsageError where pandas is not installed.
+    `attempt` True. Raises UsageError if pandas is not installed.
     """
     try:
         import pandas
@@ -212,7 +211,7 @@ def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
 def summarise(batch: "Batch", name: str = "") -> "Group":
     """Return the statistics of a batch: errors with intervals, outcomes, the published result.
 
-    `name` is what tables and figures call it. Raises UsageError if the trials are not of one
+    `name` is its name in tables and figures. Raises UsageError if the trials are not of one
     experiment.
     """
     from tetractl.results.describe import describe
@@ -264,7 +263,7 @@ def verify(path: str | Path) -> "Verification":
 
 @contextmanager
 def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
-    """Check and compile what a spec needs; give an interrupt that Ctrl-C requests."""
+    """Check a spec and compile what it needs; return the interrupt that Ctrl-C sets."""
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.trial_limits import check

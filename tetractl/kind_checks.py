@@ -1,6 +1,6 @@
 """Checks a kind of another package against what tetractl expects of it: `tetractl kinds --check`.
 
-Each check is a generator of findings: what was checked, and what is wrong with it, "" for nothing.
+Each check is a generator of findings: the description of a check, and its error, "" for none.
 All numbers are drawn from a fixed seed, so that a finding repeats.
 """
 
@@ -38,7 +38,7 @@ STARTED_S = 5.0  # that a camera may take to show a frame
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was checked, and what is wrong with it, "" for nothing."""
+    """The description of a check, and its error, "" for none."""
 
     what: str
     problem: str = ""
@@ -310,7 +310,7 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
 
 
 def check_camera(section: CameraSection, setup: Setup) -> Findings:
-    """Check that a camera can be built and, where it can be opened, what its frames are."""
+    """Check that a camera can be built and, if it can be opened, what its frames are."""
     from threading import Event
 
     from tetractl.core.clock import MonotonicClock, seconds

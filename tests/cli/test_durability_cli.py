@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from support import cli
 from support.durable import ENDLESS, random_kill
+from support.lateness import lateness
 
 from tetractl.log.read.reader import content_digest
 from tetractl.run.folder_lock import locked
@@ -77,10 +78,10 @@ def test_a_run_in_progress_keeps_its_folder_to_itself(tmp_path: Path) -> None:
 @pytest.mark.system
 @pytest.mark.parametrize("seed", range(5))
 def test_a_kill_costs_little(tmp_path: Path, seed: int) -> None:
-    """A hundred kills in benchmarks/log.py. A host under load gets three tries."""
-    rng = random.Random(seed)
-    tries = (random_kill(tmp_path / f"{n}.mcap", rng, most_s=2.5) for n in range(3))
-    assert any(killed.lost_s <= LOSS_S for killed in tries)
+    """A hundred kills in benchmarks/log.py. What this host is late is no loss of the log's."""
+    with lateness() as host:
+        killed = random_kill(tmp_path / "0.mcap", random.Random(seed), most_s=2.5)
+    assert killed.lost_s <= LOSS_S + 2 * host.most_s
 
 
 def test_recover_repairs_a_torn_log(logs: Path) -> None:

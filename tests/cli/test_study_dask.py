@@ -56,11 +56,18 @@ def cluster(cwd, *security, scheme="tcp"):
         )
 
 
-@pytest.mark.slow
-def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path):
-    write(tmp_path, LONGER)
-    done = tetractl("study", "study.yaml", "--out", "here", "--jobs", 2, "-q", cwd=tmp_path)
+@pytest.fixture(scope="module")
+def here(tmp_path_factory):
+    """The folder of the longer study run in this process."""
+    folder = tmp_path_factory.mktemp("here")
+    write(folder, LONGER)
+    done = tetractl("study", "study.yaml", "--out", "here", "--jobs", 1, "-q", cwd=folder)
     assert done.returncode == 0, done.stderr
+    return folder / "here"
+
+
+def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path, here):
+    write(tmp_path, LONGER)
     out = tmp_path / "there"
     with cluster(tmp_path) as (address, _, workers):
         args = ["study.yaml", "--out", out, "--cluster", address]
@@ -69,16 +76,15 @@ def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path)
             workers[0].kill()
             assert running.end() == 0, running.err.read_text()
     assert rows(out) == 96
-    assert results(out) == results(tmp_path / "here")
+    assert results(out) == results(here)
     for path in sorted(out.rglob("*.mcap"))[::17]:
-        assert content_digest(path) == content_digest(tmp_path / "here" / path.relative_to(out))
+        assert content_digest(path) == content_digest(here / path.relative_to(out))
 
 
-@pytest.mark.slow
-def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_goes_on(tmp_path):
+def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_goes_on(
+    tmp_path, here
+):
     write(tmp_path, LONGER)
-    done = tetractl("study", "study.yaml", "--out", "here", "--jobs", 2, "-q", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
     out = tmp_path / "there"
     with cluster(tmp_path) as (address, scheduler, _):
         args = ("--out", out, "--cluster", address, "-q")
@@ -87,7 +93,7 @@ def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_
             scheduler.kill()
             assert running.end() == 1
     assert running.err.read_text() == (
-        f"error: {address}: the scheduler is gone; what had come back by then is stored\n"
+        f"error: {address}: the scheduler is gone; results so far are stored\n"
         "hint: start a scheduler again; the same command, with its address, goes on with it\n"
     )
     assert 10 <= rows(out) < 96
@@ -96,7 +102,7 @@ def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_
         done = tetractl("study", "study.yaml", *args, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
     assert rows(out) == 96
-    assert results(out) == results(tmp_path / "here")
+    assert results(out) == results(here)
 
 
 def certificates(folder):

@@ -20,7 +20,7 @@ OF_PLANS = (
     "signals",
     "singular_values",
 )
-"""Items of JSON that only robots with a plan have; None without."""
+"""Items of the JSON object that are None if no plan was found."""
 NO_PLAN = "no plan found"
 SAYS = "predicted by a linearised closed loop along good plans; nothing was run"
 
@@ -199,7 +199,7 @@ def _shortest(found: Analysis) -> str:
 
 
 def advice(found: Analysis) -> str:
-    """Return what to change in the spec, in one line."""
+    """Return the advice on the spec, in one line."""
     unit, here = found.setup.unit, found.steering
     if here is None and found.change is None:
         return f"advice: {NO_PLAN}; raise controller.horizon_max, or give targets that need less"

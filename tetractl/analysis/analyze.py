@@ -15,18 +15,18 @@ from tetractl.experiment.experiment import Experiment
 GAPS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 """Smallest relative differences of a that are mapped."""
 TOO_ALIKE = 0.2
-"""Below that a greater one is looked for."""
+"""Below this difference a greater one is sought."""
 STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Relative differences to the other robot that are tried for one of the two most alike."""
 WORTH = 0.8
-"""Share of the predicted error to which a change has to bring it."""
+"""A change must reduce the predicted error to at most this fraction."""
 AS_GOOD = 1.1
 """Of changes whose predicted errors differ by less than this factor, the smallest is advised."""
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A robot that would better have another a [rad/s], and the predicted mean total error then."""
+    """The advice to give a robot another a [rad/s], and the predicted mean total error then."""
 
     robot: str
     old: float
@@ -36,17 +36,17 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What was found of an experiment's N robots; errors are predicted mean total errors.
+    """The analysis of an experiment's N robots; errors are predicted mean total errors.
 
-    `steering` is along those of the `plans` searched that reach the targets, None where none does;
-    errors of robots for which no plan was found are NaN. `left_out` names what else of the plant
-    disturbs, and is not in the predictions. A plan reaches the targets where its cost is within the
+    `steering` is along those of the `plans` searched that reach the targets, None if none does;
+    errors of robots for which no plan was found are NaN. `left_out` lists disturbances of the plant
+    that are not in the predictions. A plan reaches the targets if its cost is within the
     `tolerance` of the optimiser or of what is accepted [length unit]. `alike` are the two robots
     whose a differ least, and `gap` by how much, relative to the smaller; None and inf for one
     robot. `by_gap` pairs smallest relative differences with errors: the robots keep their order and
     the geometric mean of their a, and each a is that factor above the next. `by_count` pairs a
-    number of robots, the first of the spec, with the error. `change` is advised where two robots
-    are too alike and it is worth while; `looked` is whether one was sought.
+    number of robots, the first of the spec, with the error. `change` is the advice if two robots
+    are too alike and another a helps; `looked` is whether one was sought.
     """
 
     setup: Setup
@@ -66,7 +66,8 @@ class Analysis:
 def analyze(
     experiment: Experiment, plans: int, on_done: Callable[[int, int], object] = lambda *_: None
 ) -> Analysis:
-    """Analyse an experiment along so many plans each; `on_done` gets the analyses done, and all."""
+    """Analyse an experiment along a given number of plans each; `on_done` is called with the number
+    of analyses done and of all."""
     setup, noise = experiment.setup, Noise.of(experiment.plant)
     section, seed = planner(experiment), experiment.trials.seed
     gap, alike = smallest_gap(setup)

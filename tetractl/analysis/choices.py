@@ -11,14 +11,15 @@ from tetractl.experiment.choice import FoundCell
 from tetractl.experiment.choosing import settled, worth
 from tetractl.experiment.experiment import Experiment
 
-COMPARED = 12  # choices whose errors are predicted: those of the most unlike a
-ALIKE = 0.08  # a difference of the logarithms of a: below, who is who is not found again in time
+COMPARED = 12  # choices whose errors are predicted: those whose a differ most
+# difference of the logarithms of a below which cells cannot be distinguished in time
+ALIKE = 0.08
 
 
 @dataclass(frozen=True, slots=True)
 class RankedChoice:
     """Some cells, the fastest turning first, and their predicted mean total error [length unit],
-    inf where no plan reaches the targets."""
+    inf if no plan reaches the targets."""
 
     cells: tuple[FoundCell, ...]
     error: float
@@ -33,8 +34,8 @@ def ranked(
 ) -> list[RankedChoice]:
     """Return choices of cells for an experiment that leaves them open, the best first.
 
-    Errors are predicted as by `tetractl analyze`, along so many plans each, from where the cells
-    are. Only cells with a magnet count; [] where there are too few.
+    Errors are predicted as by `tetractl analyze`, along a given number of plans each, from the
+    cells' poses. Only cells with a magnet count; [] if there are too few.
     """
     choice = experiment.chosen
     assert choice is not None, "only a spec that leaves its robots open chooses"

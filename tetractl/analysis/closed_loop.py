@@ -9,8 +9,8 @@ normal variables with a joint covariance. Signal by signal, from the first to th
    left, and a stop of one signal earlier or later, do to the ends;
 2. the robots move: errors of a and speed act, and the heading walks.
 
-A controller that identifies a and speed knows them the better the more it has seen of them; what is
-known of them is planned with. There is no feedback where nothing is corrected (`corrects`).
+A controller that identifies a and speed plans with its estimates, which improve with every
+measurement. There is no feedback if nothing is corrected (`corrects`).
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from tetractl.core.poses import Floats
 from tetractl.experiment.plant import PlantSection
 
 TURN = float(np.pi / np.sqrt(3))  # rad; the deviation of a signal that is free in [-pi, pi]
-SURE = 1e-8  # least variance of a measured turn [rad^2] or way, relative: no camera is exact
+SURE = 1e-8  # least variance of a measured turn [rad^2] or relative path length: no camera is exact
 LEAST = 1e-30  # length unit^2; robots that stand cannot be corrected at all
 
 
@@ -43,7 +43,7 @@ class Noise:
 
     @classmethod
     def of(cls, plant: PlantSection) -> "Noise":
-        """Return the noise of a plant; none of one that states none, such as a lab.
+        """Return the noise of a plant; zero for one that states none, such as a lab.
 
         An error that is uniform within +-e has the deviation e / sqrt(3).
         """
@@ -63,7 +63,7 @@ class Noise:
 
 
 def left_out(plant: PlantSection) -> tuple[str, ...]:
-    """Return the fields of a plant that disturb and are not part of the noise."""
+    """Return the fields of a plant that are disturbances but not part of the noise."""
     names = ("dead_time", "lost_commands", "drive", "cells", "disturbances")
     return tuple(name for name in names if getattr(plant, name, None))
 
@@ -99,12 +99,12 @@ def end_covariance(
 
 
 def _told(plan: Linear, noise: Noise, k: int) -> Floats:
-    """Return what the motion under signal k tells of ln a, then of ln speed, (2N,): 1/variance.
-
-    A turn is the difference of two measured headings, a way that of two measured positions.
+    """Return the information (1/variance) on ln a, then on ln speed, (2N,) from the motion under
+    signal k: a turn is the difference of two measured headings, a displacement that of two
+    positions.
     """
     turned = 2 * noise.heading**2 + noise.walk**2 * plan.seconds[k] + SURE
-    ways = np.square(plan.by_speed[k]).sum(axis=1)  # a way is as long as the speed is high
+    ways = np.square(plan.by_speed[k]).sum(axis=1)  # a path is proportional to the speed
     went = np.maximum(2 * noise.position**2, SURE * ways)
     told = np.divide(ways, went, out=np.zeros_like(ways), where=went > 0)
     return np.concatenate([plan.turn_by_a[k] ** 2 / turned, told])

@@ -37,8 +37,8 @@ class Planned:
 def planner(experiment: Experiment) -> MpcSection:
     """Return the model predictive control that the experiment is analysed with.
 
-    It is the spec's own where it has one, with the multistart optimiser, which tells when a
-    sequence is good enough, and without limits; else the default one.
+    It is the spec's own if it has one, with the multistart optimiser, which has a tolerance,
+    and without limits; else the default one.
     """
     control = experiment.controller
     if not isinstance(control, MpcSection):
@@ -76,7 +76,7 @@ def plans(section: MpcSection, setup: Setup, seed: int, count: int) -> Iterator[
 
 @dataclass(frozen=True, slots=True)
 class Steering:
-    """What M plans of N robots that reach the targets allow; lengths in the spec's unit.
+    """The analysis of N robots along M plans that reach the targets; lengths in the spec's unit.
 
     The shortest of them has `shortest` signals. `errors` (M,) are the predicted mean total errors
     with feedback, and `open_loop` (M,) those without; `planned` (M,) are the total errors without
@@ -111,8 +111,8 @@ class Steering:
 def steering(
     section: MpcSection, setup: Setup, noise: Noise, seed: int, count: int
 ) -> Steering | None:
-    """Analyse the robots of a setup along those plans of so many trials that reach the targets;
-    None where none does: there is nothing then to hold the robots to."""
+    """Analyse the robots of a setup along those plans, of the given number of trials, that reach
+    the targets; None if none does."""
     found = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
     if not found:
         return None

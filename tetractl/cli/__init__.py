@@ -1,18 +1,18 @@
 """The command line: one module for each command, which parses, calls and prints."""
 
 ADDRESSES_MIN = 1_000_000_000
-"""Bytes of address space that the libraries need; with fewer, OpenBLAS asks for them for ever."""
+"""Bytes of address space that the libraries need; with fewer, OpenBLAS retries without end."""
 
 
 def main() -> None:
     """Run the command line and exit with one of the codes of `Exit`.
 
-    Nothing is imported before signals are seen to: Python's own answer to Ctrl-C in the middle of
-    an import is a traceback.
+    Nothing is imported before signals are handled: Python answers Ctrl-C during an import with a
+    traceback.
     """
     import signal
 
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the process without a word
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the process silently
 
     import atexit
     import sys

@@ -30,7 +30,7 @@ def analyze(
     Along good plans, by the multistart optimiser, it predicts the mean total error under the noise
     that the spec's simulated plant assumes (errors of a and speed, the walk of the headings, the
     noise of the measurement), the shortest plan that reaches, the ellipse of each end, and what the
-    error would be with robots more or less alike, and with fewer. Where two robots are too alike,
+    error would be with robots more or less alike, and with fewer. If two robots are too alike,
     it looks for a better a.
 
     Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png

@@ -1,4 +1,4 @@
-"""The commands of the command line, and what becomes of their errors.
+"""The commands of the command line, and how their errors are reported.
 
 Heavy modules are imported inside the command that needs them, so that `--help` answers at once.
 """
@@ -146,7 +146,7 @@ def run_app() -> int:
         complain(str(error), error.hint)
         return error.exit
     except TyperException as error:
-        if error.format_message():  # else help was printed, for want of a command
+        if error.format_message():  # else help was printed, for lack of a command
             complain(_plainly(error.format_message()), _usage_hint(error))
         return Exit.USAGE
     except (typer.Abort, KeyboardInterrupt):
@@ -157,7 +157,7 @@ def run_app() -> int:
     except SystemExit as end:
         if not isinstance(end.__context__, BrokenPipeError):
             raise
-        return Exit.DONE  # the same; typer makes it another exception
+        return Exit.DONE  # the same, as another exception of typer's
     except FileNotFoundError as error:
         complain(f"{error.filename}: no such file or folder")
         return Exit.USAGE

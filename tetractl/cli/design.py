@@ -1,4 +1,5 @@
-"""`tetractl design`: a motion from which much can be identified, and the driving of it."""
+"""`tetractl design`: proposes a motion from which the robots can be identified well, and drives
+it."""
 
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,7 +21,7 @@ def design(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
     sets: Sets = None,
     seconds: Annotated[
-        float, typer.Option(min=1, max=120, metavar="S", help="How long the motion is to take.")
+        float, typer.Option(min=1, max=120, metavar="S", help="Duration of the motion.")
     ] = 10.0,
     plant: Annotated[
         PlantChoice | None,
@@ -91,7 +92,7 @@ def design(
 
 
 def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
-    """Print a motion: its directions, and the deviations that a fit to it is predicted to have."""
+    """Print a motion: its directions, and the predicted deviations of a fit to it."""
     from tetractl.core.table.data import json_text
 
     setup = loaded.experiment.setup

@@ -40,8 +40,8 @@ def identify(
 ) -> int:
     """Identify a, speed, heading bias, dead time and noise, with 95 % intervals.
 
-    Logs are pooled: all of the same robots, simulated or of a lab. Nothing is read of the truth
-    that a simulation's log holds. The dead time counts from the sending of a direction.
+    Logs are pooled: all of the same robots, simulated or of a lab. The true poses in a simulation's
+    log are not used. The dead time counts from the sending of a direction.
 
     `tetractl design SPEC` proposes a motion from which much can be identified.
 

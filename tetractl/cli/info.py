@@ -25,7 +25,7 @@ def info(
 
     Times count from the first direction sent.
 
-    Everything is read and checked. Exits with 1 where the log is damaged or has no result.
+    Everything is read and checked. Exits with 1 if the log is damaged or has no result.
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
     """
@@ -105,7 +105,7 @@ def _events(found: "Overview") -> "Iterator[str]":
 
 
 def _estimate(found: "Overview") -> dict[str, str]:
-    """Return the last estimate, a line a robot; each value with its standard deviation."""
+    """Return the last estimate, one line per robot; each value with its standard deviation."""
     estimate, unit = found.estimate, found.run.get("unit", "")
     if estimate is None:
         return {}

@@ -19,11 +19,9 @@ def init(
             metavar="[NAME]", help="Name of the experiment, and of its file.  \\[experiment]"
         ),
     ] = None,
-    lab: Annotated[
-        bool, typer.Option("--lab", help="With the part of a lab of m3pi robots.")
-    ] = False,
+    lab: Annotated[bool, typer.Option("--lab", help="Add a lab of m3pi robots.")] = False,
     cells: Annotated[
-        bool, typer.Option("--cells", help="Cells, in um, in place of robots.")
+        bool, typer.Option("--cells", help="Two cells, in um, in place of robots.")
     ] = False,
     example: Annotated[
         str | None,
@@ -99,5 +97,5 @@ def template(name: str, file: str, kind: str) -> str:
     from tetractl.experiment.yaml.core_yaml import dump
 
     text = (files("tetractl.experiment") / "templates" / f"{kind}.yaml").read_text("utf-8")
-    named = dump({"name": name}).strip("{}\n")  # in quotes where the name reads as a number
+    named = dump({"name": name}).strip("{}\n")  # in quotes if the name reads as a number
     return text.replace("@NAME@", named).replace("@FILE@", file)

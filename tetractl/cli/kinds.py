@@ -26,11 +26,11 @@ def kinds(
 ) -> int:
     """List every kind there is: optimisers, shapes, cameras, sweeps, statistics, figures and so on.
 
-    Each line holds the seam, the `type`, the package that provides it, and its code.
-    Exits with 2 where an installed package is broken.
+    Each line holds the interface, the `type`, the package that provides it, and its code.
+    Exits with 2 if an installed package is broken.
 
-    With --check it tries one that you write: its NumPy functions against its compiled ones and
-    their derivatives, its bounds, and that it repeats. Exits with 1 where something is wrong. A
+    With --check it tests one that you write: its NumPy functions against its compiled ones and
+    their derivatives, its bounds, and that it repeats. Exits with 1 if something is wrong. A
     camera is opened if it can be; an actuator is not, and nothing moves.
 
     Example: tetractl kinds --check pivot:PIVOT
@@ -82,7 +82,7 @@ def _check(code: str, sets: list[str], as_json: bool) -> int:
     from tetractl.experiment.yaml.document import frozen, parse_value
     from tetractl.kind_checks import check_kind
 
-    sys.path.insert(0, "")  # modules here, as `python -m` finds them
+    sys.path.insert(0, "")  # modules in this folder, as for `python -m`
     fields: dict[str, Any] = {}
     for setting in sets:
         name, equals, text = setting.partition("=")

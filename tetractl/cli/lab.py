@@ -27,12 +27,10 @@ Spec = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YA
 def check(
     spec: Spec,
     sets: Sets = None,
-    json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Answer yes to what only a person knows, unasked.")
-    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Answer yes to every question.")] = False,
 ) -> int:
-    """Look the lab over without moving a robot: camera, actuator, robots, batteries, starts.
+    """Check the lab without moving a robot: camera, actuator, robots, batteries, starts.
 
     Exit code 0 means that a run could start now. What only a person knows, such as
     the firmware of an unknown radio, is asked; without a terminal it takes --yes.
@@ -64,14 +62,14 @@ def _agreed(questions: "Sequence[str]") -> bool:
     import sys
 
     if questions and not sys.stdin.isatty():
-        typer.echo("not answered: add --yes where there is no terminal", err=True)
+        typer.echo("not answered: add --yes if there is no terminal", err=True)
         return False
     return all(typer.confirm(question, err=True) for question in questions)
 
 
 def stop(
     spec: Annotated[
-        Path | None, typer.Argument(metavar="SPEC", help="The experiment, for its actuator.")
+        Path | None, typer.Argument(metavar="SPEC", help="Spec file; only its actuator is used.")
     ] = None,
     sets: Sets = None,
     port: Annotated[
@@ -87,7 +85,7 @@ def stop(
     m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
     3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
     --port. Needs no camera. A run that has the port is ended: stops are sent past it, it is
-    asked twice to end, then killed. Exit code 1 where another program keeps the port.
+    asked twice to end, then killed. Exit code 1 if another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """
@@ -114,7 +112,8 @@ def calibrate(
     spec: Spec,
     sets: Sets = None,
     output: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FILE", help="Where the calibration goes.")
+        Path,
+        typer.Option("-o", "--out", metavar="FILE", help="YAML file of the calibration to write."),
     ] = Path("calibration.yaml"),
     robot: Annotated[
         list[str] | None,
@@ -126,7 +125,7 @@ def calibrate(
             min=10,
             max=80,
             metavar="N",
-            help="How hard to drive: for m3pi the greatest wheel count, of 127.",
+            help="Greatest output, for m3pi the wheel count, of 127.",
         ),
     ] = 45,
     micrometer: Annotated[

@@ -84,7 +84,7 @@ def emulate(
     for number in SIGNALS:
         signal.signal(number, end)
     with emulation:
-        gc.freeze()  # what was loaded stays; so that no long collection delays a frame
+        gc.freeze()  # what was loaded is not collected again, so no long collection delays a frame
         emulation.run()
     print("the emulation has ended", file=sys.stderr)
     return Exit.DONE

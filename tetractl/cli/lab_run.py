@@ -1,4 +1,4 @@
-"""What a run adds in the lab: the operator's stop, placing the robots."""
+"""A run in the lab: the operator's stop, placing the robots."""
 
 import threading
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ def run_in_lab(
     from tetractl.view.terminal.lab_watch import LabWatch, TerminalPrompt
     from tetractl.view.terminal.stopkey import SAYS, StopKey
 
-    quiet, console = console, Console(stderr=True)  # what concerns safety is always said
+    quiet, console = console, Console(stderr=True)  # messages on safety are always printed
     emergency, entered = threading.Event(), threading.Event()
     with StopKey(emergency.set, entered.set, unattended) as key:
         says = SAYS if key.listening else "no terminal: there is no key to stop the robots"

@@ -35,7 +35,7 @@ def open_logs(
     """Show trials in the browser: the page of `tetractl report`, until Ctrl-C.
 
     The page and the logs named, and nothing else, are served on this machine's loopback address
-    under a random path; nothing is uploaded. Where Lichtblick answers, the address that opens the
+    under a random path; nothing is uploaded. If Lichtblick answers, the address that opens the
     first log there is printed too, and that of a layout for its menu "Layouts", "Import from file":
     it frames the arena, shows the scene and plots error, J, solve time and estimate.
 
@@ -52,7 +52,7 @@ def open_logs(
         print(f"warning: {problem}", file=sys.stderr)
     named = {f"{i}-{path.name}": path for i, path in enumerate(found)}
     server = LoopbackServer(port, html.encode(), layout_of(found), named)
-    in_viewer = answers(viewer)  # before Ctrl-C: interrupted in an import it would be lost
+    in_viewer = answers(viewer)  # imported first: Ctrl-C during an import would be lost
     with suppress(KeyboardInterrupt), interrupted_once(), server:
         print_forwarding(server)
         print(server.page_url, flush=True)

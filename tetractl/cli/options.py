@@ -1,4 +1,5 @@
-"""What several commands share: options, loading a spec, its warnings, asking before robots move."""
+"""Shared by several commands: options, loading a spec, its warnings, confirmation before robots
+move."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -23,11 +24,9 @@ Sets = Annotated[
 ]
 Yes = Annotated[
     bool,
-    typer.Option("--yes", help="Move robots without asking; needed where there is no terminal."),
+    typer.Option("--yes", help="Move robots without asking; needed if there is no terminal."),
 ]
-Strict = Annotated[
-    bool, typer.Option("--strict", help="Exit with code 2 where a spec has warnings.")
-]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 2 if a spec has warnings.")]
 
 
 def load(path: Path, sets: Sequence[str]) -> "LoadedSpec":
@@ -71,24 +70,25 @@ def warn_of_damage(log: "TrialLog") -> None:
 
 
 def refuse(found: "Sequence[PlacedWarning]") -> None:
-    """Raise UsageError where there are warnings, as `--strict` asks."""
+    """Raise UsageError if there are warnings, as `--strict` asks."""
     if found:
         count = "a warning" if len(found) == 1 else f"{len(found)} warnings"
         raise UsageError(f"the spec has {count}, and --strict allows none; nothing was run")
 
 
 def require_confirmation(yes: bool) -> None:
-    """Raise UsageError where robots would move, and neither a terminal nor `--yes` confirms it."""
+    """Raise UsageError if robots would move, and neither a terminal nor `--yes` confirms it."""
     if not yes and (sys.stdin is None or not sys.stdin.isatty()):
         raise UsageError(
             "robots would move, and there is no terminal to ask at",
-            "add --yes to move them all the same",
+            "add --yes to move them without asking",
         )
 
 
 @contextmanager
 def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
-    """Show a bar on a terminal; yields what to call with the numbers done and of all."""
+    """Show a progress bar on a terminal; yields the function to call with the numbers done and of
+    all."""
     from rich.console import Console
     from rich.progress import Progress
 

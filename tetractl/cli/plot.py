@@ -14,7 +14,7 @@ VIDEO = "video"
 
 def plot(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Logs of trials, folders of them.")
+        list[Path], typer.Argument(metavar="LOG...", help="Trial logs: files, folders or globs.")
     ],
     output: Annotated[
         Path | None,
@@ -38,7 +38,7 @@ def plot(
     error: distances to the targets over time.
     errors: those of several trials, with their median.
     arms: the medians of several folders over time.
-    ecdf: which share of each folder's trials ended with at most an error.
+    ecdf: fraction of each folder's trials that ended with at most an error.
     scatter: where the robots of several trials ended.
     estimate: the controller's estimates of a, speed and so on over time.
     timing: solve time of each control step.

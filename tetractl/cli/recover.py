@@ -15,13 +15,13 @@ def recover(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, a .part too.")],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FILE", help="Where to.  [NAME.recovered.mcap]"),
+        typer.Option("-o", "--out", metavar="FILE", help="File to write.  [NAME.recovered.mcap]"),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
 ) -> int:
     """Copy the intact records of a damaged log to a complete file, and print what is lost.
 
-    Exits with 0 where nothing is lost, 3 where something is, 1 where nothing can be saved.
+    Exits with 0 if nothing is lost, 3 if something is, 1 if nothing can be saved.
 
     Example: tetractl recover logs/batch/trial-003.mcap.part
     """

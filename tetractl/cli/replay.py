@@ -54,9 +54,9 @@ def replay(
     paths, wall = find_logs(logs), MonotonicClock()
     screen = is_terminal()
     if paused and not screen:
-        raise UsageError("--paused needs a terminal: there are no keys to go on with")
+        raise UsageError("--paused needs a terminal, whose keys go on")
     if loop and not screen and len(paths) > 1:
-        raise UsageError("--loop without a terminal needs one log: the others would never come")
+        raise UsageError("--loop without a terminal needs one log: no other would be played")
     try:
         if screen:
             return _on_screen(paths, wall, (start, until), rate or 1.0, loop, paused)

@@ -50,7 +50,7 @@ def serve(
     """Show a trial in Foxglove or Lichtblick by a live WebSocket, until Ctrl-C.
 
     It is served on this machine's loopback address under a random path; nothing is uploaded. The
-    browser opens Lichtblick where it answers, else Foxglove. A layout for the viewer's menu
+    browser opens Lichtblick if it answers, else Foxglove. A layout for the viewer's menu
     "Layouts", "Import from file" is served too.
 
     A LOG is played over and over: the viewer plays, pauses, seeks and sets the rate, and on a

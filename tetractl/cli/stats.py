@@ -45,7 +45,7 @@ def stats(
     """Print statistics of batches: errors with intervals, the published result, comparisons.
 
     Every two batches are compared, or each with that of --against: paired if their seeds match,
-    with tests corrected for their number. Of a study's trials without logs the rows are read.
+    with tests corrected for their number. A study's trials without logs are read from its rows.
 
     Trials that were aborted or interrupted are listed and counted, but stay out of the means; so
     are attempts that --resume set aside.

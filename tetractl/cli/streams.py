@@ -30,10 +30,10 @@ GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class PatientWriter(io.RawIOBase):
-    """Bytes to a file descriptor, waited for while the descriptor takes them.
+    """Writes bytes to a file descriptor, and waits while the descriptor takes them.
 
-    Where it takes none for `patience_s`, bytes are dropped, without waiting, until it takes some
-    again. What the descriptor refuses is lost too; where `tells`, the OSError is raised, once.
+    If it takes none for `patience_s`, bytes are dropped, without waiting, until it takes some
+    again. What the descriptor refuses is lost too; if `tells`, the OSError is raised once.
     """
 
     def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
@@ -43,7 +43,7 @@ class PatientWriter(io.RawIOBase):
         self._pieces: queue.SimpleQueue[tuple[bytes, int]] = queue.SimpleQueue()
         self._changed = threading.Condition()
         self._put = self._done = 0  # bytes
-        self._queued = b""  # by a write that a signal interrupted: its buffer offers it once more
+        self._queued = b""  # by a write that a signal interrupted: its buffer writes it again
         self._moved_s = 0.0  # when the descriptor last took something, or had nothing to take
         self._failure: OSError | None = None
         threading.Thread(target=self._work, name="output", daemon=True).start()
@@ -119,7 +119,7 @@ class PatientWriter(io.RawIOBase):
         """Return how many bytes the descriptor took."""
         try:
             return os.write(self._descriptor, piece)
-        except BlockingIOError:  # somebody else set the terminal so
+        except BlockingIOError:  # another user set the terminal so
             select.select([], [self._descriptor], [], MESSAGES_S)
             return 0
 
@@ -137,13 +137,14 @@ class Output(io.TextIOWrapper):
         )
 
     def finish(self) -> None:
-        """Write what is buffered, as far as the descriptor takes it; OSError where one tells."""
+        """Write what is buffered, as far as the descriptor takes it; OSError for a stream that
+        `tells`."""
         self.flush()
         self.writer.finish()
 
 
 def open_streams() -> Output:
-    """Put patient streams in the places of `sys.stdout` and `sys.stderr`; return the latter.
+    """Replace `sys.stdout` and `sys.stderr` by patient streams; return the latter.
 
     A standard descriptor that is closed is opened on the null device: no log may get its number.
     """
@@ -172,7 +173,7 @@ def first_signal_callback(text: bytes) -> Callable[[], None]:
 
     It takes no lock and does not wait.
     """
-    results, messages = sys.stdout, sys.stderr  # now: a live view puts others in their places
+    results, messages = sys.stdout, sys.stderr  # now: a live view replaces them
 
     def shorten() -> None:
         if isinstance(results, Output):
@@ -185,9 +186,9 @@ def first_signal_callback(text: bytes) -> Callable[[], None]:
 
 @contextmanager
 def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[None]:
-    """Where `robots` move, send this process SIGHUP once neither stdout nor stderr has a reader.
+    """If `robots` move, send this process SIGHUP once neither stdout nor stderr has a reader.
 
-    Only a pipe, a socket or a terminal has one: where both are files, nothing is sent. Where
+    Only a pipe, a socket or a terminal has one: if both are files, nothing is sent. If
     `unattended`, SIGHUP is ignored instead, as by `nohup`. Main thread only, before `watch`.
     """
     read = [] if unattended or not robots else [one for one in (1, 2) if _has_reader(one)]

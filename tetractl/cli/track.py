@@ -27,12 +27,14 @@ def track(
     scale: Annotated[
         float | None,
         typer.Option(
-            min=0.05, max=100, metavar="UM", help="Micrometres a pixel; guessed from the bodies."
+            min=0.05, max=100, metavar="UM", help="Micrometres per pixel; guessed from the bodies."
         ),
     ] = None,
     rate: Annotated[
         float | None,
-        typer.Option(min=0.1, max=2000, metavar="HZ", help="Pictures a second, if not the film's."),
+        typer.Option(
+            min=0.1, max=2000, metavar="HZ", help="Pictures per second, if not the film's."
+        ),
     ] = None,
     y_down: Annotated[
         bool, typer.Option("--y-down", help="The directions of the field count clockwise.")
@@ -48,7 +50,7 @@ def track(
     """Follow the cells of a film: speed, path and sway of each, with 95 % intervals.
 
     With the field's direction over time also a, heading bias, and whether the cell has a magnet.
-    Nothing is steered. Exits with 1 where no cell swims in it.
+    Nothing is steered. Exits with 1 if no cell swims in it.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
     """

@@ -51,7 +51,7 @@ Unattended = Annotated[
     bool,
     typer.Option(
         "--unattended",
-        help="Lab only, with --yes: go on where the terminal, or every reader of the output, "
+        help="Lab only, with --yes: go on if the terminal, or every reader of the output, "
         "is gone; else that stops the robots.",
     ),
 ]
@@ -144,7 +144,7 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
 def stoppable(
     experiment: "Experiment", console: "Console", unattended: bool = False
 ) -> "Iterator[Interrupt]":
-    """Compile the controller, then yield an interrupt that signals request inside the block.
+    """Compile the controller, then yield an interrupt that signals set inside the block.
 
     In the lab the loss of every reader of the output is one of them, unless `unattended`.
     """
@@ -154,7 +154,7 @@ def stoppable(
 
     warm_up(experiment, partial(announce_compiling, console.quiet))
     interrupt = Interrupt(first_signal_callback(STOPPING))
-    leave_on_signals(Exit.INTERRUPTED)  # again, once all is said
+    leave_on_signals(Exit.INTERRUPTED)  # again, after everything is printed
     in_lab = not experiment.plant.simulated
     with hung_up_unread(in_lab, unattended), interrupt.watch(robots=in_lab):
         yield interrupt
@@ -171,7 +171,7 @@ def run_trials(
     served: "Sequence[Observer]" = (),
     unattended: bool = False,
 ) -> "Report":
-    """Run trials with what shows them, `served` among it: in the lab with the operator's stop.
+    """Run trials with their displays, `served` included; in the lab with the operator's stop.
 
     The first trial that fails ends the run.
     """
@@ -218,7 +218,7 @@ def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
 def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, json: bool) -> int:
     """Print the statistics of the whole folder, then how the run ended; return the exit code.
 
-    Raises what kept a trial from an outcome.
+    Raises the error that kept a trial from an outcome.
     """
     from tetractl.cli.streams import first_signal_callback
     from tetractl.run.task import log_path

@@ -25,7 +25,7 @@ def verify(
 
     On the machine that wrote a log every number must come out with the same bits. Elsewhere the
     costs of the logged plans are evaluated again; the output says which of the two was done. Exits
-    with 1 where anything differs, and names the first step and field that do.
+    with 1 if anything differs, and names the first step and field that do.
 
     Example: tetractl verify logs/batch
     """

@@ -19,7 +19,7 @@ def warm(
     specs: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[SPEC|STUDY]...", help="What will be run.  \\[what `tetractl init` writes]"
+            metavar="[SPEC|STUDY]...", help="Specs and studies.  \\[what `tetractl init` writes]"
         ),
     ] = None,
     sets: Sets = None,
@@ -27,7 +27,7 @@ def warm(
     """Compile what specs and studies need, with progress, so that their runs start at once.
 
     Compiled code is kept on this machine, for each kind of processor and each combination of
-    controller, optimiser, motion and shapes: warm again what names others.
+    controller, optimiser, motion and shapes: warm again after a change of these.
 
     Example: tetractl warm three-m3pi.yaml studies/slip.yaml
     """
@@ -45,7 +45,7 @@ def warm(
     for number, (kinds, experiments) in enumerate(wanted.items(), start=1):
         began_s = perf_counter()
         with console.status(f"{number} of {len(wanted)}: compiling for {kinds}"):
-            for experiment in experiments:  # the first compiles, others may add a little
+            for experiment in experiments:  # the first compiles most, others may add a little
                 warm_up(experiment, lambda text: None)
         print(f"{kinds}: {perf_counter() - began_s:.1f} s", flush=True)
     print(f"kept in {cache_folder()}", file=sys.stderr)

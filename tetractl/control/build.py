@@ -7,7 +7,7 @@ from threading import Timer
 from tetractl.core.protocols import Controller
 from tetractl.experiment.experiment import Experiment
 
-ANNOUNCE_AFTER_S = 1.0  # loading from the cache is not worth a word
+ANNOUNCE_AFTER_S = 1.0  # loading from the cache is not announced
 
 
 def build_controller(experiment: Experiment, key: int) -> Controller:

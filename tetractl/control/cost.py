@@ -8,8 +8,8 @@
 
 A sequence is counted here, as in Algorithm 2, by its length L in signals: u(k), ..., u(k+L-1). The
 paper's horizon in (7)-(12) is h = L - 1. The prediction s(k+j|k) comes from (4)-(6) or from one of
-the other motions in `tetractl.model.motion`. Where robots are to keep a separation, beyond the
-paper, P also counts each pair of robots at each predicted position where they are nearer. Where
+the other motions in `tetractl.model.motion`. If robots are to keep a separation, beyond the
+paper, P also counts each pair of robots at each predicted position where they are nearer. If
 robots are to stay `within` R of their targets, also beyond the paper,
 
     f(u) = R sum_i mean_j h(|| s_i(k+j|k) - tar_i || / R),   h(d > 1) = 1 + STRAY (d - 1),
@@ -28,7 +28,7 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 
 STRAY = 0.3
-"""Cost of a hold radius further away, where that of being outside is 1."""
+"""Cost per hold radius of distance outside, relative to a cost of 1 for being outside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> No
 def evaluate(problem: Problem, signals: Floats) -> Costs:
     """Evaluate (7)-(9) for B sequences, shape (B, L).
 
-    Raises ControlError where a cost is not finite: no comparison of costs could be trusted.
+    Raises ControlError if a cost is not finite: no comparison of costs could be trusted.
     """
     return costs_along(problem, predict(problem, signals))
 

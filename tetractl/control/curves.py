@@ -24,8 +24,8 @@ def interpolate(knots: Floats, length: int) -> Floats:
 
 
 def places(count: int, length: int) -> tuple[NDArray[np.int64], Floats]:
-    """Return, for each signal, the knot before it and its part of the way to the next, (length,)
-    each.
+    """Return, for each signal, the knot before it and the fraction of the way to the next,
+    (length,) each.
     """
     at = np.linspace(0, count - 1, length)
     below = np.minimum(at.astype(np.int64), max(count - 2, 0))

@@ -17,7 +17,8 @@ Held = tuple[int, int, Floats]
 
 @dataclass(slots=True)
 class Sent:
-    """A direction u [rad] sent to N robots at `sent_ns`; `arrived` (N,) is what is inferred."""
+    """A direction u [rad] sent to N robots at `sent_ns`; `arrived` (N,) says for which it is
+    inferred to have arrived."""
 
     sent_ns: int
     u: float
@@ -27,7 +28,7 @@ class Sent:
 class Predictor:
     """The directions sent so far, each of which acts `dead_time_s` after it was sent.
 
-    Before the first one acts the robots stand still. A robot that a direction did not arrive at
+    Before the first one acts the robots stand still. A robot that did not receive a direction
     follows the one before. `before` (N,) [rad] is what the robots held before the recent ones, NaN
     for one that stands.
     """

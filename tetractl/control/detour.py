@@ -1,10 +1,10 @@
-"""What a controller does where its plan no longer ends at the targets: go round, or stop.
+"""Chooses between a detour and a stop if the plan no longer ends at the targets.
 
 Algorithm 2 shortens its sequence from step to step. With few signals left, a late disturbance
-cannot be corrected any more: three robots have six coordinates. Where no length of H - 1, H, H + 1
+cannot be corrected any more: three robots have six coordinates. If no length of H - 1, H, H + 1
 ends within an accepted total error, longer sequences are searched afresh, which lead the robots
-round and back. The trial ends where stopping is as good as any plan, at the best moment of the
-coming control period; and where no plan was found that keeps clear of all obstacles, no way out of
+round and back. The trial ends if stopping is as good as any plan, at the best moment of the
+coming control period; and if no plan was found that keeps clear of all obstacles, no way out of
 the corner either, and a robot is about to enter one.
 """
 
@@ -28,13 +28,14 @@ LAST_LEAST_S = 2.0  # and where robots are few [s]
 OUT_SIGNALS = 8  # of a way out of a corner
 OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # directions that it begins with [rad]
 OUT_RATES = np.linspace(-6.0, 6.0, 13)  # at which they change [rad/s]
-FINAL_ROOM = 0.2  # what room in the end counts to room on the way
+FINAL_ROOM = 0.2  # weight of the clearance at the end against that on the path
 MOMENTS = 40  # of the coming control period that are tried for the stop
 
 
 @dataclass(frozen=True, slots=True)
 class StopForecast:
-    """A stop `delay_ns` from now, the sum of distances to the targets it is predicted to leave."""
+    """A stop `delay_ns` from now, and the sum of distances to the targets that it is predicted to
+    leave."""
 
     delay_ns: int
     error: float
@@ -63,8 +64,8 @@ def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForec
 
 
 def way_out(problem: Problem, margins: Margins, apart: float) -> Floats | None:
-    """Return signals (OUT_SIGNALS,) that lead standing robots away from all that they could enter,
-    and keep two of them `apart`; None where each leads some robot into it.
+    """Return signals (OUT_SIGNALS,) that lead standing robots away from obstacles and walls, with
+    at least the distance `apart` between two robots; None if no such sequence was found.
 
     Directions that change at a steady rate are tried, whatever the targets.
     """
@@ -74,5 +75,5 @@ def way_out(problem: Problem, margins: Margins, apart: float) -> Floats | None:
     room = margins.room(path[..., 0], path[..., 1], apart)  # (OUT_SIGNALS + 1, B)
     least = room.min(axis=0)
     best = int(np.argmax(least + FINAL_ROOM * room[-1]))
-    outside = room[0, best] < 0  # already: then no further
+    outside = room[0, best] < 0  # already inside: then no deeper
     return signals[best] if least[best] > 0 or (outside and least[best] >= room[0, best]) else None

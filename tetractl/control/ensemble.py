@@ -42,15 +42,15 @@ class EnsembleSection(ControllerSection):
     switches_field: ClassVar[bool] = True
     type: Literal["ensemble"]
     rate: Positive = 1.3
-    """Angular velocity of the rotating field [least a of the robots]: up to 1 every robot follows
-    it at a lag of its own, beyond that the slower ones are left behind."""
+    """Angular velocity of the rotating field, in units of the robots' least a: up to 1 every robot
+    follows it with a lag of its own, beyond that the slower ones cannot."""
     fall: Fraction = 0.3
-    """The field is switched off where, over the coming control period, the sum of distances would
-    fall by more than this share of the sum of ways, by which it falls where every robot heads for
-    its target."""
+    """The field is switched off if, over the coming control period, the sum of distances would fall
+    by more than this fraction of the robots' summed path lengths, by which it falls if every robot
+    heads for its target."""
     turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
-    """Turns of the field without such a moment after which the trial ends, where the sum of
-    distances is least on the way."""
+    """Turns of the field without such a moment after which the trial ends, at the least sum
+    of distances during them."""
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem whose cost the log states, for robots at their starts."""
@@ -85,7 +85,7 @@ class Ensemble:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome:
-        """Rotate the field on, or switch it off, or end the trial."""
+        """Go on rotating the field, or switch it off, or end the trial."""
         section = self.section
         problem = replace(self._problem, poses=self._when_acting(observation))
         gaps = problem.poses.distances(problem.targets)
@@ -95,7 +95,7 @@ class Ensemble:
             return Outcome.STEPS_MAX
         straight = _ahead(problem, problem.poses, None, section.period)
         fall = float(gaps.sum()) - _sum(problem, straight.array())
-        driving = self._phase is None and self._k > 0  # and on until V would rise
+        driving = self._phase is None and self._k > 0  # off until V would rise
         least = 0.0 if driving else section.fall * float(problem.speed.sum()) * section.period
         if fall > least:
             self._phase, self._turned = None, 0.0
@@ -112,7 +112,7 @@ class Ensemble:
         return plan
 
     def _turn(self, problem: Problem) -> None:
-        """Turn the field on; it begins where the robots head on the whole."""
+        """Switch the field on, in the robots' mean heading."""
         step = self.section.rate * float(problem.a.min()) * self.section.period
         if self._phase is None:
             heading = problem.poses.heading

@@ -1,4 +1,4 @@
-"""What a controller knows of the robots at a control step, from frames and commands alone.
+"""Estimates the robots' state at a control step from frames and commands alone.
 
 Given every frame and every command of a trial, in order, it returns where the robots will be when
 the direction decided now acts, and how they move: as the spec says, from the newest frame, or as a
@@ -27,7 +27,7 @@ class StateEstimator:
     """The robots of one trial as far as known.
 
     `problem` has a and speed of the spec. With a `prior` they are identified; robots that
-    `drive_first`, in a square, from when they have settled to the first direction. Those that are
+    `drive_first`, in a square, from when they follow the first direction. Those that are
     lost by the `loss` rule, `losses.lost`, are left out of what is returned.
     """
 
@@ -67,7 +67,7 @@ class StateEstimator:
 
     @property
     def heard(self) -> bool:
-        """Whether any robot follows the last command that should act by now, as far as is known."""
+        """Whether any robot is estimated to follow the last command that should act by now."""
         return self.filter is None or self.filter.heard()
 
     def seen(

@@ -12,7 +12,7 @@ from tetractl.core.problem import Problem
 def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
     """Return a function that maps `count` sequences, (L, count), to their costs J, (count,).
 
-    It agrees with `tetractl.control.cost.evaluate` to 1e-9, and raises ControlError where a cost is
+    It agrees with `tetractl.control.cost.evaluate` to 1e-9, and raises ControlError if a cost is
     not finite.
     """
     from tetractl.control.kernels.rollout import costs, lay_out

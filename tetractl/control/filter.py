@@ -43,7 +43,7 @@ from tetractl.core.poses import Floats, Observation, Poses
 GRID_STEP_S = 0.02  # of the dead times at first
 FINEST_S = 0.005  # and at last
 REACH = 3.0  # deviations of the prior that the grid covers
-UNLIKELY = 25.0  # how much less the ln of a likelihood is of a dead time that is dropped
+UNLIKELY = 25.0  # difference of the ln of a likelihood by which a dead time is dropped
 KEPT = 64  # commands remembered after they acted
 POSITION_NOISE_S = 0.005  # noise of a measured position, in seconds of travel, if not given [s]
 HEADING_NOISE = 0.01  # of a measured heading, if not given [rad]
@@ -51,15 +51,15 @@ SLIP = 0.02  # random walk of the position, as a share of the speed [1/sqrt(s)] 
 WALK = 0.1  # ... and of the heading [rad/sqrt(s)], before anything is seen
 DRIFTS = (0.01, 0.005, 0.005, 0.002)  # random walks of ln a, ln v, turn and marker bias [1/sqrt(s)]
 SPACING_S = 0.03  # least time between two frames that are followed [s]
-FLOW_DRIFT = 0.05  # of each component of the flow, as a share of what is expected of it
+FLOW_DRIFT = 0.05  # of each component of the flow, as a fraction of its prior deviation
 
 
 class Prior(NamedTuple):
-    """What is known of N robots before a trial: means and standard deviations.
+    """The prior on N robots: means and standard deviations.
 
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] with relative deviations, dead time [s]; the
     mean heading bias and marker bias [rad] and flow [length unit/s] are 0. `position_noise`
-    [length unit] and `heading_noise` [rad] are of a measurement, 0 where not known. The helix has
+    [length unit] and `heading_noise` [rad] are of a measurement, 0 if not known. The helix has
     a frequency [Hz] and a radius [length unit], 0 for none.
     """
 
@@ -93,17 +93,16 @@ class Prior(NamedTuple):
 
 
 def _kernel() -> Any:
-    """Return the compiled filter: specs are checked without it."""
+    """Import and return the compiled filter, which checking a spec does not need."""
     from tetractl.control.kernels import filter as kernel
 
     return kernel
 
 
 class FilterBank:
-    """What is known of N robots during one trial.
+    """The estimate of N robots during one trial.
 
-    Robots that `drive_first`, in a square, are followed from when they have settled to the first
-    direction.
+    Robots that `drive_first`, in a square, are followed from when they follow the first direction.
     """
 
     def __init__(self, prior: Prior, drive_first: bool = False) -> None:
@@ -179,7 +178,7 @@ class FilterBank:
             self._bank.next[:] -= done
 
     def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Follow the robots to a frame, by way of those before it that are SPACING_S apart."""
+        """Follow the robots to a frame, through earlier frames at intervals of SPACING_S."""
         for frame in (*earlier, observation):
             least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
             if self._last is not None and frame.sampled_ns < self._last.sampled_ns + least:

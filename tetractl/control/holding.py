@@ -24,11 +24,12 @@ PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # of a rotation's first
 RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])  # of rotations [least a]
 SAMPLES, ROUNDS = 128, 6
 SPREAD, SHRINK = 0.6, 0.8  # rad, and from one round to the next
-ADDING = 0.4  # how much less sequences whose steps add up are spread
+ADDING = 0.4  # ratio of the spread of steps that add up to that of independent ones
 
 
 class CircleSearch(OptimizerSection):
-    """Finds the directions that keep robots within a radius of their targets for longest."""
+    """Finds the directions that keep robots within a radius of their targets for as long as
+    possible."""
 
     type: Literal["circle"] = "circle"
 
@@ -66,5 +67,5 @@ class CircleSearch(OptimizerSection):
 
 
 def signals_ahead(period: float) -> int:
-    """Return how many signals a plan of the hold has, of so many seconds each."""
+    """Return how many signals a plan of the hold has, each held for the given number of seconds."""
     return max(2, math.ceil(AHEAD_S / period))

@@ -16,20 +16,20 @@ from tetractl.core.protocols import Optimizer
 from tetractl.experiment.controller import OptimizerSection
 
 WORTHWHILE = 4
-"""How many times the least evaluations of a search each horizon of step 0 gets under a limit."""
-GROWTH = 1.2  # of one length to the next, where they are spread: on the way ...
+"""Under a limit, each horizon of step 0 gets this many times the least evaluations of a search."""
+GROWTH = 1.2  # ratio of one length to the next: after step 0 ...
 SPREAD = 1.3  # ... and at step 0
-FINE = 0.05  # share of a length to which the shortest one is looked for
-SIGNALS = 6  # that several robots take at least, each: two coordinates are to be met, by turns
+FINE = 0.05  # fraction of a length to which the shortest one is determined
+SIGNALS = 6  # signals per robot that several robots take at least: each has two coordinates
 THOROUGH, THOROUGH_GROWTH = 3, 1.4
-"""Lengths that are searched thoroughly at step 0 where none of the others is good enough, and the
+"""Lengths that are searched thoroughly at step 0 if none of the others is good enough, and the
 factor from one to the next."""
 Candidate = tuple[int, Floats | None]
 """A length to try, and the u_gb^0 to start from."""
 
 
 def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
-    """Yield each (length, u_gb^0): lines 2-4 at step 0, where `warm` is None, then lines 10-20."""
+    """Yield each (length, u_gb^0): lines 2-4 at step 0, if `warm` is None, then lines 10-20."""
     if warm is None:  # Part I
         for length in range(1, horizon_max + 1):
             yield length, None
@@ -43,7 +43,7 @@ def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
 
 
 def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> list[Candidate]:
-    """Thin the candidates out: evenly at step 0, and to the plan as it is (H) after it."""
+    """Reduce the candidates: evenly at step 0, later to the length of the plan (H)."""
     if warm is None:
         stride = math.ceil(len(found) / max(1, searches // WORTHWHILE))
         return found[::-stride][::-1]
@@ -56,7 +56,7 @@ def choose(searches: Sequence[Search], good_enough: float | None, count: int) ->
     """Return the index of the least cost, lines 5 and 23.
 
     Among costs that the optimiser counts as equally good, the length nearest to that of the plan
-    under way, `count` (H), is chosen; at step 0, where it is 0, the shortest.
+    under way, `count` (H), is chosen; at step 0, if it is 0, the shortest.
     """
     if good_enough is not None:
         good = [i for i, search in enumerate(searches) if search.cost <= good_enough]
@@ -66,8 +66,8 @@ def choose(searches: Sequence[Search], good_enough: float | None, count: int) ->
 
 
 def least_length(problem: Problem) -> int:
-    """Return the fewest signals to try: in which every robot could drive straight to its target,
-    and SIGNALS a robot.
+    """Return the fewest signals to try: enough for every robot to drive straight to its target,
+    and at least SIGNALS per robot.
     """
     gaps = problem.poses.distances(problem.targets)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -79,7 +79,7 @@ def least_length(problem: Problem) -> int:
 
 
 def always(_: Floats) -> bool:
-    """Return True: nothing is asked of signals but their cost."""
+    """Return True: the default accepts any signals."""
     return True
 
 
@@ -87,7 +87,7 @@ class Searcher:
     """Does the searches of one control step, within its limits, and keeps what they found.
 
     `evaluations` bounds the cost evaluations of the step, None for no bound; once `expired()` is
-    true, only a first search is still done. Only signals that are `safe` are good.
+    true, only the first search is done. Only signals that are `safe` are good.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class Searcher:
     def search(
         self, length: int, start: Floats | None, among: int = 1, thorough: bool = False
     ) -> Search | None:
-        """Search one length; None where that is beyond the limits.
+        """Search one length; None if that is beyond the limits.
 
         The evaluations left are shared equally `among` this search and those that are to follow.
         """
@@ -134,7 +134,7 @@ class Searcher:
     def search_all(self, wanted: list[Candidate], good_enough: float | None, count: int) -> None:
         """Search the candidates until the limits are reached.
 
-        Where the optimiser counts costs up to `good_enough` as equally good, they are searched in
+        If the optimiser counts costs up to `good_enough` as equally good, they are searched in
         the order in which `choose` prefers them by `count`, until one is that good: the others
         could not be chosen any more.
         """
@@ -146,9 +146,10 @@ class Searcher:
                 break
 
     def search_spread(self, least: int, most: int, good_enough: float) -> None:
-        """Search from `least` on, ever wider apart, until a cost is good enough; then between.
+        """Search from `least` on, at growing distances, until a cost is good enough; then between.
 
-        Between that length and the one before, halves are taken until FINE of it is left.
+        Between that length and the one before it goes on by bisection, down to a fraction FINE of
+        it.
         """
         length, failed = min(least, most), 0
         while True:

@@ -1,7 +1,7 @@
 """How far the plan keeps from obstacles and walls, and the robots from each other.
 
-A robot follows its plan but for what is not known of it. The margin is its radius, the spec's
-margin and, where it follows the uncertainty, how far off course the fastest robot may come,
+A robot follows its plan up to the uncertainty of its state. The margin is its radius, the spec's
+margin and, if it follows the uncertainty, how far off course the fastest robot may come,
 
     LOST v T + SIGMAS (v sigma_tau + v sigma_a/a tau + sigma_v tau),
 
@@ -9,11 +9,11 @@ with its speed v, the control period T, the dead time tau and the deviations sig
 identified: a command that gets lost costs a period, and what is uncertain acts for a dead time. Two
 robots keep their separation and twice that much.
 
-Where a robot or a target is nearer to an obstacle already, the margin is what room there is: no
+If a robot or a target is nearer to an obstacle already, the margin is what room there is: no
 plan could start or end inside a margin and keep it.
 
 Robots that hear nothing for a while go on in the direction held. Whether they keep clear then is
-asked of each signal of a plan.
+tested for each signal of a plan.
 """
 
 import math
@@ -29,11 +29,11 @@ from tetractl.core.problem import Problem
 from tetractl.core.setup import Bounds, Shape
 from tetractl.model.obstacles import Obstacles
 
-LOST = 0.75  # share of a period's way by which a lost command takes a robot off its course
+LOST = 0.75  # fraction of a period's path by which a lost command takes a robot off its course
 SIGMAS = 2.0
-ROOM = 0.98  # share of the room there is that a margin takes
+ROOM = 0.98  # fraction of the available distance that a margin takes
 BISECTIONS = 12
-SAMPLE_S = 0.15  # of the ways of robots that hear nothing
+SAMPLE_S = 0.15  # time step of the paths of robots that hear nothing
 
 
 def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estimate | None) -> float:
@@ -47,7 +47,7 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
 
 
 class Margins:
-    """The margins of a trial: `shapes` and, where given, the walls of an arena, and N targets."""
+    """The margins of a trial: `shapes` and, if given, the walls of an arena, and N targets."""
 
     def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
         self._bare = Obstacles.of(shapes, 0.0, walls)
@@ -56,7 +56,8 @@ class Margins:
         self._apart = self._least(targets[:, 0], targets[:, 1])
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
-        """Return the obstacles grown by the margin, or by what room the robots leave."""
+        """Return the obstacles grown by the margin, or by the robots' distances if these are
+        smaller."""
         x = np.concatenate([poses.x, self._targets[:, 0]])
         y = np.concatenate([poses.y, self._targets[:, 1]])
         return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare.shapes))
@@ -78,12 +79,14 @@ class Margins:
     ) -> bool:
         """Return whether robots keep clear if a signal, whichever, is held for so long [s].
 
-        path (L, N, 3) is where they are before each of the signals (L,). To be clear is to keep the
-        margin, or the room there is, and to be `apart` or as far as the problem's separation.
+        path (L, N, 3) is where they are before each of the signals (L,). Clear robots keep the
+        margin, or the distance that they start with, and a distance `apart` from each other, or the
+        problem's separation.
         """
         count, steps = len(signals), max(1, math.ceil(seconds / SAMPLE_S))
         bias = 0.0 if problem.bias is None else problem.bias
-        branches = replace(  # a robot for each signal and robot: each holds its own direction
+        # one virtual robot for each signal and robot: each holds its own direction
+        branches = replace(
             problem,
             poses=Poses.of(path.reshape(-1, 3)),
             targets=np.zeros((path[..., 0].size, 2)),
@@ -113,13 +116,14 @@ class Margins:
         return np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
 
     def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the separation to keep: what is wanted, or the room there is between robots."""
+        """Return the separation to keep: the one wanted, or the present distance of the robots if
+        that is smaller."""
         if not self._one.size or wanted <= 0:
             return 0.0
         return min(wanted, ROOM * min(self._least(poses.x, poses.y), self._apart))
 
     def _least(self, x: Floats, y: Floats) -> float:
-        """Return the least distance between two of N points, inf where there is but one."""
+        """Return the least distance between two of N points, inf if there is but one."""
         one, other = self._one, self._other
         return float(np.hypot(x[one] - x[other], y[one] - y[other]).min(initial=np.inf))
 

@@ -9,7 +9,7 @@ Where each line of Algorithm 2 is:
     9, 26   for k = 1 ... k_max                                           plan, by run.trial
     10      H = length of u_(warm)                                        lengths.candidates
     11, 22  for h = H - 1, H, H + 1                                       lengths.candidates,
-            H first where an optimiser tells whether that is good enough  Searcher.search_all
+            H first if an optimiser tells whether that is good enough  Searcher.search_all
     12      feedback of the robots, once a step                           plan, _problem
     13-15   break if the robots are close enough to their targets         plan
     16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
@@ -20,7 +20,7 @@ Beyond Algorithm 2, each by a field of its own: the plan's grid may be coarser t
 (`hold`), the state may be predicted over the dead time, the motion identified while the robots
 drive (`estimate`) and lost commands inferred with it, margins may follow the uncertainty
 (`collision.adaptive`), robots pause before an obstacle that no plan avoids
-(`stop_before_collision`), longer sequences be searched where no short one ends at the targets
+(`stop_before_collision`), longer sequences be searched if no short one ends at the targets
 (`accept_error`), the stop come between two steps (`stop_between`), an optimiser may count costs as
 equally good, the searches of a step may be limited, and robots may pass way-points (`robots.via`)
 and stay at their targets (`hold`).
@@ -78,7 +78,7 @@ NEXT = 2  # signals of the plan under way that are to be safe if robots hear not
 UNSURE = 2  # last signals of a plan that need not be
 KEPT = 0.2  # of their radius that robots then keep from what they could enter
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
-"""How a leg ends after which the next one begins."""
+"""Outcomes of a leg after which the next leg begins."""
 LATE = 2.0
 """Dead times that a stop may come late: it may be lost once."""
 
@@ -116,8 +116,8 @@ class Mpc:
         self.blocked = False  # whether the last plan touches an obstacle or its margin
         self.began = 0  # k at which a plan was made from standing
         self.stuck = False  # whether nothing could move safely from standing
-        self.unheard = False  # whether ever a command reached no robot: a stop may not, either
-        self.resume = 0  # length from which to go on where the time for longer ones was up
+        self.unheard = False  # whether a command ever reached no robot: then a stop may not, either
+        self.resume = 0  # length from which to go on if the time for longer ones was up
 
     def plan(
         self,
@@ -155,12 +155,13 @@ class Mpc:
         return len(self.legs) - (self.hold is None)
 
     def _begin_leg(self) -> None:
-        """Plan for the next way-points or targets of the robots left from where they are."""
+        """Plan for the next way-points or targets of the remaining robots from their present
+        poses."""
         self.left = self.estimator.left  # robots, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
         self.margins = Margins(self.setup.obstacles, walls, targets)
-        self.accept = self.section.accept_error  # total error accepted now
+        self.accept = self.section.accept_error  # total error accepted at present
         self.warm: Floats | None = None  # u_(warm), None before there is any
 
     def _stay(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
@@ -181,7 +182,7 @@ class Mpc:
         return decision if isinstance(decision, Plan) or self.stuck else self._pause(problem)
 
     def _circle(self, problem: Problem) -> Plan:
-        """Return the directions that keep robots near which cannot stand."""
+        """Return the directions that keep robots which cannot stand near their targets."""
         step_key, limits = mix(self.key, self.k), Limits(None, self._expired())
         length = signals_ahead(problem.period)
         found = self.circler.search(problem, length, self.warm, step_key, limits)
@@ -234,8 +235,8 @@ class Mpc:
         return plan
 
     def _pause(self, problem: Problem, found: Plan | None = None) -> Plan:
-        """Return the plan to stop all robots and to plan from standing next; `found` holds the
-        searches that found nothing better."""
+        """Return the plan that stops all robots, after which the next plan starts from standing
+        robots; `found` holds the searches that found nothing better."""
         step_key = mix(self.key, self.k)
         if found is None:
             found = make_plan(problem, [given_search(problem, np.zeros(1))], 0, step_key)
@@ -256,8 +257,8 @@ class Mpc:
         return self._with_margins(replace(known, first_period=first_period), self.estimator.known)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Grow obstacles and separation by how far off course robots of which so much is known may
-        come, where they are to; None for robots of which all is."""
+        """Grow obstacles and separation by how far off course the robots may come, given the
+        uncertainty of their motion, if the margin follows it; None if everything is known."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem
@@ -273,10 +274,10 @@ class Mpc:
     def _ended(
         self, problem: Problem, observation: Observation, gaps: Floats
     ) -> Outcome | End | None:
-        """Return how the trial ends now: with its sequence, or where stopping is as good as that,
+        """Return how the trial ends now: with its sequence, or if stopping is as good as that,
         or safer. `gaps` (N,) are the distances to the targets.
 
-        No search is done for it, so that a log tells all that the end depends on.
+        No search is done for it, so the log has all that the end depends on.
         """
         if self.warm is None:
             return None
@@ -296,7 +297,7 @@ class Mpc:
 
     def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
         """Return whether a robot enters an obstacle before the next stop could act, under a plan
-        or, where that is used up, the direction held."""
+        or, if that is used up, the direction held."""
         held = self.estimator.held_at_action(observation)
         ahead = np.full_like(held, warm[0]) if len(warm) else held
         seconds = self.section.period + LATE * self.estimator.dead_time_s
@@ -304,9 +305,9 @@ class Mpc:
         return self.margins.entered(problem.poses, x, y)
 
     def _decide(self, problem: Problem) -> Plan:
-        """Search every horizon that is a candidate now, longer ones where need be, and choose.
+        """Search every horizon that is a candidate now, longer ones if need be, and choose.
 
-        A limit of evaluations is shared equally. Where it is too small for all horizons of step 0,
+        A limit of evaluations is shared equally. If it is too small for all horizons of step 0,
         fewer are tried, evenly spread, each with WORTHWHILE times the least of a search.
         """
         section, step_key = self.section, mix(self.key, self.k)
@@ -357,7 +358,7 @@ class Mpc:
     def _detour(self, searcher: Searcher) -> None:
         """Search longer sequences until one is good enough, as far as horizon and steps allow.
 
-        What a control period has no time for, the next step goes on with.
+        The next step continues if the control period is too short.
         """
         assert self.warm is not None
         section = self.section

@@ -34,20 +34,20 @@ class Collision(Model):
     meet. It is tested at the predicted positions."""
     adaptive: bool = False
     """Whether the margin grows by how far off course a robot may come before the next command acts,
-    by what is known of it, and shrinks to the room there is where a robot or a target is within
-    it."""
+    given the uncertainty of its motion; around a robot or target that is within the margin, it
+    shrinks to the present distance."""
     stop_before_collision: bool = False
-    """Whether all robots pause where the best plan found touches an obstacle or its margin and a
+    """Whether all robots pause if the best plan found touches an obstacle or its margin and a
     robot is about to enter one, or no plan within `accept_error` keeps clear; from standing they
-    are planned for again, and the trial ends where nothing can move safely. For robots that can
+    are planned for again, and the trial ends if nothing can move safely. For robots that can
     stand still."""
     silence: NonNegative = 0.0
-    """Time for which robots may hear nothing and go on in the direction held [s]: plans are
-    preferred that keep clear at whatever signal that begins."""
+    """Time for which robots may receive nothing and go on in the direction held [s]: plans
+    are preferred that keep clear then, whenever it begins."""
 
 
 class PriorSection(Model):
-    """Standard deviations of what the spec says of the robots, before they are seen to move."""
+    """Standard deviations of the spec's values of the robots, before they move."""
 
     a: Positive = 0.2
     """Of each a, relative to it."""
@@ -56,17 +56,17 @@ class PriorSection(Model):
     dead_time: Positive = 0.1
     """Of the dead time [s]."""
     heading_bias: Positive = 0.05
-    """Of the angle between the direction sent and the one a robot turns towards [rad]."""
+    """Of the angle between the direction sent and the one per robot turns towards [rad]."""
     marker_bias: NonNegative = 0.05
     """Of the angle between the heading that the camera measures and the course [rad]."""
     flow: NonNegative = 0.0
     """Of each component of what carries a robot over the ground [length unit/s]."""
     position_noise: NonNegative = 0.0
-    """Of a measured position [length unit]; 0 where it is not known."""
+    """Of a measured position [length unit]; 0 if it is not known."""
     heading_noise: NonNegative = 0.0
-    """Of a measured heading [rad]; 0 where it is not known."""
+    """Of a measured heading [rad]; 0 if it is not known."""
     helix_frequency: NonNegative = 0.0
-    """Turns a second of cells that swim on a helix [Hz]."""
+    """Turns per second of cells that swim on a helix [Hz]."""
     helix_radius: NonNegative = 0.0
     """Of that helix [length unit]; 0 for none."""
 
@@ -90,7 +90,7 @@ class PriorSection(Model):
 
 
 class MpcFields(ControllerSection):
-    """What model predictive control is configured by."""
+    """The fields of model predictive control."""
 
     type: Literal["mpc"] = "mpc"
     hold: PositiveInt = 1
@@ -103,12 +103,12 @@ class MpcFields(ControllerSection):
     """Whether a, speed and heading bias of each robot and the dead time of all are identified while
     they drive, starting from the spec's values."""
     prior: PriorSection = PriorSection()
-    """How far those may be off."""
+    """The prior uncertainty of these values."""
     accept_error: NonNegative = 0.0
-    """Total error to accept [length unit]. Where no length H - 1, H, H + 1 ends within it, longer
-    sequences are searched, and the trial ends where stopping is within it and as good as any plan:
-    the less, the longer a trial takes. Each time the robots go round a tenth more is accepted. 0 is
-    Algorithm 2, which only ends with its sequence."""
+    """Total error to accept [length unit]. If no length H - 1, H, H + 1 ends within it, longer
+    sequences are searched, and the trial ends if stopping is within it and as good as any plan. A
+    smaller value makes trials longer. Each time the robots go round, a tenth more is accepted. 0 is
+    Algorithm 2, which ends only with its sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least
     error."""
@@ -116,15 +116,15 @@ class MpcFields(ControllerSection):
     """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
     horizon h = length - 1."""
     initial_lengths: Literal["all", "geometric"] = "all"
-    """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2, from the
-    shortest to the first that is good enough, where the optimiser decides that; or `geometric`,
+    """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2 (with an
+    optimiser that has a tolerance, up to the first length that is good enough); or `geometric`,
     with such an optimiser: at growing distances from the shortest that could reach the targets,
-    until one is good enough, and then by halves; where none is, three are searched for some seconds
-    each."""
+    until one is good enough, then by bisection; if none is, three lengths are searched for some
+    seconds each."""
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in (7) [length unit]."""
     collision: Collision = Collision()
-    """How the planner tells that a robot is inside an obstacle."""
+    """How the planner tests for obstacles."""
     evaluations_max: int | None = Field(default=None, ge=1)
     """Cost evaluations one control step may spend, shared equally by its horizons; then the best
     sequence so far is used. No limit by default."""

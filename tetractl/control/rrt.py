@@ -58,7 +58,7 @@ class RrtSection(ControllerSection):
         return {"nodes of a tree": f"at most {self.draws_max}"}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield several robots, and one that cannot move."""
+        """Report several robots, and a robot that cannot move."""
         if len(setup.names) > 1:
             message = f"steers one robot, and there are {len(setup.names)}; take mpc for several"
             yield ("type",), message
@@ -117,7 +117,7 @@ class Rrt:
         return make_plan(problem, [given_search(problem, signals)], 0, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:
-        """Return the direction of the next corner [rad]; where it is blocked, of a new path's.
+        """Return the direction of the next corner [rad]; if it is blocked, of a new path's.
 
         Inside an obstacle grown by the margin no path begins: the robot keeps to the one it has. A
         robot next to its target, nearer than it can turn to it, would circle it for ever: it goes
@@ -140,7 +140,8 @@ class Rrt:
     def _passing(
         self, problem: Problem, observation: Observation, signals: Floats, gap: float
     ) -> Outcome | End | None:
-        """Return the end of the trial at the moment when the robot passes its target, if now."""
+        """Return the stop at the moment when the robot passes its target, None if that is not
+        now."""
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:
             return None
@@ -164,7 +165,7 @@ def grow(
     """Grow a tree from `start` (2,) and return the corners (M, 2) of its path to `target` (2,).
 
     Each row of `draws` (D, SHARES), uniform in [0, 1), is one draw. `edge` is in the length unit.
-    None where no path was found.
+    None if no path was found.
     """
     nodes = np.empty((len(draws) + 1, 2))
     before = np.zeros(len(draws) + 1, dtype=np.int64)

@@ -22,7 +22,8 @@ class Progress:
         self.ended: StopReason | None = None
 
     def affords(self, evaluations: int) -> bool:
-        """Return whether the limits allow so many more evaluations now; if not, the search ends."""
+        """Return whether the limits allow this many more evaluations now; if not, the search
+        ends."""
         if self.ended is None and not self.limits.allow(self.evaluations + evaluations):
             self.ended = StopReason.EVALUATIONS
         if self.ended is None and self.limits.expired():
@@ -36,13 +37,13 @@ class Progress:
         self.keep(signals[:, leader], float(costs[leader]))
 
     def keep(self, signals: Floats, cost: float) -> None:
-        """Add an entry to the history; the sequence (length,) is kept if it is the best."""
+        """Add an entry to the history; keep the sequence (length,) if it is the best."""
         if cost < self.cost or not self.history:
             self.best, self.cost = signals.copy(), cost
         self.history.append(self.cost)
 
     def search(self) -> Search:
-        """Return what was found; a search that nothing else ended did all its iterations."""
+        """Return the result; a search that nothing else ended did all its iterations."""
         return Search(
             length=self.length,
             signals=self.best,

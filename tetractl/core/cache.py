@@ -1,7 +1,7 @@
 """The folder for compiled code, which only its user can write to, and names for its files.
 
 What is in the folder is executed: numba's files are pickles, and the firmware's cores are shared
-libraries. A folder that somebody else can write to, or whose parents somebody else can exchange,
+libraries. A folder that another user can write to, or whose parents another user can exchange,
 is therefore never read.
 """
 
@@ -28,8 +28,8 @@ _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 def cache_folder() -> Path:
     """Return the user's cache folder for tetractl, mode 0700.
 
-    Where it cannot be made, or others can write to it, it is a new folder that is removed at the
-    end of the process. OSError where that cannot be made either.
+    If it cannot be made, or others can write to it, it is a new folder that is removed at the
+    end of the process. OSError if that cannot be made either.
     """
     wanted, why = _wanted(), "the user has no home"
     if wanted is not None:
@@ -54,7 +54,8 @@ def _wanted() -> Path | None:
 
 
 def claim(folder: Path) -> str | None:
-    """Make a folder that only this user can write to; return why that is not so, None if it is."""
+    """Make a folder that only this user can write to; return why that failed, None if it did
+    not."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if why := exposed(folder):
@@ -68,7 +69,7 @@ def claim(folder: Path) -> str | None:
 
 
 def exposed(folder: Path) -> str | None:
-    """Return who else could put files into a folder, in a sentence; None if no other user can.
+    """Return a sentence on who else could put files into a folder; None if no other user can.
 
     The folder has to be the user's, and each parent the user's or root's; a parent that others can
     write to must be sticky, as the temporary folder is. A group of which the user is the only
@@ -103,7 +104,7 @@ def _alone_in(group: int) -> bool:
 
 
 def compiler_settings() -> str:
-    """Return the variables that tell numba how to compile, `NAME=value` each, or "none"."""
+    """Return numba's environment variables, `NAME=value` each, or "none"."""
     found = (f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
     kept = sorted(item for item in found if not item.startswith("NUMBA_CACHE_DIR="))
     return " ".join(kept) or "none"

@@ -1,4 +1,4 @@
-"""What a microscope's picture showed of cells, kept next to the poses that were found in it."""
+"""The film of cells: crops of a microscope's pictures, kept with the poses found in them."""
 
 from dataclasses import dataclass
 
@@ -14,13 +14,13 @@ Integers = NDArray[np.int64]
 class CellFilm:
     """One picture of a camera that follows cells, as a log keeps it.
 
-    `crops` (K, T, T) are cut out of the picture less its background, at which the search for
+    `crops` (K, T, T) are cut out of the picture minus its background, at which the search for
     contours begins, so that it can be repeated; the upper left pixel of each is at `corners`
     (K, 2), column and row. `blobs` (K, 6) is what was found in each: x, y [px], axis [rad], long,
     wide [px], strength [grey levels]. `robots` (K,) are their indices, -1 for a stranger; `merged`
     (K,) share their blob. `limits` (4,) are those of the search. `sure` (N,) is the probability
-    that each robot's cell is that cell, NaN where it is not seen. `whole` is the picture itself and
-    `background` what it is compared with, both now and then only.
+    that each robot's cell is that cell, NaN if it is not seen. `whole` is the picture itself and
+    `background` what it is compared with, both present in some frames only.
     """
 
     sampled_ns: int
@@ -36,7 +36,7 @@ class CellFilm:
 
 
 def cut(picture: Grey, column: int, row: int, side: int) -> NDArray[np.uint8]:
-    """Return a square of a picture by its upper left pixel, 0 where it reaches beyond."""
+    """Return a square of a picture by its upper left pixel, 0 if it reaches beyond."""
     found = np.zeros((side, side), np.uint8)
     left, top = max(column, 0), max(row, 0)
     part = picture[top : max(row + side, 0), left : max(column + side, 0)]

@@ -63,9 +63,10 @@ class MonotonicClock:
 
 
 def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
-    """Ask `done` every 2 ms of a clock until it is true; return whether it was within the timeout.
+    """Call `done` every 2 ms of a clock until it returns true; return whether it was within the
+    timeout.
 
-    In virtual time the wait lets what the clock drives go on, so that no test needs a thread.
+    In virtual time the wait advances what the clock drives, so that no test needs a thread.
     """
     end = clock.now() + round(timeout_s * SECOND)
     while not done():

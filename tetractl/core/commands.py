@@ -13,7 +13,7 @@ HALTS = "halts"
 class Sample:
     """One camera frame, and the true poses at its exposure in a simulation, else None.
 
-    `film` is what a camera that follows cells has of the picture.
+    `film` holds the picture's crops, for a camera that follows cells.
     """
 
     observation: Observation
@@ -25,7 +25,7 @@ class Sample:
 class Command:
     """One command as it was sent to N robots.
 
-    `direction` is the common direction u [rad], None for a stop and where the field is switched off
+    `direction` is the common direction u [rad], None for a stop and if the field is switched off
     (`field_off`): robots then go straight on. `sent_ns` is the time of sending on the trial's
     clock. `delivered` (N,) is False for a robot that the plant knows did not receive the command.
     `left`, `right` (N,) are the wheel speeds of (24)-(25) [length unit/s], None for robots without
@@ -47,7 +47,8 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A message for people at a time of the trial; `level` is "info", "warning" or "error"."""
+    """A message for the operator at a time of the trial; `level` is "info", "warning" or
+    "error"."""
 
     t_ns: int
     level: str
@@ -63,7 +64,7 @@ class Verdict:
     obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` names the robots
     that were not seen to stand after the stop, and how, "" for none. `edge` (N,) is the least
     distance of each robot to the edge of the arena, negative outside, and `apart` (N,) to another
-    robot, inf for one alone; both are empty in logs from before they were kept. All are of the
+    robot, inf for a single robot; both are empty in older logs. All are of the
     robots' centres.
     """
 
@@ -130,9 +131,9 @@ class RobotStatus:
 class Health:
     """The state of a device of the lab before a run.
 
-    `problems` keep a run from starting, `warnings` do not, and `questions` are for a person, where
-    there is one, to agree to; all are lines for people. `facts` go into the log's metadata.
-    `emulated` is True where the device says that it is not real: a trial with it is not one of a
+    `problems` keep a run from starting, `warnings` do not, and `questions` need the operator's
+    consent; all are lines of text. `facts` go into the log's metadata.
+    `emulated` is True if the device says that it is not real: a trial with it is not one of a
     lab, and every table and figure says so.
     """
 

@@ -18,7 +18,7 @@ class Exit(IntEnum):
 
 
 class TetractlError(Exception):
-    """Something the user can mend: one clear line, a hint, an exit code."""
+    """An error that the user can fix: one clear line, a hint, an exit code."""
 
     exit = Exit.FAILED
 

@@ -9,7 +9,7 @@ from tetractl.core.errors import LogError, UsageError
 def save_whole(path: Path, data: bytes) -> None:
     """Write a file whole or not at all.
 
-    Raises UsageError where its folder is missing, LogError where it cannot be written.
+    Raises UsageError if its folder is missing, LogError if it cannot be written.
     """
     part = path.with_name(path.name + ".part")
     try:

@@ -1,4 +1,4 @@
-"""What a controller decides: searches, the plan chosen among them, or the end of the trial."""
+"""A controller's decisions: searches, the plan chosen among them, or the end of the trial."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -32,7 +32,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """The end of a trial by a stop that is to be sent `delay_ns` after it was decided."""
+    """The end of a trial by a stop sent `delay_ns` after the decision."""
 
     outcome: Outcome
     delay_ns: int
@@ -50,7 +50,7 @@ class StopReason(StrEnum):
 
     @classmethod
     def read(cls, text: str) -> "StopReason | str":
-        """Return the reason that a log states; the text itself where it is none of these."""
+        """Return the reason that a log states; the text itself if it is none of these."""
         return next((reason for reason in cls if reason.value == text), text)
 
 
@@ -65,10 +65,9 @@ def never() -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What one search may spend.
-
+    """The limits of one search.
     `evaluations` bounds the cost evaluations, None for no bound. Once `expired()` is true, a search
-    returns the best sequence so far. With `thorough` it may take seconds, for the robots stand.
+    returns the best sequence so far. With `thorough` it may take seconds, since the robots stand.
     """
 
     evaluations: int | None = None
@@ -81,7 +80,7 @@ class Limits:
         return self.expired is not never
 
     def allow(self, evaluations: int) -> bool:
-        """Return whether a search may spend so many evaluations in all."""
+        """Return whether a search may spend this many evaluations in all."""
         return self.evaluations is None or evaluations <= self.evaluations
 
 
@@ -104,12 +103,12 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a controller estimates of N robots while they move, with standard deviations `_std`.
+    """A controller's estimates of N robots while they move, with standard deviations `_std`.
 
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values that the plan is made with.
     `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent, and
     `dead_time` [s] the time from the sending of a direction to the moment when it acts, shared by
-    all robots; both are None where they are not estimated.
+    all robots; both are None if they are not estimated.
     """
 
     a: Floats
@@ -122,7 +121,7 @@ class Estimate:
     dead_time_std: float | None = None
 
     def only(self, some: Bools) -> "Estimate":
-        """Return what is estimated of some of the robots, (N,) true for those."""
+        """Return the estimates of some of the robots, (N,) true for those."""
         a, speed = (self.a[some], self.a_std[some]), (self.speed[some], self.speed_std[some])
         bias, std = self.heading_bias, self.heading_bias_std
         kept = (
@@ -139,7 +138,7 @@ class Plan:
     cost = target_cost + obstacle_weight * obstacle_cost, (7). `path` holds the predicted poses
     (length + 1, N, 3), the observed ones first. `searches` are all horizons tried, in order;
     `chosen` indexes the best. `generator` is the key all random draws of this step came from.
-    `estimate` is what the plan was made with, None where the controller estimates nothing. With
+    `estimate` is what the plan was made with, None if the controller estimates nothing. With
     `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
     then not sent. With `pauses` all robots are stopped instead, and stand for PAUSE_S. `leg` counts
     the way-points passed; one more than all of them while the robots hold.
@@ -169,7 +168,7 @@ class Plan:
 
     @property
     def direction(self) -> float | None:
-        """The direction to be sent in this step [rad], None where none is sent."""
+        """The direction to be sent in this step [rad], None if none is sent."""
         return None if self.field_off or self.pauses else float(self.signals[0])
 
     @property

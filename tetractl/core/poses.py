@@ -16,7 +16,7 @@ class Pose:
     """One robot's planar pose: x, y in the spec's length unit, heading in rad from +x.
 
     `height` is that of the tracked body's origin above the floor [length unit], `tilt` the angle
-    between the body's own upward axis and the vertical [rad, 0 to pi]; each is None where the
+    between the body's own upward axis and the vertical [rad, 0 to pi]; each is None if the
     camera cannot measure it.
     """
 
@@ -65,11 +65,11 @@ def wrap(angles: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class CameraFrame:
-    """What a camera system saw of N robots at one instant, in the spec's coordinates.
+    """A camera system's poses of N robots at one instant, in the spec's coordinates.
 
-    `poses` has one entry a robot, None where a robot is not tracked. `sampled_ns` is the time of
+    `poses` has one entry per robot, None if a robot is not tracked. `sampled_ns` is the time of
     exposure and `received_ns` the time of arrival at the host, both on the run's clock. `strangers`
-    are tracked bodies that are no robot. `fault` says why the stream must not be trusted, "" where
+    are tracked bodies that are no robot. `fault` says why the stream must not be trusted, "" if
     it may be.
     """
 
@@ -87,7 +87,7 @@ class Observation:
 
     `sampled_ns` is the time of exposure and `received_ns` the time of arrival at the host, both on
     the trial's clock; `valid` (N,) tells which robots were tracked in that frame. A robot that was
-    not keeps its last pose.
+    not tracked keeps its last pose.
     """
 
     frame: int

@@ -33,7 +33,7 @@ class Region(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What one control step has to solve for N robots; lengths in the spec's unit.
+    """The problem of one control step for N robots; lengths in the spec's unit.
 
     targets (N, 2); a (N,) rad/s; speed (N,) length unit/s; `motion` names the model of the
     prediction. Signal j is held for `period` seconds, except the first, held for `first_period`.
@@ -42,7 +42,7 @@ class Problem:
     predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added to the
     direction that each robot turns towards, and `flow` (N, 2) [length unit/s] carries it; None for
     none. With `within` [length unit] the robots are to stay that near to their targets. A problem
-    is equal to itself alone, so that what is computed from it can be kept by it.
+    is equal to itself alone, so it can be the key of a cache.
     """
 
     poses: Poses
@@ -81,5 +81,5 @@ class Problem:
         return np.array([np.cos(bias), np.sin(bias), *flow])
 
     def seconds(self, length: int) -> float:
-        """Return how long a sequence of so many signals is held [s]."""
+        """Return how long a sequence of the given number of signals is held [s]."""
         return self.first_period + (length - 1) * self.period

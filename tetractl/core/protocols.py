@@ -1,4 +1,4 @@
-"""The seams: what a plant, a controller, an observer and the lab's devices must offer."""
+"""The protocols of plants, controllers, observers and the lab's devices."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ class Plant(Protocol):
     """
 
     def open(self) -> PlantInfo:
-        """Make ready; raise AbortError where the plant cannot run."""
+        """Make ready; raise AbortError if the plant cannot run."""
         ...
 
     def observe(self) -> Observation:
@@ -74,7 +74,7 @@ class Plant(Protocol):
 class Device(Protocol):
     """A device of the lab that is opened, checked and closed; a context manager.
 
-    Entering connects and raises AbortError where that cannot be; leaving releases everything, is
+    Entering connects and raises AbortError if that cannot be; leaving releases everything, is
     idempotent and never raises.
     """
 
@@ -89,7 +89,7 @@ class Device(Protocol):
     ) -> None: ...
 
     def check(self) -> Health:
-        """Return what is wrong and what is worth knowing; moves nothing.
+        """Return problems, warnings and facts; moves nothing.
 
         Called after the device was entered and before a run, perhaps many times.
         """
@@ -121,7 +121,7 @@ class Camera(Device, Protocol):
 class Actuator(Device, Protocol):
     """Turns the common direction into motion of N robots.
 
-    Sending raises AbortError where the device does not take it; `failure` says why from then on.
+    Sending raises AbortError if the device does not take it; from then on `failure` says why.
     Times are ns on the clock it was made with.
     """
 
@@ -154,14 +154,14 @@ class Actuator(Device, Protocol):
     ) -> Transmission:
         """Send the common direction u [rad] and return what was really sent.
 
-        `poses` are the newest of each robot, exposed at `exposed_ns`; None where a robot is not
-        tracked. Robots that may not be `moving` are held still where that is possible; an actuator
+        `poses` are the newest of each robot, exposed at `exposed_ns`; None if a robot is not
+        tracked. Robots that may not be `moving` are held still if that is possible; an actuator
         that is not `individual` is only steered while all may move.
         """
         ...
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; an emergency stop latches where the device can."""
+        """Stop every robot; an emergency stop latches if the device can."""
         ...
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
@@ -178,7 +178,7 @@ class Optimizer(Protocol):
         """Return the best sequence of `length` signals found, and how the search went.
 
         `warm` (length,) is a sequence to start from, None for none; it is not changed. `key` fixes
-        every random draw: the same arguments give the same bits. Raises ControlError where a cost
+        every random draw: the same arguments give the same bits. Raises ControlError if a cost
         is not finite.
         """
         ...
@@ -222,7 +222,7 @@ class Observer(Protocol):
         ...
 
     def on_note(self, note: Note) -> None:
-        """A message for people, such as a robot that does not move as commanded."""
+        """A message for the operator, such as a robot that does not move as commanded."""
         ...
 
     def on_stop(self, stop: Command, result: Result) -> None:
@@ -236,13 +236,13 @@ class PlacementPrompt(Protocol):
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
         """Show what keeps the robots from starting, one line each; none: all is ready.
 
-        Who lets the robots start answers yes to the `questions`, a line each. Called again and
+        Who lets the robots start answers yes to the `questions`, one line each. Called again and
         again while robots are placed.
         """
         ...
 
     def go(self) -> bool:
-        """Return whether the person lets the robots start."""
+        """Return whether the operator lets the robots start."""
         ...
 
 
@@ -251,8 +251,8 @@ class LabSupervision:
     """The people at a run in the lab.
 
     `emergency` set is the emergency stop. `prompt` None: no person is asked, and robots that are
-    not on their starts within the spec's `placing` time end the run. `cancelled` returns whether a
-    person wants to wait no longer.
+    not on their starts within the spec's `placing` time end the run. `cancelled` returns whether
+    the operator gave up waiting.
     """
 
     emergency: threading.Event = field(default_factory=threading.Event)

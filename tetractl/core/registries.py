@@ -1,4 +1,4 @@
-"""Every registry by name. A new kind is one file and one line here, or an entry point."""
+"""Every registry by name. A new kind takes one file and one line here, or an entry point."""
 
 from tetractl.core.registry import Registry
 
@@ -106,7 +106,7 @@ SPEC_REGISTRIES = (
     CAMERAS,
     ACTUATORS,
 )
-"""Of the kinds that a spec may name."""
+"""Registries of the kinds that a spec may name."""
 
 SWEEPS = Registry(
     "tetractl.sweeps",

@@ -19,7 +19,7 @@ class PluginError(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of a seam: its name in a spec, "module:attribute", and the package it is from.
+    """One kind of an interface: its name in a spec, "module:attribute", and the package it is from.
 
     `version` is that of the package; both are "" for a kind that is built in.
     """
@@ -34,12 +34,12 @@ class Kind:
 
 
 class Registry:
-    """The kinds of one seam by name, such as the optimisers.
+    """The kinds of one interface by name, such as the optimisers.
 
     `builtin` maps a name to "module:attribute", and `base` is the class, written alike, that every
-    kind is derived from; "" where kinds are no classes. Other packages add their own as entry
-    points of `group`; a name that is built in stays built in, and of two packages that offer the
-    same name the first in the alphabet counts. A module is imported when its kind is loaded.
+    kind is derived from; "" if kinds are no classes. Other packages add their own as entry
+    points of `group`; built-in names take precedence, and of two packages that offer the same name
+    the first in alphabetical order is used. A module is imported when its kind is loaded.
     """
 
     def __init__(self, group: str, what: str, builtin: Mapping[str, str], base: str = "") -> None:
@@ -54,7 +54,7 @@ class Registry:
         return tuple(map(self.kind, self.names()))
 
     def kind(self, name: str) -> Kind:
-        """Return the kind of a name; KeyError where there is none."""
+        """Return the kind of a name; KeyError if there is none."""
         if name in self.builtin:
             return Kind(name, self.builtin[name])
         point = self._installed[name]
@@ -64,9 +64,9 @@ class Registry:
         return name in self.builtin or name in self._installed
 
     def load(self, name: str) -> Any:
-        """Return what a name stands for.
+        """Return the object that a name stands for.
 
-        Raises KeyError where there is no such kind, and PluginError where another package offers it
+        Raises KeyError if there is no such kind, and PluginError if another package offers it
         but it cannot be imported or is not derived from `base`.
         """
         if name in self.builtin:
@@ -82,7 +82,7 @@ class Registry:
         return found
 
     def usable(self) -> dict[str, Any]:
-        """Return what the names stand for, without the kinds that raise PluginError."""
+        """Return the objects of the names, without the kinds that raise PluginError."""
         found: dict[str, Any] = {}
         for name in self.names():
             with suppress(PluginError):

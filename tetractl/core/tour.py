@@ -1,7 +1,7 @@
-"""What is asked of robots beyond their targets, and how it went: way-points, and a hold.
+"""Way-points and a hold, and how well the robots met them.
 
-All robots pass their way-points together: leg j ends where every robot is as near as can be to
-its j-th, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
+All robots pass their way-points together: leg j ends when the robots are nearest to their j-th
+way-points, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
 """
 
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ class TourMeasure:
     """How N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
 
     `step` is called with each control step's leg and observation, before the frames of it, which
-    `add` counts up to `until_ns`; the true poses count where they are known. A robot is lost by a
+    `add` counts up to `until_ns`; the true poses count if they are known. A robot is lost by a
     `loss` rule.
     """
 
@@ -38,7 +38,7 @@ class TourMeasure:
         self._losses = Losses(loss, legs.shape[1])
 
     def step(self, leg: int, observation: Observation) -> str:
-        """Take the leg that a control step is on; return what it begins, for people, or ""."""
+        """Note the leg of a control step; return the text that announces a new leg, else ""."""
         for past in self._legs[self._leg : min(leg, len(self._legs) - 1)]:
             self._passed.append(float(observation.poses.distances(past).sum()))
         begins, self._leg = leg > self._leg, leg

@@ -23,7 +23,7 @@ OWN_FILES = frozenset({"spec.yaml", "spec.resolved.yaml", "environment.json", "l
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What is known of a trial before its first step.
+    """The start of a trial.
 
     `resolved` is the spec as YAML with every field, defaults and `--set` applied; `spec_hash` is
     the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the packages
@@ -47,7 +47,7 @@ class Start:
 class Step:
     """One control step k: observation, plan and command.
 
-    `solve_ns` is the wall time of planning; `deadline_missed` is True where it exceeds the control
+    `solve_ns` is the wall time of planning; `deadline_missed` is True if it exceeds the control
     period. Both differ from run to run on the same seed.
     """
 
@@ -65,7 +65,7 @@ class Result:
 
     `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
     their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
-    from the opening of the plant where none was sent. `passed` (M,) are the sums of distances at
+    from the opening of the plant if none was sent. `passed` (M,) are the sums of distances at
     the way-points passed and `inside` (N,) the shares of time within the radius of a hold, as
     `TourMeasure` has them, and `lost` (N,) how often each was lost. `solve_ns` is the wall time
     the controller spent on each control step; it and `deadline_misses`, the steps that took longer
@@ -117,7 +117,7 @@ class Result:
 
     @property
     def summary(self) -> str:
-        """The result in words, which end the messages of a log."""
+        """The result in words: the last message of a log."""
         reason = f" ({self.reason})" if self.reason else ""
         return f"{self.outcome.value}{reason} after {self.steps} control steps"
 
@@ -128,7 +128,7 @@ class Result:
 
     @property
     def left_arena(self) -> bool:
-        """Whether the path of any robot left the arena, as far as the log tells."""
+        """Whether the path of any robot left the arena, as far as the log shows."""
         return any(edge < 0 for edge in self.verdict.edge)
 
 
@@ -139,10 +139,10 @@ class TrialRecords:
     Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad. `mocap`
     (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
     numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
-    where a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN where a
+    if a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN if a
     damaged log lost them, and None for a trial in the lab. `commands` are all commands: of the
     control steps, between them, and the stop; `notes` are the operator messages, such as a command
-    that did not arrive. `result` is None where the run crashed or the end of the log is lost.
+    that did not arrive. `result` is None if the run crashed or the end of the log is lost.
     """
 
     start: Start

@@ -15,12 +15,12 @@ def _nothing() -> float | None:
 class Worker:
     """A thread with a queue of at most `size` calls.
 
-    A call for which there is no place within `wait_s` fails, and so do `drain` and `close` where
-    the thread does not finish within `patience_s`; the error is `too_slow`. The first failure, of
+    A call fails if the queue stays full for `wait_s`, `drain` and `close` if the thread does
+    not finish within `patience_s`; the error is `too_slow`. The first failure, of
     these or of a call itself, is `failure`. The next `put`, `drain` or `check` raises it, once; of
     the calls after it none is done. After each call, and whenever the time it returned has passed,
     the thread calls `idle`, which returns the time until it wants to be called again [s], None for
-    after the next call. With `batch_s` the thread lets calls collect for so long: where the
+    after the next call. With `batch_s` the thread lets calls collect for so long: if the
     other thread computes, taking turns at every call costs more than the calls do.
     """
 
@@ -77,7 +77,7 @@ class Worker:
             raise self.failure
 
     def close(self, last: Callable[[], object] = _nothing) -> None:
-        """Do what waits and then `last`, whatever failed before, and end the thread.
+        """Do the calls in the queue and then `last`, whatever failed before, and end the thread.
 
         Raises nothing: see `failure`, or call `check`. A second call does nothing. After a stall
         the thread is not waited for.

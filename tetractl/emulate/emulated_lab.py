@@ -16,7 +16,7 @@ from tetractl.experiment.lab_section import LabSection
 
 TICK_NS = 2_000_000  # how often robots are checked
 FLUSH_NS = 200_000_000
-CARRY_NS = 500_000_000  # how long a robot is in the helper's hands
+CARRY_NS = 500_000_000  # how long carrying a robot takes
 
 Report = Callable[[str, Facts], None]
 
@@ -39,7 +39,7 @@ class Record:
             self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
 
     def flush(self) -> None:
-        """Hand over to the system what was added."""
+        """Flush the file."""
         if self._file is not None:
             self._file.flush()
 
@@ -165,7 +165,7 @@ class EmulatedLab:
         self._report("fault", facts)
 
     def _tick(self) -> None:
-        """Let the actuator's side go on, and look who moves."""
+        """Advance the actuator's side, and note which robots move."""
         now = self.timeline.now_ns
         self.actuator.tick()
         if self.actuator.driven and not self._ran:
@@ -230,7 +230,7 @@ class EmulatedLab:
 
 
 def _check_names(script: Script, setup: Setup) -> None:
-    """Raise SpecError where a script names a robot that the spec has not."""
+    """Raise SpecError if a script names a robot that the spec has not."""
     own = script.emulation
     lists = [own.robots, *(getattr(side, "robots", ()) for side in (own.camera, own.actuator))]
     names = [robot.name for robots in lists for robot in robots]

@@ -1,4 +1,4 @@
-"""Faults of a script: makes them happen, takes them back, and notes when each became visible.
+"""Faults of a script: triggers them, undoes them, and notes when each became visible.
 
 A fault is visible when its first effect leaves on a wire: with the first frame exposed under it,
 with the first frame sent under it, or at once. Which faults a device can have is a table next to
@@ -33,7 +33,7 @@ class Fault(Model):
     """A scripted fault; `fault` adds the fields of a kind."""
 
     visible: ClassVar[Visible]
-    begin: ClassVar[Callable[..., Undo]]  # of a device: makes it happen, returns what ends it
+    begin: ClassVar[Callable[..., Undo]]  # of a device: triggers the fault, returns its undo
     fault: Any  # the name of its kind, as a Literal
     at: NonNegative = 0.0
     """When, after `since` [s]."""
@@ -41,7 +41,7 @@ class Fault(Model):
     """`start` of the emulation, the first `client` of the cameras, or the first command of a `run`
     that moves a robot."""
     duration: Positive | None = Field(default=None, alias="for")
-    """How long [s]; for good by default."""
+    """How long [s]; for the rest of the run by default."""
 
     def names(self) -> Iterator[str]:
         """Yield the robots it names."""
@@ -64,9 +64,8 @@ def setting(target: object, **values: object) -> Undo:
 
 
 def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
-    """Return what begins a fault by setting attributes of `target(device, fault)`.
-
-    A value that can be called is called with the fault.
+    """Return a function that starts a fault by setting attributes of `target(device,
+    fault)`. A callable value is called with the fault.
     """
 
     def begin(fault: Fault, device: Any) -> Undo:
@@ -77,8 +76,8 @@ def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
 
 
 def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True) -> Begin:
-    """Return what begins a fault by a call of `act(device, fault)` with `on`, and ends it with the
-    opposite."""
+    """Return a function that starts a fault by calling `act(device, fault)` with `on`, and ends it
+    with the opposite."""
 
     def begin(fault: Fault, device: Any) -> Undo:
         switch = act(device, fault)
@@ -136,7 +135,8 @@ class Injector:
     _since: set[str] = field(default_factory=set)
 
     def happened(self, what: str) -> None:
-        """Plan the faults that count from `what`: start, client or run. Only the first counts."""
+        """Schedule the faults that are timed from `what`: start, client or run. Only the first such
+        event counts."""
         if what in self._since:
             return
         self._since.add(what)

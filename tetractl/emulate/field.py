@@ -51,7 +51,7 @@ class CurrentDriver:
         self.currents: Pair = (0.0, 0.0)
         self.supply_mv, self.temperature_dc = 12_000, 250
         self.powered, self.mute = True, False
-        self.garbled = 0  # chunks that came at another speed than the driver's
+        self.garbled = 0  # chunks sent at another speed than the driver's
         self._timeline, self._limits, self._baud = timeline, limits, baud
         self._tell, self._splitter = tell, Splitter()
         self._keep = math.exp(-STEP_NS / SECOND / lag_s)
@@ -61,7 +61,7 @@ class CurrentDriver:
 
     @property
     def status(self) -> DriverStatus:
-        """What the driver says of itself now."""
+        """The driver's present reply."""
         return self._core.status(self._now_ms) if self.powered else DriverStatus.SILENT
 
     @property
@@ -70,7 +70,7 @@ class CurrentDriver:
         return DriverStatus.RUNNING in self.status
 
     def readable(self) -> None:
-        """Read what was written to the port; the driver has it after its time on the line."""
+        """Read what was written to the port; the driver receives it after the transmission time."""
         data = self.port.read()
         if not data:
             return
@@ -136,13 +136,13 @@ class CurrentDriver:
 class FieldSettings(Model):
     """How driver and cells differ from what the spec says.
 
-    `cells` and `strangers` are there where the spec leaves it to the trial to choose its cells.
+    `cells` and `strangers` are there if the spec leaves it to the trial to choose its cells.
     """
 
     heading_noise: NonNegative = 0.05
     """Random walk of every cell's heading [rad/sqrt(s)]."""
     cells: int = Field(default=6, ge=1, le=60)
-    """How many cells with a magnet the dish has, each drawn as a culture has them."""
+    """How many cells with a magnet the dish has, each drawn at random."""
     strangers: int = Field(default=2, ge=0, le=60)
     """How many without one."""
     supply_mv: int = Field(default=12_000, ge=0, le=60_000)
@@ -271,6 +271,6 @@ class EmulatedField(PluggedDevice):
 
 
 def _limits(section: FieldSection) -> DriverLimits:
-    """Return limits that are built into a driver which suits the spec."""
+    """Return the built-in limits of a driver that suits the spec."""
     milliamperes, slew = round(1000 * section.current_max_a), round(1000 * section.slew_max_a_s)
     return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

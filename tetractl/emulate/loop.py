@@ -1,4 +1,4 @@
-"""One thread for everything: events in the order of their times, and files that can be read."""
+"""An event loop in one thread: events in the order of their times, and readable files."""
 
 import heapq
 import select
@@ -35,7 +35,7 @@ class Timeline:
         return self._events[0][0] if self._events else None
 
     def run_to(self, until_ns: int) -> None:
-        """Let everything up to `until_ns` happen, each at its own time."""
+        """Run all events up to `until_ns`, each at its own time."""
         while self._events and self._events[0][0] <= until_ns:
             when, _, act = heapq.heappop(self._events)
             self._move(when)
@@ -86,7 +86,7 @@ class Loop:
             self.turn()
 
     def turn(self) -> None:
-        """Let what is due happen, then wait for the next event or for something to read."""
+        """Run what is due, then wait for the next event or for data."""
         now = self.now()
         due = self.timeline.next_ns
         if due is not None and now > due:

@@ -25,9 +25,9 @@ class EmulatedNetworkCamera:
     `draw(exposed_ns)` returns the picture of an exposure on `clock`. Picture k is exposed
     k / `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or
     as soon as it is drawn; a host too busy to draw all misses some. `mangle` changes the bytes of a
-    part before they are sent; `frozen` stops exposures while it is set; of `every` so many pictures
-    one is sent. One that `drips` sends its answer's header byte by byte, without an end.
-    TetractlError where the port is taken.
+    part before they are sent; `frozen` stops exposures while it is set; one of `every` pictures is
+    sent. A camera that `drips` sends its answer's header byte by byte, without an end.
+    TetractlError if the port is taken.
     """
 
     def __init__(

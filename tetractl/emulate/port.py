@@ -55,7 +55,7 @@ class PseudoPort:
         self._far = -1  # kept open, so that our end lives on while the port is not open
 
     def plug(self) -> None:
-        """Make the port and its name; UsageError where the name cannot be had."""
+        """Make the port and its name; UsageError if the name cannot be had."""
         self.fd, self._far = os.openpty()
         try:
             tty.setraw(self._far)
@@ -76,7 +76,7 @@ class PseudoPort:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 
     def baud(self) -> int:
-        """Return the bits a second that the other side has set; 0 for a speed not known here."""
+        """Return the bits per second that the other side has set; 0 for a speed not known here."""
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:

@@ -38,7 +38,7 @@ def _actuator_settings(value: Any, info: ValidationInfo) -> Model:
 
 
 class Placed(Model):
-    """Where a robot truly stands at first, where that is not its start."""
+    """Where a robot truly stands at first, if that is not its start."""
 
     name: Name
     """Name of a robot of the spec."""
@@ -60,7 +60,7 @@ class Emulation(Model):
 
 
 class Runner(Model):
-    """What a test does to the run that drives the lab."""
+    """A test's actions on the run."""
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings that both sides get."""
@@ -77,14 +77,14 @@ class Runner(Model):
 
 
 class Expect(Model):
-    """What is expected, machine-readable: the end-to-end test reads it."""
+    """The expected result, which the end-to-end test checks."""
 
     outcome: Literal["done", "aborted", "refused", "interrupted", "killed"]
-    """How the run ends; `refused` is before any wheel turns."""
+    """How the run ends; `refused` means before any wheel turns."""
     exit: int
     """The runner's exit code; less than 0 for the signal that killed it."""
     says: str = ""
-    """A regular expression for what the runner says, in its output or its log."""
+    """A regular expression for the run's output or log."""
     tolerance: NonNegative | None = None
     """The fault's own tolerance [s]; the stop leaves within 0.1 s more."""
     robots: tuple[Name, ...] = ()
@@ -101,7 +101,7 @@ class Script(Model):
     """A script, as read from YAML."""
 
     about: str = Field(min_length=1, max_length=500)
-    """What it is for, one or two sentences."""
+    """Its purpose, in one or two sentences."""
     row: str = Field(default="", max_length=200)
     """The kind of fault it stands for."""
     emulation: Emulation = Emulation()
@@ -109,9 +109,9 @@ class Script(Model):
     faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
         default=(), max_length=100
     )
-    """What goes wrong, and when."""
+    """The faults and their times."""
     runner: Runner = Runner()
-    """What a test does to the run that drives the lab."""
+    """A test's actions on the run."""
     expect: Expect | None = None
     """What a test expects."""
 
@@ -128,7 +128,7 @@ class Sides:
 
     @classmethod
     def of(cls, camera: str, actuator: str) -> Self:
-        """Return the classes for a lab's types; SpecError where one cannot be emulated."""
+        """Return the classes for a lab's types; SpecError if one cannot be emulated."""
         for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
             if name not in registry:
                 known = ", ".join(registry.names())

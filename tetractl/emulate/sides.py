@@ -1,4 +1,4 @@
-"""What an emulated lab is made of: bodies that an actuator's side moves and a camera's side sees.
+"""The parts of an emulated lab: bodies that an actuator's side moves and a camera's side shows.
 
 A further camera or actuator is emulated by a class like these and a line at the end.
 """
@@ -19,9 +19,9 @@ Facts = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Where the emulation is to be found. Port 0 takes any; None what the spec says.
+    """Addresses of the emulation. Port 0 takes any free one; None that of the spec.
 
-    `record` is a file for what truly happens. `replace_after` [s]: robots that have stood still
+    `record` is a file for the true events. `replace_after` [s]: robots that have stood still
     that long after a run are switched off and on and put back on their starts. `chosen`: the spec
     leaves it to the trial to choose its robots, so the dish has cells of its own.
     """
@@ -38,10 +38,10 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What both sides share; `setup` and `lab` are the spec's.
+    """Shared by both sides; `setup` and `lab` are the spec's.
 
     `note(event, **facts)` adds to the record. A camera's side calls `exposed(exposure, frame)` at
-    each exposure, `sent(exposure)` after its frame has left or, where none is sent, would have,
+    each exposure, `sent(exposure)` after its frame has left or, if none is sent, would have,
     and `client(address)` for each new client.
     """
 
@@ -70,7 +70,7 @@ class Body(Protocol):
 
     @property
     def standing(self) -> bool:
-        """Whether it is at rest, as near as can be seen."""
+        """Whether it is at rest, as far as can be seen."""
         ...
 
     def place(self, x: float, y: float, heading: float) -> None:
@@ -109,7 +109,7 @@ class EmulatedActuator(EmulatedSide, Protocol):
 
     @property
     def bodies(self) -> Sequence[Body]:
-        """The robots, where they truly are."""
+        """The robots at their true poses."""
         ...
 
     @property
@@ -119,11 +119,11 @@ class EmulatedActuator(EmulatedSide, Protocol):
 
     @property
     def truth(self) -> Mapping[str, Any]:
-        """What truly happens now, for the record of each exposure."""
+        """The true state at present, for the record of each exposure."""
         ...
 
     def switch(self, on: bool) -> None:
-        """Switch off what is driven, as while robots are carried, or on, which restarts it."""
+        """Switch the robots off, as while they are carried, or on, which restarts them."""
         ...
 
     def advance(self, until_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""What the emulated cameras with an MJPEG stream share: a stream of pictures, and its faults."""
+"""Shared by the emulated cameras with an MJPEG stream: pictures, and their faults."""
 
 import random
 from abc import ABC, abstractmethod
@@ -30,7 +30,7 @@ KEPT = 200
 
 
 class StreamSettings(Model):
-    """What an emulated camera is like; `latency` is what the spec says."""
+    """Properties of an emulated camera; `latency` is the spec's by default."""
 
     width: int = Field(default=640, ge=64, le=8192)
     """Columns of a picture [px]."""

@@ -1,4 +1,4 @@
-"""What every part of a spec shares: strict models and constrained numbers."""
+"""Base classes of all parts of a spec: strict models and constrained numbers."""
 
 from typing import Annotated
 
@@ -22,12 +22,12 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
-"""Of a published result: up to a thousand kilometres in mm, so that its square is a number too."""
+"""Limit for a published result, a thousand kilometres in mm, so that its square is finite."""
 Fraction = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]*$")]
 
 
 def inconsistent(field: str, message: str) -> PydanticCustomError:
-    """Return the error a model validator raises to put the blame on one field of its model."""
+    """Return the error by which a model validator reports one field of its model."""
     return PydanticCustomError("inconsistent", "{message}", {"field": field, "message": message})

@@ -26,7 +26,7 @@ class Ring(Model):
     """Its radius [length unit]."""
 
     def points(self, count: int) -> tuple[tuple[float, float], ...]:
-        """Return so many targets."""
+        """Return the given number of targets."""
         angles = 2 * np.pi * np.arange(count) / count
         x, y = self.center
         return tuple(
@@ -45,11 +45,9 @@ class WantedCell(Model):
 
 
 class Choice(Model):
-    """Robots that the trial finds: those that are there, where they are.
-
-    In the lab the field turns for `seconds`, which shows how each cell answers; of the cells then
-    known, those are taken whose a differ most, or those that are `wanted`. In a simulation they are
-    drawn as a culture has them.
+    """Robots that the trial finds at their present poses. In the lab the field turns for `seconds`,
+    which shows how each cell answers; of these cells, those whose a differ most are taken, or those
+    that are `wanted`. In a simulation they are drawn at random.
     """
 
     choose: int = Field(ge=1, le=20)
@@ -58,17 +56,18 @@ class Choice(Model):
     """Where they are to go [x, y], at least as many as robots: each is given one, so that the
     squares of the straight paths add up to the least."""
     ring: Ring | None = None
-    """The same as a shape, in place of `targets`."""
+    """Targets on a circle, in place of `targets`."""
     a: Positive
-    """Turning rate of a usual one [rad/s]."""
+    """Typical turning rate [rad/s]."""
     speed: Positive
-    """Speed of a usual one [length unit/s]."""
+    """Typical speed [length unit/s]."""
     wanted: tuple[WantedCell, ...] = Field(default=(), max_length=20)
     """The cells that a survey proposed, as many as robots."""
     seconds: Positive = Field(default=8.0, le=600)
     """How long the field is turned before the choice [s]."""
     turn: Positive = Field(default=3.2, le=60)
-    """How long one turn of the field takes then [s]; cells of a below 2 pi / turn lag behind."""
+    """How long one turn of the field takes then [s]; cells with an a below 2 pi / turn lag
+    behind."""
 
     found: bool = False
     """Whether the spec's robots are those that a trial found; written by the trial in its log."""
@@ -112,7 +111,7 @@ class OrChoice:
 
 @dataclass(frozen=True, slots=True)
 class FoundCell:
-    """A cell that is there: its number, its pose in the spec's unit, and how it answers the field.
+    """A cell of the dish: its number, its pose in the spec's unit, and how it answers the field.
 
     `a` [rad/s] is known with a deviation `a_sd`, `speed` [length unit/s] with `speed_sd`. One that
     was near the arena's edge is not `free`: a wall may have turned it.
@@ -134,8 +133,8 @@ class FoundCell:
 
 @dataclass(frozen=True, slots=True)
 class FoundRobots:
-    """What a plant found to choose from: `build(numbers, setup)` goes on with some of the cells,
-    `close()` gives up."""
+    """The cells that a plant found: `build(numbers, setup)` returns a plant of some of them,
+    `close()` releases the devices."""
 
     cells: Sequence[FoundCell]
     build: Callable[[Sequence[int], Setup], Plant]
@@ -145,8 +144,8 @@ class FoundRobots:
 def dealt(starts: Floats, targets: Floats) -> list[int]:
     """Return which of the targets (M, 2) each start (N, 2) gets, N <= M.
 
-    The squares of the straight paths add up to the least, which leaves the robots the least to do
-    that is not common to all.
+    The sum of the squared straight paths is least, which minimises the motion that is not common
+    to all robots.
     """
     from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed
 

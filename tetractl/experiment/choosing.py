@@ -1,4 +1,4 @@
-"""Which of the cells that are there are the robots of a trial."""
+"""Chooses the cells of a dish that are the robots of a trial."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -13,14 +13,14 @@ from tetractl.experiment.experiment import Experiment, Robot
 
 UNLIKE = 0.4  # a difference of the logarithms of a beyond which more brings nothing
 NEAR_WALL = 0.5  # s of swimming: nearer to the arena's edge a cell is not taken if another can be
-MISSED = 0.3  # a logarithm: so different a and speed are those of another cell
+MISSED = 0.3  # difference of the logarithms above which a and speed are those of another cell
 MOST = 14  # cells among which all choices are compared; of more, those with the greatest a
 
 
 def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[FoundCell]:
     """Return the cells that a trial takes, the one that turns fastest first.
 
-    AbortError where there are too few, or other ones than those wanted.
+    AbortError if there are too few, or a wanted one is missing.
     """
     choice = experiment.chosen
     assert choice is not None, "only a spec that leaves its robots open chooses"
@@ -72,19 +72,21 @@ def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
     assert experiment.chosen is not None, "only a spec that leaves its robots open chooses"
     found = experiment.chosen.model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": found})
-    vars(copied).pop("setup", None)  # that of the stand-ins
+    vars(copied).pop("setup", None)  # a of the stand-ins
     return copied
 
 
 def unlikeness(a: Floats, a_sd: Floats) -> float:
-    """Return the least difference of the logarithms of a, less what it may be off; inf for one."""
+    """Return the least difference of the logarithms of a, minus its uncertainty; inf for one
+    cell."""
     order = np.argsort(a)
     logs, off = np.log(a[order]), a_sd[order] / a[order]
     return float(np.min(np.diff(logs) - np.hypot(off[1:], off[:-1]), initial=np.inf))
 
 
 def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
-    """Return what is compared: off the walls, of unlike a, and turning fast."""
+    """Return the criteria by which choices are compared: away from walls, different a, fast
+    turning."""
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])

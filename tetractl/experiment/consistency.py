@@ -1,4 +1,4 @@
-"""What the parts of a spec must be to each other."""
+"""Checks that the parts of a spec fit together."""
 
 from collections.abc import Iterator, Mapping
 
@@ -12,15 +12,14 @@ from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
 MEMORY_MAX = 1_000_000_000
-"""What a control step may hold [bytes]."""
+"""Largest memory of a control step [bytes]."""
 
 
 def contradictions(
     arena: Arena | None, robots: Mapping[int, Robot], obstacles: Mapping[int, ShapeSection]
 ) -> Iterator[tuple[Loc, str]]:
     """Yield where the parts contradict each other, and how.
-
-    The parts are those that are valid by themselves, by their index in the spec.
+    Only parts that are valid by themselves are given, by their index in the spec.
     """
     places: list[tuple[int, Loc, Point]] = [
         (i, loc, point)

@@ -1,4 +1,4 @@
-"""What every controller's and every optimiser's section of a spec has.
+"""Base classes of the sections of controllers and optimisers.
 
 The sections themselves are in the files of what they configure, and named in
 `tetractl.core.registries`.
@@ -65,7 +65,7 @@ class OptimizerSection(Model):
 
     @property
     def good_enough(self) -> float | None:
-        """Cost J up to which sequences count as equally good, None where less is always better."""
+        """Cost J up to which sequences count as equally good, None if less is always better."""
         return None
 
     @abstractmethod
@@ -90,14 +90,14 @@ def same(optimizer: Optimizer) -> Optimizer:
 
 
 class ControllerSection(Model):
-    """A controller and its parameters, with what the rest of the system needs of each."""
+    """A controller and its parameters, and the methods that the rest of tetractl needs."""
 
     type: Any  # each section's own name, as a Literal
     period: float = Field(default=0.2, ge=1e-3, allow_inf_nan=False)
     """Control period T [s] (the paper's experiment: 5 Hz)."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """From measurement to actuation, as the controller assumes it [s]: it plans from where the
-    robots will be by then under the directions already sent."""
+    """Time from measurement to actuation that the controller assumes [s]: it plans from where
+    the robots will be by then under the directions already sent."""
     steps_max: int = Field(default=100, ge=1, le=1_000_000)
     """Largest number of control steps k_max."""
     arrival_tolerance: NonNegative = 0.0
@@ -117,7 +117,7 @@ class ControllerSection(Model):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of iterations of one search, 0 where the controller does not search."""
+        """Largest number of iterations of one search, 0 if the controller does not search."""
         return 0
 
     def arrived(self, gaps: Floats) -> bool:
@@ -125,7 +125,7 @@ class ControllerSection(Model):
         return self.arrival_tolerance > 0 and bool((gaps <= self.arrival_tolerance).all())
 
     def bounds(self) -> dict[str, str]:
-        """Return what else bounds a trial, as a name and words for people."""
+        """Return further bounds of a trial for display, {name: text}."""
         return {}
 
     def numbers_held(self, setup: Setup) -> int:
@@ -133,7 +133,7 @@ class ControllerSection(Model):
         return 0
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where the section contradicts the experiment, and how; places are within it."""
+        """Yield where the section contradicts the experiment, and how; locations are within it."""
         yield from ()
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""What every disturbance of a simulation has; each is one file, named in `core.registries`."""
+"""Base classes of disturbances; each kind is one file, named in `core.registries`."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -17,11 +17,11 @@ from tetractl.experiment.base import Model
 class DelayedCommand:
     """A command on its way to N robots: sent at `sent_ns`, it acts from `due_ns` on.
 
-    `direction` is u [rad], None for a stop and where it switches the `field_off`. `reached` (N,)
+    `direction` is u [rad], None for a stop and if it switches the `field_off`. `reached` (N,)
     are the robots that receive it, on which it acts `late_ns` (N,) later still, None for all at
     once. `headings` (N,) are those that the host had measured when it sent the command [rad];
     `wheels` (2, N) are the left and right wheel speeds that the command makes [length unit/s], None
-    where robots are sent the direction itself.
+    if robots are sent the direction itself.
     """
 
     sent_ns: int
@@ -65,9 +65,9 @@ class Disturbance:
         return 0.0
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
-        """Return what becomes of a command or of one of the repeated stops.
+        """Return a command, or one of the repeated stops, as it will be received.
 
-        Where it would act on a robot before one that was sent earlier, it acts together with that.
+        If it would act on a robot before one that was sent earlier, it acts together with that.
         """
         return command
 
@@ -87,7 +87,7 @@ class Disturbance:
         return poses, valid
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return when a frame exposed at `exposed_ns` reaches the host [ns]; None where it is lost.
+        """Return when a frame exposed at `exposed_ns` reaches the host [ns]; None if it is lost.
 
         `received_ns` is the time after the disturbances before this one. Frames arrive in order:
         one that would overtake another arrives together with that.

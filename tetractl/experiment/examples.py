@@ -30,7 +30,7 @@ def example_names() -> list[str]:
 def example_files(name: str) -> dict[str, str]:
     """Return an example and the files that it names: path in their folder, and text.
 
-    Raises UsageError where there is no such example.
+    Raises UsageError if there is no such example.
     """
     known, folder = example_names(), shipped_folder()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")

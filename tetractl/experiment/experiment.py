@@ -73,8 +73,8 @@ class Robot(Model):
     target: Point
     """Target position [x, y]."""
     via: tuple[Point, ...] = Field(default=(), max_length=100)
-    """Way-points [x, y] on the way to the target, in order; all robots pass theirs together, so
-    that each has as many."""
+    """Way-points [x, y] before the target, in order; all robots pass theirs together, so each has
+    the same number."""
     a: Positive
     """Turning rate a towards the common direction [rad/s], (3)."""
     speed: NonNegative
@@ -103,7 +103,7 @@ class HoldSection(Model):
 
 
 class Trials(Model):
-    """How often the experiment is repeated, and the seed all randomness comes from."""
+    """How often the experiment is repeated, and the seed of all random numbers."""
 
     count: int = Field(default=20, ge=1, le=1_000_000)
     """Number of trials."""
@@ -148,7 +148,7 @@ class Experiment(Model):
     """Name of the experiment, which log folders are called after: letters without accents
     (a to z, A to Z), digits, dots, underscores and hyphens, starting with a letter or digit."""
     description: str = ""
-    """One or two sentences for people."""
+    """Description in one or two sentences."""
     units: Units = Units()
     """Units of all numbers."""
     arena: Arena
@@ -159,32 +159,32 @@ class Experiment(Model):
     """The robots, all steered by the one direction u; or a mapping with `choose`, by which each
     trial finds them."""
     chosen: Choice | None = None
-    """What `robots` says where it is a mapping; written so in a spec that was resolved. Its robots
-    are stand-ins, until a trial has found its own."""
+    """The mapping that `robots` may be; a resolved spec has it here. Its robots are stand-ins until
+    a trial has found its own."""
     assign: Literal["given", "free"] = "given"
-    """`free` where any robot may go to any target: targets are then dealt out so that the squares
-    of the straight paths add up to the least, which leaves the robots the least to do that is not
-    common to all. The resolved spec has the targets as dealt out, `given`."""
+    """`free` if any robot may go to any target: targets are then assigned so that the sum of the
+    squared straight paths is least, which minimises the motion that is not common to all robots.
+    The resolved spec has the targets as assigned, and `given`."""
     hold: HoldSection | None = None
     """Whether the robots are to stay at their targets; the share of time inside is measured."""
     on_lost: Literal["stop", "drop", "replace"] = "stop"
-    """What happens where a robot is not tracked for `lab.limits.untracked_abort`, or where a cell
+    """What happens if a robot is not tracked for `lab.limits.untracked_abort`, or where a cell
     is about to leave the arena, has divided, or is not known any more: the trial ends, goes on
-    without it, or with the free cell most like it. A robot that was dropped counts with its
+    without it, or with the most similar free cell. A robot that was dropped counts with its
     distance from where it was seen last."""
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Where no robot may go."""
     wheels: Wheels | None = None
-    """Wheel geometry; given, the log holds the wheel speeds of (24)-(25) of every command."""
+    """Wheel geometry; with it the log holds the wheel speeds of (24)-(25) of every command."""
     controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
     """What chooses the direction."""
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
-    """What the direction steers; a simulation where no `type` is given."""
+    """What the direction steers; a simulation if no `type` is given."""
     lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
     """File of `tetractl identify`, relative to the spec: its a and speed of each robot and its dead
-    time take the places of the spec's own."""
+    time replace the spec's own."""
     trials: Trials = Trials()
     """How often the experiment is repeated."""
     error_bound: Positive | None = None
@@ -197,7 +197,7 @@ class Experiment(Model):
 
     @model_validator(mode="after")
     def _with_assigned_targets(self) -> Self:
-        """Deal the targets out, once: what is resolved is `given`."""
+        """Assign the targets once: a resolved spec has `given`."""
         if isinstance(self.robots, Choice):
             object.__setattr__(self, "chosen", self.robots)  # frozen, but not in use yet
             object.__setattr__(self, "robots", _stand_ins(self.robots, self.arena))
@@ -276,7 +276,7 @@ class Experiment(Model):
 
 
 def _stand_ins(choice: Choice, arena: Arena) -> tuple[Robot, ...]:
-    """Return robots in the arena's middle, for as long as those of a trial are not known."""
+    """Return stand-in robots in the arena's middle, until those of a trial are known."""
     middle = arena.left + arena.width / 2, arena.bottom + arena.height / 2
     return tuple(
         Robot(

@@ -1,4 +1,4 @@
-"""The file that `tetractl identify` writes, and what a spec that names it has from it."""
+"""The file that `tetractl identify` writes, and the values that a spec takes from it."""
 
 from pathlib import Path
 from typing import Any
@@ -27,9 +27,9 @@ class IdentifiedRobot(Model):
     """One robot; lengths in the file's unit."""
 
     a: IdentifiedValue
-    """Turning rate [rad/s]; takes the place of the spec's."""
+    """Turning rate [rad/s]; replaces the spec's."""
     speed: IdentifiedValue
-    """Speed [length unit/s]; takes the place of the spec's."""
+    """Speed [length unit/s]; replaces the spec's."""
     heading_bias: IdentifiedValue
     """Angle between the direction sent and the one the robot turns to [rad]."""
     position_noise: IdentifiedValue
@@ -41,12 +41,12 @@ class IdentifiedRobot(Model):
 
 
 class Identified(Model):
-    """What was identified of robots and commands."""
+    """The identified values of robots and commands."""
 
     identified: str = Field(max_length=100)
     """When."""
     origin: str = Field(max_length=1000)
-    """What the robots were, such as `disturbed simulation`, `emulated lab` or `lab`."""
+    """The plant of the logs, such as `disturbed simulation`, `emulated lab` or `lab`."""
     sources: tuple[str, ...] = ()
     """The logs."""
     unit: str
@@ -84,10 +84,10 @@ def read_identified(path: Path) -> tuple[Identified, str]:
 
 
 def merge(document: Document, found: Identified, origin: str) -> None:
-    """Put what was identified in the places of a spec's own values; problems join the document's.
+    """Replace a spec's values by the identified ones; problems are added to the document's.
 
     Each robot's a and speed and the controller's dead time are replaced, the latter counted as the
-    controller counts it: from the sending of a command where it identifies while driving
+    controller counts it: from the sending of a command if it identifies while driving
     (`estimate`), else from the exposure of the frame.
     """
     data = document.data

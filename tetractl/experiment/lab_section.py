@@ -29,10 +29,10 @@ STOP_GAP_NS = SECOND // 50  # ten stops over 200 ms
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What a calibration found: values that take the places of those in the lab's sections.
+    """The result of a calibration: values that replace those in the lab's sections.
 
     `camera` and `actuator` are parts of those sections; entries of lists are found by their `name`.
-    `lines` say the same in words for people.
+    `lines` say the same in words.
     """
 
     camera: Mapping[str, Any] = field(default_factory=dict)
@@ -41,7 +41,7 @@ class Measured:
 
 
 class RobotPart(Model):
-    """What one robot is to a device of the lab."""
+    """A robot's entry in the section of a device of the lab."""
 
     name: Name
     """Name of a robot of the spec."""
@@ -51,20 +51,20 @@ class DeviceSection(Model):
     """A device of the lab and its parameters."""
 
     device: ClassVar[str] = ""
-    """The class of the device, as "module:class": imported where one is built."""
+    """The class of the device, as "module:class": imported if one is built."""
     type: Any  # each section's own name, as a Literal
     settles: ClassVar[bool] = False
-    """Whether a trial can find its robots with it: the device has a `settle`."""
+    """Whether trials that choose their robots can use the device: it has a method `settle`."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield where the section contradicts the experiment or itself, and how.
 
-        Places are within the section. A section with `robots` passes them through `mismatches`.
+        Places are within the section. A section with `robots` checks them by `mismatches`.
         """
         yield from ()
 
     def bounds(self) -> dict[str, str]:
-        """Return where the device is and what bounds it, as names and words for people."""
+        """Return the device's address and limits for display, {name: text}."""
         return {}
 
 
@@ -74,13 +74,13 @@ class CameraSection(DeviceSection):
     def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
         """Return the camera of the setup's robots, in their order; nothing is opened.
 
-        `wake` is called after each frame. AbortError where the camera's software is not installed.
+        `wake` is called after each frame. AbortError if the camera's software is not installed.
         """
         return imported(self.device)(self, setup, clock, wake)
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return scale and rotation by two places of the picture, column and row [px], that are so
-        far from each other along the spec's x axis [um]; UsageError where they mean nothing."""
+        """Return scale and rotation from two points of the picture, column and row [px], and their
+        distance along the spec's x axis [um]; UsageError if they are too near."""
         raise UsageError(f"a camera of type {self.type} is not calibrated by a micrometer")
 
     def heading_offset(self, name: str) -> float:
@@ -92,17 +92,16 @@ class ActuatorSection(DeviceSection):
     """An actuator and its parameters."""
 
     calibration: ClassVar[str] = ""
-    """A function that does what `calibrate` says, as "module:function"; "" where there is none."""
+    """A function that does what `calibrate` says, as "module:function"; "" if there is none."""
 
     def build(self, setup: Setup, clock: Clock) -> Actuator:
         """Return the actuator of the setup's robots, in their order; nothing is opened."""
         return imported(self.device)(self, setup, clock)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in reach, for good where the actuator can; needs nothing but its port.
-
-        Not `alone`, while a run has the port too, where the actuator can. Returns what was done,
-        in words for people; AbortError where nothing can be sent.
+        """Stop every robot in reach, latched if the actuator can; needs only its port. If not
+        `alone`, a run has the port too. Returns what was done,
+        in words; AbortError if nothing can be sent.
         """
         clock = MonotonicClock()
         with self.build(setup, clock) as actuator:
@@ -139,48 +138,48 @@ class LabLimits(Model):
     stream_lost: Positive = 0.5
     """The run aborts when no new frame came for this long [s]."""
     untracked_stop: Positive = 0.05
-    """A robot stops when it was not tracked for this long [s]; where the actuator cannot hold one
+    """A robot stops when it was not tracked for this long [s]; if the actuator cannot hold one
     robot alone, it is steered on."""
     untracked_abort: Positive = 0.3
     """The run aborts when a robot was not tracked for this long [s]."""
     identity: Positive = 3.0
-    """The run aborts when, after cells have met, it was not known for this long which of them is a
-    robot [s]; only where the camera tells."""
+    """The run aborts when, after cells have met, it was unknown for this long which of them is a
+    robot [s]; only with cameras that report it."""
     jump_mm: NonNegative = 30.0
     """A pose is rejected that is further from any of the last second than twice the robot's
     speed allows, plus this [mm]."""
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
-    """A body whose height above the floor is not between these two is taken to be off its robot
-    [mm]; the camera system's own zero is the floor. Only where the camera reports heights."""
+    """A body whose height above the floor is not between these two is rejected, as taken off its
+    robot [mm]; the camera system's own zero is the floor. Only if the camera reports heights."""
     tilt: Positive = 0.5
-    """So is a body whose upward axis is turned by more than this from the vertical [rad]."""
+    """A body whose upward axis is tilted by more than this from the vertical is rejected [rad]."""
     damaged_frames: int = Field(default=20, ge=1, le=100_000)
     """The run aborts on more damaged camera frames than this within a second."""
     edge_mm: NonNegative = 0.0
     """Robots stay this far inside the arena [mm]."""
     separation_mm: NonNegative = 110.0
-    """Least distance between the centres of two robots [mm]; 0 does not look."""
+    """Least distance between the centres of two robots [mm]; 0 disables the test."""
     reaction: NonNegative = 0.15
-    """From seeing an edge, or another robot, to standing still [s]: how far ahead the guard
-    looks."""
+    """Time from detecting an edge or another robot to standing still [s], over which the guard
+    predicts."""
     wheel_error: Annotated[float, Field(ge=0, le=1)] = 0.12
-    """How far each wheel may be from the speed commanded, as a share of it: a robot that moves
+    """Largest error of a wheel's speed, as a fraction of the speed commanded: a robot that moves
     otherwise ends the run."""
     late_steps: int = Field(default=5, ge=1, le=100_000)
     """The run aborts after this many control steps in a row that missed their deadline."""
     latency: Positive = 0.1
     """A run does not start when frames are older than this on arrival [s]."""
     start_mm: Positive = 50.0
-    """How near its start a robot must stand [mm]."""
+    """Largest distance from its start at which a robot may stand [mm]."""
     start_heading: Positive = 0.3
-    """How near its start heading a robot must stand [rad]."""
+    """Largest difference from its start heading [rad]."""
     placing: NonNegative = 0.0
     """How long to wait for robots to be put on their starts [s]; with a terminal, as long as it
     takes."""
     standstill: Positive = 2.0
     """How long robots may take to be seen standing still after a stop [s]."""
     standstill_mm: Positive = 10.0
-    """Slower than this is standing still [mm/s]."""
+    """Speed below which a robot stands still [mm/s]."""
 
     @model_validator(mode="after")
     def _heights_in_order(self) -> Self:
@@ -200,8 +199,8 @@ class LabSection(PlantSection):
     limits: LabLimits = LabLimits()
     """What ends a run, and what it waits for."""
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
-    """A file written by `tetractl lab calibrate`, relative to the spec; its values take the places
-    of those in `camera` and `actuator`."""
+    """A file written by `tetractl lab calibrate`, relative to the spec; its values replace those in
+    `camera` and `actuator`."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the contradictions of both devices."""

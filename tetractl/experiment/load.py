@@ -26,7 +26,7 @@ from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 from tetractl.experiment.yaml.upgrade import upgrade
 
 Attached = tuple[tuple[str, str], ...]
-"""Names and texts of the files that a spec draws on: they go into the log with it."""
+"""Names and texts of the files that a spec names, which the log stores with it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class LoadedSpec:
     name: str  # file name, without its folder
     path: Path | None = None
     attached: Attached = ()
-    notices: tuple[str, ...] = ()  # lines for people on names that have changed
+    notices: tuple[str, ...] = ()  # lines of text on names that have changed
 
     @cached_property
     def resolved(self) -> str:
@@ -57,7 +57,7 @@ class LoadedSpec:
 def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
     """Read and check a spec file, with `path=value` settings that replace values of it.
 
-    Raises InvalidSpecError, one line a problem: `file:line:column: field: value: what is wrong;
+    Raises InvalidSpecError, one line per problem: `file:line:column: field: value: what is wrong;
     what would be right`.
     """
     text = read_text(path)
@@ -88,7 +88,7 @@ def spec_hash(experiment: Experiment) -> str:
 
 
 def arm_hash(experiment: Experiment) -> str:
-    """Return the hash of an experiment but for its number of trials, which changes no trial."""
+    """Return the hash of an experiment except for its number of trials, which changes no trial."""
     trials = experiment.trials.model_copy(update={"count": 1})
     return spec_hash(experiment.model_copy(update={"trials": trials}))
 
@@ -112,7 +112,7 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
 
 
 def attach(attached: Attached, path: Path, text: str) -> Attached:
-    """Return the files attached with one more; SpecError where a log has another of that name."""
+    """Return the files attached with one more; SpecError if a log has another of that name."""
     name = printable(path.name)
     if name in OWN_FILES or name in dict(attached):
         raise SpecError(
@@ -125,10 +125,10 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
 def document_of(
     text: str, origin: str, sets: Sequence[str], identified: tuple[Identified, str] | None = None
 ) -> Document:
-    """Return the data of a spec with `sets` applied, names of today, and the place of each value.
+    """Return the data of a spec with `sets` applied, present names, and the location of each value.
 
-    Values that were `identified`, of a file by its name, take the places of the text's own before
-    that. What is wrong is among its problems; InvalidSpecError where nothing can be made of the
+    Values that were `identified`, of a file by its name, replace the text's own before
+    that. Errors are among its problems; InvalidSpecError if nothing can be made of the
     text.
     """
     document = parse_document(text, origin)
@@ -143,7 +143,8 @@ def document_of(
 def _experiment(
     text: str, origin: str, sets: Sequence[str], folder: Path | None
 ) -> tuple[Experiment, tuple[str, ...], Attached]:
-    """Return the experiment, what names have changed, and the files in `folder` it draws on."""
+    """Return the experiment, notices of renamed keys, and the files in `folder` that the spec
+    names."""
     document = document_of(text, origin, sets)
     if "base" in document.data and "robots" not in document.data:
         hint = f"run it with: tetractl study {origin}"

@@ -1,4 +1,4 @@
-"""The plant's part of a spec: what stands behind the controller."""
+"""The plant's part of a spec: the simulation or the lab that is controlled."""
 
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -55,7 +55,7 @@ class PlantSection(Model):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Return the robots that are there for a trial to choose from; `setup` is of stand-ins."""
+        """Return the robots that a trial may choose from; `setup` is that of stand-ins."""
         raise UsageError(f"a plant of type {self.type} has no robots to choose from")
 
     @property
@@ -64,7 +64,7 @@ class PlantSection(Model):
         return False
 
     def bounds(self) -> dict[str, str]:
-        """Return what bounds a trial on this plant, as a name and words for people."""
+        """Return the bounds of a trial on this plant for display, {name: text}."""
         return {}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:

@@ -1,4 +1,4 @@
-"""Which plant an experiment is run on, and what a calibration changes in its lab."""
+"""Selects the plant of an experiment, and applies the calibration to its lab."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,20 +26,20 @@ DEVICES = ("camera", "actuator")
 
 
 class Calibration(Model):
-    """What `tetractl lab calibrate` found: parts of the lab's sections."""
+    """The result of `tetractl lab calibrate`: parts of the lab's sections."""
 
     measured: str = Field(max_length=100)
     """When it was measured."""
     camera: dict[str, Any] = Field(default={})
-    """Values that take the places of those in `lab.camera`."""
+    """Values that replace those in `lab.camera`."""
     actuator: dict[str, Any] = Field(default={})
-    """Values that take the places of those in `lab.actuator`."""
+    """Values that replace those in `lab.actuator`."""
 
 
 def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     """Return the spec with `plant` being what is really run: `kind`, or what the spec says.
 
-    The lab's calibration file is read here and its values take their places in the spec; its text
+    The lab's calibration file is read here and its values are put into the spec; its text
     goes with the spec into the log. A `lab` section that is not used stays for another run.
     """
     experiment = loaded.experiment
@@ -62,7 +62,7 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:
-    """Return the lab of an experiment; SpecError where it has none."""
+    """Return the lab of an experiment; SpecError if it has none."""
     lab = experiment.lab if experiment.plant.simulated else experiment.plant
     if not isinstance(lab, LabSection):
         raise SpecError(
@@ -101,7 +101,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
 
 
 def _calibration(text: str, origin: str) -> Document:
-    """Parse a calibration; of a file that is none, whatever it holds, no line is shown."""
+    """Parse a calibration; errors never show lines of a file that is none."""
     try:
         document = parse_document(text, origin)
     except InvalidSpecError:

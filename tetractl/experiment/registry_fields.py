@@ -21,7 +21,7 @@ class KindSection:
     `Annotated[Base, KindSection(REGISTRY)]` accepts an instance of Base, or a mapping whose `type`
     is a name in the registry; `default` is the type of a mapping without one. Each class of the
     registry is a `Model` with its own name as the `Literal` of its `type`; those not derived from
-    Base cannot be chosen here. A class is imported when it is first chosen; PluginError where
+    Base cannot be chosen here. A class is imported when it is first chosen; PluginError if
     another package offers one that cannot be used.
     """
 

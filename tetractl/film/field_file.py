@@ -17,9 +17,8 @@ TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
 
 @dataclass(frozen=True, slots=True)
 class FieldRecord:
-    """What field there was: from each of `times` (T,) [s] on, parts `x`, `y` (T,) of the reference.
-
-    Before the first there was none.
+    """The field: from each of `times` (T,) [s] on its components `x`, `y` (T,), relative to the
+    reference; none before the first.
     """
 
     times: Floats

@@ -143,7 +143,7 @@ _COLORS = tuple(_colors())
 
 
 def _draw(picture: np.ndarray, cell: SeenCell, um_px: float, trail: list[tuple[int, int]]) -> None:
-    """Draw a cell: outline of its body (dashed to a point where it has none), heading, number."""
+    """Draw a cell: outline of its body (dashed to a point if it has none), heading, number."""
     cv2 = opencv()
     color = _COLORS[cell.identity % len(_COLORS)]
     column, row = _pixel(cell, um_px, picture.shape[0])

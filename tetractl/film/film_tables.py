@@ -1,4 +1,4 @@
-"""What a film tells, as tables."""
+"""The results of a film, as tables."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ def interval(decimals: int, value: Estimated | None) -> str:
 
 
 def cell_table(followed: Followed, cells: Sequence[CellSummary]) -> Table:
-    """Return one row a cell for a reader."""
+    """Return one row per cell for a reader."""
     known = any(cell.a is not None for cell in cells)
     columns = [
         Column("cell", [cell.cell for cell in cells]),
@@ -40,7 +40,7 @@ def cell_table(followed: Followed, cells: Sequence[CellSummary]) -> Table:
 
 
 def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
-    """Return what a reader should know of a film, a line each."""
+    """Return notes on a film, one line each."""
     width, height = followed.size
     look = "bright on dark" if followed.bright else "dark on bright"
     found = [
@@ -58,7 +58,7 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     for pair, probability in followed.doubtful:
         names = ", ".join(map(str, pair))
         found.append(
-            f"warning: cells {names} met and are too alike to say who is who afterwards: "
+            f"warning: cells {names} met and are too alike to say which cell is which afterwards: "
             f"{100 * probability:.0f} % for the answer taken"
         )
     if any(cell.speed is None for cell in cells):
@@ -67,7 +67,7 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
 
 
 def summary_table(cells: Sequence[CellSummary]) -> Table:
-    """Return one row a cell, as data."""
+    """Return one row per cell, as data."""
 
     def ends(name: str, key: str, unit: str) -> list[Column]:
         values = [getattr(cell, name) for cell in cells]
@@ -95,7 +95,7 @@ def summary_table(cells: Sequence[CellSummary]) -> Table:
 
 
 def pose_table(followed: Followed) -> Table:
-    """Return one row a cell and picture, as data; `tetractl identify` reads it, too."""
+    """Return one row per cell and picture, as data; `tetractl identify` reads it, too."""
     rows = [
         (
             t,

@@ -33,16 +33,16 @@ SETTLED_S = 1.0  # after which a cell's helix is known
 SHORTEST_S = 2.0  # of a path that is fitted
 WALKS = (0.02, 0.035, 0.05, 0.07, 0.1, 0.15, 0.25)  # rad/sqrt(s)
 EXACTNESS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.5)  # of blobs, times what is usual
-UNSTEADY = (1.0, 3.0, 8.0, 20.0)  # um/s in a second's root
-STRAY = (0.5, 2.0, 6.0)  # um in a second's root: places, and with them the helix
+UNSTEADY = (1.0, 3.0, 8.0, 20.0)  # um/s per sqrt(s)
+STRAY = (0.5, 2.0, 6.0)  # um per sqrt(s): places, and with them the helix
 ROUNDS = 2
 CONSTANT = [RATE, A, BIAS]
-WIDE_A = 0.3  # a share of a, and rad/s: what is left open of it when the filter runs again
+WIDE_A = 0.3  # relative a, and rad/s: prior deviations when the filter runs again
 
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
-    """A value and the half of its 95 % interval; None where nothing tells it."""
+    """A value and half the width of its 95 % interval; None if unknown."""
 
     value: float
     half: float
@@ -60,9 +60,9 @@ class Estimated:
 
 @dataclass(frozen=True, slots=True)
 class CellSummary:
-    """What a film tells of one cell.
+    """The results for one cell.
 
-    `path_um` is the length of its way, along the helix's axis; `sway_rad` the amplitude of its body
+    `path_um` is the length of its path along the helix's axis; `sway_rad` the amplitude of its body
     about that, `helix_hz` and `helix_um` the helix. `a` and `bias` are None without a known field,
     `magnetised` whether the interval of `a` is above 0.
     """
@@ -84,7 +84,7 @@ class CellSummary:
 
 @dataclass(frozen=True, slots=True)
 class TrackNoise:
-    """The likeliest noise of each of N cells (N,); units are those of the lists above."""
+    """The most likely noise of each of N cells (N,); units are those of the lists above."""
 
     walk: Floats
     exactness: Floats
@@ -114,7 +114,7 @@ def summarise(
     followed: Followed,
     field: FieldRecord | None,
 ) -> tuple[tuple[CellSummary, ...], TrackNoise]:
-    """Return what a film tells of each cell, and the noise found."""
+    """Return the results for each cell, and the noise found."""
     pieces = no_field if field is None else field.pieces
     long = [path for path in followed.paths if path.times[-1] - path.times[0] >= SHORTEST_S]
     fits: dict[int, tuple[Floats, Floats]] = {}
@@ -134,7 +134,8 @@ def summarise(
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """What blobs say of N cells in K pictures: values and deviations (K, N, 3), NaN where nothing.
+    """Measurements of N cells in K pictures by their blobs: values and deviations (K, N, 3), NaN if
+    nothing.
 
     `starts` (N, 5) are first pictures and x, y, heading and speed there. `pieces` (K,) are the
     field since the picture before.
@@ -158,7 +159,7 @@ class _Measured:
         for i, path in enumerate(paths):
             at = np.searchsorted(times, path.times)
             for k, cell in zip(at, path.seen, strict=True):
-                if cell.measured is not None and cell.measured[3] < 5:  # whole, and by itself
+                if cell.measured is not None and cell.measured[3] < 5:  # whole, and on its own
                     values[k, i], deviations[k, i] = cell.measured[:3], cell.measured[3:]
             own = np.flatnonzero(np.isfinite(values[:, i, 0]))[:START]
             if len(own) < START:
@@ -182,7 +183,7 @@ class _Measured:
         """Return the last means (N, 12), covariances (N, 12, 12), and log-likelihoods (N,).
 
         The filter is linear `about` means (N, 12) of what does not change; without them it has to
-        find these first, and errs a little more.
+        find these first, with a slightly larger error.
         """
         count = self.values.shape[1]
         bank, growth = HelixFilter(known), noise.growth
@@ -218,7 +219,7 @@ def _last(values: Floats) -> int:
 
 
 def _likeliest(table: _Measured, known: bool) -> TrackNoise:
-    """Return the noise by which what was seen of each cell is likeliest, one kind after another."""
+    """Return the most likely noise of each cell, fitted one kind after another."""
     count = table.values.shape[1]
     best = TrackNoise.usual(count)
     for _ in range(ROUNDS):
@@ -243,7 +244,7 @@ def _summary(path: CellPath, fit: tuple[Floats, Floats] | None, known: bool) -> 
     axes = np.array([cell.axis - cell.heading for cell in path.seen])[settled]
     sway = math.sqrt(2) * float(np.std((axes + math.pi / 2) % math.pi)) if len(axes) else math.nan
     helix = np.hypot(means[settled, C], means[settled, S])
-    if len(means[settled]):  # the way of the axis, not of the body that goes round it
+    if len(means[settled]):  # the path of the axis, not of the body that circles it
         way = float(np.nanmean(means[settled, SPEED]) * (path.times[-1] - path.times[0]))
     speed = a = bias = None
     if fit is not None and np.isfinite(fit[0]).all():

@@ -1,4 +1,4 @@
-"""Cells through a whole film: who is who is decided with what comes later, too."""
+"""Tracks cells through a whole film; identities are decided with later pictures too."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
 @dataclass(frozen=True, slots=True)
 class CellPath:
-    """One cell through a film: `times` (K,) [s], `frames` (K,), and what was seen of it there."""
+    """One cell through a film: `times` (K,) [s], `frames` (K,), and its state in each."""
 
     identity: int
     times: Floats
@@ -41,8 +41,8 @@ class CellPath:
 class Followed:
     """The cells of a film. `pictures` were read and `damaged` could not be.
 
-    `doubtful` are pairs of cells that could not be distinguished after they met, and how
-    probable the answer is that was taken.
+    `doubtful` are pairs of cells that could not be distinguished after they met, with the
+    probability of the assignment chosen.
     """
 
     paths: tuple[CellPath, ...]
@@ -70,7 +70,7 @@ def follow(
     field: FieldRecord | None,
     on_picture: Callable[[int], None] = lambda number: None,
 ) -> Followed:
-    """Follow the cells of a film; TetractlError where no picture can be read.
+    """Follow the cells of a film; TetractlError if no picture can be read.
 
     Without a scale `um_px` it is guessed from the lengths of what moves.
     """
@@ -136,7 +136,7 @@ def _sample(film: FilmPictures) -> list[Grey]:
 
 
 def _guessed_scale(sample: Sequence[Grey], film: FilmPictures) -> float:
-    """Return um a pixel by which what moves is as long as cells are, in the median."""
+    """Return the scale [um/px] at which moving objects have the median length of cells."""
     finder = BlobFinder(30.0, 0.02 * sample[0].size)
     finder.learn(sample)
     blobs: list[Blob] = [blob for picture in sample for blob in finder.find(picture)]
@@ -156,7 +156,7 @@ def _fill_back(
     identity: int,
     path: Floats,
 ) -> None:
-    """Add the pictures by which a new cell was recognised."""
+    """Add the pictures from which a new cell was recognised."""
     way = path[-1, 1:3] - path[0, 1:3]
     for seconds, x, y, axis in path[:-1].tolist():
         at = int(np.searchsorted(frames, round(seconds * rate_hz)))
@@ -185,7 +185,7 @@ def _fill_back(
 def _paths(
     shown: Sequence[dict[int, SeenCell]], frames: Sequence[int], rate_hz: float
 ) -> Iterator[CellPath]:
-    """Yield the cells by number, without what was too short to be one."""
+    """Yield the cells by number, without paths too short to be cells."""
     by_cell: dict[int, list[tuple[int, SeenCell]]] = {}
     for frame, cells in zip(frames, shown, strict=True):
         for cell in cells.values():

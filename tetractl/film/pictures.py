@@ -45,7 +45,7 @@ class FilmPictures:
 
 
 def open_film(path: Path, rate_hz: float | None = None) -> FilmPictures:
-    """Return the pictures of a film or a folder; UsageError where there are none."""
+    """Return the pictures of a film or a folder; UsageError if there are none."""
     cv2 = opencv()
     if path.is_dir():
         if not _names(path):
@@ -67,8 +67,9 @@ def open_film(path: Path, rate_hz: float | None = None) -> FilmPictures:
 
 
 def opencv():
-    """Return OpenCV, quiet; AbortError where it is not installed."""
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what FFmpeg prints is no error of ours
+    """Return OpenCV, quiet; AbortError if it is not installed."""
+    # FFmpeg's messages are not errors of tetractl
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
         import cv2
     except ModuleNotFoundError as error:

@@ -1,1 +1,1 @@
-"""The lab's wires: cameras in, radio out."""
+"""The lab: cameras, actuators, guard and inner loop."""

@@ -1,4 +1,4 @@
-"""The camera frames that the guard accepted, and the buffer in which everybody finds them."""
+"""The camera frames that the guard accepted, and the buffer that holds them."""
 
 import threading
 from collections import deque
@@ -15,7 +15,7 @@ class AcceptedFrame:
     """A frame exposed after those before it, and what the guard accepted of it, of N robots.
 
     `poses` (N,) are the last accepted poses, None before a robot's first; `fresh` (N,) is whether
-    they are of this frame: else the robot was not tracked in it, or its pose was refused.
+    they are of this frame; if not, the robot was not tracked in it, or its pose was refused.
     """
 
     frame: CameraFrame
@@ -44,8 +44,8 @@ class FrameBuffer:
             self.count += 1
 
     def since(self, count: int) -> tuple[list[AcceptedFrame], int]:
-        """Return the frames after the first `count` of all, oldest first, and how many there were
-        in all: what to ask for next. Frames that are kept no more are left out.
+        """Return the frames after the first `count` ever appended, oldest first, and the number of
+        all, for the next call. Frames no longer kept are left out.
         """
         with self._lock:
             return list(islice(reversed(self._frames), self.count - count))[::-1], self.count

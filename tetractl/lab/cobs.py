@@ -1,4 +1,4 @@
-"""COBS framing and CRC-16/CCITT-FALSE: what puts a closing 00 behind a frame and guards it.
+"""COBS framing with a closing 00, and CRC-16/CCITT-FALSE.
 
 Consistent overhead byte stuffing takes every 00 out of a frame, so a 00 can only be an end, and
 a reader that lost its place finds it again at the next 00.
@@ -75,7 +75,7 @@ def checked_payload(frame: bytes) -> bytes:
 class Splitter:
     """Cuts a stream of bytes at every 00; keeps no more than one frame.
 
-    `overlong` counts frames that were dropped because they were too long to be any.
+    `overlong` counts frames that were dropped because they were too long.
     """
 
     def __init__(self) -> None:

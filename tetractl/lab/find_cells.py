@@ -1,4 +1,4 @@
-"""What a trial does before it chooses its cells: turn the field, and watch how each answers it."""
+"""Finds the cells of a trial: turns the field, and observes how each cell answers."""
 
 import math
 from collections.abc import Callable, Container
@@ -16,16 +16,17 @@ from tetractl.lab.rig import Rig
 
 LOOK_NS = SECOND // 20
 JITTER = 0.4  # rad about a quarter turn
-BODY_UM = 60.0  # so near the arena's edge, a wall may turn a cell
+BODY_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
+STEP_UM = 35.0  # a cell must not swim further between two pictures, or it is not recognised
 SURE = 0.9  # probability of the identity, below which a cell is not taken
 
 
 def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
-    """Return the direction [rad] of a field over time [ns] under which cells go round and stay.
+    """Return the direction [rad] of a field over time [ns] under which cells circle and stay.
 
-    It turns once in `turn_s`, always the same way, by quarters that are larger and smaller: how a
-    cell follows each tells its a, and its dipole's angle besides. One of a < 2 pi / `turn_s` lags
-    behind.
+    It turns once in `turn_s`, always the same way, by quarters that are larger and smaller: from
+    how a cell follows, its a and its dipole's angle are identified. One with a < 2 pi / `turn_s`
+    lags behind.
     """
     start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
 
@@ -46,12 +47,12 @@ def turn_field(
 ) -> list[FoundCell]:
     """Turn the field of an entered rig, and return the cells that the camera follows then.
 
-    The field goes on turning. `on_look` is called every now and then. AbortError where no pictures
+    The field goes on turning. `on_look` is called at times. AbortError if no pictures
     come.
     """
     rig.loop.idle = manoeuvre(choice.turn, seed)
     walled: set[int] = set()
-    began = rig.clock.now()
+    began, before = rig.clock.now(), rig.frames.count
     while rig.clock.now() - began < choice.seconds * SECOND:
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
         walled |= {cell.number for cell in found_cells(rig, walled) if not cell.free}
@@ -64,7 +65,16 @@ def turn_field(
             raise AbortError(failure)
         if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
             raise AbortError(rig.guard.no_frame(rig.silent_ns()))
-    return found_cells(rig, walled)
+    cells = found_cells(rig, walled)
+    least = choice.speed * rig.setup.metres * 1e6 / STEP_UM
+    rate = (rig.frames.count - before) * SECOND / max(rig.clock.now() - began, 1)
+    if sum(cell.magnetised for cell in cells) < choice.choose and rate < least:
+        raise AbortError(
+            f"{rate:.1f} pictures a second were searched; to follow cells that swim "
+            f"{choice.speed:g} {rig.setup.unit}/s it takes {least:.0f}",
+            "is this computer busy with something else? Fewer pixels take less time",
+        )
+    return cells
 
 
 def free_cells(rig: Rig) -> list[FoundCell]:

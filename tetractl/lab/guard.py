@@ -56,7 +56,7 @@ class GuardRules:
     top: float  # the arena, drawn in by its margin [length unit]
     separation: float
     jump: float
-    jump_heading: float = 0.7  # rad beyond what the turning rate explains
+    jump_heading: float = 0.7  # allowed heading error beyond the turning rate [rad]
     lowest: float = -math.inf
     highest: float = math.inf
     tilt: float = math.pi
@@ -79,7 +79,7 @@ class GuardRules:
 class Ruling:
     """The decision of a tick: which robots may move (N,), and the accepted poses (N,).
 
-    A pose is None where a robot is not tracked. `reason` says why a run was aborted.
+    A pose is None if a robot is not tracked. `reason` says why a run was aborted.
     """
 
     state: GuardState
@@ -113,7 +113,8 @@ class Guard:
     _steered_ns: int = 0
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     _late: int = 0
-    _disobedient: set[int] = field(default_factory=set)  # robots seen to move otherwise, just now
+    # robots seen to disobey in the newest frame
+    _disobedient: set[int] = field(default_factory=set)
     _ghosts: dict[int, str] = field(default_factory=dict)  # robots accepted no more, and why
     _headings: dict[int, tuple[int, float]] = field(default_factory=dict)  # last seen, and when
 
@@ -133,7 +134,7 @@ class Guard:
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Why the newest pose of each robot (N,) was refused, "" where it was not or none came."""
+        """Why the newest pose of each robot (N,) was refused, "" if it was not or none came."""
         return tuple(track.refused for track in self._filters)
 
     def ready(self) -> None:
@@ -150,7 +151,7 @@ class Guard:
             self._swaps.restart()
             self._motion.restart()
             self._disobedient.clear()
-            for track in self._filters:  # where robots were before the run does not count
+            for track in self._filters:  # poses from before the run are ignored
                 track.forget()
 
     def rest(self) -> None:
@@ -226,13 +227,13 @@ class Guard:
             self._warnings.append(f"{reason}: the run goes on without it")
 
     def replaced(self, i: int) -> None:
-        """Go on with another body in the place of a robot that was lost."""
+        """Go on with another body in place of a robot that was lost."""
         del self.lost[i]
         self._filters[i] = PoseFilter(self._filters[i].limits, seen_ns=self._last_frame_ns or 0)
         self._motion.forget(i)
 
     def no_frame(self, silent_ns: int) -> str:
-        """Return what is wrong where no newer frame came for `silent_ns`."""
+        """Return the fault if no newer frame came for `silent_ns`."""
         text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
         if not self._outdated_in_a_row:
             return text
@@ -288,7 +289,7 @@ class Guard:
         return self.state in (GuardState.RUN, GuardState.HOLD)
 
     def _fault(self, i: int, pose: Pose, now_ns: int) -> str:
-        """Return why a pose of robot i is not accepted, "" where it is.
+        """Return why a pose of robot i is not accepted, "" if it is.
 
         Only while a run may move it: after a stop, `standstill` finds what moves on.
         """
@@ -305,7 +306,7 @@ class Guard:
             self._swaps.turned(i, now_ns, now_ns - seen_ns, turned)
         self._headings[i] = now_ns, pose.heading
         fault = self._motion.disagrees(i, before, pose)
-        if fault and not self.rules.individual:  # what swims by itself is warned of
+        if fault and not self.rules.individual:  # cells that disobey cause a warning
             self._motion.forget(i)
             self._warn(f"{self.rules.names[i]} {fault}")
             return ""
@@ -314,7 +315,7 @@ class Guard:
         return fault
 
     def _warn(self, text: str) -> None:
-        """Warn once of the same."""
+        """Give each warning once."""
         if text not in self._warned:
             self._warned.add(text)
             self._warnings.append(text)
@@ -322,7 +323,7 @@ class Guard:
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
         limit = max(self.rules.untracked_stop_ns, 0)
         newest = self._last_frame_ns or 0
-        # a stream that stands still is a fault of its own, not as robots that are not tracked
+        # a stopped stream is a fault of its own, not of robots that are not tracked
         return tuple(
             left and track.pose is not None and newest - track.seen_ns <= limit
             for left, track in zip(self._left, self._filters, strict=True)
@@ -382,7 +383,7 @@ class Guard:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
-        """Whether a robot gets further out: one at the edge may move back in."""
+        """Whether a robot moves further out: one at the edge may move back in."""
         return self._outside(then) > self._outside(now) or self._outside(now) == 0.0
 
     def _outside(self, pose: Pose) -> float:

@@ -1,4 +1,5 @@
-"""Watches who is who: no trial goes on with cells that may have changed places and says nothing."""
+"""Watches the identities of cells: a trial whose cells may have been swapped warns, and aborts if
+that lasts."""
 
 from collections.abc import Iterator, Sequence
 
@@ -7,7 +8,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note
 
 SURE = 0.9
-"""Probability that a robot's cell is that cell below which it counts as not known."""
+"""Least probability of a robot's identity; below it the robot counts as unknown."""
 
 
 class IdentityWatch:
@@ -16,11 +17,11 @@ class IdentityWatch:
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:
         self._names, self._patience_ns = names, round(patience_s * SECOND)
-        self._since_ns: dict[int, int] = {}  # of robots that are not known
+        self._since_ns: dict[int, int] = {}  # since when robots are unknown
         self.unknown: dict[int, str] = {}
 
     def see(self, film: CellFilm) -> Iterator[Note]:
-        """Yield what a picture changes, for people; a cell that is not seen changes nothing."""
+        """Yield what a picture changes, as text; a cell that is not seen changes nothing."""
         now = film.sampled_ns
         for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:
@@ -34,6 +35,6 @@ class IdentityWatch:
                 self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
 
     def forget(self, i: int) -> None:
-        """Begin again with another cell in the place of a robot."""
+        """Begin again with another cell in place of a robot."""
         self._since_ns.pop(i, None)
         self.unknown.pop(i, None)

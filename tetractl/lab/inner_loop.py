@@ -21,7 +21,7 @@ from tetractl.lab.guard import Guard, GuardState, Ruling
 T = TypeVar("T")
 
 IDLE_S = 0.01
-STEER_S = 0.25  # a step that takes longer has hung
+STEER_S = 0.25  # a step that takes longer counts as hanging
 STOP_S = 1.0
 KEPT = 100_000
 
@@ -68,8 +68,8 @@ class InnerLoop:
     def steer(self, direction: float) -> Transmission:
         """Hold a direction u [rad] from now on; return the first transmission that carries it.
 
-        That is a stop where the guard lets no robot move just now. AbortError with the guard's
-        reason where no robot may move any more.
+        That is a stop if the guard lets no robot move just now. AbortError with the guard's
+        reason if no robot may move any more.
         """
         with self._held(STEER_S) as held:
             if not held:
@@ -130,7 +130,7 @@ class InnerLoop:
 
     @contextmanager
     def _held(self, timeout_s: float) -> Iterator[bool]:
-        """Hold the lock, or yield False where it cannot be had in time."""
+        """Hold the lock, or yield False if it cannot be had in time."""
         held = self._lock.acquire(timeout=timeout_s)
         try:
             yield held
@@ -145,7 +145,7 @@ class InnerLoop:
             self.step()
 
     def _guarded_tick(self) -> None:
-        """Tick; whatever goes wrong stops the robots, not this loop."""
+        """Run one tick; an error stops the robots, not this loop."""
         try:
             self._tick()
         except AbortError as error:
@@ -214,7 +214,7 @@ class InnerLoop:
         self._let, self._new = ruling.moving, False
 
     def _pass_on(self, sent: Transmission) -> None:
-        """Let a camera that knows robots by how they answer the signal know what was sent."""
+        """Report what was sent to a camera that identifies robots by their response."""
         if self._on_signal is not None:
             self._on_signal(sent.direction, sent.sent_ns)
 

@@ -7,9 +7,10 @@ are lost. So v(t) and w(t) are anywhere between the least and the greatest that 
 
     e = g max(|v|, |w| r),    v in [v - e, v + e],    w in [w - e / r, w + e / r].
 
-Over any part of the last WINDOW_NS the way along the heading and the angle turned must lie between
-the integrals of these bounds, and the way across the heading within that of e, but for a slack: a
-robot rolls, so nothing moves it sideways. Lengths are in the spec's length unit.
+Over any part of the last WINDOW_NS the displacement along the heading and the angle turned must lie
+between the integrals of these bounds, and the displacement across the heading within that of e,
+except for a slack: a robot rolls, so nothing moves it sideways. Lengths are in the spec's length
+unit.
 """
 
 import math
@@ -28,7 +29,7 @@ WINDOW_NS = SECOND
 SPACING_NS = SECOND // 20  # between the poses of the window that a new one is compared with
 SLACK_S = 0.03  # of driving at full speed
 SLACK_RAD = 0.08
-STANDS = 0.3  # a smaller share of the way commanded is none
+STANDS = 0.3  # a smaller fraction of the commanded motion counts as none
 
 REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
 STILL = (
@@ -60,9 +61,9 @@ class MotionCheck:
     def restart(self) -> None:
         """Forget what was seen, as when robots start from rest."""
         n = len(self._slack)
-        self._seen = np.zeros((n, 3))  # ways seen since the start, by poses that agreed
+        self._seen = np.zeros((n, 3))  # motions seen since the start, by consistent poses
         self._allowed = np.zeros((2, n, 3))  # integrals of the bounds up to now
-        # of each robot: times, and the way seen and the integrals up to them, (3, 3)
+        # of each robot: times, the motion seen and the integrals up to then, (3, 3)
         self._past: list[deque[tuple[int, Floats]]] = [deque() for _ in range(n)]
 
     def forget(self, i: int) -> None:
@@ -81,7 +82,7 @@ class MotionCheck:
         self._least.append(middle - spread)
         self._most.append(middle + spread)
         old = bisect_right(self._times, now_ns - 2 * SECOND)
-        if old > 64:  # now and then, in one go
+        if old > 64:  # occasionally, all at once
             del self._times[: old - 1], self._least[: old - 1], self._most[: old - 1]
 
     def frame(self, now_ns: int) -> None:
@@ -91,7 +92,7 @@ class MotionCheck:
         least, most = self._least[first:last], self._most[first:last]
         times = [*self._times[first:last], now_ns]
         if not least or times[0] > self._now_ns - DELAY_NS or max(np.diff(times)) > WATCHDOG_NS:
-            still = np.zeros_like(self._bounds[0])  # before the first, and where none came
+            still = np.zeros_like(self._bounds[0])  # before the first, and if none came
             least, most = [*least, still], [*most, still]
         self._bounds = np.array([np.min(least, axis=0), np.max(most, axis=0)])
         self._allowed = self._allowed + self._bounds * ((now_ns - self._now_ns) / SECOND)
@@ -103,9 +104,8 @@ class MotionCheck:
         return bool(np.any((least > 0.0) | (most < 0.0)))
 
     def disagrees(self, i: int, before: Pose, pose: Pose) -> str:
-        """Return how robot i, last seen at a pose that agreed, moves otherwise than commanded.
-
-        "" where it does not; then the new pose is one that agreed.
+        """Return how robot i disobeyed since its last consistent pose, "" if it did not; the new
+        pose is then consistent.
         """
         past, allowed = self._past[i], self._allowed[:, i]
         seen = self._seen[i] + _moved(before, pose) if past else self._seen[i]
@@ -122,7 +122,8 @@ class MotionCheck:
 
 
 def _moved(before: Pose, pose: Pose) -> Floats:
-    """Return the way along and across the heading, as on an arc, and the angle turned, (3,)."""
+    """Return the displacement along and across the heading, as on an arc, and the angle turned,
+    (3,)."""
     turned = math.remainder(pose.heading - before.heading, math.tau)
     dx, dy, middle = pose.x - before.x, pose.y - before.y, before.heading + turned / 2
     along, across = (
@@ -133,7 +134,7 @@ def _moved(before: Pose, pose: Pose) -> Floats:
 
 
 def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
-    """Return what is wrong with a way along, across and around, (3,), that is out of bounds."""
+    """Return the error of a motion along, across and around, (3,), that is out of bounds."""
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
     if along and abs(way[0]) < STANDS * abs(meant[0]):

@@ -1,4 +1,4 @@
-"""What must hold before robots move: tracked, on their starts, answering; camera frames fresh."""
+"""The preflight check: robots tracked, on their starts and answering; camera frames fresh."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,8 +17,8 @@ POLL_S = 1.0
 WATCHED = 60  # camera frames
 WATCH_NS = SECOND
 LOOK_NS = SECOND // 100
-PLACES_NS = SECOND // 5  # how often places are checked
-GRACE_S = 1.0  # waited at least, for frames that are missing now and then
+PLACES_NS = SECOND // 5  # how often the robots' positions are checked
+GRACE_S = 1.0  # least time to wait, since frames are missing occasionally
 SILENCE_S = 0.5  # a camera silent for this long ends the wait, or longer if the spec bears it
 
 
@@ -26,8 +26,8 @@ SILENCE_S = 0.5  # a camera silent for this long ends the wait, or longer if the
 class RobotFinding:
     """How one robot stands: distance to its start [mm] and heading off [rad], None untracked.
 
-    `misplaced` says how it is off its start, "" where it is not or is not tracked, and `untracked`
-    that it is not tracked and why, "" where it is.
+    `misplaced` says how it is off its start, "" if it is not or is not tracked, and `untracked`
+    that it is not tracked and why, "" if it is.
     """
 
     name: str
@@ -44,17 +44,16 @@ class RobotFinding:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What keeps the robot from starting, besides its place."""
+        """What keeps the robot from starting, apart from its position."""
         return (*((self.untracked,) if self.untracked else ()), *self.status.problems)
 
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """What a preflight found.
-
-    `latency_ms` (median, greatest) is the age of frames on arrival, None where the camera does not
+    """The result of a preflight.
+    `latency_ms` (median, greatest) is the age of frames on arrival, None if the camera does not
     report it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own,
-    `questions` what a person, where there is one, has to agree to.
+    `questions` what a person, if there is one, has to agree to.
     """
 
     robots: tuple[RobotFinding, ...]
@@ -67,12 +66,12 @@ class Preflight:
 
     @property
     def all_problems(self) -> tuple[str, ...]:
-        """Everything that keeps a run from starting, besides the robots' places."""
+        """Everything that keeps a run from starting, apart from the robots' positions."""
         return (*self.problems, *(p for robot in self.robots for p in robot.problems))
 
     @property
     def misplaced(self) -> tuple[str, ...]:
-        """Tracked robots that are not on their starts, a line each."""
+        """Tracked robots that are not on their starts, one line each."""
         return tuple(robot.misplaced for robot in self.robots if robot.misplaced)
 
     @property
@@ -120,7 +119,7 @@ def inspect(rig: Rig) -> Preflight:
 
 
 def unplaced(rig: Rig) -> list[str]:
-    """Return, a line a robot, who is not seen on its start now."""
+    """Return one line per robot that is not seen on its start now."""
     newest, found = rig.frames.newest, []
     for i, name in enumerate(rig.setup.names):
         off_mm, off_heading = _off(rig, i, newest)
@@ -131,7 +130,7 @@ def unplaced(rig: Rig) -> list[str]:
 
 
 def dropped(outdated: int) -> str:
-    """Return a line about so many frames that were exposed no later than ones before them."""
+    """Return a warning about a number of frames that were not exposed after those before them."""
     return f"camera frames dropped because later ones had come: {outdated}"
 
 
@@ -152,7 +151,7 @@ def _misplaced(rig: Rig, name: str, off_mm: float, off_heading: float | None) ->
 
 
 def _off(rig: Rig, i: int, frame: AcceptedFrame | None) -> tuple[float | None, float | None]:
-    """Return how far a robot is from its start: [mm] and [rad], None where it is not tracked."""
+    """Return how far a robot is from its start: [mm] and [rad], None if it is not tracked."""
     pose = frame.pose(i) if frame is not None else None
     if pose is None:
         return None, None
@@ -199,11 +198,12 @@ def _rate_hz(seen: Sequence[CameraFrame]) -> float | None:
 
 
 def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
-    """Return once all is well, every robot is on its start and a person, if there is one, agrees.
+    """Return once there is no problem, every robot is on its start and the operator, if there is
+    one, agrees.
 
     Robots that can stand still must do so. Robots that are carried may be off and out
     of sight for a while: without a person, `limits.placing` is how long. AbortError says what is
-    wrong and who is how far off; KeyboardInterrupt where a person wants to wait no longer.
+    wrong and how far each robot is off; KeyboardInterrupt if the operator gives up waiting.
     """
     prompt, clock = supervision.prompt, rig.clock
     limit_ns = round(max(rig.limits.placing, GRACE_S) * SECOND)
@@ -211,7 +211,7 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
     while True:
         findings: Preflight | None = None
         lines = unplaced(rig) or (moving_robots(rig) if rig.actuator.halts else [])
-        if lines:  # why a robot is not tracked comes before that it is not
+        if lines:  # why a robot is not tracked is reported before the fact
             lines = [*rig.camera.check().problems, *lines]
         if not lines:
             findings = inspect(rig)

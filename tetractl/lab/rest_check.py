@@ -15,7 +15,7 @@ ROLLING_NS = SECOND // 2  # robots that have not come to rest by then are stoppe
 
 
 def moving_robots(rig: Rig) -> list[str]:
-    """Return who was not seen to stand still in the last frames, and how, a line each."""
+    """Return the robots that were not seen to stand still in the last frames, one line each."""
     window = rig.frames.last(REST_NS)
     if not window:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
@@ -26,7 +26,7 @@ def moving_robots(rig: Rig) -> list[str]:
 def wait_for_rest(rig: Rig) -> str:
     """Wait until every robot is seen to stand still, and stop them again while one is not.
 
-    Returns who is not seen to stand within `limits.standstill`, and how, "" where all are.
+    Returns the robots that are not seen to stand within `limits.standstill`, and how, "" for none.
     """
     limit_ns = round(rig.limits.standstill * SECOND)
     began = rig.clock.now()
@@ -45,7 +45,7 @@ def wait_for_rest(rig: Rig) -> str:
 def wait_until_tracked(rig: Rig) -> str:
     """Wait until every robot is tracked, of robots that cannot stand still.
 
-    Returns who is not within `limits.standstill`, "" where all are.
+    Returns the robots that are not tracked within `limits.standstill`, "" for none.
     """
     limit_ns = round(rig.limits.standstill * SECOND)
     began = rig.clock.now()
@@ -61,7 +61,7 @@ def _late(rig: Rig, lines: list[str]) -> str:
 
 
 def _stream_lost(rig: Rig) -> list[str]:
-    """Return a line where the cameras show nothing now."""
+    """Return a line if the cameras show nothing now."""
     silent_ns = rig.silent_ns()
     if rig.frames.newest is None or silent_ns > rig.limits.stream_lost * SECOND:
         return [f"the cameras do not show that the robots stand: {rig.guard.no_frame(silent_ns)}"]
@@ -75,7 +75,7 @@ def _lost(rig: Rig) -> list[str]:
 
 
 def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
-    """Return how robot i was not seen to stand within the frames, "" where it was."""
+    """Return why robot i was not seen to stand within the frames, "" if it was."""
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
     seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]
     if not seen or newest - seen[-1][0] > rig.limits.untracked_stop * SECOND:

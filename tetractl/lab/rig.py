@@ -19,7 +19,7 @@ FIRST_S = 0.5  # for a first frame of other robots
 class Rig:
     """Everything between the devices and a plant; a context manager. Times are ns on `clock`.
 
-    Entering opens the actuator and the camera and begins to watch: in a thread or, where
+    Entering opens the actuator and the camera and begins to watch: in a thread or, if
     `threaded` is False, at each call of `loop.step`. `wake` must be what the camera was made with.
     `frames` holds the camera frames that the guard accepted.
     """
@@ -70,7 +70,8 @@ class Rig:
         self.close()
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Go on with robots that were found, by the camera's numbers: they start where they are."""
+        """Continue with robots that were found, by the camera's numbers; they start at their
+        present poses."""
         self.setup = setup
         self.start_anywhere()
         self.actuator.settle(setup)  # type: ignore[attr-defined]
@@ -81,7 +82,7 @@ class Rig:
         wait_for(self.clock, lambda: self.frames.count > 0, FIRST_S)
 
     def start_anywhere(self) -> None:
-        """Let robots start where they are."""
+        """Make the robots' present poses their starts."""
         anywhere = {"start_mm": ANYWHERE, "start_heading": ANYWHERE}
         self.limits = self.limits.model_copy(update=anywhere)
 
@@ -91,7 +92,7 @@ class Rig:
         return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
 
     def not_tracked(self, i: int) -> str:
-        """Return a line that robot i is not tracked, and why where that is known."""
+        """Return a line that robot i is not tracked, and why if that is known."""
         why = self.guard.refused[i]
         return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
 

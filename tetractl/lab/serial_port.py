@@ -1,7 +1,7 @@
 """A serial port of the lab's devices: opened for one process, written without waiting.
 
 A port that takes nothing for 20 ms is stuck and raises, one that is gone raises at once; either is
-final. A thread reads. Where another process has the port, `stop_beside` stops its robots and ends
+final. A thread reads. If another process has the port, `stop_beside` stops its robots and ends
 it.
 """
 
@@ -41,7 +41,7 @@ Heard = Callable[[bytes, int], None]
 
 
 class SerialPort:
-    """The port `name` at `baud` bits a second, with `device` (such as "the radio") behind it.
+    """The port `name` at `baud` bits per second, with `device` (such as "the radio") behind it.
 
     `heard` is called in the reader's thread with bytes and their time [ns on `clock`], and with no
     bytes once the port has failed; `hint` is what an error advises.
@@ -59,9 +59,10 @@ class SerialPort:
         self._thread = threading.Thread(target=self._read, name=device, daemon=True)
 
     def open(self, alone: bool = True) -> None:
-        """Open the port and start to read, for this process `alone` or besides the one that has it.
+        """Open the port and start to read, for this process `alone` or in addition to the process
+        that has it.
 
-        AbortError where it cannot, PortHeldError where another has it.
+        AbortError if it cannot, PortHeldError if another has it.
         """
         try:
             self._port = serial.Serial(
@@ -78,7 +79,7 @@ class SerialPort:
     def write(self, data: bytes) -> int:
         """Send bytes; return when they were given to the system [ns].
 
-        AbortError where the port is stuck, gone or not open.
+        AbortError if the port is stuck, gone or not open.
         """
         with self._sending:
             if self.failure or self._port is None:
@@ -95,7 +96,7 @@ class SerialPort:
             return self._clock.now()
 
     def set_baud(self, baud: int) -> None:
-        """Change the speed of the open port [bits a second]."""
+        """Change the speed of the open port [bits per second]."""
         assert self._port is not None
         self._port.baudrate = baud
 
@@ -131,9 +132,9 @@ class SerialPort:
 
 
 def _put(fd: int, data: bytes) -> None:
-    """Write to a file descriptor; TimeoutError where it takes nothing for 20 ms.
+    """Write to a file descriptor; TimeoutError if it takes nothing for 20 ms.
 
-    pyserial's own write also times out where this process was merely not scheduled for that long.
+    pyserial's own write also times out if this process was merely not scheduled for that long.
     """
     rest = memoryview(data)
     while rest:
@@ -174,18 +175,17 @@ def holder(port: str) -> int | None:
 
 
 def command_line(pid: int) -> list[str]:
-    """Return the words that started a process; none where it has ended."""
+    """Return the words that started a process; none if it has ended."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")[:-1]
     return []
 
 
 def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
-    """Stop the robots of the run that has a port, then end that run, by SIGKILL if need be.
-
-    `stops` sends stops past the run and returns what it did; it is repeated until the port is
-    free, for a run that hangs may still drive. AbortError where the run is not ended: it is not
-    known, another user's, or no tetractl.
+    """Stop the robots of the run that has a port, then end that run, by SIGKILL if necessary.
+    `stops` sends stops past the run and returns what it did; it is repeated until the port is free,
+    since a hanging run may still drive. AbortError if the run cannot be ended: it is unknown,
+    another user's, or not tetractl.
     """
     began, failure, said = time.monotonic(), "", False
     pid = holder(port)
@@ -230,7 +230,7 @@ def _left(
     stops: Callable[[], str] = lambda: "",
     say: Callable[[str], None] = lambda line: None,
 ) -> AbortError:
-    """Return the error of a program that still has the port, after stops past it."""
+    """Return the error for a program that still has the port after the stops."""
     with suppress(AbortError):
         say(stops())
     return AbortError(f"{name} still has the port: it {why}", f"end it yourself; {SWITCH_OFF}")

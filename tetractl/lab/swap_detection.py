@@ -1,13 +1,14 @@
-"""Whether robots turn as they are commanded, or as one another is: swapped or wrong robot numbers.
+"""Detects swapped or wrong robot numbers: whether robots turn as commanded, or as another robot
+is commanded.
 
-For robot i, the turning seen s_i(t) [rad/s] is held against the turning w_j sent to each robot j,
+For robot i, the turning seen s_i(t) [rad/s] is compared with the turning w_j sent to each robot j,
 of a delay d and a gain g,
 
     Q_ij = min over d, g of the integral of g^2 w_j(t - d)^2 - 2 g s_i(t) w_j(t - d) dt,
 
-which is the squared residual of j's commands less a term common to all j. The gain is 1 but for a
-robot's own commands: wheels that are not calibrated turn it by some more or less. Robot i follows j
-where Q_ii - Q_ij exceeds a share of the integral of (w_i - w_j)^2. Wheels that differ also turn it
+which is the squared residual of j's commands less a term common to all j. The gain is 1 except for
+a robot's own commands: wheels that are not calibrated turn it by some more or less. Robot i follows
+j if Q_ii - Q_ij exceeds a share of the integral of (w_i - w_j)^2. Wheels that differ also turn it
 by a constant rate b besides, so its own commands are g w_i + b. A robot that does as commanded
 follows none, and robots that stand still cannot follow one another in a ring: so robots of a ring
 are swapped. One robot alone may have another fault, and is watched for longer. Robots that are
@@ -26,15 +27,16 @@ DELAYS_NS = tuple(round(delay * SECOND) for delay in (0.0, 0.04, 0.08, 0.12, 0.1
 KEPT_NS = SECOND  # of what was sent
 GAP_NS = 3 * SECOND // 20
 GAINS = (0.8, 1.25)  # of a robot's own commands, least and most
-BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: what wheels that are 10 % off turn it by besides
+BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: additional turning by wheels that are 10 % off
 CLEAR = 0.01  # rad^2/s: less is the noise of headings
 DISTINCT = 0.1  # rad^2/s: commands that differ less, over all, cannot be distinguished
-BETTER = 0.05  # share of that by which another robot's commands must fit each of a ring better
+# fraction of that by which another robot's commands must fit each robot of a ring better
+BETTER = 0.05
 ALONE_NS = SECOND // 2  # a robot alone must be seen to follow another twice in a row for so long
 ALONE_GAINS = (-1.25, 1.25)  # its own commands are tried with: a wheel may be stuck, or inverted
-ALONE_BETTER = 0.25  # share of that by which another's commands must fit it better,
-ALONE_CLEAR = 0.06  # share of those commands likewise: noise and wheels 10 % off reach 0.05,
-EXPLAINED = 0.8  # and share of them that must be seen
+ALONE_BETTER = 0.25  # fraction of that by which another's commands must fit it better,
+ALONE_CLEAR = 0.06  # fraction of those commands likewise: noise and wheels 10 % off reach 0.05,
+EXPLAINED = 0.8  # and fraction of them that must be seen
 TINY = 1e-12
 
 
@@ -63,14 +65,14 @@ class SwapDetector:
         self._times.append(now_ns)
         self._sent.append(np.array(turning, dtype=np.float64))
         old = bisect_right(self._times, now_ns - KEPT_NS)
-        if old > 64:  # now and then, in one go
+        if old > 64:  # occasionally, all at once
             del self._times[: old - 1], self._sent[: old - 1]
 
     def turned(self, i: int, now_ns: int, dt_ns: int, angle: float) -> None:
         """Note that robot i was seen to turn by `angle` [rad] within the last `dt_ns`.
 
-        The turning commanded is the mean over that time. A robot that was not seen for longer than
-        GAP_NS says nothing: it may have done several things.
+        The turning commanded is the mean over that time. A gap longer than GAP_NS is ignored: the
+        robot may have done several things.
         """
         if dt_ns > GAP_NS:
             return
@@ -92,7 +94,7 @@ class SwapDetector:
             stretch.forget(i)
 
     def fault(self) -> str:
-        """Return which robots answer the commands of others, "" where none does."""
+        """Return which robots answer the commands of others, "" if none does."""
         if self._found is None:
             self._found = self._fault()
         return self._found
@@ -100,7 +102,9 @@ class SwapDetector:
     def _fault(self) -> str:
         if ring := _ring(self._all.follows()):
             names = " and ".join(self._names[i] for i in ring)
-            return f"{names} turn as one another is commanded: are their numbers or bodies swapped?"
+            return (
+                f"{names} turn as another robot is commanded: are their numbers or bodies swapped?"
+            )
         for i, j in np.argwhere(self._alone):
             one, other = self._names[i], self._names[j]
             return f"{one} turns as {other} is commanded, not as {one} is: is its number wrong?"
@@ -152,8 +156,8 @@ class _TurnIntegrals:
         return (self._differ > DISTINCT) & (better > BETTER * self._differ + CLEAR)
 
     def follows_alone(self, i: int) -> np.ndarray:
-        """Return whom robot i follows, (N,), where it cannot have lost a wheel or swapped its
-        own."""
+        """Return which robots robot i may follow, (N,), excluding the case of a lost or swapped
+        wheel."""
         misfits = self._commanded[:, i] - 2.0 * self._common[:, i]
         misfit = misfits.min(axis=0)
         commanded = np.take_along_axis(self._commanded[:, i], misfits.argmin(axis=0)[None], axis=0)[
@@ -179,7 +183,7 @@ class _TurnIntegrals:
 
 
 def _ring(follows: np.ndarray) -> list[int]:
-    """Return robots each of whom follows the next and the last the first, [] where none do."""
+    """Return robots each of whom follows the next and the last the first, [] if none do."""
     reach = follows.copy()
     for k in range(len(follows)):
         reach |= np.outer(reach[:, k], reach[k])

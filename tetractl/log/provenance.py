@@ -1,4 +1,4 @@
-"""The provenance of a log: machine, hour, versions, and state of the source tree."""
+"""The provenance of a log: machine, time, versions, and state of the source tree."""
 
 import hashlib
 import json
@@ -70,7 +70,7 @@ def host() -> dict[str, str]:
 
 
 def processor(host: Mapping[str, str]) -> str:
-    """Return the type of a host's processor, as `znver3-1a2b3c`; "" where its record lacks it.
+    """Return the type of a host's processor, as `znver3-1a2b3c`; "" if its record lacks it.
 
     That is LLVM's name for it, and six digits that name the instruction sets in use: code compiled
     for two types may differ in the last bits of its results.
@@ -91,7 +91,7 @@ def versions() -> dict[str, str]:
     """Return the versions behind a result and, from a source checkout, its git state.
 
     `code` names the contents of the sources that decide: `tetractl.control` and `tetractl.model`.
-    `git_commit` and `git_dirty` are left out where tetractl does not run from a git checkout or git
+    `git_commit` and `git_dirty` are left out if tetractl does not run from a git checkout or git
     is not installed.
     """
     sources = [file for part in ("control", "model") for file in (_here() / part).rglob("*.py")]
@@ -136,8 +136,8 @@ def is_version(key: str) -> bool:
 
 @cache
 def environment() -> str:
-    """Return machine, versions, every installed package and local changes, as JSON."""
-    installed = [item.metadata for item in metadata.distributions()]  # each look parses a file
+    """Return machine, versions, installed packages and local changes, as JSON."""
+    installed = [item.metadata for item in metadata.distributions()]  # each call parses a file
     packages = {item["Name"]: item["Version"] for item in installed if item["Name"]}
     found: dict[str, object] = {
         "host": host(),
@@ -169,7 +169,7 @@ def _git_state() -> dict[str, str]:
 
 
 def _git(*arguments: str) -> str | None:
-    """Return the output of git in tetractl's own folder, None where it fails."""
+    """Return the output of git in tetractl's own folder, None if it fails."""
     try:
         done = subprocess.run(
             ["git", "-C", str(_here()), *arguments],
@@ -192,7 +192,8 @@ def _cpu_target() -> str:
 
 
 def _cpu_features() -> str:
-    """Return what LLVM may use of the processor; one name of a processor covers several sets."""
+    """Return the processor features that LLVM may use; one name of a processor covers several
+    sets."""
     from llvmlite import binding
 
     features = binding.get_host_cpu_features()
@@ -201,7 +202,7 @@ def _cpu_features() -> str:
 
 def _numpy_dispatch() -> str:
     """Return the instruction sets that numpy found and uses."""
-    from numpy._core._multiarray_umath import (  # in no public place
+    from numpy._core._multiarray_umath import (  # not public in numpy
         __cpu_features__ as features,
     )
 

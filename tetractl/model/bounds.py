@@ -1,7 +1,7 @@
 """Lower bounds of the error that any sequence of common directions leaves.
 
 N robots move by (1)-(3) for t seconds at most: theta_i' = a_i sin(u - theta_i), with one u for all.
-Let g_i be the way from a robot's start to its target, e_i its distance to the target at the end,
+Let g_i be the vector from a robot's start to its target, e_i its distance to the target at the end,
 and w_i the integral of its unit heading vector, so that it moves by v_i w_i.
 
 Reach. |w_i| <= t, hence e_i >= |g_i| - v_i t.
@@ -22,8 +22,8 @@ Unit vectors that differ by delta are 2 |sin(delta/2)| <= min(|delta|, 2) apart,
 
     e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
 
-Robots of equal a and start heading have D = 0: their ways keep one shape, and for two of them the
-bound is exact where they have the time. The bounds hold for the Euler model (4)-(6) and for held
+Robots of equal a and start heading have D = 0: their paths have the same shape, and for two of them
+the bound is exact if they have the time. The bounds hold for the Euler model (4)-(6) and for held
 wheel speeds (24)-(25) too: the right-hand side of D' grows with D, so a step of length T along the
 tangent stays below D, and a left Riemann sum of a growing function below its integral.
 
@@ -37,7 +37,7 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 
 PAIRS_MAX = 1000
-"""Pairs that enter the linear programme at most; leaving pairs out only lowers the bound."""
+"""Largest number of pairs in the linear programme; leaving pairs out only lowers the bound."""
 
 
 @np.errstate(all="ignore")

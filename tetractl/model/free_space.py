@@ -1,4 +1,4 @@
-"""Whether obstacles wall a target off, for a robot taken as a point.
+"""Tests whether obstacles wall a target off, for a point robot.
 
 The arena is covered with square cells. A cell is free unless its centre is deeper in an obstacle
 than half a side, and cells are neighbours across corners too. Then what is not connected in the
@@ -19,7 +19,7 @@ from tetractl.model.obstacles import Obstacles
 CELLS = 200
 """Cells along the longer side of the arena."""
 TOUCHING = 1e-6
-"""Gaps narrower than this share of a cell are closed: obstacles that touch a wall leave none."""
+"""Gaps narrower than this fraction of a cell are closed, so that obstacles may touch a wall."""
 
 
 def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
@@ -41,7 +41,7 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
 def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     """Return how far from its target each robot stays, at least, (N,) [length unit].
 
-    0 where no wall is found between start and target. Robots keep `margin` from obstacles; with
+    0 if no wall is found between start and target. Robots keep `margin` from obstacles; with
     `walls` they stay in the arena, without they may go round through its outside. A start nearer to
     an obstacle than the margin is in no free space, and gives 0.
     """
@@ -52,8 +52,8 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     x = _centres(arena.left, arena.width, side, walls)
     y = _centres(arena.bottom, arena.height, side, walls)
     depth = margin - clearance(setup, x[None, :], y[:, None], walls)
-    free = ~(depth >= (0.5 - TOUCHING) * side)  # a depth that is no number shuts nothing out
-    if not walls:  # the outside is one free region, whatever stands in it
+    free = ~(depth >= (0.5 - TOUCHING) * side)  # a NaN depth blocks nothing
+    if not walls:  # the outside is one free region, whatever its obstacles
         free[[0, -1], :] = free[:, [0, -1]] = True
     regions = np.zeros(free.shape, dtype=np.int32)
     label(free, np.ones((3, 3)), output=regions)

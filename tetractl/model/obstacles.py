@@ -53,9 +53,9 @@ class Obstacles:
     def packed(self) -> tuple[Any, ...]:
         """Return the shapes as the kernels take them: one `PackedShapes` a kind.
 
-        Rectangles and circles are always among them, if need be none, so that one compiled kernel
-        serves most experiments, and another those with walls. Every call returns the same arrays,
-        which are not to be written to.
+        Rectangles and circles are always among them, even with no element, so that one compiled
+        kernel serves most experiments, and another those with walls. Every call returns the same
+        arrays, which are not to be written to.
         """
         return self._packed
 
@@ -76,7 +76,7 @@ def _table(width: int, rows: list[tuple[float, ...]]) -> Floats:
 
 
 def _walls(arena: Bounds) -> list[HalfPlane]:
-    """Return what lies beyond each side of an arena."""
+    """Return the half-plane beyond each side of an arena."""
     return [
         HalfPlane((1.0, 0.0), arena.left),
         HalfPlane((-1.0, 0.0), -arena.right),

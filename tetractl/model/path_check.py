@@ -1,6 +1,5 @@
-"""Checks a path: which robots entered an obstacle, how near to one, the edge or another they came.
-
-All of it is of the robots' centres.
+"""Checks a path: which robots' centres entered an obstacle, and how near they came to obstacles,
+the edge and each other.
 """
 
 from typing import Self

@@ -29,7 +29,7 @@ DIPOLE_SD_RAD = 0.1  # guess: the dipole off the body's axis
 WALK_RAD_S = 0.05  # guess: rad/sqrt(s)
 DRIFT_UM_S = 3.0  # guess: slow flow of the medium
 SINK_UM = 10.0  # guess: how far cells wander in depth
-SINK_S = 5.0  # guess: in what time
+SINK_S = 5.0  # guess: time constant of the wander in depth
 
 
 def speed_factor(celsius: float) -> float:
@@ -45,7 +45,7 @@ def speed_factor(celsius: float) -> float:
 
 @dataclass(slots=True)
 class Swimmers:
-    """N cells as they truly are: one number a cell in each array (N,).
+    """N cells as they truly are: one number per cell in each array (N,).
 
     x, y [um] and `heading` [rad] are those of the helix's axis, `depth` [um] is how far that is
     from focus, `phase` [rad] where on the helix the body is. `a` [rad/s] is the turning rate at the
@@ -72,7 +72,7 @@ class Swimmers:
     def drawn(
         cls, random: np.random.Generator, count: int, unmagnetised: int = 0, celsius: float = WARM_C
     ) -> Self:
-        """Return cells as a culture has them, at the origin; the last ones have no magnet."""
+        """Return cells drawn from a culture, at the origin; the last ones have no magnet."""
 
         def normal(mean: float, deviation: float) -> Floats:
             return np.clip(random.normal(mean, deviation, count), 0.5 * mean, 1.5 * mean)
@@ -101,7 +101,7 @@ class Swimmers:
         return len(self.x)
 
     def copy(self) -> Self:
-        """Return cells that move by themselves from here."""
+        """Return an independent copy of the cells."""
         return replace(self, **{field.name: getattr(self, field.name).copy() for field in _FIELDS})
 
     def joined(self, others: "Swimmers") -> "Swimmers":
@@ -138,7 +138,7 @@ class Swimmers:
         self.depth += jolt - pull * self.depth
 
     def slide(self, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Keep the cells within walls, a rectangle between two corners [um].
+        """Keep the cells within rectangular walls, given by two corners [um].
 
         A cell that meets a wall slides along it (Ohmura et al.): it keeps the part of its heading
         along the wall, and leaves once it is turned away.

@@ -87,7 +87,7 @@ class Drivetrain:
 
 @dataclass(frozen=True, slots=True)
 class Residue:
-    """What rounding still owes each wheel, in steps of its gain, each in [-0.5, 0.5]."""
+    """The rounding error carried over for each wheel, in steps of its gain, each in [-0.5, 0.5]."""
 
     left: float = 0.0
     right: float = 0.0
@@ -98,8 +98,8 @@ def wheel_counts(
 ) -> tuple[Counts, Residue]:
     """Turn speeds [mm/s] into the counts to send, as sent, and the residue for the next call.
 
-    Where a wheel would exceed the limit both are scaled alike, which keeps the path's curvature.
-    A wheel wished to stand gets exactly 0; both standing clears the residue. Speeds that are not
+    If a wheel would exceed the limit both are scaled alike, which keeps the path's curvature.
+    A wheel that is to stand gets exactly 0; both standing clears the residue. Speeds that are not
     finite are refused with ValueError.
     """
     if not (math.isfinite(left) and math.isfinite(right)):
@@ -127,7 +127,7 @@ def speeds_of_counts(counts: Counts, drivetrain: Drivetrain) -> tuple[float, flo
 
 
 def _diffuse(wish: float, owed: float, span: int) -> tuple[int, float]:
-    """Round wish + owed to a whole step within the span; return it and what is owed then."""
+    """Round wish + owed to a whole step within the span; return it and the new rounding error."""
     if wish == 0:
         return 0, owed
     total = wish + owed

@@ -1,1 +1,1 @@
-"""What stands behind the controller: the seam and the simulation."""
+"""The plants: simulation and lab."""

@@ -15,7 +15,7 @@ STEP_S = 0.005  # of the midpoint rule, at most
 
 
 class CultureSection(Model):
-    """Robots are swimming cells, with a and speed of the spec and the rest as a culture has it:
+    """Robots are swimming cells, with a and speed of the spec, the rest drawn from a culture:
     docs/explanation/cells.md. They turn by (3) and walk by `heading_noise`."""
 
     dipole: NonNegative = DIPOLE_SD_RAD

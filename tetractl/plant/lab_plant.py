@@ -52,8 +52,8 @@ class LabPlantSection(LabSection):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Open the lab, turn the field, and return the cells that answer; the field turns on until
-        the first direction."""
+        """Open the lab, turn the field, and return the cells that answer; the field goes on turning
+        until the first direction."""
         from tetractl.lab.find_cells import turn_field  # imports OpenCV, which other labs lack
 
         rig = build_rig(self, setup, clock, supervision.emergency)
@@ -92,14 +92,14 @@ class LabPlant:
         self._recent: deque[Observation] = deque(maxlen=RECENT)
 
     def open(self) -> PlantInfo:
-        """Connect, look everything over, and wait until the robots stand on their starts."""
+        """Connect, check everything, and wait until the robots stand on their starts."""
         rig = self.rig
         rig.__enter__()
         findings = wait_until_ready(rig, self._supervision)
         now = self.clock.now()
         self._news.extend(Note(now, "warning", warning) for warning in findings.all_warnings)
         rig.guard.ready()
-        self._read = rig.frames.count - 1  # the newest stays: it is what `observe` may return
+        self._read = rig.frames.count - 1  # the newest stays, since `observe` may return it
         if rig.frames.newest is None:
             raise AbortError("no camera frame came")
         rate_hz = findings.camera_rate_hz or 0.0
@@ -164,10 +164,10 @@ class LabPlant:
         return Command(None, self.clock.now(), reached, *wheels)
 
     def settle(self) -> Verdict:
-        """Wait until the camera shows every robot, standing where it can, and check the path.
+        """Wait until the camera shows every robot, standing if it can, and check the path.
 
-        A fault that came too late for a further step, such as a stop that could not be sent, counts
-        as robots that are not seen to stand.
+        A fault after the last step, such as a stop that could not be sent, counts as robots that
+        are not seen to stand.
         """
         not_shown = wait_for_rest if self.rig.actuator.halts else wait_until_tracked
         not_at_rest = not_shown(self.rig) if self.rig.frames.newest else ""
@@ -181,8 +181,8 @@ class LabPlant:
         return self._path_check.verdict(self._final(), not_at_rest)
 
     def _final(self) -> Poses:
-        """Return where the robots ended: where they stand or, if they swim on, where they were
-        in the frame exposed nearest to the stop's sending."""
+        """Return the final poses: at rest or, if the robots swim on, those of the frame exposed
+        nearest to the stop's sending."""
         if self._newest is None:
             return self.setup.starts
         if self.rig.actuator.halts:
@@ -257,7 +257,7 @@ class LabPlant:
         return Poses(x, y, heading)
 
     def _command(self, sent: Transmission) -> Command:
-        delivered = sent.moving  # as far as anybody knows: a broadcast is not acknowledged
+        delivered = sent.moving  # as far as is known: a broadcast is not acknowledged
         if sent.direction is None:
             delivered = (True,) * len(sent.moving)
         return Command(sent.direction, sent.sent_ns, delivered, sent.left, sent.right)

@@ -1,4 +1,4 @@
-"""The camera of a simulation: when it exposes, what it measures, and when the host has a frame."""
+"""The camera of a simulation: times of exposure, measurements, and times of arrival."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ class SimCamera:
 
     @property
     def arriving_ns(self) -> int | None:
-        """When the next frame under way reaches the host [ns], None where none is under way."""
+        """When the next frame under way reaches the host [ns], None if none is under way."""
         return self._under_way[0].observation.received_ns if self._under_way else None
 
     def due(self, until: int) -> list[int]:
@@ -102,7 +102,8 @@ class SimCamera:
         valid = self._tracked.copy()
         for disturbance in self._measured:
             measured, valid = disturbance.measured(measured, valid, when / SECOND)
-        if self._shown is not None and not valid.all():  # who is not tracked keeps the last pose
+        # a robot that is not tracked keeps its last pose
+        if self._shown is not None and not valid.all():
             last, now = self._shown.array(), measured.array()
             measured = Poses.of(np.where(valid[:, None], now, last))
         return measured, valid

@@ -31,9 +31,9 @@ from tetractl.plant.wheel_drive import WheelDrive
 from tetractl.plant.wheel_host import WheelDriveSection
 
 NO_FRAME_S = 60
-CULTURE = 6  # cells that there are to choose from
+CULTURE = 6  # number of cells to choose from
 FINDING = 1000  # spawn key of their random numbers: those of the plant stay what `verify` has
-SURVEYED = 0.03  # share by which a survey knows a and speed
+SURVEYED = 0.03  # relative deviation with which a survey knows a and speed
 STOPS_MAX = 3000  # repetitions of a stop that some robot has not heard: one minute
 POSES_MAX = 2_000_000  # of one control period, which are simulated together
 WHEELS_KEY = 2**32 - 1
@@ -52,25 +52,25 @@ class SimSection(PlantSection):
     frame, between two commands; `euler` moves by (4)-(6) themselves, on straight chords. Robots on
     `drive` ignore it."""
     drive: WheelDriveSection | None = None
-    """Wheels between the direction and the robots; by default robots turn to the direction by
-    themselves. Needs `wheels`."""
+    """Wheels between the direction and the robots; by default robots turn to the direction
+    directly. Needs `wheels`."""
     cells: CultureSection | None = None
     """Swimming cells in place of points that follow (1)-(3); they ignore `motion`."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Measurements a second [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
-    """Samples a second of the true path that decides errors and obstacle violations [Hz]; at least
-    the camera rate."""
+    """Samples per second of the true path that decides errors and obstacle violations [Hz]; at
+    least the camera rate."""
     measurement_noise: MeasurementNoise = MeasurementNoise()
-    """What the camera adds to the true poses."""
+    """Standard deviations of the camera's noise."""
     heading_noise: NonNegative = 0.0
     """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """From the exposure of the frame that a command answers, the newest when it is sent, to the
-    robots' acting on it [s], as `controller.dead_time`; a command older than that acts when it is
-    sent. A stop takes as long. What `drive` and `disturbances` delay comes on top."""
+    """From the exposure of the frame that a command answers, the newest when it is sent, until the
+    robots act on it [s], as `controller.dead_time`; a command that is sent later acts at once. A
+    stop takes as long. Delays of `drive` and `disturbances` are added."""
     lost_commands: Fraction = 0.0
-    """Probability that a command never arrives at a robot and the one before it stays in force."""
+    """Probability that a command never reaches a robot, which goes on with the one before."""
     a_error: Fraction = 0.0
     """The true a is the spec's times 1 + e, with e uniform in [-a_error, a_error], drawn once a
     trial and robot."""
@@ -89,7 +89,7 @@ class SimSection(PlantSection):
         return self
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield wheels that the experiment does not have, and periods of too many samples."""
+        """Report wheels that the experiment does not have, and periods of too many samples."""
         poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
         if poses > POSES_MAX:
             message = f"a control period of {setup.period_s:g} s has {poses:.3g} poses to simulate"
@@ -140,7 +140,7 @@ class SimSection(PlantSection):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Return cells drawn as a culture has them, scattered in the arena, with a and speeds as a
+        """Return cells drawn from a culture, scattered in the arena, with a and speeds as a
         survey knows them."""
         own = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, FINDING))
         random, arena = np.random.default_rng(own), setup.arena
@@ -331,7 +331,7 @@ class SimPlant:
             self._motion.advance(self.clock.now())
 
     def _plan(self) -> int:
-        """Let the time of planning pass, and return the time then [ns]."""
+        """Let the planning time pass, and return the time then [ns]."""
         seconds = sum(one.planning_s(self.clock.now() / SECOND) for one in self._disturbances)
         if seconds > 0:
             self.clock.sleep_until(self.clock.now() + round(seconds * SECOND))

@@ -27,7 +27,7 @@ class TrueMotion:
 
     `a` and `speed` (N,) are those of the trial, before disturbances vary them.
     `heading_walk` [rad/sqrt(s)] is that of robots without wheels, drawn from `walking` at each
-    frame; the path is checked `truth_rate` times a second [Hz]. `repeat(now)` is called at each
+    frame; the path is checked `truth_rate` times per second [Hz]. `repeat(now)` is called at each
     time [ns] at which the drive has something sent again.
     """
 
@@ -69,7 +69,7 @@ class TrueMotion:
         return int(self._acting_ns.max(initial=0))
 
     def dispatch(self, command: DelayedCommand) -> DelayedCommand:
-        """Put a command on its way, and return what becomes of it."""
+        """Schedule a command, and return it as it will be received."""
         for disturbance in self._disturbances:
             command = disturbance.sent(command)
         late = 0 if command.late_ns is None else command.late_ns
@@ -120,7 +120,7 @@ class TrueMotion:
         return DelayedCommand(now, now, None, silent, wheels=np.zeros((2, silent.size)))
 
     def _swerve(self) -> None:
-        """Let the headings walk as far as they do between two frames."""
+        """Let the headings walk at random over one frame period."""
         drive, p = self.drive, self.drive.poses
         walk = self._walk * self._walking.standard_normal(p.x.size) * drive.moving
         drive.poses = Poses(p.x, p.y, p.heading + walk)
@@ -145,7 +145,7 @@ class TrueMotion:
     def _move(self, end: int, event: bool, disturbed: bool) -> None:
         """Move to `end` with everything held, exposing and checking what is due on the way.
 
-        Where it is `disturbed`, the disturbances act at `end`, before a frame is exposed there.
+        If it is `disturbed`, the disturbances act at `end`, before a frame is exposed there.
         Wheels, whose path is a sum, stop at the last sample before `end` unless something happens
         there: so it makes no difference how often they are read.
         """

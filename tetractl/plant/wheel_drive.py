@@ -1,9 +1,9 @@
 """Two-wheeled robots in a simulation: wheels that follow what they hear, (21)-(23).
 
-Wheels follow with a first-order lag. Between two transmissions wheel speeds, way and heading are
-known in closed form. The position is the sum of the chords between true samples, each taken as an
-arc: with wheels that have settled it is exact, and else its error falls with the square of the time
-between samples.
+Wheels follow with a first-order lag. Between two transmissions wheel speeds, path length and
+heading are known in closed form. The position is the sum of the chords between true samples, each
+taken as an arc: with wheels that have settled it is exact, and else its error falls with the square
+of the time between samples.
 """
 
 import numpy as np
@@ -22,8 +22,8 @@ SMALL = 0.3
 class WheelDrive:
     """N robots on wheels, and their host.
 
-    `a`, `speed` (N,) are the true ones: where they differ from the setup's, the robot turns, and
-    drives, by so much more than its wheels make it. `walk` [rad/sqrt(s)] is the random walk of the
+    `a`, `speed` (N,) are the true ones: if they differ from the setup's, turning and speed are
+    scaled by the ratio. `walk` [rad/sqrt(s)] is the random walk of the
     heading, at `truth_rate` [Hz], drawn from `walking`; `erring` feeds what is drawn once a trial.
     """
 
@@ -104,7 +104,8 @@ class WheelDrive:
         self._targets = np.where(command.reached, command.wheels, self._targets)
 
     def _follow(self, t: Floats) -> Floats:
-        """Return the wheels' ways (M, 2, N) after times t (M, 1, 1); they are at the last then."""
+        """Return the distances driven by the wheels (M, 2, N) after times t (M, 1, 1), and advance
+        to the last."""
         target = self._targets
         if self._lag == 0:
             self._wheels = target

@@ -1,4 +1,4 @@
-"""The host's side of two-wheeled robots in a simulation: wheel speeds, computed and sent.
+"""The host's side of two-wheeled robots in a simulation: computes and sends wheel speeds.
 
 They are (24)-(25) at the headings of the newest frame received, rounded to wheel counts, and sent
 again at the radio's rate or once a control step.
@@ -26,11 +26,11 @@ from tetractl.plant.direct import NEVER
 
 
 class WheelDriveSection(Model):
-    """Wheels between the direction and the robots. Every value left out is that of ideal wheels."""
+    """Wheels between the direction and the robots; the defaults are ideal wheels."""
 
     rate: Positive | None = None
-    """Transmissions a second under a held direction [Hz]. One is sent at once with each new
-    direction, and by default only that; with a rate, it takes the place of the next one due."""
+    """Transmissions per second under a held direction [Hz]. One is sent at once with each new
+    direction, and by default only then; with a rate, it replaces the next one due."""
     recompute: bool = True
     """Whether each transmission computes the wheel speeds again from the newest frame; else it
     repeats those of the control step."""
@@ -38,8 +38,8 @@ class WheelDriveSection(Model):
     """The host predicts the headings over the age of the frame and this much more [s]; by default
     it takes them as measured."""
     count: Positive | None = None
-    """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and what
-    rounding owes is carried to the next transmission. Not rounded by default."""
+    """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
+    rounding error is carried to the next transmission. Not rounded by default."""
     dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
     """Counts that do not move a wheel, as the host knows them; needs `count`."""
     dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
@@ -54,7 +54,7 @@ class WheelDriveSection(Model):
 
 
 class WheelHost:
-    """Computes what N robots are sent, and what their wheels make of it.
+    """Computes the wheel speeds sent to N robots, and those that result.
 
     `repeats_ns` is when the next transmission is due [ns], `direction` the one held [rad],
     None while the field is off: wheels then run alike. `erring` feeds gains and dead zones, drawn
@@ -101,7 +101,7 @@ class WheelHost:
         self.repeats_ns = NEVER
 
     def speeds(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
-        """Return the wheel speeds to send `now` [ns], and those that they truly make.
+        """Return the wheel speeds to send `now` [ns], and the true ones that result.
 
         Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received. The
         next transmission is planned, as by the lab's inner loop.

@@ -1,4 +1,4 @@
-"""Checks a log against itself: values it states twice, and values that follow from others."""
+"""Checks the consistency of a log: values stored twice, and values that follow from others."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -160,7 +160,7 @@ def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Differen
 
 
 def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """What the plant of a lab found follows from the logged frames."""
+    """The verdict of a lab's plant follows from the logged frames."""
     if not log.damage:
         if not _stands(log, result.verdict.final):
             yield Difference(None, "result.final", "is not where the robots were seen last")
@@ -209,7 +209,7 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _rest(log: TrialLog) -> Iterator[Difference]:
-    """The last frames of a complete lab trial show every robot, standing where it can."""
+    """The last frames of a complete lab trial show every robot, standing if it can."""
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return

@@ -1,7 +1,7 @@
-"""Checks what a log states twice: what viewers show follows from the records of the trial.
+"""Checks the messages for viewers, which follow from the records of the trial.
 
-The records, decoded, are encoded once more by the writer's own encoder; every message and its times
-must come out with the same bytes. Where another machine or version wrote the log, numbers need only
+The decoded records are encoded again by the writer's own encoder; every message and its times
+must come out with the same bytes. If another machine or version wrote the log, numbers need only
 agree to `NEARLY`, and how the arena is drawn may differ.
 """
 
@@ -133,7 +133,7 @@ def _entry_difference(
 def _operator_messages(
     raw: RawLog, log: TrialLog, called_for: Sequence[Entry]
 ) -> Iterator[Difference]:
-    """What the records call for is said on /log, in messages as tetractl writes them."""
+    """The /log channel has the messages that the records require, as tetractl writes them."""
     begin = log.start.start_unix_ns
     for number, entry in enumerate(raw.by_topic[channels.LOG]):
         note = decode_note(Log.FromString(entry.data), begin)

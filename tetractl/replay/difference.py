@@ -15,7 +15,7 @@ COORDINATES = ("x", "y", "heading")
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first thing that does not come out as logged: in step `step`, None for the trial."""
+    """The first value that differs from the log: in step `step`, None for the trial."""
 
     step: int | None
     field: str
@@ -116,7 +116,7 @@ def _array_difference(
 def trial_difference(
     ours: TrialRecords, logged: TrialRecords, tolerance: Tolerance = EXACT
 ) -> Difference | None:
-    """Return the first difference of two trials but for the times of solving, None for none.
+    """Return the first difference of two trials except for the solve times, None for none.
 
     What both have of commands, frames and steps is compared before how many they have.
     """
@@ -135,7 +135,8 @@ def trial_difference(
 
 
 def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
-    """Return what of a trial is compared, in that order, with so many commands, frames, steps."""
+    """Return the parts of a trial that are compared, in that order, with a given number of
+    commands, frames, steps."""
     commands, frames, steps = common
     result = trial.result
     return {

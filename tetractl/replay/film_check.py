@@ -1,4 +1,4 @@
-"""Checks the film in a log: what was found is found again in the crops, by the same code.
+"""Checks the film in a log: the cells are found again in the crops, by the same code.
 
 The blob of each crop is searched again, and a robot's logged pose must be where its blob is.
 Another OpenCV may find another last pixel: then only the checksums are compared, and a note says
@@ -28,7 +28,7 @@ NEAR_UM = 25.0  # half a body: how far a followed cell may be from its blob
 
 
 class FilmCheck:
-    """The film of one log; `notes` is what could not be compared."""
+    """The film of one log; `notes` says what could not be compared."""
 
     def __init__(self, raw: RawLog, log: TrialLog, same_host: bool) -> None:
         self._log, self._tolerance = log, 0.0 if same_host else SAME
@@ -36,7 +36,7 @@ class FilmCheck:
         self.notes: list[str] = []
 
     def differences(self) -> Iterator[Difference]:
-        """Yield the first thing that is not as it was found."""
+        """Yield the first difference."""
         log = self._log
         wanted = "opencv" in log.start.plant.facts  # earlier logs have no film
         if log.damage or not (wanted or self._entries):
@@ -74,7 +74,7 @@ class FilmCheck:
         return there == here
 
     def _check(self, row: int, entries: list[Entry], again: bool) -> None:
-        """Check the messages of one picture; ValueError for what does not fit."""
+        """Check the messages of one picture; ValueError if they are inconsistent."""
         log, topics = self._log, [entry.topic for entry in entries]
         if topics[:2] != [channels.CELLS, channels.CROPS] or len(set(topics)) < len(topics):
             raise ValueError("cells and crops do not come in pairs")
@@ -82,14 +82,14 @@ class FilmCheck:
         seen = log.sample(row).observation
         shown = [entry.data for entry in entries[1:]]
         if cells.frame != seen.frame or list(cells.crc) != checksums(cells, seen, shown):
-            raise ValueError("what was found, crops, pictures or poses do not fit the checksums")
+            raise ValueError("the checksums of cells, crops, pictures or poses do not match")
         film = decode_crops(cells, RawImage.FromString(shown[0]), seen.sampled_ns)
         self._check_robots(film, row)
         if again:
             _search_again(film, self._tolerance)
 
     def _check_robots(self, film: CellFilm, row: int) -> None:
-        """The logged pose of a robot is where its blob is, if that is not of several cells."""
+        """Check that a robot's logged pose is at its blob, unless the blob is of several cells."""
         log = self._log
         camera: Any = getattr(log.experiment.plant, "camera", None)
         if len(film.sure) != log.valid.shape[1] or (film.robots >= len(film.sure)).any():
@@ -110,7 +110,7 @@ class FilmCheck:
 
 
 def _search_again(film: CellFilm, tolerance: float) -> None:
-    """Raise ValueError where another blob is found than stated."""
+    """Raise ValueError if another blob is found than stated."""
     from tetractl.lab.cameras.cells.crops import found_again  # needs OpenCV
 
     rows = zip(film.crops, film.corners.tolist(), film.blobs, strict=True)

@@ -18,7 +18,7 @@ class PlayerClock:
     """A trial's time [ns], `rate` times as fast as the wall clock; it can be paused and set.
 
     now = anchor + rate * (wall - wall at the anchor). A change of rate, a pause and a jump each set
-    a new anchor, so that the time is continuous but for jumps.
+    a new anchor, so that the time is continuous except for jumps.
     """
 
     def __init__(

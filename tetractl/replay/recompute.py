@@ -1,4 +1,4 @@
-"""Each decision of a trial once more, by the controller rebuilt from the log.
+"""Repeats each decision of a trial by the controller rebuilt from the log.
 
 There are two ways. *Re-computed*: every search is run again and every number must come out with the
 same bits, which holds on the machine and versions that wrote the log. *Re-evaluated*: the searches
@@ -29,9 +29,10 @@ from tetractl.replay.difference import EXACT, Difference, Tolerance, first_diffe
 from tetractl.run.task import trial_seeds
 
 TOLERANCE = 1e-9
-"""Relative, of what is re-evaluated."""
+"""Relative tolerance of re-evaluation."""
 ROUNDING = 1e-12
-"""On top of it, relative to the largest coordinate: a cost near 0 is a difference of positions."""
+"""Additional tolerance relative to the largest coordinate: a cost near 0 is a difference of
+positions."""
 
 _LONG_AGO = 2**62
 
@@ -41,15 +42,15 @@ class NoSearchError(Exception):
 
 
 class _TooLongError(Exception):
-    """To go on would take longer than `bounds` allows."""
+    """Continuing would take longer than `bounds` allows."""
 
 
 class Rerun:
     """Does the logged searches of a trial again, in place of a controller's optimisers.
 
     A search that the deadline cut short is run with as many readings of the clock as spend the
-    logged evaluations: only a reading can end a search, so their number says it all. With
-    `search_again` False the logged searches are given back, and what differs in them is in `wrong`.
+    logged evaluations: only a reading can end a search, so their number suffices. With
+    `search_again` False the logged searches are returned, and their contradictions are in `wrong`.
     From `start` on, `limit_s` may pass on `cpu`, the processor time of the thread [s].
     """
 
@@ -82,7 +83,7 @@ class Rerun:
         return 0 if self._left else _LONG_AGO
 
     def wrap(self, optimizer: OptimizerSection) -> Optimizer:
-        """Return the optimiser that does the logged searches by this one."""
+        """Return an optimiser that repeats the logged searches by this one."""
         return _Repeated(optimizer, self)
 
     def next(self) -> tuple[int, Search]:
@@ -122,7 +123,7 @@ class _Repeated:
             self._rerun.start()
         if logged.stopped != StopReason.DEADLINE:
             return found_with(never)
-        few, many = 1, 2  # looks: the fewest that spend as many evaluations
+        few, many = 1, 2  # readings: the fewest that spend as many evaluations
         while (found := found_with(_Countdown(many))).evaluations < logged.evaluations:
             if found.stopped != StopReason.DEADLINE:
                 return found  # it ends by itself before that
@@ -144,7 +145,7 @@ class _Repeated:
         index: int,
         logged: Search,
     ) -> None:
-        """Note in `wrong` what of a logged search contradicts its problem or its optimiser."""
+        """Note in `wrong` how a logged search contradicts its problem or its optimiser."""
         name, wrong = f"searches.{index}", self._rerun.wrong
         if logged.length != length or len(logged.signals) != length:
             wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
@@ -162,7 +163,7 @@ class _Repeated:
 
 
 class _Countdown:
-    """A deadline that has passed from the `count`-th look on."""
+    """A deadline that has passed from the `count`-th reading on."""
 
     def __init__(self, count: int) -> None:
         self._left = count
@@ -173,7 +174,7 @@ class _Countdown:
 
 
 def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: int) -> None:
-    """Raise _TooLongError where a round of a search takes more than a log may ask for."""
+    """Raise _TooLongError if a round of a search takes more than a log may ask for."""
     robots, obstacles = problem.a.size, len(problem.obstacles.shapes)
     if optimizer.evaluations_min * length * robots * (1 + obstacles) > limits.swarm_limit():
         raise _TooLongError
@@ -312,6 +313,6 @@ def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
 
 
 def _tolerance(xy: Floats, targets: Floats) -> Tolerance:
-    """Return that of what is re-evaluated for N robots at and heading for positions (N, 2)."""
+    """Return the tolerance of re-evaluation for N robots at and heading for positions (N, 2)."""
     ends = np.abs(np.concatenate([xy, targets]))
     return Tolerance(TOLERANCE, ROUNDING * float(ends.max(initial=1.0)) * len(targets))

@@ -18,9 +18,9 @@ class Moment:
     """One instant of a trial of N robots after M frames and K control steps; lengths in its unit.
 
     `time_s` counts from the first direction sent. `poses` (N, 3) are the newest measured poses and
-    `trail` (M, N, 2) the measured positions, NaN where a robot was not tracked. `step` is the
+    `trail` (M, N, 2) the measured positions, NaN if a robot was not tracked. `step` is the
     newest control step and `totals` (K,) the total error at each. `end_s` is the duration of the
-    trial and `steps_end` the number of its control steps; None and 0 where the trial is not over.
+    trial and `steps_end` the number of its control steps; None and 0 if the trial is not over.
     `events` are the messages so far, oldest first.
     """
 
@@ -42,7 +42,7 @@ class Moment:
 
 
 def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
-    """Return positions (M, N, 2) of poses (M, N, 3), NaN where a robot was not tracked."""
+    """Return positions (M, N, 2) of poses (M, N, 3), NaN if a robot was not tracked."""
     return np.where(valid[..., None], mocap[..., :2], np.nan)
 
 
@@ -50,7 +50,7 @@ class Recording:
     """A recorded trial, of which `at` returns any instant.
 
     Times [ns] are on the trial's clock. A control step begins when its command is sent; `began_ns`
-    is the time of the first direction, from which people count, and `event_ns` are the times of the
+    is the time of the first direction, which is 0 for users, and `event_ns` are the times of the
     events.
     """
 

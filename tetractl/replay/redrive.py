@@ -1,4 +1,5 @@
-"""A plant driven again with the recorded commands of a trial, open loop, and how far apart they go.
+"""Drives a plant again with the recorded commands of a trial, open loop, and measures the distance
+between both paths.
 
 The directions are sent by a controller of kind `sequence` in a trial of its own, which is run,
 logged and, in the lab, guarded as any other.
@@ -24,7 +25,7 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
 
     Periods count from the first direction sent, that of a square too. A direction sent within the
     first half of a period counts for all of it. The remainder is how much longer than a period the
-    last one was held. UsageError where none was sent, and where the field was off at times.
+    last one was held. UsageError if none was sent, and if the field was off at times.
     """
     require_field(log)
     sent = sorted(
@@ -45,7 +46,7 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
 
 
 def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> LoadedSpec:
-    """Return a spec whose controller sends given directions [rad], one a control period.
+    """Return a spec whose controller sends given directions [rad], one per control period.
 
     The robots stand until the first, and no arrival ends the trial.
     """
@@ -66,7 +67,7 @@ def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> Loa
 class Apart:
     """Two trials of N robots at M times: `time_s` (M,) from the first direction of each.
 
-    `distance` (M, N) is that of a robot's two measured positions [length unit], NaN where it was
+    `distance` (M, N) is that of a robot's two measured positions [length unit], NaN if it was
     not tracked in either.
     """
 
@@ -83,7 +84,7 @@ class Apart:
 
 
 def paths_apart(recorded: TrialLog, again: TrialLog) -> Apart:
-    """Return how far two trials of the same robots go apart, at the recorded frames.
+    """Return the distances between two trials of the same robots, at the recorded frames.
 
     The positions of the trial driven again are interpolated between its frames. Times before the
     first direction and after the end of either are left out.

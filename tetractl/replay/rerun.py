@@ -30,7 +30,7 @@ def recorded(log: Path, plant: "PlantKind") -> "tuple[LoadedSpec, int]":
 
 
 def compare(log: Path, again: Path) -> int:
-    """Print whether two logs of a trial have the same content; FAILED where they have not."""
+    """Print whether two logs of a trial have the same content; FAILED if they have not."""
     from tetractl.log.read.reader import content_digest, read_result, read_trial
     from tetractl.replay.difference import trial_difference
     from tetractl.replay.verify import host_differences

@@ -27,11 +27,11 @@ from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
 
 ROUGHLY = Tolerance(1e-6, 1e-6)
-"""Of what another processor computes."""
+"""Tolerance for the results of another processor."""
 
 
 def resimulate(log: TrialLog, same_host: bool) -> Difference | None:
-    """Return the first thing that the plant does not do as logged, None for none.
+    """Return the first difference between the repeated trial and its log, None for none.
 
     On the same host bits are compared. A trial in the lab cannot be repeated, nor can the
     simulation of a damaged log.
@@ -67,7 +67,7 @@ def _samples(log: TrialLog) -> float:
 
 
 def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
-    """Run the trial again; TetractlError where it cannot be."""
+    """Run the trial again; TetractlError if it cannot be."""
     section, setup = log.experiment.plant, log.start.setup
     _, seed = trial_seeds(log.start.seed, log.start.trial)
     clock = section.clock()
@@ -87,8 +87,8 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
 
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
-    """Return a trial run again with the log's own where a last bit decides: facts, which are text,
-    and whether a robot that just touches an obstacle entered it."""
+    """Return a repeated trial with the log's own values wherever a last bit decides: facts, which
+    are text, and whether a robot that just touches an obstacle entered it."""
     assert ours.result
     assert log.result
     found, logged = ours.result.verdict, log.result.verdict
@@ -119,7 +119,7 @@ class _Ending:
     def delay_ns(self) -> int:
         """How much later than now the stop was decided [ns]."""
         now = self.clock.now()
-        if self.plans:  # the time until a stop is sent is drawn by the stop; a copy of it tells
+        if self.plans:  # the stop draws the time until it is sent; a copy of the plant shows it
             now = copy.deepcopy(self.plant).stop().sent_ns
         return self.sent_ns - now
 
@@ -137,7 +137,7 @@ class _LoggedPlans:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Return the next logged plan; AbortError where the observation is not the logged one."""
+        """Return the next logged plan; AbortError if the observation is not the logged one."""
         if self._k == len(self._steps):
             return End(self._outcome, max(0, self._ending.delay_ns))
         step = self._steps[self._k]
@@ -149,7 +149,7 @@ class _LoggedPlans:
 
 
 class _Recorder(Recorder):
-    """Records a trial run again, and ends it where the log was ended between two control steps."""
+    """Records a trial run again, and ends it if the log was ended between two control steps."""
 
     failure = ""  # why the trial could not be run to its end
 

@@ -1,8 +1,7 @@
-"""The particle swarm of a logged search, which no log holds: the search is run again for it.
+"""The particle swarm of a logged search: logs do not hold it, so the search is run again.
 
 The controller, rebuilt from the log, asks for the searches of a control step once more and gets the
-logged ones back; the problem, the warm start and the key that it asks with are all that the swarm
-came from.
+logged ones back; the problem, the warm start and the key of these calls determine the swarm.
 """
 
 import time
@@ -68,7 +67,7 @@ class _Asked:
 
 
 class _SpyOptimizer:
-    """An `Optimizer` that notes what it is asked and answers as another one."""
+    """An `Optimizer` that records the arguments of each search and delegates to another one."""
 
     def __init__(self, section: OptimizerSection, answers: Optimizer, asked: list[_Asked]) -> None:
         self._section, self._answers, self._asked = section, answers, asked
@@ -107,7 +106,7 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
 
 
 def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
-    """Return what the controller asked of its optimiser for the plan of step 0."""
+    """Return the arguments of the controller's searches for the plan of step 0."""
     step, asked = log.steps[0], list[_Asked]()
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     controller = log.experiment.controller.build(
@@ -122,7 +121,7 @@ def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
     if step.k != 0 or len(asked) <= step.plan.chosen:
         raise LogError(
             f"{log.path}: its first search cannot be run again",
-            "tetractl verify tells what differs",
+            "tetractl verify says what differs",
         )
     return asked[step.plan.chosen]
 

@@ -29,7 +29,7 @@ DECIDES_BITS = (
     "numba",
     "llvmlite",
 )
-"""What must be the same on two hosts for the same bits to come out."""
+"""Facts that must agree on two hosts to give the same bits."""
 
 
 class Method(StrEnum):
@@ -43,7 +43,7 @@ class Method(StrEnum):
 class Verification:
     """The result of verifying one log.
 
-    `method` is REEVALUATED only where `elsewhere` names differences between the host that wrote the
+    `method` is REEVALUATED only if `elsewhere` names differences between the host that wrote the
     log and this one. `checked` counts the steps whose decision came out as logged.
     """
 
@@ -91,7 +91,8 @@ def verify(path: Path) -> Verification:
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:
-    """Return the differences between the log's host and this one that change bits, a line each."""
+    """Return the differences between the log's host and this one that change bits, one line
+    each."""
     used = provenance.plugins(packages(log.experiment))
     here = provenance.host() | provenance.versions() | used
     there = log.host | log.provenance

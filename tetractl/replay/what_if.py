@@ -1,9 +1,8 @@
-"""What another controller would have decided on the observations of a recorded trial.
+"""Computes what another controller would have decided on the observations of a recorded trial.
 
 The other controller is given each recorded observation and the directions that were really sent,
-not its own: so at every step it answers the situation that the robots were really in. That is a
-prediction. It is no closed loop: had it decided, the robots would have been elsewhere at the next
-step.
+not its own: so every step starts from the true situation. This is not closed loop: under its own
+decisions, the robots would have been elsewhere at the next step.
 """
 
 import time
@@ -28,7 +27,7 @@ SAME = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class StepPrediction:
-    """What was decided at control step k, and what the other controller would have.
+    """The recorded decision at control step k, and that of the other controller.
 
     `difference` [rad] is the other direction minus the one sent, in [-pi, pi]. `recorded_error` and
     `other_error` are the sums of distances to the targets at the predicted ends of both plans, and
@@ -49,7 +48,7 @@ class StepPrediction:
 
 @dataclass(frozen=True, slots=True)
 class WhatIf:
-    """The predictions of a trial; `ended` says why later steps have none, "" where all have."""
+    """The predictions of a trial; `ended` says why later steps have none, "" if all have."""
 
     unit: str
     steps: tuple[StepPrediction, ...]
@@ -66,7 +65,7 @@ def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
     """Return the log's experiment with values of its controller replaced.
 
     UsageError for a setting of anything else, and for another control period: the observations are
-    those of the recorded one. SpecError where the spec is not valid any more.
+    those of the recorded one. SpecError if the spec is not valid any more.
     """
     for setting in sets:
         path = setting.partition("=")[0].strip()
@@ -88,10 +87,10 @@ def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
 def what_if(
     log: TrialLog, other: Experiment, timer: Callable[[], int] = time.perf_counter_ns
 ) -> WhatIf:
-    """Return what another experiment's controller would have decided at each step of a log.
+    """Return the decisions of another experiment's controller at each step of a log.
 
-    `timer` [ns] is the clock of its deadline, where it has one. Steps behind a gap in the log are
-    left out. UsageError where the field is off at times, by either controller.
+    `timer` [ns] is the clock of its deadline, if it has one. Steps behind a gap in the log are
+    left out. UsageError if the field is off at times, by either controller.
     """
     require_field(log)
     if other.controller.switches_field:

@@ -15,11 +15,11 @@ OF_A_BATCH = {
     "errors": "The error of each trial over time, the median, and the middle half of the trials",
     "scatter": "Where each robot ended round its target, a dot per trial, with the covariance",
 }
-FEWEST = 2  # trials of which the figures of a batch say anything
+FEWEST = 2  # least number of trials for the figures of a batch
 
 
 def lean(log: TrialLog) -> TrialLog:
-    """Return the trial without what `of_batch` does not draw, so that many fit into memory."""
+    """Return the trial with only the data that `of_batch` draws, so that many fit into memory."""
     return replace(log, steps=log.steps[:1], truth=None, notes=())
 
 

@@ -41,15 +41,15 @@ _NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "s
 class Contrast:
     """The total errors of two groups; differences are those of `one` minus those of `other`.
 
-    With `pairs`, the trials in the same world, `difference` is that of the paired t test and
+    With `pairs`, trials with the same disturbances, `difference` is that of the paired t test and
     `standardised` is of the pairs; else `difference` is Welch's, and `both` the interval from those
     of the two means. The interval and the p of `difference` are of one test, of the means. `rank_p`
     answers another question, which group errs more often: it is Wilcoxon's signed-rank or rank-sum
     test. `why_unpaired` is "" with pairs. Each `..._holm` is corrected for all contrasts that are
     tested. `detects` is the difference, in standard deviations (of the differences, or of the
-    values), that so many trials show in 80 % of all studies. `verdict` is "lower", "higher" or
-    "undecided", None for the `reason`. Groups of unlike plants, `alike` False, are not tested:
-    their p is NaN.
+    values), that these numbers of trials show in 80 % of all studies. `verdict` is "lower",
+    "higher" or "undecided", None for the `reason`. Groups of unlike plants, `alike` False, are not
+    tested: their p is NaN.
     """
 
     one: Group
@@ -73,7 +73,7 @@ class Contrast:
 
     @property
     def name(self) -> str:
-        """What is subtracted from what."""
+        """Names of the groups as "one - other"."""
         return f"{self.one.name} - {self.other.name}"
 
     @property
@@ -110,7 +110,7 @@ class GroupComparison:
 def contrast(groups: Sequence[Group], baseline: Group | None = None) -> GroupComparison:
     """Compare every two groups or, with a baseline, each group with that; one group with none.
 
-    Raises UsageError where they do not share the unit of length.
+    Raises UsageError if they do not share the unit of length.
     """
     every = (*groups, baseline) if baseline else tuple(groups)
     first = every[0]
@@ -159,10 +159,10 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
 
 
 def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
-    """Return one minus other of trials of the same seed and number, where their disturbances match.
+    """Return one minus other of trials of the same seed and number, if their disturbances match.
 
-    Where there are no pairs the text says why; it is "" where there are. The world of a trial is
-    all of the spec but the controller; from it and the seed a simulation draws its disturbances.
+    If there are no pairs the text says why; it is "" if there are. A simulation draws its
+    disturbances from the seed and the spec without the controller.
     """
     if not (one.origin.simulated and other.origin.simulated):
         return np.zeros(0), "no two trials in a lab are alike"

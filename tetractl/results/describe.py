@@ -1,4 +1,4 @@
-"""Describes a batch of trials: its errors with intervals, how the trials ended, what is known."""
+"""Describes a batch of trials: its errors with intervals, and how the trials ended."""
 
 import math
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from tetractl.results.statistic import Value, statistics
 class Published:
     """The published result, and the difference from it by Welch's t (measured minus published).
 
-    `difference` is None where the two are not comparable, such as an undisturbed simulation and
+    `difference` is None if the two are not comparable, such as an undisturbed simulation and
     real robots.
     """
 
@@ -32,7 +32,7 @@ class Scaled:
     """The mean error of one robot scaled to another kind of robot by the ratio of speeds.
 
     error = (total error / N) (scale.speed / mean speed of the N robots), in `scale.unit`; lengths
-    are the same in body lengths. NaN where no robot moves. `published` scales the reference.
+    are the same in body lengths. NaN if no robot moves. `published` scales the reference.
     """
 
     scale: Scale
@@ -51,7 +51,7 @@ class Group:
 
     `total` and `robots` describe the errors of the n trials that count: the complete ones, whose
     outcome the controller decided. `statistics` are the values of `results.kinds`, over all trials.
-    `published` and `scaled` are None where the spec asks for none; `scaled` too for a simulation
+    `published` and `scaled` are None if the spec asks for none; `scaled` too for a simulation
     without disturbances and an emulated lab.
     """
 
@@ -91,7 +91,7 @@ class Group:
 def describe(batch: Batch, name: str = "") -> Group:
     """Describe the trials of one experiment.
 
-    Raises UsageError where they belong to several, or where a simulated trial occurs twice.
+    Raises UsageError if they belong to several, or if a simulated trial occurs twice.
     """
     experiment = experiment_of(batch)
     origin = batch.trials[0].origin

@@ -17,7 +17,7 @@ from tetractl.core.table.numbers import NONE, lengths
 
 CONFIDENCE = 0.95
 
-FAR = 10  # medians, above which a value is far off where no bound is stated
+FAR = 10  # medians, above which a value is far off if no bound is stated
 _FEWEST = 3  # values for an interval of a mean: two have no skewness
 _NAN = math.nan
 Z = float(special.ndtri((1 + CONFIDENCE) / 2))
@@ -25,13 +25,13 @@ Z = float(special.ndtri((1 + CONFIDENCE) / 2))
 
 
 def finite(value: float) -> float | None:
-    """Return a number for JSON, None where it is not finite."""
+    """Return a number for JSON, None if it is not finite."""
     return value if math.isfinite(value) else None
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A 95 % interval; where there is none, `low` and `high` are NaN and `reason` is the cause."""
+    """A 95 % interval; if there is none, `low` and `high` are NaN and `reason` is the cause."""
 
     low: float
     high: float
@@ -56,7 +56,7 @@ class Interval:
 
     @property
     def ends(self) -> list[float] | None:
-        """Both ends for JSON, None where there is no interval."""
+        """Both ends for JSON, None if there is no interval."""
         return [self.low, self.high] if self.known else None
 
     def as_dict(self) -> dict[str, Any]:
@@ -70,7 +70,7 @@ class Tail:
 
     A mean of a few values says little of rare large ones: of 20 trials, two of three batches show
     none of what happens in 2 %. `stated` is whether the spec states the bound; else it is 10
-    medians. None of it is known of no values, or of a median that is not positive.
+    medians. Without values, or with a median that is not positive, the fields are None.
     """
 
     bound: float
@@ -147,7 +147,7 @@ def distributions(rows: Floats, bound: float | None = None) -> list[Distribution
 
 
 def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distribution:
-    """Describe values of which no more than these figures are known."""
+    """Describe values of which only these figures are known."""
     unknown = Tail(_NAN, 0, n, False, Interval.none(""))
     return Distribution(n, mean, std, _NAN, _NAN, _NAN, ci95, unknown)
 
@@ -231,5 +231,5 @@ def proportion_interval(successes: int, n: int) -> Interval:
 
 
 def percent(share: Interval) -> str:
-    """Return an interval of a share such as " (0 to 16 %)", "" for none."""
+    """Return the interval of a fraction such as " (0 to 16 %)", "" for none."""
     return f" ({100 * share.low:.0f} to {100 * share.high:.0f} %)" if share.known else ""

@@ -1,4 +1,4 @@
-"""The trials of a batch that need a look, each with the reason."""
+"""The trials of a batch that should be examined, each with the reason."""
 
 from dataclasses import dataclass
 

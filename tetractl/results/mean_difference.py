@@ -1,4 +1,4 @@
-"""Differences of two batches: of their means, in deviations, of their deviations, and by ranks.
+"""Differences of two batches: of means, effect sizes, standard deviations, and ranks.
 
 Tests by ranks assume no distribution. Their p-values are two-sided and exact as long as there are
 at most EXACT values: the distribution of the sum of ranks is counted out over all equally probable
@@ -124,7 +124,7 @@ def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
         shape = 1 + extra * (1 - t) / (2 - t) + extra * t / (1 + t)
         return (theta - t) ** 2 - z2 * t * (1 - t) * shape / (m * n)
 
-    edge = 1e-12  # 0 and 1 are roots of their own where theta is 0 or 1
+    edge = 1e-12  # 0 and 1 are roots themselves if theta is 0 or 1
     low = _root(excess, 0.0, min(theta, 1 - edge)) if theta > 0 else 0.0
     high = _root(excess, max(theta, edge), 1.0) if theta < 1 else 1.0
     return Effect(2 * theta - 1, Interval(2 * low - 1, 2 * high - 1, "Newcombe"))
@@ -224,7 +224,7 @@ def _detectable(degrees: int, root: float, tests: int) -> float:
 
     def missing(size: float) -> float:
         low, high = special.nctdtr(degrees, size * root, [-bound, bound])
-        return float(1 - high + np.nan_to_num(low)) - POWER  # NaN far out, where it is nothing
+        return float(1 - high + np.nan_to_num(low)) - POWER  # NaN far out, where it is 0
 
     found = optimize.root_scalar(missing, bracket=(0.0, (1.5 * bound + 3) / root), method="brentq")
     return float(found.root)
@@ -236,13 +236,13 @@ EXACT = 60  # values
 def signed_rank(differences: Floats) -> float:
     """Return the p-value of Wilcoxon's signed-rank test that differences (n,) lie round 0.
 
-    Differences of exactly 0 are left out. NaN where none is left.
+    Differences of exactly 0 are left out. NaN if none is left.
     """
     kept = differences[differences != 0]
     n = len(kept)
     if n == 0:
         return math.nan
-    double = _double_ranks(np.abs(kept))  # whole numbers, where mean ranks may be halves
+    double = _double_ranks(np.abs(kept))  # whole numbers, though mean ranks may be halves
     positive, total = int(double[kept > 0].sum()), int(double.sum())
     if n > EXACT:
         variance = float((double.astype(float) ** 2).sum()) / 4
@@ -257,7 +257,7 @@ def signed_rank(differences: Floats) -> float:
 
 def rank_sum(ours: Floats, theirs: Floats) -> float:
     """Return the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) that values (m,) are as
-    large as values (n,). NaN where a side is empty."""
+    large as values (n,). NaN if a side is empty."""
     m, n = len(ours), len(theirs)
     if min(m, n) == 0:
         return math.nan
@@ -269,7 +269,7 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
         variance = m * n * spread / ((m + n) * (m + n - 1)) if m + n > 1 else 0.0
         return _normal(mine - expected, variance)
     total = int(double.sum())
-    ways = np.zeros((m + 1, total + 1))  # of reaching each sum with so many ranks
+    ways = np.zeros((m + 1, total + 1))  # of reaching each sum with a number of ranks
     ways[0, 0] = 1.0
     for rank in double.tolist():
         ways[1:, rank:] += ways[:-1, : total + 1 - rank]

@@ -20,14 +20,14 @@ OnLog = Callable[[int, int], object]
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """A log from which no trial could be read, or rows that lack some, and why."""
+    """A log from which no trial could be read, or a damaged row, and why."""
 
     path: str
     problem: str
 
     @property
     def set_aside(self) -> bool:
-        """Whether it is an attempt that was set aside, so that the batch lacks nothing."""
+        """Whether it is an attempt that was set aside."""
         return is_set_aside(Path(self.path).name)
 
 
@@ -35,7 +35,7 @@ class Damaged:
 class Batch:
     """Trials that were read together.
 
-    `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete where a
+    `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete if a
     complete log of the trial exists, whatever they are called. `damaged` are logs and rows that no
     trial could be read from, attempts among them. The path of a trial from a study's row is the
     file and line of the row.
@@ -204,8 +204,8 @@ _BOOKKEEPING = {"trials", "description", "error_bound"}  # fields that do not ch
 def experiment_of(batch: Batch) -> Experiment:
     """Return the experiment that all trials and attempts share.
 
-    Raises UsageError where they do not share one, where some are of an emulated lab and some are
-    not, or where a trial occurs twice: copies of a log, or a simulation run again, would make n
+    Raises UsageError if they do not share one, if some are of an emulated lab and some are
+    not, or if a trial occurs twice: copies of a log, or a simulation run again, would make n
     larger than it is.
     """
     if not batch.trials:

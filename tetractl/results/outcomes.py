@@ -1,4 +1,4 @@
-"""How the trials of a batch ended, how near their robots came to trouble, and times of solving.
+"""Outcomes of the trials of a batch, least distances of their robots, and solve times.
 
 Distances are of the true paths of the robots' centres; percentiles are over every step of every
 trial.
@@ -53,7 +53,7 @@ RECOVERED = Statistic(
 
 
 Distances = Callable[[Verdict], Sequence[float]]
-"""The least distance of each robot in a trial [length unit]; empty where the log has none."""
+"""The least distance of each robot in a trial [length unit]; empty if the log has none."""
 
 
 def least(key: str, label: str, of: Distances) -> Statistic:
@@ -91,7 +91,7 @@ def _way_points(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _time_inside(trial: ResultSummary) -> dict[str, Any]:
-    """Return each robot's share of the hold's time inside; None where no whole hold was held."""
+    """Return each robot's share of the hold's time inside; None if no whole hold was held."""
     if trial.experiment.hold is None:
         return {}
     names = trial.experiment.setup.names
@@ -108,7 +108,7 @@ def _lost(trial: ResultSummary) -> dict[str, Any]:
 def mean_of_each(
     of: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
 ) -> Statistic:
-    """Return the mean of each column of the trials, a row a column, as a statistic; none where the
+    """Return the mean of each column of the trials, a row a column, as a statistic; none if the
     spec asks for none."""
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:

@@ -15,8 +15,8 @@ from tetractl.results.estimate import FAR, Distribution, Interval, known_distrib
 from tetractl.results.flagged import flagged
 from tetractl.results.open_batch import listing
 
-_SHOWN = 20  # flagged trials, before a table gets too long to read
-_OTHER_SCALE = 100.0  # times the least mean, from which on an error has six digits of its own
+_SHOWN = 20  # flagged trials listed in a table
+_OTHER_SCALE = 100.0  # multiple of the least mean from which an error is printed with six digits
 _ABREAST = 3  # groups in one table of figures
 
 Show = Callable[[float], str]
@@ -232,7 +232,7 @@ def _with_ends(value: float, ends: Interval, show: Show) -> str:
 
 
 def detects(one: Contrast) -> str:
-    """Return what so many trials can show, such as "20 pairs detect 0.66 sd at 80 %"."""
+    """Return the detectable difference, such as "20 pairs detect 0.66 sd at 80 %"."""
     what = one.counted if one.pairs else f"{one.counted} trials"
     return f"{what} detect {fixed(2)(one.detects)} sd at 80 %" if one.detects > 0 else NONE
 

@@ -23,7 +23,7 @@ _WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
 def steps(log: TrialLog) -> Table:
     """Return one row per control step k: the direction sent, its plan and its searches.
 
-    `left_NAME` and `right_NAME` are the wheel speeds of (24)-(25), `delivered_NAME` is False where
+    `left_NAME` and `right_NAME` are the wheel speeds of (24)-(25), `delivered_NAME` is False if
     the plant knows that a command did not arrive.
     """
     setup, found = log.start.setup, log.steps
@@ -58,7 +58,7 @@ def steps(log: TrialLog) -> Table:
 def poses(log: TrialLog) -> Table:
     """Return one row per camera frame and robot: the measured pose, and a simulation's true one.
 
-    `valid` is False where the robot was not tracked.
+    `valid` is False if the robot was not tracked.
     """
     setup, frames = log.start.setup, len(log.frames)
     unit, robots = setup.unit, len(setup.names)
@@ -128,7 +128,7 @@ TABLES = ("trials", *OF_TRIAL)
 def of_log(path: Path, names: Container[str]) -> dict[str, Table]:
     """Return the named tables of a log, each with the columns `log` and `trial` in front.
 
-    Raises LogError where the log cannot be read.
+    Raises LogError if the log cannot be read.
     """
     found: dict[str, Table] = {}
     if "trials" in names:

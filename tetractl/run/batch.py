@@ -1,4 +1,4 @@
-"""Runs the trials of a batch or a study: one loop for every store, executor and way to watch."""
+"""Runs the trials of a batch or a study: one loop for every store, executor and observer."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ class TrialStore(Protocol):
     """Where trials leave logs and records: the `LogStore` of a batch, the `Store` of a study."""
 
     def place(self, arm: str, trial: int) -> Path:
-        """Return the folder for the log of a trial, earlier logs of it set aside."""
+        """Set earlier logs of a trial aside; return the folder for its log."""
         ...
 
     def add(self, task: Task, finished: Finished) -> None:
@@ -28,7 +28,7 @@ class TrialStore(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a trial ended, and the time [s] that those left take, as far as earlier ones show.
+    """How a trial ended, and the estimated time [s] of the remaining trials.
 
     `result` is None if something kept the trial from an outcome; `failure` says in one line why
     it was aborted or has no result. `every_arm`: whether a trial of each arm has shown its time.
@@ -42,7 +42,7 @@ class Ending:
 
 
 class TimeLeft:
-    """How long the trials left take: those of an arm as long as its trials before on average.
+    """Estimates the time of the remaining trials: in each arm the mean time of its trials so far.
 
     Arms differ: one ends after ten steps, another runs to the last. Compiling does not count.
     """
@@ -75,7 +75,7 @@ class TimeLeft:
             self._unknown += self._left[arm]
 
     def of(self, workers: int) -> float | None:
-        """Return the time [s] with so many trials at a time, None before the first."""
+        """Return the time [s] with a number of trials at a time, None before the first."""
         if not self._spent:
             return None
         mean_s = 0.0
@@ -99,7 +99,7 @@ class RunObserver(Protocol):
 
 @dataclass(slots=True)
 class Report:
-    """How the trials ended, by arm and number: results, and errors where there is none."""
+    """How the trials ended, by arm and number: results, and errors if there is none."""
 
     results: dict[tuple[str, int], Result] = field(default_factory=dict)
     errors: dict[tuple[str, int], Exception] = field(default_factory=dict)
@@ -159,6 +159,6 @@ def run_batch(
 
 
 def _one_line(error: Exception) -> str:
-    """Return an error in one line, one that is no user's with its class."""
+    """Return an error in one line; unexpected errors with their class."""
     text = " ".join(str(error).split())
     return text if isinstance(error, TetractlError) else f"{type(error).__name__}: {text}"

@@ -1,4 +1,4 @@
-"""Runs tasks on a Dask cluster that is there already."""
+"""Runs tasks on an existing Dask cluster."""
 
 import logging
 import queue
@@ -19,7 +19,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import Finished, Task, log_path, run_task
 
 CONNECT_S = 10.0
-TLS = "DASK_DISTRIBUTED__COMM__TLS"  # what its variables of the environment begin with
+TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
 LOOK_S = 0.1  # between two checks for an interruption
 COUNT_S = 1.0  # between two counts of the workers: some come, some are lost
 AHEAD = 2  # Dask tasks for each thread of a worker, so that none waits for the next
@@ -87,10 +87,10 @@ class Cluster:
 
     @property
     def workers(self) -> int:
-        """The number of trials that run at a time, at least 1; it is asked for now and then."""
+        """The number of trials that run at a time, at least 1; read occasionally."""
         now = time.monotonic()
         if now >= self._count_at_s and self._connected:
-            with suppress(OSError):  # the scheduler goes: `run` says so
+            with suppress(OSError):  # the scheduler is gone: `run` reports it
                 threads: Any = self._client.nthreads()
                 self._workers = max(sum(threads.values()), 1)
             self._count_at_s = now + COUNT_S
@@ -98,7 +98,8 @@ class Cluster:
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end; AbortError once the scheduler is gone."""
-        waiting, alone = deque(tasks), deque[Task]()  # those alone were lost together with others
+        # retried alone: these were lost together with others
+        waiting, alone = deque(tasks), deque[Task]()
         running = dict[Any, list[tuple[Task, Path]]]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         wall_s, count = 0.0, 0
@@ -145,15 +146,15 @@ class Cluster:
 
     def _gone(self) -> AbortError:
         return AbortError(
-            f"{self._address}: the scheduler is gone; what had come back by then is stored",
+            f"{self._address}: the scheduler is gone; results so far are stored",
             "start a scheduler again; the same command, with its address, goes on with it",
         )
 
     def _found(
         self, given: Sequence[tuple[Task, Path]], future: Any
     ) -> list[Finished | Exception] | None:
-        """Save the logs of a Dask task; return how its trials finished, or what kept each from an
-        outcome. None where several trials were lost with each worker that had them."""
+        """Save the logs of a Dask task; return how its trials finished, or the error of each. None
+        if several trials were lost with each worker that had them."""
         from distributed import KilledWorker
 
         found: list[tuple[Finished | Exception, bytes | None]] = []
@@ -166,7 +167,7 @@ class Cluster:
         if isinstance(error, KilledWorker):
             if len(given) > 1:
                 return None
-            error = AbortError("it was lost with each worker that it was given to")
+            error = AbortError("it was lost with every worker that ran it")
         if error is not None:
             return [error for _ in given]
         future.release()
@@ -188,7 +189,8 @@ def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
 
 
 def _work(tasks: Sequence[Task]) -> list[tuple[Finished | Exception, bytes | None]]:
-    """Run trials on a worker; return how each finished, or what kept it from that, and its log."""
+    """Run trials on a worker; return how each finished, or the error that prevented it, and its
+    log."""
     return [_run(task) for task in tasks]
 
 

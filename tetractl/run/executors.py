@@ -25,17 +25,17 @@ ORPHAN_S = 5.0  # a worker without a parent closes its log within that
 KILLED = "a trial's process was killed twice, perhaps for want of memory"
 
 Ended = tuple[Task, Finished | Exception]
-"""A task, and how it finished or what kept it from an outcome."""
+"""A task, and its result or error."""
 
 Ready = Callable[[Task], Path]
-"""Is called in this process before a task is handed out; returns the folder for its log."""
+"""Called in this process before a task starts; returns the folder for its log."""
 
 InLab = Callable[[int], AbstractContextManager[LabSupervision | None]]
 """Returns the supervision of a trial in the lab, for as long as it runs, by the trial's number."""
 
 
 class Executor(Protocol):
-    """What runs tasks: `Here`, `Processes` or `cluster.Cluster`."""
+    """Runs tasks: `Here`, `Processes` or `cluster.Cluster`."""
 
     @property
     def workers(self) -> int:
@@ -52,7 +52,7 @@ class Executor(Protocol):
 
 
 def on_this_machine(jobs: int, tasks: int, interrupt: Interrupt) -> Executor:
-    """Return the executor of `jobs` trials at a time, if there are as many."""
+    """Return the executor for `jobs` trials at a time, at most the number of trials."""
     jobs = min(jobs, tasks)
     return Processes(jobs, interrupt) if jobs > 1 else Here(interrupt)
 
@@ -92,8 +92,8 @@ class Here:
 class Processes:
     """Runs `workers` trials at a time, each in its process.
 
-    The first request of `interrupt` lets the trials that run end early, by the interrupt of their
-    process; the second ends them at once. When a process is killed, the trials that ran are run
+    The first request of `interrupt` ends the running trials after their control step; the second
+    at once. When a process is killed, the trials that ran are run
     again, each by itself; one whose process is killed again has failed.
     """
 

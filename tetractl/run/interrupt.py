@@ -49,7 +49,7 @@ class Interrupt:
     def watch(self, robots: bool = False) -> Iterator[None]:
         """Count signals as requests inside the block; main thread only.
 
-        Where `robots` move, Ctrl-Z is a request too, and a terminal used from the background does
+        If `robots` move, Ctrl-Z is a request too, and a terminal used from the background does
         not suspend the process: suspended, it could not stop them.
         """
         more = {signal.SIGTSTP: self._on_signal} if robots else {}

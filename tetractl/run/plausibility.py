@@ -1,4 +1,4 @@
-"""Warns of what is doubtful in a spec that is valid: whether it can work, and as it was meant.
+"""Warns of problems in a valid spec: whether it can work, and as intended.
 
 Each check is a function in `CHECKS`, and yields a `SpecWarning`, with the number that shows it, for
 each thing it finds. What each means is in docs/reference/warnings.md.
@@ -34,7 +34,7 @@ alike."""
 
 @dataclass(frozen=True, slots=True)
 class SpecWarning:
-    """What a check found: where in the spec, what with its number, and what would help."""
+    """A warning of a check: field, message with its number, and hint."""
 
     loc: Loc
     message: str
@@ -45,8 +45,8 @@ class SpecWarning:
 class CheckContext:
     """An experiment, with what the checks need of its controller.
 
-    A controller of another kind may lack some of it: `signals_max` is None where no plan has a
-    longest length, `motion` is "" where none is named.
+    A controller of another kind may lack some of it: `signals_max` is None if no plan has a
+    longest length, `motion` is "" if none is named.
     """
 
     experiment: Experiment
@@ -61,7 +61,7 @@ class CheckContext:
 
     @classmethod
     def of(cls, experiment: Experiment) -> "CheckContext":
-        """Return what the checks need of an experiment."""
+        """Return the data of an experiment for the checks."""
         control: Any = experiment.controller
         collision = getattr(control, "collision", None)
         return cls(
@@ -144,7 +144,7 @@ def coarse_period(spec: CheckContext) -> Iterator[SpecWarning]:
         effect = (
             f"{len(quick)} robots do {-100 * math.expm1(-slowest):.3g} % of a turn or more in T"
         )
-    else:  # predicted exactly for any period, and one quick robot still differs from the others
+    else:  # exact for any period, and one fast robot still differs from the others
         return
     yield SpecWarning(
         ("controller", "period"),
@@ -155,7 +155,8 @@ def coarse_period(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def unknown_dead_time(spec: CheckContext) -> Iterator[SpecWarning]:
-    """A dead time that the controller is wrong about by over a control period, and not to find."""
+    """A dead time that differs from the controller's by more than a control period, without
+    identification."""
     true = getattr(spec.experiment.plant, "dead_time", None)
     assumed = getattr(spec.experiment.controller, "dead_time", 0.0)
     period, identified = (
@@ -172,7 +173,7 @@ def unknown_dead_time(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def out_of_reach(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Targets that a robot cannot come to in a trial, at full speed along a straight line."""
+    """Targets that a robot cannot reach in a trial, at full speed along a straight line."""
     for i, left in enumerate(reach(spec.setup, spec.longest_s)):
         if left > spec.tolerance:
             yield SpecWarning(
@@ -210,7 +211,7 @@ def _way(spec: CheckContext, i: int) -> str:
 
 
 def robots_alike(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Robots that one signal cannot separate, with targets that ask for it."""
+    """Robots that one signal cannot separate, though their targets require it."""
     for group in _alike(spec.setup):
         some = spec.setup.only(group)
         least = bounds.least_total_error(some, spec.longest_s, alike=True)
@@ -274,7 +275,7 @@ def _size(setup: Setup) -> float:
 
 
 def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Targets with no way to them past the obstacles, or none that keeps the margin."""
+    """Targets without a path past the obstacles, or without one that keeps the margin."""
     if not spec.experiment.obstacles:
         return
     apart = shut_out(spec.setup, 0.0, spec.walls)
@@ -299,7 +300,7 @@ def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def inside_margin(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Starts and targets nearer to an obstacle than the planner's paths may come."""
+    """Starts and targets nearer to an obstacle than the planner's margin."""
     if spec.margin == 0 or spec.yields:
         return
     for field, points in (("start", spec.setup.starts.xy), ("target", spec.setup.targets)):
@@ -356,7 +357,7 @@ CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class PlacedWarning(SpecProblem):
-    """A warning at its place in the spec's file."""
+    """A warning with its location in the spec's file."""
 
     hint: str = ""
 
@@ -364,9 +365,9 @@ class PlacedWarning(SpecProblem):
         return f"{SpecProblem.__str__(self)}; {self.hint}"
 
 
-@np.errstate(all="ignore")  # absurd numbers are a spec's own affair
+@np.errstate(all="ignore")  # absurd numbers may overflow
 def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedWarning, ...]:
-    """Return what is doubtful in a spec that was loaded with `sets`, in the order of its lines."""
+    """Return the warnings of a spec that was loaded with `sets`, in the order of its lines."""
     if loaded.experiment.open:  # its robots are stand-ins
         return ()
     context = CheckContext.of(loaded.experiment)

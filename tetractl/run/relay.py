@@ -28,7 +28,7 @@ class Relay:
         )
 
     def close(self) -> None:
-        """Do the calls that wait, and end the thread."""
+        """Do the calls in the queue, and end the thread."""
         self._worker.close()
 
     def on_start(self, start: Start) -> None:

@@ -80,9 +80,8 @@ class Trial:
         return self._end(outcome, reason, bug, opened_ns)
 
     def _failed(self, why: str) -> tuple[Outcome, str]:
-        """Return how a trial ends after an error: with the interruption that it is a form of, or
-        aborted. A KeyboardInterrupt in the middle of an import or of compiling comes out of numba
-        as an error of any kind."""
+        """Return how a trial ends after an error: interrupted or aborted. A KeyboardInterrupt
+        during an import or compilation may become another exception in numba."""
         return (Outcome.INTERRUPTED, AT_ONCE) if self.interrupt.broke else (Outcome.ABORTED, why)
 
     def _steps(self, info: PlantInfo) -> tuple[Outcome, str]:
@@ -119,7 +118,7 @@ class Trial:
             if self.interrupt.requested:
                 return Outcome.INTERRUPTED, "interrupted; the step was finished"
             late = self.clock.now() - (began + round(k * period_s * SECOND))
-            if late > period:  # an overrun is not made up for by a burst of steps
+            if late > period:  # an overrun is not compensated by a burst of steps
                 began += late
             began += round(PAUSE_S * SECOND) if standing else 0
             self._sleep_until(began + round((k + 1) * period_s * SECOND))
@@ -200,7 +199,7 @@ class Trial:
                 raise KeyboardInterrupt
 
     def _pause(self, again: bool) -> Command:
-        """Stop the robots for a while, and note it where they do not stand already."""
+        """Stop the robots for a while, and note it if they do not stand already."""
         command = self.plant.pause()
         if not again:
             self._say(command, "all robots pause, and a plan is made from standing")

@@ -87,12 +87,12 @@ class LogStore:
         return found.outcome.complete and not found.recovered
 
     def place(self, arm: str, trial: int) -> Path:
-        """Return the folder, unfinished logs of the trial set aside."""
+        """Set unfinished logs of the trial aside; return the folder."""
         set_aside(self.folder, trial)
         return self.folder
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Do nothing: the log says it all."""
+        """Do nothing: the log is the record."""
 
 
 def set_aside(folder: Path, trial: int) -> None:

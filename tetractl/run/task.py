@@ -1,4 +1,4 @@
-"""One trial of a batch or a study as an executor runs it: its log, its digest, its result."""
+"""One trial as an executor runs it: its log, its digest, its result."""
 
 import gc
 import pickle
@@ -71,7 +71,7 @@ class Finished:
 
 
 class OtherCodeError(UsageError):
-    """A worker whose trials would differ: it can run none of them."""
+    """A worker with other code, whose trials would differ."""
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
@@ -81,7 +81,7 @@ def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
 
 
 def code_of(spec: LoadedSpec) -> str:
-    """Return what names the code that runs the trials of a spec on this machine."""
+    """Return the hash of the code that runs the trials of a spec on this machine."""
     return trial_code(tuple(sorted(packages(spec.experiment).items())))
 
 
@@ -144,7 +144,7 @@ def _loaded(spec: bytes, code: str) -> LoadedSpec:
             "the worker has other code than the machine that runs the study",
             "install the same tetractl, numpy, numba, llvmlite, scipy and packages there",
         )
-    with suppress(TetractlError):  # the trial meets it again, and ends with it
+    with suppress(TetractlError):  # the trial raises it again
         warm_up(loaded.experiment, lambda text: None)
     gc.collect()
     gc.freeze()  # so that collecting what was loaded never delays a control step
@@ -216,7 +216,7 @@ def _built(
 
 
 def _unix_ns() -> int:
-    """Return the hour [ns since 1970]; a log holds none before."""
+    """Return the time [ns since 1970]; logs cannot hold an earlier one."""
     if (now := time.time_ns()) < 0:
         raise TetractlError("this computer's clock is before 1970", "set its date, then run again")
     return now

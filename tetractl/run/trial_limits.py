@@ -22,7 +22,7 @@ SAMPLES = 64  # of a side, when a square is checked against the arena
 
 
 def limits(experiment: Experiment) -> dict[str, str]:
-    """Return the limits of a trial by name, as text for people."""
+    """Return the limits of a trial by name, as Operator messages."""
     control, unit = experiment.controller, experiment.units.length
     steps = control.steps_max + 1
     longest = steps * control.period
@@ -40,7 +40,7 @@ def limits(experiment: Experiment) -> dict[str, str]:
 
 
 def check(experiment: Experiment) -> None:
-    """Raise SpecError for a spec that cannot work, where only the computed motion shows it."""
+    """Raise SpecError for a spec that cannot work, if only the computed motion shows it."""
     first = experiment.controller.first_plan
     if isinstance(first, Square):
         check_square(experiment, first)

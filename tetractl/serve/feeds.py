@@ -1,4 +1,4 @@
-"""What feeds the log viewers: a recorded trial that they can play, or trials as they run."""
+"""Feeds the log viewers with a recorded trial that they can play, or with running trials."""
 
 import queue
 from bisect import bisect_right
@@ -105,7 +105,7 @@ class ServedRun:
         self._viewers.publish([self._messages.command(command)])
 
     def on_note(self, note: Note) -> None:
-        """Send a message for people."""
+        """Send an operator message."""
         self._viewers.publish([self._messages.note(note)])
 
     def on_stop(self, stop: Command, result: Result) -> None:

@@ -20,16 +20,16 @@ PROTOCOL = "foxglove.sdk.v1"
 TOPICS = dict(enumerate(CHANNELS, 1))
 """Topics by the id of their channel, as in a log."""
 
-_MESSAGE, _TIME, _STATE = 1, 2, 5  # what a binary message to a client begins with
-_CONTROL = 3  # and one from it
+_MESSAGE, _TIME, _STATE = 1, 2, 5  # first byte of a binary message to a client
+_CONTROL = 3  # and of one from it
 _STATUS = {Playback.PLAYING: 0, Playback.PAUSED: 1, Playback.ENDED: 3}
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a viewer asks of the playback: to play or pause, the rate, the time to go to [Unix ns].
+    """A viewer's request: play or pause, rate, time to seek [Unix ns].
 
-    `rate` is in seconds of the trial per second; `seek_ns` is None where the time is to stay.
+    `rate` is in seconds of the trial per second; `seek_ns` is None to keep the time.
     """
 
     playing: bool
@@ -39,7 +39,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackState:
-    """The state of a playback at a time [Unix ns]; `sought` where the time has jumped there."""
+    """The state of a playback at a time [Unix ns]; `sought` if the time has jumped there."""
 
     playback: Playback
     time_ns: int
@@ -48,12 +48,13 @@ class PlaybackState:
 
 
 def greeting(name: str, span_ns: tuple[int, int] | None) -> list[str]:
-    """Return what a client is sent first: what is served, and the topics with their schemas.
+    """Return the first messages to a client: the server's description, and the topics with their
+    schemas.
 
     The span of a recording [Unix ns] gives a viewer controls for the playback.
     """
     info: dict[str, object] = {"op": "serverInfo", "name": name, "capabilities": ["time"]}
-    info["sessionId"] = secrets.token_hex(8)  # by it a viewer knows a server to which it returns
+    info["sessionId"] = secrets.token_hex(8)  # identifies the server to a viewer that reconnects
     if span_ns:
         info["capabilities"] = ["time", "playbackControl"]
         for which, time_ns in zip(("dataStartTime", "dataEndTime"), span_ns, strict=True):

@@ -29,7 +29,7 @@ from tetractl.serve.foxglove_protocol import PlaybackState, Request
 BACKLOG = 2048
 """Messages that may wait for one viewer: three seconds of a trial with a camera of 120 Hz."""
 CLOSE_S = 0.25
-"""For the viewers to take their last messages, and again to end their connections."""
+"""Time for the viewers to receive their last messages, and again to end their connections [s]."""
 REQUEST_BYTES = 1 << 16
 CONTROL = (Opcode.CLOSE, Opcode.PING, Opcode.PONG)  # which `websockets` answers
 
@@ -39,7 +39,7 @@ _QUIET.propagate = False
 
 
 class Viewers:
-    """What viewers are sent of a trial called `name`, and what they ask for.
+    """Sends a trial called `name` to viewers, and receives their requests.
 
     A recording has the span `span_ns` [Unix ns]; `asked` is called, in another thread, with each
     request of a viewer and returns the state that follows from it.
@@ -120,7 +120,7 @@ class Viewers:
         try:
             for said in link.messages():
                 self._obey(client, said)
-        except Exception:  # whatever a viewer says, and however it ends, must not end the run
+        except Exception:  # a viewer's messages or failure must not end the run
             link.close(CloseCode.INTERNAL_ERROR)
         finally:
             with self._lock:
@@ -183,7 +183,7 @@ class _Client:
             self.put(foxglove_protocol.message(subscription, entry))
 
     def put(self, message: str | bytes) -> None:
-        """Queue a message; the oldest one is dropped where BACKLOG wait."""
+        """Queue a message; the oldest one is dropped if BACKLOG wait."""
         with self._some:
             self._waiting.append(message)
             self._some.notify()
@@ -195,7 +195,7 @@ class _Client:
             self._some.notify()
 
     def send(self) -> None:
-        """Send what waits, until the end."""
+        """Send queued messages, until the end."""
         with suppress(OSError, InvalidState):
             while True:
                 with self._some:
@@ -226,7 +226,7 @@ class _Link:
             self._flush()
 
     def send(self, message: str | bytes) -> None:
-        """Send a message; OSError or InvalidState where the connection has ended."""
+        """Send a message; OSError or InvalidState if the connection has ended."""
         with self._lock:
             if isinstance(message, str):
                 self._websocket.send_text(message.encode())
@@ -235,7 +235,7 @@ class _Link:
             self._flush()
 
     def close(self, code: CloseCode = CloseCode.NORMAL_CLOSURE) -> None:
-        """Say that nothing more comes."""
+        """Signal the end of messages."""
         with self._lock, suppress(OSError, InvalidState):
             self._websocket.send_close(code)
             self._flush()
@@ -246,7 +246,7 @@ class _Link:
             self._connection.shutdown(socket.SHUT_RDWR)
 
     def messages(self) -> Iterator[str | bytes]:
-        """Yield what the viewer says, until it ends the connection."""
+        """Yield the viewer's messages, until it ends the connection."""
         parts, text = list[bytes](), False
         data = b"first"
         while data:

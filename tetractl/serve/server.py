@@ -37,7 +37,7 @@ class LoopbackServer:
 
     `page` is HTML, `layout` JSON, `logs` are files by name, and `live` is what WebSockets read;
     pages of the viewer at the address `viewer` may read it too. Each is at an address of its own:
-    `page_url`, `layout_url`, `log_url` and `live_url`. Raises UsageError where the port cannot be
+    `page_url`, `layout_url`, `log_url` and `live_url`. Raises UsageError if the port cannot be
     used; port 0 is any that is free.
     """
 
@@ -130,7 +130,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _upgrade(self, converse: Callable[[socket.socket, bytes], None]) -> None:
-        """Let `converse` serve the WebSocket; it is given the request, which was read here."""
+        """Hand the WebSocket to `converse`, with the request, which was read here."""
         self.close_connection = True
         token, origin = self.path.strip("/"), self.headers.get("Origin")
         if not (self._let_in(token) and is_viewers_origin(origin, self._site.viewer)):
@@ -239,7 +239,7 @@ def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
 
 
 def byte_range(asked: str, size: int) -> tuple[int, int] | None:
-    """Return the first and last byte of a `Range` header, None where it cannot be satisfied.
+    """Return the first and last byte of a `Range` header, None if it cannot be satisfied.
 
     Of several ranges none is given.
     """

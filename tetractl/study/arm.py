@@ -16,7 +16,7 @@ NAME_LENGTH = 100  # of a folder, far below what file systems take
 class Arm:
     """One arm: the spec that its trials are run with, and how it differs from the base.
 
-    `values` are those of the swept fields by path. `hash` is the SHA-256 of the experiment but for
+    `values` are those of the swept fields by path. `hash` is the SHA-256 of the experiment without
     the number of trials, which does not change a trial.
     """
 
@@ -43,7 +43,7 @@ def arm_name(controller: str, values: Mapping[str, Any]) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value as people read it: numbers to six digits, of a list of mappings its length."""
+    """Return a value for display: numbers to six digits, of a list of mappings its length."""
     if isinstance(value, float):
         return f"{value:.{DIGITS}g}"
     if isinstance(value, list | tuple) and value and isinstance(value[0], dict):

@@ -1,4 +1,4 @@
-"""The tables of a study: a row per trial over all arms, and the total error by arm and field."""
+"""The tables of a study: one row per trial over all arms, and the total error by arm and field."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,7 +23,7 @@ from tetractl.study.row_store import Store
 
 TRIALS, TIMES = "trials.csv", "times.csv"
 HOST_COLUMNS = ("deadline_misses",)
-"""Columns of `export` that differ between two runs of a trial; they are in the table of times."""
+"""Columns of `export` that differ between two runs of a trial; `times.csv` has them."""
 MOST = 100  # arms that are printed
 
 
@@ -44,7 +44,7 @@ def origins(loaded: LoadedStudy) -> list[Origin]:
 def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write the tables and return their paths; the same rows give the same `trials.csv`.
 
-    Its columns are `log` (a path from the study's folder, empty where no log was kept), `trial`,
+    Its columns are `log` (a path from the study's folder, empty if no log was kept), `trial`,
     `arm`, `controller`, the swept fields by their paths, those of `tetractl export`, `trial_digest`
     and `code`. `times.csv` has what differs from run to run.
     """
@@ -68,7 +68,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
 
 
 def _exported(arm: Arm, row: Row) -> dict[str, Any]:
-    """Return the columns of `tetractl export` for a trial, but those that lead its table."""
+    """Return the columns of `tetractl export` for a trial, without the first ones of its table."""
     table = trials_table(Batch.of([row.summary(arm.spec.experiment)]))
     return {one.key: one.known[0] for one in table.columns if one.name not in ("path", "trial")}
 
@@ -134,7 +134,7 @@ def numeric(found: Iterable[FieldValue]) -> bool:
 
 
 def arms_table(loaded: LoadedStudy, store: Store) -> Table:
-    """Return the total error of each arm, what aborted, and the plant."""
+    """Return the table of arms: total error, aborted trials, and plant."""
     arms, plants = loaded.arms[:MOST], origins(loaded)[:MOST]
     named = [(arm.name, error_of(loaded, store, [arm])) for arm in arms]
     found = list(counted_rows(loaded, store))

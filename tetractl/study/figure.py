@@ -1,4 +1,4 @@
-"""One figure per swept field: total error against the field's value, a line per controller."""
+"""One figure per swept field: total error against the field's value, one line per controller."""
 
 import re
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
     """Draw the mean total error with its 95 % interval against a field; None without any error.
 
-    Where several arms share a value, the mean is over them too, trial by trial.
+    If several arms share a value, the mean is over them too, trial by trial.
     """
     names = dict.fromkeys(arm.controller for arm in loaded.arms)
     curves = {
@@ -62,7 +62,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
             x = [places[as_yaml(group.value)] for group in found]
             joined = numeric(every) and _alike(found, len(loaded.paths))
             look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
-            aside_in = ASIDE_IN * (number - (len(curves) - 1) / 2)  # so that none hides another
+            aside_in = ASIDE_IN * (number - (len(curves) - 1) / 2)  # so that no curve hides another
             look["transform"] = axes.transData + ScaledTranslation(
                 aside_in, 0, figure.dpi_scale_trans
             )
@@ -79,7 +79,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
 
 
 def _places(axes: Axes, found: Sequence[FieldValue]) -> dict[str, float]:
-    """Return the place of each value on the x axis, which is labelled to fit."""
+    """Return the position of each value on the x axis, and label the axis."""
     if not numeric(found):
         labels = {as_yaml(group.value): shown(group.value) for group in found}
         axes.set_xticks(range(len(labels)), [label[:LABEL] for label in labels.values()])
@@ -117,7 +117,7 @@ def _draw(
         alpha=0.45,
         **look,
     )
-    for place, group in zip(x, found, strict=True):  # what is moved aside does not set the limits
+    for place, group in zip(x, found, strict=True):  # shifted points do not set the limits
         ends = group.error.ci95.ends or [group.error.mean]
         axes.update_datalim([(place, end) for end in ends])
     axes.autoscale_view()

@@ -47,8 +47,8 @@ class LoadedStudy:
 def load_study(path: Path) -> LoadedStudy:
     """Read and check a study's file and the spec of every arm.
 
-    Raises InvalidSpecError, one line a problem. Where a value of the study does not fit the spec,
-    the line is that of the study; where the base is wrong by itself, that of the base.
+    Raises InvalidSpecError, one line per problem. If a value of the study does not fit the spec,
+    the line is that of the study; if the base is wrong by itself, that of the base.
     """
     document = parse_document(read_text(path), str(path))
     study = _study(document)
@@ -124,7 +124,8 @@ def _arm(
     settings: _Placed,
     document: Document,
 ) -> Arm:
-    """Return one arm; InvalidSpecError with the places of the study where it is to blame."""
+    """Return one arm; InvalidSpecError with locations in the study, if its settings cause the
+    errors."""
     for setting, loc in settings:
         if setting.partition("=")[0].split(".")[0] == "trials":
             text = "is the study's own; give count and seed in its 'trials:'"
@@ -150,7 +151,7 @@ def _arm(
 
 
 def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Document) -> SpecProblem:
-    """Return a problem of a spec at its place in the study, where a setting is to blame."""
+    """Return a problem of a spec, located in the study if one of its settings causes it."""
     loc = settings.get(problem.origin)
     if loc is None:
         return problem

@@ -13,7 +13,7 @@ from tetractl.study.row_store import Store
 
 @dataclass(frozen=True, slots=True)
 class Logs:
-    """Which trials leave their logs: the first `each` of every arm, and those that fail."""
+    """The trials whose logs are kept: the first `each` of every arm, and those that fail."""
 
     each: float
     failed: bool
@@ -32,7 +32,7 @@ class Logs:
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """One of `of` shares of the trials, all of about the same size; `index` counts from 1."""
+    """One of `of` shares of the trials, of about equal size; `index` counts from 1."""
 
     index: int = 1
     of: int = 1

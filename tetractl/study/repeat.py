@@ -23,7 +23,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     """Run the trial `ARM/N` again and keep its log; return in one line that the digests agree.
 
     Raises UsageError for a trial that the study does not have, has no row of, or has a log of, and
-    LogError where the digests differ; the log is then set aside as an attempt.
+    LogError if the digests differ; the log is then set aside as an attempt.
     """
     arm, row = _found(loaded, store, which)
     path = log_path(store.arm_folder(arm), row.trial)
@@ -50,7 +50,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
 
 
 def _difference(log: Path, row: Row) -> str:
-    """Return the first difference of the log's result from the row's; "" where it is elsewhere."""
+    """Return the first difference of the log's result from the row's; "" if it is elsewhere."""
     now = read_result(log)
     unit = now.experiment.units.length
     ours, stated = (result_metadata(of.result, unit, of.warnings) for of in (now, row))

@@ -18,7 +18,7 @@ from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.arm import Arm
 
 DECIDING = ("code", "processor", "count")
-"""What rows of a trial have in common where their digests must agree."""
+"""The key of rows whose digests must agree."""
 
 
 class Store:
@@ -48,7 +48,7 @@ class Store:
             yield
 
     def arm_folder(self, arm: Arm) -> Path:
-        """Return the folder of an arm, made if need be, with the spec of its rows."""
+        """Return the folder of an arm, created if necessary, with the spec of its rows."""
         folder = self.folder / arm.name
         if arm.name not in self._placed:
             make_folder(folder)
@@ -57,7 +57,7 @@ class Store:
         return folder
 
     def place(self, arm: str, trial: int) -> Path:
-        """Return the folder of an arm, logs of a trial that is to be run set aside."""
+        """Set earlier logs of a trial aside; return the folder of its arm."""
         folder = self.arm_folder(self._arms[arm])
         set_aside(folder, trial)
         return folder
@@ -98,8 +98,8 @@ class Store:
     def merge(self, folders: Sequence[Path]) -> int:
         """Add the rows and logs of other folders of the same study; return how many were added.
 
-        Of a trial that both have, the row here stays, unless only the other has the log of the same
-        digest. Logs are linked where the file system can, else copied. Raises UsageError for a
+        For a trial that both have, the row here is kept, unless only the other has a log of the
+        same digest. Logs are linked if the file system can, else copied. Raises UsageError for a
         folder without a row of the study, and for two rows of a trial by the same code that differ.
         """
         added = 0
@@ -112,7 +112,7 @@ class Store:
         return added
 
     def _take(self, arm: Arm, folder: Path, row: Row) -> bool:
-        """Add a row of another folder with its log, unless there is as good a one."""
+        """Add a row of another folder with its log, unless there is an equivalent one."""
         twin = self.rows[arm.name].get(row.trial)
         if twin is not None:
             alike = all(getattr(twin, name) == getattr(row, name) for name in DECIDING)

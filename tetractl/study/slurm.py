@@ -32,7 +32,8 @@ wait $!
 
 
 def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> str:
-    """Return a job array of so many shares of a study, each in a folder next to `folder`."""
+    """Return a job array with the given number of shares of a study, each in a folder next to
+    `folder`."""
     part = shlex.quote(f"{folder}-shard")
     file, out = shlex.quote(str(study)), shlex.quote(str(folder))
     task = "$SLURM_ARRAY_TASK_ID"

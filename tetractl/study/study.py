@@ -19,7 +19,7 @@ class Study(Model):
     """Name of the study, which its folder is called after: letters without accents
     (a to z, A to Z), digits, dots, underscores and hyphens, starting with a letter or digit."""
     description: str = ""
-    """One or two sentences for people."""
+    """Description in one or two sentences."""
     base: str = Field(min_length=1, max_length=1000)
     """File of the spec that every arm starts from, by its path from the study's file."""
     sweep: Annotated[Sweep, KindSection(SWEEPS)] | None = None
@@ -28,4 +28,4 @@ class Study(Model):
     """By name, the alternatives to compare: each a mapping of paths to values, set before those of
     the sweep."""
     trials: Trials = Trials()
-    """Trials of each arm, in the place of the base's own."""
+    """Trials of each arm, in place of the base's own."""

@@ -146,7 +146,7 @@ class Random(SampledSweep):
 
 class Sobol(SampledSweep):
     """Points of a scrambled Sobol sequence, which fill the ranges more evenly than random ones;
-    most evenly where their number is a power of 2."""
+    most evenly if their number is a power of 2."""
 
     type: Literal["sobol"]
 

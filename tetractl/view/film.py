@@ -1,7 +1,6 @@
-"""Films of a trial: the arena with what moves in it, the error over time, and numbers.
-
-What does not move is drawn once; for each picture only the rest is drawn upon it. MP4 is written by
-ffmpeg where it is installed, GIF and animated WebP by Pillow.
+"""Films of a trial: the arena with the robots, the error over time, and numbers. The static
+part is drawn once; each picture adds the rest. MP4 is written by
+ffmpeg if it is installed, GIF and animated WebP by Pillow.
 """
 
 import shutil
@@ -29,13 +28,14 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import Moment, Recording
 from tetractl.view import style
 from tetractl.view.figures.axes import NUMBERED, need_steps, robot_labels, unfinished
+from tetractl.view.figures.dish import DishGround
 from tetractl.view.figures.trajectory import draw_scene
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
-"""Pictures a second; a GIF counts in hundredths of a second."""
+"""Pictures per second; a GIF counts in hundredths of a second."""
 WIDTH = 960
 HOLD_S = 1.5
-"""For how long the last picture stays."""
+"""Time for which the last picture stays [s]."""
 LONGEST_S = 60.0
 SPEEDS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 ARENA_IN = (5.0, 4.4)  # the arena is as wide or as high as this
@@ -43,7 +43,7 @@ SIDE_IN = 2.2  # width of curve and numbers
 MARGINS_IN = (0.62, 0.45, 0.62, 0.3)  # left of the arena, below it, between it and the side, above
 TRAIL_POINTS = 600
 BODY = 0.028
-"""Length of a robot's wedge where the spec gives no wheels, of the longer side of the arena."""
+"""Length of a robot's wedge if the spec gives no wheels, of the longer side of the arena."""
 
 Picture = NDArray[np.uint8]
 
@@ -71,7 +71,7 @@ def write_video(
     """Write a film of a trial and return how many times faster than the trial it plays.
 
     A trial of more than a minute plays faster, by 2, 5, 10 and so on. `progress` is called with the
-    number of pictures drawn and of all. Raises LogError where the file cannot be written.
+    number of pictures drawn and of all. Raises LogError if the file cannot be written.
     """
     ending = check_file(path)
     rate = FORMATS[ending]
@@ -167,6 +167,7 @@ class FilmFrames:
             figure.text(0.01, 0.985, heading[:120], va="top", color=style.GREY, fontsize=7.5)
             scene = figure.add_axes((left / size[0], lower, wide / size[0], high / size[1]))
             side = (left + wide + between) / size[0], SIDE_IN / size[0], 1 - above / size[1]
+            self._ground = DishGround(scene, log)
             self._moving = [*self._arena(scene), *self._course(figure, side, log)]
             for artist in self._moving:
                 artist.set_animated(True)
@@ -174,7 +175,7 @@ class FilmFrames:
             self._still = self._canvas.copy_from_bbox(figure.bbox)
 
     def _arena(self, axes: Axes) -> list[Line2D | Polygon]:
-        """Prepare what moves in the arena."""
+        """Prepare the moving parts of the arena."""
         arena = self._setup.arena
         draw_scene(axes, self._setup, self._colors)
         axes.set_xlim(arena.left, arena.right)
@@ -224,7 +225,11 @@ class FilmFrames:
 
     def at(self, elapsed_s: float) -> Picture:
         """Return the picture of a time from the first direction sent [s]."""
-        self._show(self.recording.at(self.recording.began_ns + round(elapsed_s * SECOND)))
+        when = self.recording.began_ns + round(elapsed_s * SECOND)
+        self._show(self.recording.at(when))
+        if self._ground.show(when):
+            self._canvas.draw()
+            self._still = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
         self._canvas.restore_region(self._still)
         renderer = self._canvas.get_renderer()
         for artist in self._moving:

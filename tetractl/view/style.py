@@ -113,9 +113,9 @@ def panel(axes: Axes, letter: str, title: str) -> None:
 
 
 def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "picture") -> str:
-    """Return which of the formats of pictures, or of something else, a file's name has.
+    """Return the format of a file by its name, among those of pictures or those given.
 
-    Raises UsageError for a name without one, and where the file's folder does not exist.
+    Raises UsageError for a name without one, and if the file's folder does not exist.
     """
     wanted = path.suffix.lower().removeprefix(".")
     if wanted not in formats:

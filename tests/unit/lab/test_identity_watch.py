@@ -1,4 +1,4 @@
-"""No trial goes on for long with cells of which it is not known who is who."""
+"""No trial goes on for long with cells of unknown identity."""
 
 from dataclasses import replace
 

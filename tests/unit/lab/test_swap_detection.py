@@ -113,14 +113,14 @@ def test_two_that_are_swapped_are_noticed_within_little_more_than_a_body_length(
     fault, driven = drive([1, 0, 2], delay, directions=directions)
     assert (
         fault
-        == "green and blue turn as one another is commanded: are their numbers or bodies swapped?"
+        == "green and blue turn as another robot is commanded: are their numbers or bodies swapped?"
     )
     assert driven < 1.2 * BODY
 
 
 def test_three_that_follow_one_another_are_noticed():
     fault, driven = drive([1, 2, 0], directions=WIDE)
-    assert "turn as one another is commanded" in fault
+    assert "turn as another robot is commanded" in fault
     assert driven < 2 * BODY
 
 

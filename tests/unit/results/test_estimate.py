@@ -42,12 +42,6 @@ def test_the_interval_holds_the_mean_or_says_why_there_is_none(values):
 
 
 @settings(max_examples=30)
-@given(st.permutations(SKEWED.tolist()))
-def test_the_order_of_the_trials_changes_nothing(values):
-    assert only(values) == only(SKEWED)
-
-
-@settings(max_examples=30)
 @given(st.lists(lengths, min_size=2, max_size=20), st.sampled_from([1e-3, 0.1, 25.4, 1000.0]))
 def test_another_unit_of_length_scales_every_figure(values, factor):
     one, other = only(values), only(np.array(values) * factor)

@@ -1,6 +1,6 @@
 """Keeps compiled kernels between runs, in place of numba's own cache.
 
-Numba's cache ends the process where one of its files is empty, damaged or cannot be written, and
+Numba's cache ends the process if one of its files is empty, damaged or cannot be written, and
 unpickles whatever it finds. Here each file holds the SHA-256 of its contents; what does not match
 is compiled again, and what cannot be written is left out, which is said once.
 """
@@ -30,7 +30,7 @@ def sources() -> Iterator[Path]:
     """Yield the files that kernels are compiled from.
 
     Of a motion or shape that is installed with another package these are all modules near its own
-    in the package, or its own alone where it is in none.
+    in the package, or its own alone if it is in none.
     """
     yield from Path(__file__).parent.glob("*.py")
     for registry in (MOTIONS, SHAPES):
@@ -42,7 +42,7 @@ def sources() -> Iterator[Path]:
 
 @cache
 def folder() -> Path | None:
-    """Return the folder for this state of sources and settings, None where none can be made.
+    """Return the folder for this state of sources and settings, None if none can be made.
 
     It is in the folder that $NUMBA_CACHE_DIR names, else in the user's cache folder.
     """
@@ -76,7 +76,7 @@ class KernelCache:
         return str(self._place)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the code kept for a signature, None where there is none or it is damaged."""
+        """Return the code kept for a signature, None if there is none or it is damaged."""
         target_context.refresh()
         key = self._key(sig, target_context.codegen())
         path = self._path(key)

@@ -25,9 +25,10 @@ SLOTS = FOLLOWS + 1
 SUBSTEP_S = 0.025  # longest step of the prediction
 LOST = 0.05  # probability that a command does not arrive
 STUCK_EVERY_S, STUCK_FOR_S = 30.0, 0.5  # how often a robot gets stuck, and for how long
-GATE = 30.0  # squared deviations from which on a measurement is an outlier
+GATE = 30.0  # squared deviation above which a measurement is an outlier
 LEAST_WEIGHT = -25.0  # ln of the weight that a hypothesis keeps at least
-LOST_TRACK_S = 0.3  # for which no hypothesis fits, until the pose is taken from the camera
+# time without a fitting hypothesis after which the pose is taken from the camera
+LOST_TRACK_S = 0.3
 SCALE_MEMORY = 400.0  # frames over which the noise is averaged
 FORGET_S = 10.0  # time constant with which the scores of dead times are forgotten
 SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # of the variances, to those expected
@@ -36,7 +37,7 @@ _wrap = inlined(wrap)
 
 
 class FilterModel(NamedTuple):
-    """What is expected of N robots; `noise` and `walk` are standard deviations."""
+    """The prior on N robots; `noise` and `walk` are standard deviations."""
 
     a: Floats  # (N,) rad/s
     speed: Floats  # (N,) length unit/s
@@ -51,7 +52,7 @@ class Bank(NamedTuple):
     state: Floats  # (B, N, SLOTS, SIZE)
     cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
     u: Floats  # (B, N, SLOTS) direction followed [rad], NaN for a robot that stands
-    weight: Floats  # (B, N, SLOTS) ln of the probability, -inf where there is none
+    weight: Floats  # (B, N, SLOTS) ln of the probability, -inf if there is none
     scale: Floats  # (B, N, 2) variances of positions and headings, to those expected
     unfit: Floats  # (B, N) how long no hypothesis has fitted [s]
     tau: Floats  # (B,) dead time [s]
@@ -221,7 +222,7 @@ def _rate(model, i, z, u):
 
 @compiled(**INLINE_FAST)
 def _switch(bank, model, b, i, u, step):
-    """Let a command act: robot i follows it from its best hypothesis on, or did not hear it.
+    """Let a command act: add the hypotheses that robot i follows it, or did not hear it.
 
     The moment is known to the `step` of the bank's dead times [s].
     """
@@ -253,7 +254,8 @@ def _switch(bank, model, b, i, u, step):
 
 @compiled(**INLINE_FAST)
 def _stick(bank, b, i, seconds):
-    """Let robot i get stuck, or come free, with the probabilities of so many seconds."""
+    """Let robot i get stuck, or come free, with the probabilities for the given number of
+    seconds."""
     weight, held = bank.weight[b, i], bank.u[b, i]
     best = _best(weight, FOLLOWS)
     if math.isnan(held[best]):

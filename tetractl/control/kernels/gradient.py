@@ -8,7 +8,7 @@ robot and signal, the partial derivatives of d and of the next heading g:
 (the turn depends on phi alone). The derivative of a later position by an earlier signal follows by
 the chain rule backwards in time, in `backward`.
 
-Only the headings wait for the step before. They are followed first, as cosine and sine; then the
+Only the headings depend on the step before. They are computed first, as cosine and sine; then the
 steps of a robot are independent of each other, and the loop over them is vector code. So arrays
 over the signals are as long as whole vectors, `width` (L); what is beyond the last signal means
 nothing. Each quantity is an array (N, M) of its own: rows of different ones that lie between each
@@ -32,7 +32,7 @@ _sincos, _wrap = inlined(sincos), inlined(wrap)
 
 
 class Trace(NamedTuple):
-    """What `trace` fills, for N robots and L signals, M = width(L)."""
+    """The arrays that `trace` fills, for N robots and L signals, M = width(L)."""
 
     cos: Floats  # (N + 1, M) of the headings before each signal and, last, of the signals
     sin: Floats  # (N + 1, M)
@@ -41,7 +41,7 @@ class Trace(NamedTuple):
 
 
 def width(length: int) -> int:
-    """Return the length of arrays over so many signals."""
+    """Return the length of arrays over a number of signals."""
     return -(-length // VECTOR) * VECTOR
 
 

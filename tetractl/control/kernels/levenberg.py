@@ -2,7 +2,7 @@
 
 The residuals are the 2N coordinates of the misses s_i - tar_i, scaled by one factor so that the sum
 of their squares is sqrt(N sum_i |s_i - tar_i|^2), which f never exceeds, and, for each robot and
-obstacle, how deep its deepest predicted position lies inside; for each pair of robots, by how much
+obstacle, the greatest depth of its predicted positions inside; for each pair of robots, by how much
 they come nearer than their separation. L signals answer for few residuals R, so the damped step is
 taken in the small space of the residuals:
 
@@ -94,7 +94,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
 
 @compiled(**INLINE_FAST)
 def _trace(work, u):
-    """Predict path and gradients under signals u."""
+    """Predict the path under signals u, and its gradients."""
     t0, t = work.first_period, work.period
     trace(u, work.start, work.a, work.v, work.drift, t0, t, work.first, work.rest, work.traced)
 

@@ -18,17 +18,17 @@ UNIT_53 = 2.0**-53
 
 
 class Polished(NamedTuple):
-    """What became of each of up to K starts, updated in place."""
+    """The result of each of up to K starts, updated in place."""
 
     signals: Floats  # (K, L), within [-pi, pi]
     costs: Floats  # (K,) J
     steps: Integers  # (K,) iterations
-    evaluations: Integers  # (K,) that the polish took; J took one more
+    evaluations: Integers  # (K,) evaluations of the polish; J took one more
     merits: Floats  # (K, steps_max + 1) after each iteration
 
 
 def workspace(count: int, length: int, steps_max: int) -> Polished:
-    """Return the arrays for so many starts."""
+    """Return the arrays for a number of starts."""
     return Polished(
         signals=np.empty((count, length)),
         costs=np.empty(count),
@@ -70,8 +70,8 @@ def scatter(key, below, share, middle, warm, knots, starts):
 def polish_each(work, one, starts, tolerance, slack, patience, budget, factor, polished):
     """Polish starts (K, L) until one costs at most `tolerance`, within `budget` evaluations.
 
-    `one` is a rollout of one particle. Returns how many starts were polished; `polished` tells what
-    became of them.
+    `one` is a rollout of one particle. Returns how many starts were polished; `polished` holds
+    their results.
     """
     iterations, spent, done = polished.merits.shape[1] - 1, 0, 0
     while done < starts.shape[0] and spent + 2 <= budget:

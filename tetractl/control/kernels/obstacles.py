@@ -1,6 +1,6 @@
 """Obstacles against positions: the twins of `Obstacles.contain` and `Obstacles.cross`.
 
-`packs` is a tuple of `PackedShapes`, one a kind, see `tetractl.model.obstacles`; what is compiled
+`packs` is a tuple of `PackedShapes`, one per kind, see `tetractl.model.obstacles`; what is compiled
 depends on their classes. Loops over kinds are unrolled by recursion: a tuple of several types has
 no loop in compiled code.
 """
@@ -20,7 +20,7 @@ class SingleShape(NamedTuple):
 
 
 def row(pack: Any, o: int) -> Any:
-    """Return the numbers of obstacle o of a kind: a tuple, or an array where rows differ."""
+    """Return the numbers of obstacle o of a kind: a tuple, or an array if rows differ."""
 
 
 @overload(row, jit_options=INLINE_FAST)
@@ -37,7 +37,7 @@ def count_hits(
 ) -> None:
     """Add 1 to hits[i, n] where robot i is in, or came through, any obstacle.
 
-    It is at x, y (N, P), or has come there from x0, y0 (P,) where `swept`. gap (P,) is 1 before and
+    It is at x, y (N, P), or has come there from x0, y0 (P,) if `swept`. gap (P,) is 1 before and
     after.
     """
 

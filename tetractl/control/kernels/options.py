@@ -15,9 +15,9 @@ INLINE_FAST: Any = {
     "error_model": "numpy",
     "forceinline": True,
 }
-"""Of whatever a kernel calls. A call would cost as much as the loop. And where a kernel has just
-been compiled, a call reaches the callee's own code, but the kernel's copy of it where it comes from
-the cache: two machine codes, and results that differ in the last bits from run to run."""
+"""For functions that a kernel calls: they are inlined. A call would cost as much as the loop, and a
+kernel just compiled would call other machine code than one from the cache: results would differ in
+the last bits from run to run."""
 ENTRY_FAST: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy"}
 INLINE_STRICT: Any = {
     "nogil": True,
@@ -25,9 +25,9 @@ INLINE_STRICT: Any = {
     "forceinline": True,
 }
 ENTRY_STRICT: Any = {"nogil": True, "error_model": "numpy"}
-"""The same for what has to round as NumPy does."""
+"""The same for functions that have to round as NumPy does."""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
-"""Of functions of scalars: compiled as if they were written where they are called."""
+"""For functions of scalars: inlined where they are called."""
 
 
 @cache

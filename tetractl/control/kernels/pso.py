@@ -46,9 +46,10 @@ class SwarmRules(NamedTuple):
 
 @compiled(**INLINE_FAST)
 def update_local_bests(swarm, least):
-    """Apply (18), marking in `better` who improved; return who is best and its J.
+    """Apply (18), marking in `better` the particles that improved; return the index of the best and
+    its J.
 
-    That is -1 and `least` where no particle is below `least`.
+    That is -1 and `least` if no particle is below `least`.
     """
     leader = -1
     for n in range(swarm.cost.size):

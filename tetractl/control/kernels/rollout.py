@@ -51,7 +51,7 @@ def aligned(shape: tuple[int, ...]) -> Floats:
 
 
 def lay_out(problem: Problem, particles: int) -> Rollout:
-    """Prepare a problem for rollouts of so many particles at once."""
+    """Prepare a problem for rollouts of a number of particles at once."""
     p, packs = problem.poses, problem.obstacles.packed()
     first, rest = constants(problem)
     filled = [pack for pack in packs if len(pack.rows)]
@@ -120,7 +120,7 @@ def begin(rollout, lanes, scratch):
 
 
 def follow(rollout: Any, lanes: Any, scratch: Any, signals: Any, j: int) -> None:
-    """Move every robot by signal j of every particle, and count who is in an obstacle."""
+    """Move every robot by signal j of every particle, and count those in an obstacle."""
 
 
 @overload(follow, jit_options=INLINE_FAST)

@@ -4,7 +4,7 @@ Source: de Boer, Kroese, Mannor and Rubinstein, "A tutorial on the cross-entropy
 Operations Research 134 (2005), section 3 (continuous optimisation, with smoothed updates).
 
 A sequence is u = base + W x: K knots x, joined by straight lines (W), added to the warm start, or
-to the bearing of the targets where there is none. The knots are independent, x_k ~ N(m_k, s_k^2).
+to the bearing of the targets if there is none. The knots are independent, x_k ~ N(m_k, s_k^2).
 Each iteration draws P samples, takes the E of them with the least J, the elite, and moves the
 distribution towards it:
 

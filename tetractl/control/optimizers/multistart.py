@@ -11,8 +11,8 @@ only the most promising.
 
 A thorough search hops: it polishes again and again what is left when one of the best few sequences
 so far is moved at random, and keeps the better ones (basin hopping; Wales and Doye, J. Phys. Chem.
-A 101 (1997)). Where robots are to go from anywhere to anywhere, most starts end in a corner between
-walls, obstacles and other robots, and what is nearly good leads to what is.
+A 101 (1997)). If robots are to go from anywhere to anywhere, most starts end in a corner between
+walls, obstacles and other robots, and hops from nearly good sequences find good ones.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,8 @@ HOP_WORK = 1e9  # evaluations times signals times robots of a thorough search at
 POOL = 6  # sequences that are kept to hop from
 HOP_STEPS, HOP_PATIENCE = 60, 12  # Levenberg-Marquardt iterations of a hop
 HOP_LEAST, HOP_MOST = 0.15, 1.5  # rad by which signals are moved
-HIT = 0.25  # share of the fastest robot's step that a position in an obstacle counts among hops
+# cost of a position in an obstacle among hops, as a fraction of the fastest robot's step
+HIT = 0.25
 NO_LIMIT = 2**62
 
 
@@ -57,7 +58,7 @@ class Multistart(OptimizerSection):
     polished: int = Field(default=4, ge=1, le=10_000)
     """The best of a round that are polished."""
     patience: int = Field(default=6, ge=1, le=10_000)
-    """Iterations in which a start has to get nearer by a fifth, or is given up."""
+    """A start whose merit does not fall by a fifth within this many iterations is given up."""
     polish_steps: int = Field(default=40, ge=1, le=10_000)
     """Levenberg-Marquardt iterations spent on each at most."""
     rounds: int = Field(default=8, ge=1, le=10_000)
@@ -92,7 +93,7 @@ class Multistart(OptimizerSection):
     ) -> Search:
         """Search sequences of `length` signals, from `warm` or from nothing.
 
-        A warm start is polished first; only where that fails is one round scattered, half of it
+        A warm start is polished first; only if that fails is one round scattered, half of it
         around the warm start. The history holds J before and after each polish and, in between, the
         merit of its steps: (8) plus the depths inside obstacles.
         """
@@ -112,7 +113,7 @@ class Multistart(OptimizerSection):
         return progress.search()
 
     def _rounds(self, problem: Problem, length: int) -> int:
-        """Return 1 where even straight lines at full speed leave a cost above the tolerance."""
+        """Return 1 if even straight lines at full speed leave a cost above the tolerance."""
         gaps = problem.poses.distances(problem.targets)
         beyond = float(np.maximum(gaps - problem.speed * problem.seconds(length), 0.0).sum())
         return 1 if beyond > self.tolerance else self.rounds
@@ -217,7 +218,7 @@ class _PolishedProgress(Progress):
             del pool[POOL:]
 
     def _polish_some(self, starts: Floats) -> int:
-        """Polish sequences, with no look at the time; return how many the limits allowed."""
+        """Polish sequences without checking the deadline; return how many the limits allowed."""
         most = NO_LIMIT if self.limits.evaluations is None else self.limits.evaluations
         found = self.polished
         done = self.kernels.polish_each(

@@ -56,12 +56,12 @@ class PsoFields(OptimizerSection):
         return (self.iterations + 1) * self.particles + 1
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
-        """Yield "evaluations" and "stopped" where the history does not lead to them."""
+        """Yield "evaluations" and "stopped" if the history does not lead to them."""
         if not len(found.history):
             return
         if found.evaluations != self.particles * len(found.history) + warmed:
             yield "evaluations"
-        with np.errstate(invalid="ignore"):  # a history that rises has no logarithms
+        with np.errstate(invalid="ignore"):  # the logarithms need a falling history
             why = stopped(found.history, self.stop) if len(found.history) > 1 else None
         if why is None and len(found.history) > self.iterations:
             why = StopReason.ITERATIONS
@@ -143,7 +143,7 @@ def pso(
     if warm is None:  # lines 2-3
         leader = int(np.argmin(swarm.best_cost))
         swarm.u_gb, swarm.cost = swarm.best[leader].copy(), float(swarm.best_cost[leader])
-    else:  # lines 4-5: taken without comparing it with the swarm; (19) then compares
+    else:  # lines 4-5: taken without comparison with the swarm; (19) compares
         swarm.u_gb, swarm.cost = warm.copy(), float(evaluate(problem, warm[None]).total[0])
         evaluations += 1
     history = [swarm.cost]

@@ -4,11 +4,11 @@ import math
 from collections.abc import Callable
 
 NONE = "-"
-"""What a reader sees of a value that is not known."""
+"""The text for an unknown value."""
 
 
 def fixed(decimals: int) -> Callable[[float], str]:
-    """Return a format with so many decimals."""
+    """Return a format with a number of decimals."""
 
     def show(value: float | None) -> str:
         return NONE if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"

@@ -10,13 +10,13 @@ from tetractl.core.table.numbers import NONE
 
 
 def as_text(value: Any) -> str:
-    """Return a value for a reader: "-" for what is not known."""
+    """Return a value as text; "-" if it is unknown."""
     return NONE if value is None or value != value else str(value)
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The values of one quantity, one per row; None or NaN where it is not known.
+    """The values of one quantity, one per row; None or NaN if it is not known.
 
     A reader sees each value through `format`, below the heading "name [unit]"; a data file holds
     the values themselves, below `name_unit`. Columns of `words` are left-aligned and may be
@@ -31,7 +31,7 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """What a reader sees above the column."""
+        """The heading for a reader."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
@@ -41,7 +41,7 @@ class Column:
 
     @property
     def texts(self) -> list[str]:
-        """What a reader sees of each value."""
+        """The text of each value for a reader."""
         return [self.format(value) for value in self.values]
 
     @property
@@ -57,7 +57,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns of equal length under a `title`; `note` is text that belongs below them."""
+    """Columns of equal length under a `title`; `note` is text below them."""
 
     title: str
     columns: tuple[Column, ...]
@@ -67,9 +67,10 @@ class Table:
     def of_texts(
         cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = ""
     ) -> Self:
-        """Return a table of words, without its columns (but the first) that are empty in all rows.
+        """Return a table of words; columns, except the first, that are empty in all rows are left
+        out.
 
-        A cell is empty where it is "" or "-".
+        A cell is empty if it is "" or "-".
         """
         values = list(zip(*rows, strict=True)) or [()] * len(header)
         columns = [
@@ -95,7 +96,7 @@ class Table:
 
     @property
     def words(self) -> bool:
-        """Whether columns besides the first are words."""
+        """Whether columns other than the first are words."""
         return any(column.words for column in self.columns[1:])
 
     def __len__(self) -> int:

@@ -71,7 +71,7 @@ def _cells(values: list[Any]) -> list[Any]:
 
 
 def read_csv(path: Path) -> Iterator[dict[str, str]]:
-    """Yield the rows of a CSV file by column; raises UsageError where it is none."""
+    """Yield the rows of a CSV file by column; raises UsageError if it is none."""
     if path.exists() and not path.is_file():
         raise UsageError(f"{path}: is no regular file")
     try:
@@ -152,7 +152,7 @@ class TableFiles:
     def add(self, name: str, table: Table, source: str = "") -> None:
         """Add rows to the file `name`; `source` is where they are from.
 
-        Raises UsageError where the columns are not those of the rows before.
+        Raises UsageError if the columns are not those of the rows before.
         """
         keys = [column.key for column in table.columns]
         known = self._keys.setdefault(name, keys)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 WIDTH = 120
-"""Characters of a line where there is no terminal; words that are longer are not broken."""
+"""Characters of a line if there is no terminal; words that are longer are not broken."""
 
 WORDS = 16
 """Least width of a column of words there, if any of them are as wide."""
@@ -34,7 +34,7 @@ _MINUS = re.compile(r"(?<![\w.])-(?=\d)")
 
 
 def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> None:
-    """Print tables to a terminal, or as plain text of WIDTH characters where there is none."""
+    """Print tables to a terminal, or as plain text of WIDTH characters if there is none."""
     from rich.console import Console
 
     console = console or Console()
@@ -102,7 +102,7 @@ def _markdown(text: str) -> str:
 def latex(tables: Sequence[Table]) -> str:
     r"""Return `tabular` and `tabularx` environments that fit the width of the text.
 
-    The document needs the packages booktabs, graphicx and tabularx. Numbers are made smaller where
+    The document needs the packages booktabs, graphicx and tabularx. Numbers are made smaller if
     they are wider than the text, words wrapped. Below numbers stand the table's title and note.
     """
     parts = [r"% needs \usepackage{booktabs,graphicx,tabularx}"]

@@ -17,7 +17,7 @@ DROP = 0.25  # of the dish's width: cells of a drop are so far from its middle a
 
 
 class FieldDriver(Protocol):
-    """What makes the field: a current driver, or one in a test."""
+    """The source of the field: a current driver, or a substitute in a test."""
 
     @property
     def currents(self) -> Pair:
@@ -38,7 +38,7 @@ class Dish:
     """Cells between the coils of a driver.
 
     `coils` are the coils as they truly are, `reference_mt` the field at which the cells have their
-    a. `walls` [um] are those that cells slide along, None for a dish that has no end. Where cells
+    a. `walls` [um] are those that cells slide along, None for a dish that has no end. If cells
     are `held`, one that is placed waits there until the driver makes a field: a helper with a
     pipette is emulated, so that a trial begins with the cells on their starts.
     """
@@ -61,7 +61,7 @@ class Dish:
         self.drop()
 
     def drop(self) -> None:
-        """Begin again with a fresh drop: cells scattered round the middle, as a pipette does."""
+        """Start again with cells scattered around the middle, as from a pipette."""
         if (walls := self._walls) is None:
             return
         count, random = len(self.cells), self._random
@@ -105,7 +105,7 @@ class Dish:
 class CellBody:
     """One cell of a dish as it truly is: x, y [mm] and heading [rad] of its helix's axis.
 
-    It counts as standing while no field steers it, for it never does.
+    It counts as standing while no field steers it, since it never stands.
     """
 
     def __init__(self, name: str, dish: Dish, row: int) -> None:
@@ -132,14 +132,14 @@ class CellBody:
         return not self.dish.steered
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the cell somewhere [mm, rad], to wait there where cells are held."""
+        """Put the cell somewhere [mm, rad], to wait there if cells are held."""
         cells, row = self.dish.cells, self.row
         cells.x[row], cells.y[row], cells.heading[row] = x * UM_MM, y * UM_MM, heading
         cells.resting[row] = self.dish.held
 
 
 def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
-    """Return the cells of a spec: its a and speeds, the rest as a culture has it."""
+    """Return the cells of a spec: its a and speeds, the rest drawn from a culture."""
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
     cells.a, cells.speed = setup.a.copy(), setup.speed * setup.metres * 1e6
     cells.bias[:], cells.walk[:] = 0.0, walk
@@ -147,7 +147,7 @@ def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
 
 
 def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmers, Sequence[str]]:
-    """Return cells of a culture and names of them; the last ones, so many strangers, have no
+    """Return cells of a culture and names of them; the last ones,the strangers, have no
     magnet."""
     cells = Swimmers.drawn(np.random.default_rng(seed), count + strangers, strangers)
     cells.walk[:] = walk

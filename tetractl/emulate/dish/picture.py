@@ -21,7 +21,7 @@ Shades = NDArray[np.float32]
 TAPER = 0.2  # how much narrower the front is than the middle
 SUB_EXPOSURES = 4
 LENS_PX = 0.6  # blur in focus
-SPREAD = 0.1  # um of blur a um of defocus: a numerical aperture of about 0.1
+SPREAD = 0.1  # um of blur per um of defocus: a numerical aperture of about 0.1
 NOISE_SPARE = 64  # pixels by which the field of noise is larger than a picture
 
 
@@ -120,7 +120,7 @@ class DishPainter:
         self._random = np.random.default_rng(self.seed)
 
     def change(self, **values: Any) -> None:
-        """Give the look other values."""
+        """Change values of the look."""
         self.look, self._still = replace(self.look, **values), None
 
     def picture(
@@ -171,7 +171,7 @@ class DishPainter:
         return self._still
 
     def _pixels(self, x: float, y: float) -> tuple[float, float]:
-        """Return the column and row of a place [um]."""
+        """Return the column and row of a position [um]."""
         look = self.look
         across, up = x - look.corner_um[0], y - look.corner_um[1]
         return across / look.um_px - 0.5, look.height - 0.5 - up / look.um_px
@@ -179,7 +179,8 @@ class DishPainter:
     def _patch(
         self, x: float, y: float, reach_px: float
     ) -> tuple[tuple[slice, slice], Floats, Floats] | None:
-        """Return the part of a picture round a place, and x, y [px] from it, y up; None outside."""
+        """Return the part of a picture around a position, and x, y [px] from it, y up; None
+        outside."""
         column, row = self._pixels(x, y)
         left, right = (
             max(0, int(column - reach_px)),

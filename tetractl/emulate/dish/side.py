@@ -25,7 +25,7 @@ BUBBLE_UM = 200.0
 
 
 class MicroscopeSettings(StreamSettings):
-    """What the emulated microscope is like; scale and `latency` are what the spec says."""
+    """Properties of the emulated microscope; scale and `latency` are the spec's."""
 
     width: int = Field(default=0, ge=0, le=8192)
     """Columns of a picture [px]; 0 for those that show the arena."""
@@ -44,7 +44,7 @@ class MicroscopeSettings(StreamSettings):
 
 
 def _changes(**values: Callable[[Any, PictureLook], Any]) -> Callable[[Any, Any], Undo]:
-    """Return what begins a fault that changes the look of pictures, and takes it back."""
+    """Return a function that starts a fault of the pictures' look, and returns its undo."""
 
     def begin(fault: Any, device: Any) -> Undo:
         painter: DishPainter = device.painter
@@ -120,7 +120,7 @@ class EmulatedMicroscope(StreamedCamera):
                 "the actuator's type is field, and lab.camera.rotation 0",
             )
         self._dish = bodies[0].dish  # type: ignore[attr-defined]
-        self._dish.held = False  # what does not swim is no cell to the camera
+        self._dish.held = False  # a cell that does not swim is not seen as one
         um, arena = stage.setup.metres * 1e6, stage.setup.arena
         corner = section.corner[0] * um, section.corner[1] * um
         sides = (  # as far beyond the arena as at the lower left

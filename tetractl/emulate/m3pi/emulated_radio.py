@@ -2,7 +2,7 @@
 
 A frame costs its bytes on the PC's UART, 32 us a byte on the air after a short random wait, and
 its bytes on the robot's UART. Broadcasts are not acknowledged; a unicast is tried four times. The
-module answers AT commands that ask for a parameter, and says what became of each send. In
+module answers AT commands that ask for a parameter, and reports the result of each send. In
 transparent mode bytes go as they are.
 """
 
@@ -35,7 +35,7 @@ SERIAL = 0x0013A200_40000000  # of every module's 64-bit address, before adding 
 
 
 class Delivery(IntEnum):
-    """What became of a send, as 0x89 says it."""
+    """The result of a send, as in frame 0x89."""
 
     SUCCESS = 0
     NO_ACK = 1
@@ -48,7 +48,7 @@ Write = Callable[[bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class ModuleSettings:
-    """What the module was set to; `mode` is AP, `explicit` whether AO is 1."""
+    """Settings of the module; `mode` is AP, `explicit` whether AO is 1."""
 
     baud: int = 57600
     mode: int = 2
@@ -104,7 +104,7 @@ class EmulatedModule:
             case Transmit16(frame_id, destination, _, data):
                 self._send(destination, data, self._status(frame_id))
             case _:
-                pass  # a module says nothing to frames it does not know
+                pass  # a module does not answer unknown frames
 
     def _status(self, frame_id: int) -> Done:
         def done(delivery: Delivery) -> None:
@@ -169,7 +169,7 @@ class EmulatedRadio:
         self._timeline.at(self._in_ns, lambda: self._module.hear(data))
 
     def poll_answers(self) -> None:
-        """Send what robots have to say; call it every millisecond or so."""
+        """Send the robots' answers; call it about every millisecond."""
         for address, robot in self.robots.items():
             if answer := robot.answer():
                 ready = self._timeline.now_ns + _uart_ns(len(answer), ROBOT_BAUD)

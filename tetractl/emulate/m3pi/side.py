@@ -36,10 +36,10 @@ Note = Callable[..., None]
 
 
 class CommandLog:
-    """Notes each command as it is read from the port, before it travels any further.
+    """Records each command as it is read from the port.
 
     `mode` is AP. A broadcast is noted with `sequence`, `flags` and the `wheels` of all robots; a
-    slave's with its `address` and the `wheels` as they stand for it then.
+    slave's with its `address` and the resulting `wheels`.
     """
 
     def __init__(self, mode: int, slave: bool, note: Note) -> None:
@@ -90,7 +90,7 @@ SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zig
 
 
 class TrueRobot(Model):
-    """A robot as it truly is, where that differs from what the spec says of it."""
+    """A robot as it truly is, if that differs from what the spec says of it."""
 
     name: Name
     """Name of a robot of the spec."""
@@ -99,7 +99,7 @@ class TrueRobot(Model):
     right: WheelSection | None = None
     """Its right wheel."""
     swap: bool | None = None
-    """Whether its left wheel hangs on the motor meant for the right."""
+    """Whether its left wheel is connected to the right motor's output."""
     radius_mm: Positive | None = None
     """Distance r from a wheel to its centre [mm]."""
     lag: Annotated[float, Field(gt=0, le=1)] = 0.04
@@ -112,7 +112,7 @@ class M3piSettings(Model):
     """How radio and robots differ from what the spec says."""
 
     firmware: Literal["802.15.4", "zigbee"] = "802.15.4"
-    """What the radio's module runs."""
+    """The firmware of the radio's module."""
     hardware: int | None = Field(default=None, ge=0, le=0xFFFF)
     """The module's hardware version (HV); that of a Series 1 or 2 by default."""
     explicit: bool = False

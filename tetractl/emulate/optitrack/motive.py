@@ -33,7 +33,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
 from tetractl.lab.cameras.optitrack.wire import datagram
 
 MODELS_CHANGED, EDIT_MODE = 2, 4
-GROWN = bytes(24)  # what descriptions of bodies are longer by, above 4.3
+GROWN = bytes(24)  # extra bytes of the descriptions of bodies above 4.3
 DATAGRAMS_A_TURN = 100
 
 
@@ -41,7 +41,7 @@ class Motive:
     """The server. `expose` returns the bodies at the timeline's present moment.
 
     Exposures count from 1 and never back. `on_exposed(exposure, frame number)` is called at each,
-    `on_sent(exposure)` after its datagrams have left or, where none are sent, would have.
+    `on_sent(exposure)` after its datagrams have left or, if none are sent, would have.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What the emulated Motive is set to, what it answers, and to whom it streams; without sockets."""
+"""Settings, answers and clients of the emulated Motive; without sockets."""
 
 import struct
 from collections.abc import Callable, Sequence
@@ -59,9 +59,9 @@ class Streaming:
 
 @dataclass(slots=True)
 class Trouble:
-    """What faults set: silent (answers nothing, sends nothing), no frames, the same frame again
-    and again, the counter back by so many, edit mode, a share of damaged datagrams, or so many
-    `outdated` frames, stamped `outdated_s` too old."""
+    """What faults set: silent (answers nothing, sends nothing), no frames, the same frame repeated,
+    a counter set back, edit mode, a share of damaged datagrams, or a number of `outdated` frames,
+    stamped `outdated_s` too old."""
 
     silent: bool = False
     no_frames: bool = False
@@ -84,7 +84,7 @@ class Client:
 
 @dataclass(slots=True)
 class ServerCounts:
-    """What the server has seen and done."""
+    """Counters of the server."""
 
     frames: int = 0
     datagrams: int = 0
@@ -107,7 +107,7 @@ class ServerClock:
     since_ns: int = 0
 
     def ticks(self, when_ns: int) -> int:
-        """Return what the clock reads at a time of the host's."""
+        """Return the clock's ticks at a time of the host's."""
         gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
         return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
 
@@ -140,7 +140,7 @@ class MotiveServer:
         return known.version if known else self.streaming.version
 
     def answer(self, message: Message, sender: Address, now_ns: int) -> Message | None:
-        """Return the answer to a message, None where there is none."""
+        """Return the answer to a message, None if there is none."""
         if sender in self.clients:
             self.clients[sender].heard_ns = now_ns
         match message:

@@ -38,7 +38,7 @@ MEAN_ERROR_M = 0.0002  # of the markers of a tracked body
 
 
 def parse_request(received: bytes) -> Message:
-    """Read one datagram of a client; WireError where it cannot be read."""
+    """Read one datagram of a client; WireError if it cannot be read."""
     kind, payload = split(received)
     match kind:
         case MessageKind.CONNECT if len(payload) < SENDER:  # small clients send only a word

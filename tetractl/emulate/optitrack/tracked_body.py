@@ -40,7 +40,7 @@ class TrackedBody:
 
     `noise` are the standard deviations of a pose [mm, rad], drawn from `random`. The other fields
     are what faults set: not tracked, as it was seen last (`repeats`), displaced by `shift` [mm],
-    which grows by `step` [mm] at each exposure, in the robot's own axes where it is `own`, turned
+    which grows by `step` [mm] at each exposure, in the robot's own axes if it is `own`, turned
     by `turned` [rad], which grows by `turn`, at another `height` [mm], rolled about its own x axis
     by `roll` [rad], position NaN, quaternion of norm `norm`.
     """
@@ -105,7 +105,7 @@ def expose(
 ) -> tuple[RigidBody, ...]:
     """Return the bodies as a frame has them.
 
-    The two whose places are in `swapped` have each other's id; those whose ids are in `hidden`
+    The two whose indices are in `swapped` have each other's id; those whose ids are in `hidden`
     are left out.
     """
     bodies = [each.expose(view) for each in tracked]

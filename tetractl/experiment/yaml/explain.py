@@ -1,4 +1,4 @@
-"""What pydantic found wrong with a spec, in plain words and at its place in the YAML."""
+"""Pydantic's errors of a spec as plain messages, with their location in the YAML."""
 
 from collections.abc import Iterator
 from typing import Any, TypeVar
@@ -61,7 +61,7 @@ def validated(model: type[Section], document: Document) -> Section:
 def explain(
     error: ValidationError, document: Document, schema: Schema | None = None
 ) -> Iterator[SpecProblem]:
-    """Yield the errors as problems, without those the document speaks of already.
+    """Yield the errors as problems, without those that the document has already.
 
     `schema` is the JSON schema of the file, by default that of a spec.
     """
@@ -134,7 +134,7 @@ def _problem(
 
 
 def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schema | None) -> str:
-    """Return what is wrong as `words` does, with the schema's own words on the field."""
+    """Return the error as `words` does, with the schema's description of the field."""
     kind, context = details["type"], details.get("ctx", {})
     about = describe(loc, data, schema)
     if kind == "literal_error":
@@ -147,7 +147,7 @@ def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schem
 
 
 def words(details: ErrorDetails, value: Any) -> str:
-    """Return what is wrong with a value in plain words, by pydantic's error alone."""
+    """Return a plain message for pydantic's error."""
     kind, context = details["type"], details.get("ctx", {})
     if kind in KINDS:
         return KINDS[kind] + _quotes(kind, value)

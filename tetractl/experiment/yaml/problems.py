@@ -1,4 +1,4 @@
-"""What is wrong with a spec: one line a problem, each with its place."""
+"""The problems of a spec: one line each, with its location."""
 
 import difflib
 from collections.abc import Iterable, Sequence
@@ -17,10 +17,9 @@ MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 
 @dataclass(frozen=True, slots=True)
 class SpecProblem:
-    """One thing to mend.
-
+    """One problem to fix.
     `origin` is the spec's file name, or `--set PATH=VALUE` for a value given there; `line` and
-    `column` count from 1 and are None where there are none.
+    `column` count from 1 and are None if there are none.
     """
 
     origin: str
@@ -40,14 +39,14 @@ class SpecProblem:
 
 
 class InvalidSpecError(SpecError):
-    """A spec with problems; the message lists them one a line, and `problems` holds them."""
+    """A spec with problems; the message lists them one per line, and `problems` holds them."""
 
     def __init__(self, problems: Iterable[SpecProblem], hint: str | None = None) -> None:
         self.problems = tuple(sorted(problems, key=lambda p: (p.line is None, p.line, p.column)))
         super().__init__("\n".join(self.lines()), hint)
 
     def lines(self) -> list[str]:
-        """One line a problem; very many are cut short."""
+        """One line per problem; very many are cut short."""
         lines = [str(problem) for problem in self.problems[:SHOWN_PROBLEMS]]
         if len(self.problems) > SHOWN_PROBLEMS:
             lines.append(f"{self.problems[0].origin}: and more; mend these first")
@@ -60,7 +59,7 @@ def dotted(loc: Loc) -> str:
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """`; did you mean 'heading'?`, or nothing where no known word is close."""
+    """`; did you mean 'heading'?`, or nothing if no known word is close."""
     lower = {k.lower(): k for k in known}
     plain = word[:SHOWN_LENGTH].lower().translate(MICRO)
     close = difflib.get_close_matches(plain, lower, n=1)

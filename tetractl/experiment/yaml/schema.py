@@ -1,4 +1,4 @@
-"""The JSON schema of a spec, and what it says of a place in one."""
+"""The JSON schema of a spec, and queries of it by path."""
 
 import json
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ def schema_json(schema: dict[str, Any]) -> str:
 
 
 def describe(loc: Loc, data: Any, root: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the schema of the value at `loc` of a file's data, {} where there is none.
+    """Return the schema of the value at `loc` of a file's data, {} if there is none.
 
     `data` decides between the alternatives of a union, by its `type`; `root` is the schema of the
     file, by default that of a spec.
@@ -51,7 +51,7 @@ def describe(loc: Loc, data: Any, root: dict[str, Any] | None = None) -> dict[st
 
 
 def child(data: Any, step: str | int) -> Any:
-    """Return the value of a key or at an index, None where there is none."""
+    """Return the value of a key or at an index, None if there is none."""
     if isinstance(data, dict):
         return data.get(step)
     if isinstance(data, list) and isinstance(step, int) and step < len(data):

@@ -1,8 +1,8 @@
-"""Specs written for an earlier tetractl: keys and values that are called something else now.
+"""Specs written for an earlier tetractl: keys and values that were renamed since.
 
 A spec, a `--set` and the resolved spec in a log all go through here before they are checked. The
-places of the values stay, so that errors point at what was written; each change leaves a notice in
-the document.
+locations of the values stay, so that errors point at the written text; each change leaves a notice
+in the document.
 """
 
 from dataclasses import dataclass
@@ -98,7 +98,7 @@ UPGRADES: tuple[Renamed | Revalued | Removed, ...] = (
     Removed("controller.losses", "with 'estimate' lost commands are always detected"),
     Removed("controller.optimizer.precision", "particles are in double precision always"),
 )
-"""In the order in which they are applied: a later one may name what an earlier one renamed."""
+"""In the order of application: a later one may name a key that an earlier one renamed."""
 
 OLD_LAB = {"mocap", "radio", "protocol", "robots"}
 LAB_PAGE = "docs/reference/spec.md#lab shows them"
@@ -131,7 +131,7 @@ def _refuse_old_lab(document: Document) -> None:
 
 
 def _mapping(data: Any, home: list[str]) -> dict[str, Any]:
-    """Return the mapping at a path, an empty one where there is none."""
+    """Return the mapping at a path, an empty one if there is none."""
     for step in home:
         data = data.get(step) if isinstance(data, dict) else None
     return data if isinstance(data, dict) else {}

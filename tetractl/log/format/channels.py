@@ -1,6 +1,6 @@
 """The records of a log by name: channels and their schemas, metadata, attachments.
 
-A host record describes the machine and the hour and differs between two runs of the same trial; all
+A host record describes the machine and the time and differs between two runs of the same trial; all
 other records of a simulated trial's log repeat byte for byte.
 """
 
@@ -28,7 +28,7 @@ from tetractl.log.format.tetractl_pb2 import (
 FORMAT_VERSION = 2
 
 TEXT = 2000
-"""Characters of a text for people that are read back, control characters as escapes."""
+"""Characters of a Operator messages that are read back, control characters as escapes."""
 
 FRAMES = "/frames"
 TRANSFORMS = "/tf"
@@ -42,7 +42,7 @@ ESTIMATE = "/controller/estimate"
 CELLS, CROPS = "/camera/cells", "/camera/crops"
 PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
 FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
-"""What a camera that follows cells adds."""
+"""Channels of a camera that follows cells."""
 
 MOCAP, TRUTH, PLAN = "/mocap", "/truth", "/controller/plan"  # of format 1 alone
 

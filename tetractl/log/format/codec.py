@@ -12,7 +12,7 @@ from tetractl.core.text import printable
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 
-STOPPED = 60  # characters of why a search ended that are read back
+STOPPED = 60  # largest length of a stop reason that is read
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class Frames:
     """M camera frames of N robots in columns.
 
     `numbers`, `sampled_ns` and `received_ns` are (M,), `poses` and `truth` (M, N, 3) and `valid`
-    (M, N); `truth` is None where no true poses are known.
+    (M, N); `truth` is None if no true poses are known.
     """
 
     numbers: Integers
@@ -183,7 +183,7 @@ def decode_command(message: pb.WheelCommand) -> Command:
 
 
 def encode_step(step: Step) -> pb.ControllerStep:
-    """Encode one control step without its time of solving, which has its own message."""
+    """Encode one control step without its solve time, which has its own message."""
     plan = step.plan
     return pb.ControllerStep(
         k=step.k,
@@ -243,7 +243,7 @@ def decode_step(
 
 
 def encode_timing(step: Step) -> pb.StepTiming:
-    """Encode the time of solving of a control step."""
+    """Encode the solve time of a control step."""
     return pb.StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
 
 

@@ -1,8 +1,8 @@
 """A microscope's film in a log: what was found, crops, and whole pictures.
 
-`/camera/cells` says what each crop is and has the checksums of all messages of its picture. Crops
+`/camera/cells` describes each crop and has the checksums of all messages of its picture. Crops
 are not compressed: chunks are, and nothing has to be decoded to search them again. Whole pictures
-are JPEG, for people.
+are JPEG, for display.
 """
 
 import zlib
@@ -27,7 +27,7 @@ LENS = "microscope"
 def encode_film(film: CellFilm, seen: Observation, start_ns: int) -> dict[str, Message]:
     """Return the messages of a picture by topic.
 
-    `seen` is what the log says of its frame, of a trial that starts at a time [Unix ns].
+    `seen` is the log's frame, of a trial that starts at a time [Unix ns].
     """
     time, side = stamp(start_ns + seen.sampled_ns), film.crops.shape[2]
     crops = RawImage(
@@ -54,7 +54,7 @@ def encode_film(film: CellFilm, seen: Observation, start_ns: int) -> dict[str, M
 
 
 def checksums(cells: CellCrops, seen: Observation, shown: Iterable[bytes]) -> list[int]:
-    """Return the CRC-32 of what was found, with the poses of its frame, and of each image."""
+    """Return the CRC-32 of the cells found, with the poses of their frame, and of each image."""
     bare = CellCrops.FromString(cells.SerializeToString())
     bare.ClearField("crc")
     poses = np.column_stack([seen.poses.array(), seen.valid]).tobytes()
@@ -62,14 +62,14 @@ def checksums(cells: CellCrops, seen: Observation, shown: Iterable[bytes]) -> li
 
 
 def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm:
-    """Decode what was found and its crops; ValueError where they do not fit together."""
+    """Decode the cells found and their crops; ValueError if they do not fit together."""
     columns = (cells.x, cells.y, cells.axis, cells.long, cells.wide, cells.strength)
     others = (cells.robot, cells.merged, cells.column, cells.row)
     count, side = len(cells.robot), cells.side
     if {len(column) for column in (*columns, *others)} != {count}:
         raise ValueError("columns of several lengths")
     if side < 1 or len(crops.data) != count * side * side:
-        raise ValueError(f"{len(crops.data)} bytes are not {count} crops of {side} pixels a side")
+        raise ValueError(f"{len(crops.data)} bytes are not {count} crops of {side} pixels per side")
     return CellFilm(
         sampled_ns=sampled_ns,
         crops=np.frombuffer(crops.data, np.uint8).reshape(count, side, side),
@@ -83,7 +83,7 @@ def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm
 
 
 def _jpeg(picture: Grey) -> bytes:
-    import cv2  # such a picture comes of a camera that needs it; a log without one does not
+    import cv2  # only cameras of cells have such pictures; a log without them does not need OpenCV
 
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return data.tobytes() if done else b""

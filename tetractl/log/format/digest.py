@@ -11,9 +11,8 @@ HOST_DIGEST = "host_digest"
 
 
 class ContentDigest:
-    """SHA-256 over the records of a log, in file order, host records left out.
-
-    With `host` it is over the host records alone, but for the report of a recovery.
+    """SHA-256 over the records of a log, in file order, host records left out;
+    with `host` over the host records alone, without the report of a recovery.
 
     A record is preceded by its number of fields and a field by its length in bytes, so that no two
     different logs give the same bytes to hash. The fields of a message are topic, both times and
@@ -35,7 +34,7 @@ class ContentDigest:
         head = self._heads.get(topic)
         if head is None:
             head = self._heads[topic] = self._head(topic)
-        if head:  # thousands a trial: one call of the hash each
+        if head:  # thousands per trial: one call of the hash each
             times = b"%d %d" % (log_ns, publish_ns)
             self._hash.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
 
@@ -62,6 +61,7 @@ class ContentDigest:
         self._hash.update(b"".join(parts))
 
     def _head(self, topic: str) -> bytes:
-        """Return how a message of a topic begins, up to its times; nothing if it is left out."""
+        """Return the first bytes of a message of a topic, up to its times; nothing if it is left
+        out."""
         name = topic.encode()
         return b"4;7:message%d:%b" % (len(name), name) if self._covers(topic) else b""

@@ -23,7 +23,7 @@ from tetractl.log.read.trial_log import Damage
 FORMAT = "format_version"
 WARNINGS = "warnings"
 _PLANT = "plant."
-_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # what readers of format 1 know
+_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # the name in format 1
 
 
 def add_checksum(items: Mapping[str, str]) -> dict[str, str]:
@@ -45,7 +45,7 @@ def run_metadata(start: Start) -> dict[str, str]:
     """Return the metadata record at the start of a log, which identifies the trial."""
     setup, plant = start.setup, start.plant
     run_id = f"{start.spec_hash[:12]}-{start.seed}-{start.trial}"
-    if not plant.simulated:  # the same trial in the lab twice is two runs
+    if not plant.simulated:  # a trial repeated in the lab is another run
         run_id += f"-{start.start_unix_ns}"
     return {
         FORMAT: str(FORMAT_VERSION),
@@ -103,9 +103,9 @@ def read_run(items: Mapping[str, str]) -> RunRecord:
 
 
 def result_metadata(result: Result, unit: str, warnings: int = 0) -> dict[str, str]:
-    """Return the metadata record at the end of a log: the result without its times of solving.
+    """Return the metadata record at the end of a log: the result without its solve times.
 
-    `warnings` are the messages for people that warn or tell of an error.
+    `warnings` are the operator messages that warn or tell of an error.
     """
     final = result.verdict.final
     return {
@@ -134,7 +134,7 @@ def result_metadata(result: Result, unit: str, warnings: int = 0) -> dict[str, s
 
 
 def timing_metadata(result: Result) -> dict[str, str]:
-    """Return the metadata record before the result: the times of solving, which vary by host."""
+    """Return the metadata record before the result: the solve times, which vary by host."""
     return {
         "solve_ns": json.dumps([int(ns) for ns in result.solve_ns]),
         "deadline_misses": str(result.deadline_misses),
@@ -153,7 +153,7 @@ def damage_metadata(damage: Damage, source: str, size: int, sha256: str) -> dict
 
 
 def read_damage(items: Mapping[str, str]) -> Damage | None:
-    """Decode what `damage_metadata` encodes; None where nothing was lost."""
+    """Decode what `damage_metadata` encodes; None if nothing was lost."""
     problems, lost = (json.loads(items[key]) for key in ("problems", "lost"))
     if not isinstance(problems, list) or not isinstance(lost, list):
         raise TypeError("no lists")
@@ -166,7 +166,7 @@ def read_damage(items: Mapping[str, str]) -> Damage | None:
 def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robots: int) -> Result:
     """Decode what `result_metadata` and `timing_metadata` encode, for `robots` robots.
 
-    Without `timing` the result has no times of solving. Raises KeyError, TypeError or ValueError
+    Without `timing` the result has no solve times. Raises KeyError, TypeError or ValueError
     for items that those do not write, and for another number of robots.
     """
     final = [_floats(items[key]) for key in ("final_x", "final_y", "final_heading")]

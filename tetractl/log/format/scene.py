@@ -1,4 +1,4 @@
-"""What Foxglove, Lichtblick and Rerun draw of a trial: Foxglove's messages, in metres.
+"""The messages that viewers draw: Foxglove's, in metres.
 
 Positions go from the spec's unit to metres here and nowhere else. Nothing that is not finite is
 drawn: viewers drop a whole message for one NaN.
@@ -94,7 +94,7 @@ class Scene:
         return made
 
     def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Return one line a robot along its predicted path (length + 1, N, 3).
+        """Return one line per robot along its predicted path (length + 1, N, 3).
 
         The next message replaces it.
         """
@@ -108,7 +108,7 @@ class Scene:
         )
 
     def static(self, unix_ns: int) -> SceneUpdate:
-        """Return what never changes: arena, obstacles, targets, a body in each robot's frame."""
+        """Return the static scene: arena, obstacles, targets, a body in each robot's frame."""
         arena = self._setup.arena
         corners = [
             (arena.left, arena.bottom),
@@ -140,7 +140,7 @@ class Scene:
     def _target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
     ) -> SceneEntity:
-        """Rings: the size of the robot round its target, half of it round way-points, the hold."""
+        """Rings: the robot's size around its target, half of it around way-points; the hold."""
         angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
         ring, body = np.column_stack([np.cos(angle), np.sin(angle)]), self._body / 2 / self._metres
         wanted = [(body, target), *((body / 2, point) for point in way_points)]
@@ -226,7 +226,9 @@ def triangulate(outline: Floats) -> NDArray[np.int64]:
     triangles = []
     while len(left) > 3:
         ears = (i for i in range(len(left)) if _is_ear(outline, left, i))
-        i = next(ears, 0)  # none only where rounding blurs nearly collinear corners: any may go
+        # no ear is found only if rounding affects nearly collinear corners: any corner
+        # will do
+        i = next(ears, 0)
         triangles.append((left[i - 1], left[i], left[i + 1 - len(left)]))
         del left[i]
     return np.array([*triangles, left], dtype=np.int64)

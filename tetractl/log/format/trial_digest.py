@@ -1,8 +1,8 @@
 """The digest of a trial: a hash of its records, however and wherever a log stores them.
 
-A content digest is over the bytes of a log, with the messages that only repeat for Foxglove what
-others hold. A study keeps trials without logs: its rows state this digest, which a trial as it ran
-(`Recorder`) and its log read back both give.
+The content digest is over the bytes of a log, including messages for viewers. This digest is over
+the records alone: a running trial (`Recorder`) and its log give the same one, so a study's row
+states it even without a log.
 """
 
 import hashlib
@@ -21,12 +21,12 @@ BLOCK = 10_000  # frames encoded at a time
 
 
 def trial_digest(trial: TrialRecords) -> str:
-    """Return SHA-256 over the records of a trial but the times of solving.
+    """Return SHA-256 over the records of a trial but the solve times.
 
     Frames, commands, control steps with their estimates, and operator messages each have a hash of
     their own over their encoded messages in order; the digest is over those and over start and
-    result. Texts for people are hashed as a log gives them back: in characters that a terminal can
-    show, and cut. That of a damaged log is another one than the trial had as it ran.
+    result. Operator messages are hashed as a log gives them back: with unprintable characters
+    escaped, and cut. A damaged log has another digest than its trial.
     """
     start, result = trial.start, trial.result
     ended = {}

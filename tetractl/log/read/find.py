@@ -10,7 +10,7 @@ from tetractl.core.errors import UsageError
 SUFFIX = ".mcap"
 PART = ".mcap.part"
 ROWS = "trials.jsonl"
-"""What a study keeps of its trials, in the folder of each arm."""
+"""Name of a study's file of rows, in the folder of each arm."""
 RECOVERED_SUFFIX = ".recovered.mcap"
 _OTHERS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
 _LOG = re.compile(r"\.mcap(\.part)?$")
@@ -38,8 +38,8 @@ def find_logs(
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
     in it and in its sub-folders, sorted by name with numbers in their order. A .part counts as a
     log, since a trial that crashed is part of its batch, unless the finished log is there too. A
-    recovered log is left out where its source is among the paths. Logs that `--resume` set aside
-    are found in folders and by patterns only where `attempts` are asked for. Raises UsageError for
+    recovered log is left out if its source is among the paths. Logs that `--resume` set aside
+    are found in folders and by patterns only if `attempts` are asked for. Raises UsageError for
     a path that does not exist, and for a folder or a pattern without logs that is not in `bare`.
     """
     found: dict[Path, Path] = {}
@@ -53,7 +53,7 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
     """Return paths without the files that are plainly no logs, by their ending.
 
     A shell's pattern such as `logs/slip/*` catches the tables and figures of a study next to the
-    folders of its arms. Raises UsageError where nothing else is named.
+    folders of its arms. Raises UsageError if nothing else is named.
     """
     places = [Path(path) for path in paths]
     kept = [path for path in places if not _OTHERS.search(path.name) or not path.is_file()]
@@ -76,7 +76,7 @@ def find_rows(path: Path) -> list[Path]:
 
 
 def find_log(path: Path | str) -> Path:
-    """Return the one log of a path, which is as in `find_logs`; UsageError where it has several."""
+    """Return the one log of a path, which is as in `find_logs`; UsageError if it has several."""
     logs = find_logs([path])
     if len(logs) > 1:
         raise UsageError(f"{path}: {len(logs)} logs", f"name one of them, such as {logs[0]}")

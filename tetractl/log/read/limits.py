@@ -1,10 +1,10 @@
-"""What a log may cost its reader: bounds on memory and on work, all of them here.
+"""Bounds on the memory and the work of reading a log, all of them.
 
-A few bytes of a file can stand for very much: compressed zeros, empty messages, a spec that asks
-for a million particles. Each log therefore has a `Budget`; what its bytes become is charged to it
-in bytes of memory before it is made. With these bounds no command takes more than 30 s and 1 GB on
-one log, and an honest one may hold about an hour of a trial at 120 Hz. For a
-longer one the variable FACTOR raises all of them.
+A few bytes of a file can expand enormously: compressed zeros, empty messages, a spec with a million
+particles. Each log therefore has a `Budget`, which is charged in bytes of memory before anything is
+unpacked or decoded. With these bounds no command takes more than 30 s and 1 GB on one log, and a
+log may hold about an hour of a trial at 120 Hz. For a longer one the variable FACTOR raises all
+bounds.
 """
 
 import math
@@ -22,7 +22,7 @@ MESSAGE = 1 << 22
 METADATA = 1 << 18
 """Most bytes of a metadata record: the result of 1000 robots has half as many."""
 TIMING = 1 << 22
-"""Most bytes of the record with the times of solving: those of 400,000 steps."""
+"""Most bytes of the record with the solve times: those of 400,000 steps."""
 KEYS = 10_000
 """Most items of a metadata record."""
 KEY = 200
@@ -30,9 +30,9 @@ KEY = 200
 ATTACHMENT = 1 << 22
 """Most bytes of an attachment; a spec may have a quarter of that."""
 PROBLEMS = 50
-"""Most damaged records of a log that are named one by one."""
+"""Largest number of damaged records of a log that are listed."""
 OVERLAP = 8
-"""How many times the file's size may be read, by records that overlap."""
+"""Bytes that overlapping records may read, as a multiple of the file's size."""
 
 RECORD_COST = 1000
 """Bytes charged for a record outside a chunk, and for a schema or channel."""
@@ -84,7 +84,7 @@ def path_limit() -> float:
 
 
 class TooMuchError(ValueError):
-    """A log would become more than its reader allows."""
+    """A log would need more memory or work than its bounds allow."""
 
     def __init__(self, what: str) -> None:
         super().__init__(f"{what}, more than tetractl reads; {FACTOR}=2 allows twice as much")
@@ -100,7 +100,7 @@ class Budget:
         self.left = 8e8 * factor()
 
     def spend(self, amount: float, what: str) -> None:
-        """Charge `what` the log becomes; TooMuchError once nothing is left."""
+        """Charge the memory of `what`; TooMuchError if it exceeds the rest."""
         self.left -= amount
         if self.left < 0:
             raise TooMuchError(f"it holds {what}")

@@ -1,4 +1,4 @@
-"""What is in a log: its metadata, and the counts and sizes of its records."""
+"""An overview of a log: its metadata, and the counts and sizes of its records."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +34,7 @@ class Overview:
     record states, and `trial_digest` that of the trial, as a study's row states it, None for a
     damaged log. `run`, `host`
     and `provenance` are the metadata of the run, `attachments` their sizes [byte]. `estimate` is
-    the controller's last estimate of the robots, at control step `estimate_step`; None where it
+    the controller's last estimate of the robots, at control step `estimate_step`; None if it
     estimated nothing.
     """
 

@@ -78,7 +78,7 @@ class RawLog:
 
     @cached_property
     def run(self) -> RunRecord:
-        """The run record; LogError where it is lost, unreadable or of a newer log format."""
+        """The run record; LogError if it is lost, unreadable or of a newer log format."""
         items = self.metadata.get(channels.RUN)
         if items is None:
             if self.problems:
@@ -99,12 +99,12 @@ class RawLog:
 
     @property
     def result(self) -> Result | None:
-        """The result the log states, None where none can be read."""
+        """The result the log states, None if none can be read."""
         return self._result[0]
 
     @property
     def result_problem(self) -> str:
-        """Why there is no result, "" where there is one."""
+        """Why there is no result, "" if there is one."""
         return self._result[1]
 
     @cached_property
@@ -121,7 +121,7 @@ class RawLog:
 
     @property
     def warnings(self) -> int:
-        """How many warnings and errors for people the log states; 0 where it states none."""
+        """How many operator warnings and errors the log states; 0 if it states none."""
         stated = self.metadata.get(channels.RESULT, {}).get(WARNINGS, "")
         return int(stated) if stated.isdecimal() and len(stated) < 12 else 0
 
@@ -146,7 +146,7 @@ class RawLog:
 
     @cached_property
     def host(self) -> dict[str, str]:
-        """Machine and hour of the run."""
+        """Machine and time of the run."""
         items = self.metadata.get(channels.HOST, {})
         return {k: v for k, v in items.items() if k != CHECKSUM and not provenance.is_version(k)}
 
@@ -157,7 +157,7 @@ class RawLog:
         return {key: value for key, value in items.items() if provenance.is_version(key)}
 
     def text(self, name: str) -> str | None:
-        """Return an attachment as text, None where it is lost."""
+        """Return an attachment as text, None if it is lost."""
         found = self.attachments.get(name)
         return None if found is None else found.data.decode(errors="replace")
 
@@ -187,13 +187,13 @@ class RawLog:
 
 
 def _reason(error: Exception) -> str:
-    """Return what is wrong with a record, in at most a line."""
+    """Return the error of a record in one line."""
     text = f"{error} is missing" if isinstance(error, KeyError) else str(error)
     return printable(text or type(error).__name__, 200)
 
 
 def read_file(path: Path) -> tuple[bytes, int, str | None]:
-    """Return the first bytes of a file, its size, and what is wrong where not all were read.
+    """Return the first bytes of a file, its size, and what is wrong if not all were read.
 
     The file is not mapped: somebody may shorten it meanwhile, and reading a mapped page that is
     gone kills the process.

@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
@@ -42,7 +43,7 @@ def read_trial(path: Path) -> TrialLog:
     """Read a whole trial, bit for bit as it was written.
 
     Of a damaged or unfinished log, a .part too, the intact records are read, and `damage` tells
-    what is missing. Raises LogError where the file is no tetractl log, is of a newer format, or has
+    what is missing. Raises LogError if the file is no tetractl log, is of a newer format, or has
     lost its spec.
     """
     return trial_of(scan(Path(path)))
@@ -56,7 +57,7 @@ def trial_of(contents: RawLog) -> TrialLog:
     except TooMuchError as error:
         raise LogError(f"{contents.path}: {error}") from None
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
-        # intact, but not as we write it
+        # intact, but not as tetractl writes it
         raise LogError(f"{contents.path}: holds what tetractl does not write: {error}") from None
 
 
@@ -88,6 +89,10 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
         content_digest=contents.digest,
         host_altered=contents.host_altered,
         run=contents.run.items,
+        pictures=tuple(
+            (entry.publish_ns - start.start_unix_ns, CompressedImage.FromString(entry.data).data)
+            for entry in contents.by_topic[channels.PICTURE]
+        ),
     )
     until_s = log.elapsed_s(int(frames.received_ns.max(initial=0)))
     return replace(log, damage=_damage(contents, until_s))
@@ -107,7 +112,7 @@ def _damage(contents: RawLog, until_s: float) -> Damage | None:
 def read_result(path: Path) -> ResultSummary:
     """Read the result of a trial without its course: by the file's index, in about a millisecond.
 
-    Where index or result are lost the whole file is read, and the result is computed from the last
+    If index or result are lost the whole file is read, and the result is computed from the last
     poses if need be. Raises LogError as `read_trial` does, and for a log without poses.
     """
     contents = peek(Path(path))
@@ -136,7 +141,7 @@ def read_result(path: Path) -> ResultSummary:
 def recompute(trial: TrialLog) -> Result:
     """Compute a result from the poses of a log: the path of each robot ends at its last pose.
 
-    The path is the true one in a simulation, else the measured one. Raises LogError where a robot
+    The path is the true one in a simulation, else the measured one. Raises LogError if a robot
     was never seen.
     """
     path, known = trial_path(trial)
@@ -185,7 +190,7 @@ def content_digest(path: Path) -> str:
 
 
 def _start(contents: RawLog) -> tuple[Experiment, Start]:
-    """Return the experiment and the start of a trial; LogError where they cannot be read."""
+    """Return the experiment and the start of a trial; LogError if they cannot be read."""
     run, resolved = contents.run, contents.text(channels.RESOLVED_SPEC)
     if resolved is None:
         raise LogError(f"{contents.path}: damaged: the resolved spec is lost")
@@ -225,7 +230,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
 
 @lru_cache(maxsize=16)
 def _resolved(text: str) -> tuple[Experiment, str | None]:
-    """Return the experiment and its hash, None where its spec has names of an earlier tetractl.
+    """Return the experiment and its hash, None if its spec has names of an earlier tetractl.
 
     The hash of such a spec cannot be computed again: it was taken over the names of that time.
     """
@@ -234,7 +239,7 @@ def _resolved(text: str) -> tuple[Experiment, str | None]:
 
 
 def _frames(contents: RawLog, robots: int) -> Frames:
-    """Decode the camera frames of N robots; true poses are NaN where a damaged log lost them."""
+    """Decode the camera frames of N robots; true poses are NaN if a damaged log lost them."""
     if contents.run.version == 1:
         if contents.by_topic[channels.FRAMES]:
             raise ValueError(f"format 1 has no {channels.FRAMES}")
@@ -275,7 +280,7 @@ def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
 
 
 def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
-    """Decode the control steps of N robots, with their times of solving and estimates."""
+    """Decode the control steps of N robots, with their solve times and estimates."""
     data = _messages(contents, channels.HOST_TIMING)
     timings = {m.k: m for m in map(pb.StepTiming.FromString, data)}
     data = _messages(contents, channels.ESTIMATE)

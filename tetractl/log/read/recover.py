@@ -21,7 +21,7 @@ from tetractl.log.read.trial_log import Damage, frame_gaps, step_gaps
 from tetractl.log.write.sink import Sink, protobuf_schema
 
 PART_SUFFIX = ".recovering"
-"""What an unfinished copy is called: no log yet, and no trial's, so that the next run replaces it.
+"""Ending of an unfinished copy: no log, so the next run replaces it.
 """
 
 
@@ -55,8 +55,8 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
     """Write every intact chunk, metadata record and attachment of a log to a complete file.
 
     The file is `out`, by default `recovered_path`; an undamaged log is copied only to `out`. What
-    an earlier call left unfinished is replaced. Raises LogError where nothing can be read, where
-    the file exists already, or where another process is writing it.
+    an earlier call left unfinished is replaced. Raises LogError if nothing can be read, if
+    the file exists already, or if another process is writing it.
     """
     contents = scan(log)
     if not contents.records:
@@ -79,7 +79,7 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
 
 
 def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
-    """Return what is wrong and what is lost; nothing is lost where the content digest matches."""
+    """Return the problems and losses; nothing is lost if the content digest matches."""
     try:
         trial = trial_of(contents)
     except LogError as error:
@@ -129,7 +129,7 @@ def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
 
 
 def _sha256(path: Path) -> str:
-    """Return the SHA-256 of the bytes that are read of a file: all but of a giant."""
+    """Return the SHA-256 of the bytes that are read of a file: all, unless it is too large."""
     found, left = hashlib.sha256(), file_limit()
     with path.open("rb") as file:
         while left > 0 and (piece := file.read(min(left, 1 << 20))):

@@ -1,4 +1,4 @@
-"""The rows of a study: what it keeps of each trial, with or without its log.
+"""The rows of a study: its record of each trial, with or without a log.
 
 The folder of an arm has its spec in one file and in another a line of JSON for each trial, in which
 `result` and `timing` are the records of those names in a log.
@@ -21,7 +21,7 @@ from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, stated_result
 
 SPEC = "spec.resolved.yaml"
 SIMULATED = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})
-"""The plant of every study is a simulation; nothing else of it is needed for a result."""
+"""The plant of every study is a simulation; a result needs no more of it."""
 TEXT_MAX = 200  # characters of a text in a row that is no reason
 
 
@@ -31,8 +31,8 @@ class Row:
 
     `arm_hash` names the experiment, `code` and `processor` the code and the type of processor that
     ran it. `trial_digest` is that of `log.format.trial_digest`, `count` the number of trials that
-    its log states, and `logged` whether the log was kept. `wall_s` and `cpu_s` are what the trial
-    took on the clock and of the processor. `place`, the file and line, is not part of the line.
+    its log states, and `logged` whether the log was kept. `wall_s` and `cpu_s` are the trial's time
+    on the clock and of the processor. `place`, the file and line, is not part of the line.
     """
 
     trial: int
@@ -102,7 +102,7 @@ class Row:
 
 
 UNREADABLE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
-"""What the decoding of a line that tetractl did not write may raise."""
+"""Exceptions of decoding a line that tetractl did not write."""
 
 
 def _count(value: Any) -> int:
@@ -136,7 +136,7 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
     """Return the rows in a file by trial, None for a trial whose row tetractl did not write.
 
     Of two lines of a trial the later counts. Lines that do not even name a trial are passed over,
-    as is a last line without its end, which a killed process left. Raises LogError where the file
+    as is a last line without its end, which a killed process left. Raises LogError if the file
     cannot be read.
     """
     try:
@@ -158,17 +158,17 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
 
 
 def row_results(path: Path) -> dict[int, ResultSummary | None]:
-    """Return the results in a file of rows by trial, None where a row is damaged.
+    """Return the results in a file of rows by trial, None if a row is damaged.
 
-    The experiment is that of the spec next to the file. Raises LogError where the file or its spec
-    cannot be read, or where a row is of another spec.
+    The experiment is that of the spec next to the file. Raises LogError if the file or its spec
+    cannot be read, or if a row is of another spec.
     """
     beside = path.with_name(SPEC)
     try:
         spec = parse_spec(read_text(beside), str(beside))
     except SpecError as error:
         raise LogError(str(error)) from None
-    known_by = None if spec.notices else arm_hash(spec.experiment)  # of older names it is another
+    known_by = None if spec.notices else arm_hash(spec.experiment)  # with older names it differs
     found = read_rows(path, spec.experiment)
     for row in found.values():
         if row is not None and row.arm_hash != (known_by or row.arm_hash):

@@ -1,7 +1,7 @@
 """Finds every intact record of an MCAP file, however damaged the file is.
 
 MCAP has checksums for chunks and attachments, and tetractl's metadata has its own, so each record
-is verified by itself. The file is read from record to record; where a record is damaged, or the
+is verified by itself. The file is read from record to record; if a record is damaged, or the
 checksum over the data section does not match, the file is also searched for further records.
 
 A file may be hostile: what it can make tetractl unpack, copy and keep is charged to its budget.
@@ -56,7 +56,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 def scan(path: Path) -> RawLog:
     """Return every intact record of a file.
 
-    Raises LogError where it is no MCAP file, or would become more than `bounds` allows.
+    Raises LogError if it is no MCAP file, or would become more than `bounds` allows.
     """
     with _named(path):
         return _Scan(path).contents()
@@ -100,7 +100,7 @@ class _Scan:
         self._expected: int | None = None  # messages, by the index
 
     def contents(self) -> RawLog:
-        """Read the file from record to record, search it where that fails, and sort the records."""
+        """Read the file from record to record, search it if that fails, and sort the records."""
         begins = self._data[: len(MAGIC)] == MAGIC
         if not begins:
             self._problems.append("the file does not begin as an MCAP file")
@@ -190,7 +190,7 @@ class _Scan:
                 self._verify(offset, opcode)
             except TooMuchError:
                 raise
-            except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other ancestor
+            except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other common base
                 why = str(error).splitlines()[0] if str(error) else type(error).__name__
                 if len(self._problems) < limits.PROBLEMS:
                     self._problems.append(f"the record at byte {offset} is damaged: {why}")
@@ -227,7 +227,7 @@ class _Scan:
             at = self._data.find(trace, at + 1)
 
     def _verify(self, offset: int, opcode: int) -> None:
-        """Decode and keep the record at an offset; raise where its checksum does not match."""
+        """Decode and keep the record at an offset; raise if its checksum does not match."""
         self._spend(limits.RECORD_COST, "very many records")
         if self._read > limits.OVERLAP * len(self._data):
             raise ValueError("too many records claim the same bytes")
@@ -273,7 +273,7 @@ class _Scan:
 
     def _unpack(self, chunk: Chunk) -> Inside:
         size = chunk.uncompressed_size
-        if chunk.compression == "zstd":  # zstd ignores a limit where the frame states its size
+        if chunk.compression == "zstd":  # zstd ignores a limit if the frame states its size
             size = max(size, zstandard.frame_content_size(chunk.data))
         elif chunk.compression:
             raise ValueError(f"its compression {chunk.compression[:20]!r} is not known")
@@ -301,7 +301,7 @@ class _Scan:
             self._topics = dict(enumerate(CHANNELS_1 if first else CHANNELS, start=1))
         for offset, record in sorted(self._found.items()):
             if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
-                continue  # it may be damaged: another program's, without a checksum
+                continue  # it may be damaged, or another program's, without a checksum
             if isinstance(record, int):
                 result.chunks += 1
                 result.records += [

@@ -1,4 +1,4 @@
-"""What reading a log returns: a whole trial, or only its result."""
+"""The results of reading a log: a whole trial, or only its result."""
 
 import itertools
 from dataclasses import dataclass, field
@@ -15,11 +15,11 @@ from tetractl.experiment.experiment import Experiment
 ALTERED = "the content does not match the digest that the log states"
 
 
-_OLD_SERVER = "EMULATED"  # in the camera server's name, where a log has no fact of its own
+_OLD_SERVER = "EMULATED"  # in the camera server's name, if a log has no fact of its own
 
 
 class Origin(StrEnum):
-    """What a trial's robots were; every table and figure says it."""
+    """The plant of a trial, which every table and figure names."""
 
     UNDISTURBED = "undisturbed simulation"
     DISTURBED = "disturbed simulation"
@@ -30,7 +30,7 @@ class Origin(StrEnum):
     def of(cls, experiment: Experiment, plant: PlantInfo) -> "Origin":
         """Return the origin of a trial, from its spec and what its plant said of itself.
 
-        A lab is emulated where a device announced it; the addresses do not matter.
+        A lab is emulated if a device announced it; the addresses do not matter.
         """
         if plant.simulated:
             return cls.DISTURBED if experiment.plant.disturbed else cls.UNDISTURBED
@@ -44,13 +44,13 @@ class Origin(StrEnum):
 
     @property
     def comparable(self) -> bool:
-        """Whether a published result of real robots is a fair thing to compare with."""
+        """Whether comparison with a published result of real robots makes sense."""
         return self in (Origin.DISTURBED, Origin.LAB)
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """What is wrong with a log, and what is missing from it, one sentence each."""
+    """The problems and losses of a log, one sentence each."""
 
     problems: tuple[str, ...]
     lost: tuple[str, ...]
@@ -58,7 +58,7 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A message for people, `time_s` after the first direction was sent; before it, negative.
+    """A message for the operator, `time_s` after the first direction was sent; before it, negative.
 
     `level` is "info", "warning" or "error".
     """
@@ -74,23 +74,25 @@ class TrialLog(TrialRecords):
 
     `run` are the items of the run record as written and `digest` is the content digest that the
     result record states. `content_digest` is computed from the file; `host_altered` is
-    True where the host records do not match the digest of them that the log states.
+    True if the host records do not match the digest of them that the log states. `pictures`
+    are a microscope's, JPEG files by their time of exposure on the trial's clock [ns].
     """
 
     path: str
     experiment: Experiment
     stop: Command | None
     damage: Damage | None
-    host: dict[str, str]  # machine and hour of the run
+    host: dict[str, str]  # machine and time of the run
     provenance: dict[str, str]  # versions of the code that ran the trial
     digest: str | None = None
     content_digest: str = ""
     host_altered: bool = False
     run: dict[str, str] = field(default_factory=dict)
+    pictures: tuple[tuple[int, bytes], ...] = ()
 
     @property
     def began_ns(self) -> int:
-        """When the first direction was sent: 0 on every time axis that people read.
+        """The time of the first direction: 0 on every time axis shown to users.
 
         In the lab the trial's clock starts earlier, while the robots are placed. A log that lost
         its first steps gives the time by the control period; one without any direction, 0.
@@ -109,7 +111,7 @@ class TrialLog(TrialRecords):
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """The notes at the times that people read, in the order of their times."""
+        """The notes at the times shown to users, in the order of their times."""
         found = [Event(self.elapsed_s(one.t_ns), one.level, one.text) for one in self.notes]
         return tuple(sorted(found, key=lambda event: event.time_s))
 
@@ -128,7 +130,7 @@ class TrialLog(TrialRecords):
 class ResultSummary:
     """The result of a trial without its course.
 
-    `recovered` is True for a log that is damaged or ends early. Where its result is lost, `result`
+    `recovered` is True for a log that is damaged or ends early. If its result is lost, `result`
     is computed from the last poses of the log, with the outcome `aborted`.
     """
 
@@ -140,8 +142,8 @@ class ResultSummary:
     result: Result
     recovered: bool
     digest: str | None  # content digest that the log states
-    warnings: int = 0  # and errors, among the messages for people
-    processor: str = ""  # its type, as `provenance.processor` names it; "" where not stated
+    warnings: int = 0  # and errors, among the operator messages
+    processor: str = ""  # its type, as `provenance.processor` names it; "" if not stated
 
     @property
     def simulated(self) -> bool:

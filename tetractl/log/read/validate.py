@@ -28,7 +28,7 @@ COST_MAX = 1e100
 TIME_MAX_NS = 10**18
 """Of a time since the trial began: thirty years."""
 COUNT_MAX = 2**53
-"""Of steps, evaluations and the like: what a double still counts one by one."""
+"""Limit of counts such as steps: integers that a double represents exactly."""
 UNIX_MAX_NS = 2**63 - TIME_MAX_NS
 RATE_MAX_HZ = 1e6
 
@@ -77,7 +77,7 @@ def check_step(step: Step) -> None:
     check_frames(Frames.of([Sample(seen, None)], robots))
     check_command(step.command, robots)
     _counts("k", [step.k])
-    _counts("a time of solving", [step.solve_ns])
+    _counts("a solve time", [step.solve_ns])
     if len(plan.path) != len(plan.signals) + 1:
         raise ValueError(f"a path of {len(plan.path)} poses for {len(plan.signals)} signals")
     _poses("a predicted pose", plan.path)
@@ -108,7 +108,7 @@ def _check_estimate(estimate: Estimate) -> None:
 
 
 def check_note(note: Note) -> None:
-    """Check a message for people."""
+    """Check an operator message."""
     _times([note.t_ns])
 
 
@@ -118,7 +118,7 @@ def stated_result(
     """Return the result that the records of a log or row state, of `robots` robots and in `unit`.
 
     Its reason is put into characters that a terminal can show. Raises KeyError, OverflowError,
-    RecursionError, TypeError or ValueError for what tetractl does not write.
+    RecursionError, TypeError or ValueError for values that tetractl does not write.
     """
     result = read_result(items, timing, robots)
     check_result(result)
@@ -143,7 +143,7 @@ def check_result(result: Result) -> None:
     _within("a clearance", near, -LENGTH_MAX, LENGTH_MAX)
     _within("duration_s", [result.duration_s], 0, TIME_MAX_NS / 1e9)
     _counts("steps", [result.steps, result.deadline_misses])
-    _counts("a time of solving", result.solve_ns)
+    _counts("a solve time", result.solve_ns)
 
 
 def _poses(what: str, poses: Floats) -> None:

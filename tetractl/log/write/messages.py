@@ -15,9 +15,9 @@ from tetractl.log.format.crop_images import encode_film
 from tetractl.log.format.scene import Scene, encode_note
 
 POSES_MAX = 20_000
-"""Poses in a message: of more, it would be larger than a reader takes."""
+"""Largest number of poses in a message, which bounds its size."""
 SHOWN_HZ = 30
-"""Simulated camera frames a second of which viewers are given transforms, and interpolate."""
+"""Simulated camera frames per second of which viewers are given transforms, and interpolate."""
 
 
 class Notes:
@@ -33,7 +33,7 @@ class Notes:
         self.warnings = 0
 
     def started(self) -> Note:
-        """Return that the trial starts."""
+        """Return the message of the trial's start."""
         return Note(0, "info", f"trial {self._start.trial} of {self._start.setup.name} starts")
 
     def told(self, note: Note) -> Note:
@@ -78,7 +78,7 @@ class Notes:
 
 
 class Messages:
-    """Encodes the records of one trial, in their order; each method returns what it made of them.
+    """Encodes the records of one trial, in their order; each method returns the messages.
 
     A message has two times [Unix ns]: log_time, when the host received or sent it, and
     publish_time, when its content was sampled.
@@ -94,7 +94,7 @@ class Messages:
 
     @property
     def warnings(self) -> int:
-        """The number of warnings and errors for people so far."""
+        """The number of operator warnings and errors so far."""
         return self._notes.warnings
 
     def start(self) -> list[Entry]:
@@ -105,7 +105,7 @@ class Messages:
         ]
 
     def samples(self, samples: Sequence[Sample]) -> list[Entry]:
-        """Return camera frames, and what is to be said of them."""
+        """Return camera frames, and the operator messages on them."""
         frames = Frames.of(samples, self._robots)
         films = (entry for sample in samples for entry in self.film(sample))
         return [*self.tracking(frames), *self.frames(frames), *films]
@@ -117,8 +117,8 @@ class Messages:
     def frames(self, frames: Frames) -> list[Entry]:
         """Return camera frames: of a simulation as few messages, of a lab two for each frame.
 
-        What a lab has seen nothing can repeat. There each frame is stated twice, with its times, so
-        that a change of one is noticed.
+        Frames of a lab cannot be repeated. So each is stored twice, with its times, and a change of
+        one is noticed.
         """
         made = list[Entry]()
         for begin in range(0, len(frames.numbers), self._most):
@@ -126,7 +126,7 @@ class Messages:
         return made
 
     def film(self, sample: Sample) -> list[Entry]:
-        """Return what a camera that follows cells has of a picture, if anything."""
+        """Return the film's messages of a picture, if any."""
         if sample.film is None:
             return []
         seen = sample.observation
@@ -155,11 +155,11 @@ class Messages:
         return self._entry(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
 
     def note(self, note: Note) -> Entry:
-        """Return a message for people."""
+        """Return an operator message."""
         return self._said(self._notes.told(note))
 
     def step(self, step: Step) -> list[Entry]:
-        """Return a control step: decision, command, planned path, time of solving and estimate."""
+        """Return a control step: decision, command, planned path, solve time and estimate."""
         path, sent_ns = step.plan.path, step.command.sent_ns
         sampled_ns, unix_ns = step.observation.sampled_ns, self._start_ns + sent_ns
         plan = self._scene.plan(path, unix_ns)

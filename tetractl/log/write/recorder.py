@@ -1,4 +1,4 @@
-"""A trial kept in memory: a writer without a file."""
+"""An observer that keeps a trial in memory."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ class Recorder:
     result: Result | None = None
 
     def on_start(self, start: Start) -> None:
-        """Keep what is known before the first step."""
+        """Keep the start of the trial."""
         self.start, self._messages = start, Notes(start)
         self._samples: list[Sample] = []
         self._commands: list[Command] = []

@@ -54,12 +54,12 @@ def _while_open(method: Method[P]) -> Method[P]:
 class Sink:
     """Writes NAME.part and renames it to NAME when it is complete.
 
-    Where the file system refuses a write, the call raises LogError and the file is closed: it stays
+    If the file system refuses a write, the call raises LogError and the file is closed: it stays
     readable as NAME.part. Later calls do nothing, so that stopping a trial because of a full disk
     gives no second error.
 
-    With another `part` than ".part" the unfinished file is a copy of something and not a trial:
-    what is left of an earlier one is replaced, unless a process is still writing it.
+    With another `part` than ".part" the file is a copy and not a trial: an unfinished earlier one
+    is replaced, unless a process is still writing it.
     """
 
     def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
@@ -205,7 +205,7 @@ class Sink:
         self._check_exists()
 
     def _check_exists(self) -> None:
-        """Raise OSError where the file was moved or removed; restore a removed file first."""
+        """Raise OSError if the file was moved or removed; restore a removed file first."""
         assert self._file is not None
         mine = os.fstat(self._file.fileno())
         with suppress(FileNotFoundError, NotADirectoryError):
@@ -220,7 +220,7 @@ class Sink:
         raise OSError(errno.ENOENT, "the file or its folder was moved during the trial")
 
     def _fail(self, error: OSError) -> NoReturn:
-        with suppress(OSError):  # closing writes what is buffered and meets the same refusal
+        with suppress(OSError):  # closing writes the buffer and fails in the same way
             self._release()
         why = error.strerror or str(error)
         kept = os.path.lexists(self._part) and self._part.stat().st_size > 0
@@ -243,7 +243,7 @@ def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
 
 
 def _owned(path: Path) -> BinaryIO:
-    """Open an empty file that no other process has opened so; OSError where one has.
+    """Open an empty file that no other process has opened so; OSError if one has.
 
     The lock ends with its process, however that ends.
     """
@@ -258,7 +258,7 @@ def _owned(path: Path) -> BinaryIO:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Sync a folder, so that new names in it survive a power cut, where the file system can."""
+    """Sync a folder, so that new names in it survive a power cut, if the file system can."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

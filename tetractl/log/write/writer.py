@@ -18,12 +18,12 @@ from tetractl.log.write.sink import Sink
 
 SIZE = 1000  # calls that may wait for the disk: over a minute of a trial in the lab
 PATIENCE_S = 30.0  # for a disk that stands still
-BATCH_S = 0.5  # for which calls wait in a simulation, to be done together
+BATCH_S = 0.5  # time for which calls are collected in a simulation [s]
 
 CHUNK_NS = 2 * SECOND
 """A chunk of a simulation ends after this much trial time, so that one that runs faster than the
 wall clock gives the same chunks again. A slower one is flushed by the clock, `sink.CHUNK_S`."""
-LAB_CHUNK_NS = SECOND // 4  # what a log may lose of a lab whose computer dies
+LAB_CHUNK_NS = SECOND // 4  # time that a log of a lab may lose if the computer crashes
 
 
 class Encoder:
@@ -77,7 +77,7 @@ class Encoder:
         self._sink.messages([self._messages.command(command)])
 
     def note(self, note: Note) -> None:
-        """Add a message for people."""
+        """Add an operator message."""
         self._sink.messages([self._messages.note(note)])
 
     def step(self, step: Step) -> None:
@@ -138,7 +138,7 @@ class LogWriter:
             batch_s=0.0 if self._real_time else BATCH_S,
         )
         self._worker.put(self._encoder.start, start)
-        self._worker.drain()  # nothing moves before the log is known to be written
+        self._worker.drain()  # nothing moves before the log was written successfully
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Queue camera frames."""
@@ -151,7 +151,7 @@ class LogWriter:
             self._worker.put(self._encoder.command, command)
 
     def on_note(self, note: Note) -> None:
-        """Queue a message for people."""
+        """Queue an operator message."""
         if self._worker:
             self._worker.put(self._encoder.note, note)
 
@@ -188,7 +188,7 @@ class LogWriter:
         self.close()
 
     def _close(self, complete: bool) -> None:
-        """Do what waits, finish the file and end the thread."""
+        """Do the calls in the queue, finish the file and end the thread."""
         if self._worker:
             self._worker.close(lambda: self._finish(complete and self.failure is None))
 

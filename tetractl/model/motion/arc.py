@@ -19,7 +19,7 @@ def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
 
 
 def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
-    """Return x and y of the chord, and w."""
+    """Return x and y of the chord, and the turn w."""
     half = 0.5 * t * a * np.sin(u - heading)
     chord = t * v * np.sinc(half / np.pi)
     return (chord * np.cos(heading + half),), (chord * np.sin(heading + half),), 2 * half

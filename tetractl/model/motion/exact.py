@@ -25,12 +25,12 @@ from tetractl.model.motion.polynomials import alternating, arctan, log_from_rati
 LARGEST_TURN = 1.25
 """Largest a t of one piece of a step: r^2 is at most 0.092 then."""
 LARGEST_PLAIN = 6.5
-"""Largest a t of a step whose derivatives are taken from 1 + cos phi: near phi = pi the step is off
-by up to 1e-9 of its way there, and by less for less."""
+"""Largest a t of a step whose derivatives are taken from 1 + cos phi: near phi = pi the error of
+such a step is up to 1e-9 of its path, less for smaller a t."""
 SMALLEST_DECAY = 1e-100
-"""Least E that steps are divided by the cube of."""
+"""Least E by whose cube is divided."""
 TERMS = 10
-"""Of the series in r: the rest is at most 2.2e-12 of a piece's way."""
+"""Number of terms of the series in r: the rest is at most 2.2e-12 of a piece's path."""
 ODD = 2 * np.arange(TERMS) + 1
 """The powers of r in the series."""
 
@@ -52,7 +52,7 @@ def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
 
 
 def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
-    """Return x of the ways along u and to the right of it, their y, and phi - phi'."""
+    """Return the displacement along u and to the right of it in x and in y, and phi - phi'."""
     half = (u - heading) / 2
     c, s = np.cos(half), np.sin(half)
     decay = np.exp(-a * t)
@@ -151,9 +151,8 @@ def differentiate(
 def differentiate_fast(
     c: float, s: float, cu: float, su: float, a: float, v: float, t: float
 ) -> Derivatives:
-    """Return a step and its derivatives, for robots that turn as fast as may be.
-
-    Near phi = pi, 1 + cos phi loses what decides how far such a robot turns.
+    """Return a step and its derivatives, for any a t. Near phi = pi, 1 + cos phi
+    cancels, and the turn of fast robots depends on it.
     """
     e = max(math.exp(-a * t), SMALLEST_DECAY)
     c, s = cu * c + su * s, su * c - cu * s

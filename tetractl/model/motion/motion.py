@@ -1,4 +1,4 @@
-"""What a motion consists of: one definition for the planner, its compiled twin and the plant.
+"""The parts of a motion: one definition for the planner, its compiled twin and the plant.
 
 A motion is one file that ends in a `Motion`, named by one line in `tetractl.core.registries`. See
 docs/how-to/extend.md.
@@ -15,7 +15,7 @@ from tetractl.core.poses import Floats
 Time = float | Floats
 XYHeading = tuple[Floats, Floats, Floats]
 Strides = tuple[tuple[Floats, ...], tuple[Floats, ...], Floats]
-"""What a step adds to x, in that order, as many terms for y [length unit], and to the heading."""
+"""The terms that a step adds to x, in that order, to y [length unit], and to the heading."""
 Derivatives = tuple[float, float, float, float, float, float, float, float]
 """dx, dy, dheading of one step; d(dx)/dheading, d(dy)/dheading, d(dx)/du, d(dy)/du, and
 d(heading')/dheading = 1 - d(heading')/du."""
@@ -25,12 +25,12 @@ _NOWHERE = np.zeros(())
 
 @dataclass(slots=True)
 class Held:
-    """What N robots hold between two commands, (N,) each; before the first they stand still."""
+    """The commands that N robots hold, (N,) each; before the first they stand still."""
 
     direction: Floats  # u [rad]
     turning: Floats  # a sin(u - heading) when the command came [rad/s], (3)
     course: Floats  # heading when the command came [rad]
-    moving: Floats  # 1 where the robot moves, else 0
+    moving: Floats  # 1 if the robot moves, else 0
 
 
 class StepFunction(Protocol):
@@ -97,7 +97,7 @@ class Lanes(Protocol):
 
     @property
     def rows(self) -> Floats:
-        """The numbers of each robot, `k` of the functions, (N, size)."""
+        """The constants of each robot, `k` of the functions, (N, size)."""
         ...
 
     @property

@@ -1,4 +1,4 @@
-"""Half-planes: what lies beyond the walls of an arena. A spec has none of its own."""
+"""Half-planes: the outside of an arena's walls. They are not a shape of the spec."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
@@ -44,7 +44,7 @@ class HalfPlane:
 
     normal: tuple[float, float]
     offset: float
-    """Of the edge along the normal [length unit]."""
+    """Offset of the edge along the normal [length unit]."""
 
     type: ClassVar[str] = "half-plane"
     packed: ClassVar[Any] = PackedHalfPlanes

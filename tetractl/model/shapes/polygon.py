@@ -1,7 +1,7 @@
 """Simple polygons, concave ones too: the walls and channels of micro-arenas.
 
-A polygon is grown as a body of that radius meets it: by a margin on the signed distance, which
-rounds the corners that a geometric offset would leave sharp.
+A polygon is grown by a margin on its signed distance, which rounds its corners, as for a round
+body.
 """
 
 import math
@@ -42,7 +42,7 @@ def passes_right(x: float, y: float, ax: float, ay: float, bx: float, by: float)
 
 
 def turn(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any) -> Any:
-    """Return twice the signed area of a triangle, positive where it turns anticlockwise."""
+    """Return twice the signed area of a triangle, positive if it turns anticlockwise."""
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
@@ -86,7 +86,7 @@ class PackedPolygons(NamedTuple):
 
     @staticmethod
     def gap(x: float, y: float, p: Any) -> float:
-        """Return the gap to the box where there is one, else the signed distance."""
+        """Return the gap to the box if there is one, else the signed distance."""
         box = max(max(p[2] - x, x - p[4]), max(p[3] - y, y - p[5]))
         if box > 0.0:
             return box
@@ -94,7 +94,7 @@ class PackedPolygons(NamedTuple):
 
     @staticmethod
     def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
-        """Return the gap to the box where there is one, else the distance less the margin."""
+        """Return the gap to the box if there is one, else the distance less the margin."""
         beside = max(p[2] - max(x0, x1), min(x0, x1) - p[4])
         box = max(beside, max(p[3] - max(y0, y1), min(y0, y1) - p[5]))
         if box > 0.0:
@@ -203,7 +203,7 @@ class Polygon(ShapeSection):
     def distance(self, x: Floats, y: Floats) -> Floats:
         """Return the distance to the nearest edge, negative inside, less the margin.
 
-        A point is inside where a ray from it crosses an odd number of edges.
+        A point is inside if a ray from it crosses an odd number of edges.
         """
         shape = np.broadcast(x, y).shape
         inside, least = np.zeros(shape, bool), np.full(shape, np.inf)
@@ -240,7 +240,7 @@ def _to_segment(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Floats:
 
 
 def _doubled_area(vertices: Floats) -> float:
-    """Return twice the signed area of a polygon (M, 2), positive where it is anticlockwise."""
+    """Return twice the signed area of a polygon (M, 2), positive if it is anticlockwise."""
     x, y = (vertices - vertices[0]).T
     return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 

@@ -62,7 +62,7 @@ class Rectangle(ShapeSection):
 
     def row(self) -> tuple[float, float, float, float]:
         """Return left, bottom, right and top: grown, with sharp corners."""
-        left, bottom, margin = self.left, self.bottom, self.margin  # is looked up slowly
+        left, bottom, margin = self.left, self.bottom, self.margin  # attribute access is slow
         right, top = left + self.width, bottom + self.height
         return left - margin, bottom - margin, right + margin, top + margin
 

@@ -22,7 +22,7 @@ class PackedShapes(Protocol):
     rows: Floats
     """(M, K): what `row` of the section returns."""
     size: int | None
-    """K, where it is the same for every obstacle: then `p` is a tuple. None where rows differ in
+    """K, if it is the same for every obstacle: then `p` is a tuple. None if rows differ in
     length: then `p` is an array, padded with zeros."""
 
     @staticmethod

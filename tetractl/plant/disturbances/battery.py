@@ -1,4 +1,4 @@
-"""`{type: battery}`: the batteries run down in the course of a trial."""
+"""`{type: battery}`: the batteries run down during a trial."""
 
 from typing import Literal
 
@@ -19,7 +19,7 @@ class BatterySection(DisturbanceSection):
     a: Fraction = 0.0
     """Share of its a that each robot loses."""
     over: Positive = 30.0
-    """Time of the trial until that much is lost [s]."""
+    """Time of the trial until these fractions are lost [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Battery":
         """Return the batteries of one trial."""
@@ -33,6 +33,6 @@ class Battery(Disturbance):
         self._section = section
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return a and speed less what is lost by now."""
+        """Return a and speed minus the present loss."""
         used = min(1.0, time_s / self._section.over)
         return a * (1 - self._section.a * used), speed * (1 - self._section.speed * used)

@@ -21,9 +21,9 @@ class CameraLatencySection(DisturbanceSection):
     """Standard deviation of a frame's latency, normally distributed and cut off at 4 of them
     [s]."""
     late_share: Fraction = 0.0
-    """Share of the frames that are late ..."""
+    """Fraction of the frames that are late."""
     late_by: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """... by up to this, uniformly distributed [s]."""
+    """Late frames are late by up to this, uniformly distributed [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "CameraLatency":
         """Return the latencies of one trial."""

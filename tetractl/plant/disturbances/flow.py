@@ -15,9 +15,9 @@ class FlowSection(DisturbanceSection):
 
     type: Literal["flow"]
     speed: NonNegative
-    """Of the flow [length unit/s]."""
+    """Speed of the flow [length unit/s]."""
     direction: Finite | None = None
-    """Where it flows to, anticlockwise from +x [rad]; drawn again in every trial by default."""
+    """Direction of the flow, anticlockwise from +x [rad]; by default drawn in every trial."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Flow":
         """Return the flow of one trial."""

@@ -1,4 +1,4 @@
-"""`{type: frozen-camera}`: the camera stands still for a while: its last picture, or none."""
+"""`{type: frozen-camera}`: for some time the camera repeats its last picture, or sends none."""
 
 from typing import Literal
 
@@ -12,7 +12,7 @@ from tetractl.plant.disturbances.spells import Spells, SpellsSection
 
 
 class FrozenCameraSection(SpellsSection):
-    """Spells in which every frame shows what the last one before showed, or none comes."""
+    """Intervals in which every frame repeats the last one before, or none comes."""
 
     type: Literal["frozen-camera"]
     repeats: bool = True
@@ -25,19 +25,19 @@ class FrozenCameraSection(SpellsSection):
         return not self.repeats
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrozenCamera":
-        """Return the spells of one trial."""
+        """Return the intervals of one trial."""
         return FrozenCamera(self.repeats, self.draw(rng))
 
 
 class FrozenCamera(Disturbance):
-    """Repeats, or loses, the frames of a spell."""
+    """Repeats, or loses, the frames of an interval."""
 
     def __init__(self, repeats: bool, spells: Spells) -> None:
         self._repeats, self._spells = repeats, spells
         self._last: tuple[Poses, Bools] | None = None
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the last picture before the spell while one is on."""
+        """Return the last picture before the interval while one is on."""
         if self._last is None or not (self._repeats and self._spells.at(time_s)):
             self._last = poses, valid
         return self._last

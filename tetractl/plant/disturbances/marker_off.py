@@ -1,4 +1,5 @@
-"""`{type: marker-off}`: markers are put on turned, so that every measured heading is off."""
+"""`{type: marker-off}`: markers are attached at an angle, so that every measured heading has an
+offset."""
 
 from typing import Literal
 
@@ -16,7 +17,7 @@ class MarkerOffSection(DisturbanceSection):
 
     type: Literal["marker-off"]
     heading: NonNegative
-    """Measured heading less the true one, or the true one less the measured [rad]."""
+    """Offset of the measured heading, in either direction [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "MarkerOff":
         """Return the sides of one trial."""

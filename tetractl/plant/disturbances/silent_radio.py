@@ -12,7 +12,7 @@ from tetractl.plant.disturbances.spells import Spells, SpellsSection
 
 
 class SilentRadioSection(SpellsSection):
-    """Spells in which no robot hears anything; robots go on with what they heard last."""
+    """Intervals in which no robot receives anything; robots go on with the last command."""
 
     type: Literal["silent-radio"]
 
@@ -22,7 +22,7 @@ class SilentRadioSection(SpellsSection):
 
 
 class SilentRadio(Disturbance):
-    """Loses everything that is sent in a spell."""
+    """Loses everything that is sent in an interval."""
 
     def __init__(self, spells: Spells) -> None:
         self._spells = spells

@@ -1,4 +1,4 @@
-"""Spells: times in which something goes wrong, shared by the disturbances that come and go."""
+"""Intervals in which something goes wrong, shared by the disturbances that come and go."""
 
 from collections.abc import Callable
 from typing import Annotated
@@ -12,34 +12,34 @@ from tetractl.experiment.disturbance import DisturbanceSection
 
 
 class SpellsSection(DisturbanceSection):
-    """A few spells a trial, each at a time of its own."""
+    """A few intervals per trial, each at a random time."""
 
     times: Annotated[int, Field(ge=0, le=1000)] = 1
-    """Spells in a trial; they may overlap."""
+    """Number of intervals in a trial; they may overlap."""
     duration: Positive
     """Of each [s]."""
     between: tuple[NonNegative, NonNegative] = (1.0, 14.0)
     """Each begins between these two times of the trial, uniformly distributed [s]."""
 
     def draw(self, rng: np.random.Generator) -> "Spells":
-        """Return the spells of one trial."""
+        """Return the intervals of one trial."""
         return Spells(self, rng)
 
 
 class Spells:
-    """The spells of one trial."""
+    """The intervals of one trial."""
 
     def __init__(self, section: SpellsSection, rng: np.random.Generator) -> None:
         self._begin_s = rng.uniform(*section.between, section.times)
         self._end_s = self._begin_s + section.duration
 
     def at(self, time_s: float) -> bool:
-        """Return whether one of them is on."""
+        """Return whether an interval is on."""
         return bool(((self._begin_s <= time_s) & (time_s < self._end_s)).any())
 
 
 class ByTurns:
-    """N robots that are well and unwell by turns, each by itself, well at first.
+    """N robots that alternate between well and unwell, independently, well initially.
 
     `well_s` and `unwell_s` draw how long [s].
     """

@@ -1,4 +1,4 @@
-"""`{type: stale-camera}`: the camera shows old poses for a while, with the times of new ones."""
+"""`{type: stale-camera}`: for some time the camera shows old poses with new times."""
 
 from collections import deque
 from typing import Literal
@@ -13,26 +13,26 @@ from tetractl.plant.disturbances.spells import Spells, SpellsSection
 
 
 class StaleCameraSection(SpellsSection):
-    """Spells in which frames hold poses of some time ago."""
+    """Intervals in which frames hold old poses."""
 
     type: Literal["stale-camera"]
     age: Positive = 0.1
-    """How old the poses are [s]; at the start the oldest there are."""
+    """Age of the poses [s]; early in the trial, that of the oldest ones."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
-        """Return the spells of one trial."""
+        """Return the intervals of one trial."""
         return StaleCamera(self.age, self.draw(rng))
 
 
 class StaleCamera(Disturbance):
-    """Keeps what was measured, and shows it `age_s` later while a spell is on."""
+    """Keeps the measurements, and shows them `age_s` later while an interval is on."""
 
     def __init__(self, age_s: float, spells: Spells) -> None:
         self._age_s, self._spells = age_s, spells
         self._kept: deque[tuple[float, Poses, Bools]] = deque()
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the newest poses that are `age_s` old or older, in a spell."""
+        """Return the poses; in an interval, the newest that are at least `age_s` old."""
         self._kept.append((time_s, poses, valid))
         while len(self._kept) > 1 and self._kept[1][0] <= time_s - self._age_s:
             self._kept.popleft()

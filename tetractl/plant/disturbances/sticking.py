@@ -1,4 +1,4 @@
-"""`{type: sticking}`: a robot stands still for a moment now and then, and does not know it."""
+"""`{type: sticking}`: robots occasionally stand still for a moment."""
 
 from typing import Literal
 
@@ -12,13 +12,13 @@ from tetractl.plant.disturbances.spells import ByTurns
 
 
 class StickingSection(DisturbanceSection):
-    """Each robot sticks now and then, as at a cable or on dust, all independently."""
+    """Each robot sticks occasionally, as at a cable or on dust, independently of the others."""
 
     type: Literal["sticking"]
     every: Positive
-    """Mean time a robot is free between two times that it sticks [s], exponentially distributed."""
+    """Mean time between two times that a robot sticks [s], exponentially distributed."""
     duration: NonNegative = 0.5
-    """How long it then neither moves nor turns [s]."""
+    """Time for which it then neither moves nor turns [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Sticking":
         """Return the sticking of one trial."""
@@ -26,7 +26,7 @@ class StickingSection(DisturbanceSection):
 
 
 class Sticking(Disturbance):
-    """Holds each robot by itself."""
+    """Holds each robot independently."""
 
     def __init__(self, section: StickingSection, robots: int, rng: np.random.Generator) -> None:
         free_s, stuck_s = section.every, section.duration

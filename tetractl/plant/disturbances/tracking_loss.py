@@ -12,7 +12,7 @@ from tetractl.plant.disturbances.spells import ByTurns
 
 
 class TrackingLossSection(DisturbanceSection):
-    """The camera loses each robot now and then, all independently."""
+    """The camera loses each robot occasionally, independently of the others."""
 
     type: Literal["tracking-loss"]
     every: Positive
@@ -26,7 +26,7 @@ class TrackingLossSection(DisturbanceSection):
 
 
 class TrackingLoss(Disturbance):
-    """Each robot is tracked and lost by turns; it is tracked at first."""
+    """Each robot is tracked and lost by turns; it is tracked initially."""
 
     def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
         self._tracked = ByTurns(

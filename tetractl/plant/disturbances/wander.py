@@ -1,4 +1,4 @@
-"""`{type: wander}`: a and speed of each robot wander in the course of a trial."""
+"""`{type: wander}`: a and speed of each robot wander during a trial."""
 
 from typing import Literal
 
@@ -11,9 +11,8 @@ from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
 
 class WanderSection(DisturbanceSection):
-    """Relative errors of a and speed that change slowly, each robot's and each of the two alone.
-
-    Their logarithms are Ornstein-Uhlenbeck processes, as old at the start as in the end.
+    """Relative errors of a and speed that change slowly, independently for each robot and quantity.
+    Their logarithms are stationary Ornstein-Uhlenbeck processes.
     """
 
     type: Literal["wander"]
@@ -22,7 +21,7 @@ class WanderSection(DisturbanceSection):
     speed: NonNegative = 0.0
     """Standard deviation of ln speed."""
     time: Positive = 5.0
-    """Within this the correlation of an error with itself falls to 1/e [s]."""
+    """Correlation time of the errors [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Wander":
         """Return the errors of one trial."""
@@ -30,7 +29,7 @@ class WanderSection(DisturbanceSection):
 
 
 class Wander(Disturbance):
-    """Draws the errors at each time it is asked for; a frame rate makes no difference to them."""
+    """Draws the errors at each requested time; their statistics do not depend on the frame rate."""
 
     def __init__(self, section: WanderSection, robots: int, rng: np.random.Generator) -> None:
         self._size = np.array([[section.a], [section.speed]])

@@ -18,7 +18,7 @@ class WobbleSection(DisturbanceSection):
 
     type: Literal["wobble"]
     radius: NonNegative
-    """Of the helix [length unit]."""
+    """Radius of the helix [length unit]."""
     frequency: Positive
     """Turns of the helix a second [Hz]."""
 

@@ -1,1 +1,1 @@
-"""What recorded trials tell of robots and commands, with intervals."""
+"""Identifies robots and dead time from recorded trials, with intervals."""

@@ -1,16 +1,16 @@
 """The likelihood of differences of noisy measurements along a chain of intervals.
 
 A quantity is measured at the ends of K intervals with an error e of deviation s, and walks at
-random by w a root second. What an interval of t seconds misses the model by is then
+random by w [1/sqrt(s)]. The residual of an interval of t seconds is then
 
     r_k = e_(k+1) - F_k e_k + w sqrt(T_k) n_k,      T_k = t_k (1 + 4 F_k + F_k^2) / 6,
 
-where F_k is the derivative of the model's end by its begin: what walks early in an interval has
-changed by F_k at its end (Simpson's rule for the integral of F_k^(2 x), x from 0 to 1). The
+where F_k is the derivative of the model's end by its begin: a deviation early in an interval is
+multiplied by F_k at its end (Simpson's rule for the integral of F_k^(2 x), x from 0 to 1). The
 covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next to it
-where interval k begins with the frame that interval k - 1 ended with. G_k is F_k, but for what is
-measured in two dimensions and projected along a way: the cosine of the angle between the ways of
-both intervals. With A = L L^T, y = L^-1 r are independent and of deviation 1, and
+if interval k begins with the frame that interval k - 1 ended with. G_k is F_k; for displacements
+projected along a path it is the cosine of the angle between both intervals' paths. With A = L L^T,
+y = L^-1 r are independent and of deviation 1, and
 
     -2 ln likelihood = sum y^2 + 2 sum ln L_kk + a constant.
 
@@ -39,7 +39,7 @@ LEAST = 1e-7  # of a deviation, relative to the residuals' own
 
 @dataclass(frozen=True, slots=True)
 class SampleInterval:
-    """A value and its 95 % interval; an end is infinite where the motion does not bound it."""
+    """A value and its 95 % interval; an end is infinite if the motion does not bound it."""
 
     value: float
     low: float
@@ -48,7 +48,7 @@ class SampleInterval:
 
 @dataclass(frozen=True, slots=True)
 class ChainNoise:
-    """The deviation `measured` of a measurement, and `walk` of a random walk a root second."""
+    """Standard deviations: `measured` of one measurement, `walk` of the random walk [1/sqrt(s)]."""
 
     measured: float
     walk: float
@@ -59,7 +59,7 @@ class Chain:
     """The K intervals of one robot: their length `t` (K,) [s], `slope` F (K,), and which count.
 
     `linked` (K,) tells which begin with the frame that the one before ended with. `coupling` G (K,)
-    is F where it is None.
+    is F if it is None.
     """
 
     t: Floats
@@ -86,7 +86,7 @@ class Chain:
         return found
 
     def whiten(self, factor: Floats, columns: Floats) -> Floats:
-        """Return L^-1 of columns (K, M), 0 where an interval is not used."""
+        """Return L^-1 of columns (K, M), 0 if an interval is not used."""
         columns = np.where(self.used[:, None], columns, 0.0)
         found, info = _SOLVE(factor, columns, uplo="L")
         assert info == 0, "the diagonal of L is positive"

@@ -24,7 +24,7 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
     """Return the tracks in some CSV files, of which each holds poses or commands.
 
     Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
-    time_s, direction_rad and perhaps observed_s. Where there are columns log and trial, poses and
+    time_s, direction_rad and perhaps observed_s. If there are columns log and trial, poses and
     commands of the same belong together; else all do. UsageError names what is missing.
     """
     poses: dict[Trial, list[Row]] = {}

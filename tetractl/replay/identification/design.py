@@ -1,10 +1,11 @@
-"""An informative motion: a sequence of directions that tells much of the robots, inside the arena.
+"""An informative motion: a sequence of directions from which the robots can be identified well,
+inside the arena.
 
-Of many random sequences the one is kept of which a fit would tell most: the least of the sum of the
-logarithms of the predicted variances (a D-optimal design) of the dead time and of each robot's a
-and heading bias, among those on which no robot comes within `margin` of the arena's edge, of an
-obstacle, or of another robot. The best of them is then changed one direction at a time. Variances
-are predicted by the information of the turns of intervals of SHORTEST_S with the noise NOISE.
+Of many random sequences the best one is kept: it minimises the sum of the logarithms of the
+predicted variances (a D-optimal design) of the dead time and of each robot's a and heading bias,
+among those on which no robot comes within `margin` of the arena's edge, of an obstacle, or of
+another robot. The best of them is then changed one direction at a time. Variances are predicted by
+the information of the turns of intervals of SHORTEST_S with the noise NOISE.
 
 Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and Data Analysis",
 Academic Press (1977), chapter 6.
@@ -31,12 +32,13 @@ CANDIDATES, CHANGES = 60, 120
 TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3  # random directions a knot, and when to go back how far
 TURN = 2.0  # rad at most between two directions: a robot commanded to turn back may turn either way
 WEAK = np.array([0.5, 2.0, 1.0])  # deviations of dead time, ln a and bias before the motion
-AWAY = 0.15  # margin, relative to the arena's shorter side, but for robots that start nearer
+AWAY = 0.15  # margin, relative to the arena's shorter side, except for robots that start nearer
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A sequence of directions, one a control period, and what a fit to it is predicted to tell.
+    """A sequence of directions, one per control period, and the predicted deviations of a fit to
+    it.
 
     `directions` (C,) [rad]; `dead_time_std` [s], `a_std` (N,) relative, `heading_bias_std` (N,)
     [rad]; `clearance` is the least distance kept to edge and obstacles [length unit].
@@ -56,7 +58,7 @@ class Design:
 
 
 def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
-    """Return a design of some seconds; UsageError where the robots have no room for one."""
+    """Return a design of some seconds; UsageError if the robots have no room for one."""
     setup, rng = experiment.setup, np.random.default_rng(seed)
     period = setup.period_s
     hold = max(1, round(HOLD_S / period))
@@ -113,7 +115,7 @@ class _Room:
         return self.distance(_path(self.setup, directions, period))
 
     def distance(self, path: Floats) -> float:
-        """Return that of poses (..., N, 3)."""
+        """Return the clearance of poses (..., N, 3)."""
         x, y, _ = path.reshape(-1, *path.shape[-2:]).transpose(2, 0, 1)
         least = float(self.setup.arena.inside(x, y).min())
         for shape in self._obstacles.shapes:
@@ -127,9 +129,10 @@ class _Room:
 def _random_sequence(
     rng: np.random.Generator, count: int, setup: Setup, room: _Room, seconds: float
 ) -> Floats | None:
-    """Return random directions, each held for `seconds`, that stay in the room; None for none.
+    """Return random directions, each held for `seconds`, under which the robots stay inside; None
+    if not found.
 
-    Each is at most TURN from the one before, the first from where the robots head. Where no
+    Each is at most TURN from the one before, the first from where the robots head. If no
     direction does, the last few are drawn once more.
     """
     knots: list[float] = []

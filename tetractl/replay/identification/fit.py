@@ -7,7 +7,7 @@ of the measurement and the random walk of the headings are fitted, and the param
 Newton steps on the whitened residuals; and that ROUNDS times. A parameter's 95 % interval holds the
 values for which the deviance, at its least over all other parameters, is within LIMIT of its least.
 
-Weak normal priors around the start, WEAK, keep what the motion does not show from running off.
+Weak normal priors around the start, WEAK, keep unobservable parameters bounded.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ POINTS = 6  # of each side of a profile
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The most likely parameters and the ends of their 95 % intervals, infinite where not found.
+    """The most likely parameters and the ends of their 95 % intervals, infinite if not found.
 
     `chains` and `noises` are those of each robot's turns, `used` (K, N) the intervals that count.
     """
@@ -59,7 +59,7 @@ def fit(tracks: list[Track], drives: Drives, prior: Prior) -> Fitted:
 
 
 def _filtered(track: Track, prior: Prior) -> Turning:
-    """Return what the filters find in the frames and commands of a track."""
+    """Return the filters' estimates from the frames and commands of a track."""
     bank, every = FilterBank(prior), (True,) * len(prior.a)
     sent, at = (track.sent * SECOND).round().astype(np.int64).tolist(), 0
     for k in np.flatnonzero(track.time <= track.until).tolist():

@@ -15,14 +15,14 @@ from tetractl.replay.identification.turning import Turning
 LEAST = 20  # intervals of a robot, below which nothing is fitted
 OUTLYING = 4.0  # deviations
 SPEED_ROUNDS = 3
-DEAD_TIME_STD = 0.1  # with which the robust fit looks for the dead time [s]
+DEAD_TIME_STD = 0.1  # range in which the dead time is searched [s]
 A_STD, SPEED_STD, HEADING_BIAS_STD = 0.5, 0.5, 0.2  # likewise, the first two relative
-UNKNOWN_A = 3.0  # rad/s, where nothing is expected
+UNKNOWN_A = 3.0  # rad/s, if nothing is expected
 
 
 @dataclass(frozen=True, slots=True)
 class RobotFound:
-    """What was identified of one robot; lengths in the tracks' unit.
+    """The identified values of one robot; lengths in the tracks' unit.
 
     `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.plan.Estimate`;
     `heading_noise` [rad] and `position_noise` [length unit] are the deviations of the camera, the
@@ -43,10 +43,10 @@ class RobotFound:
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedRobots:
-    """What was identified from some tracks.
+    """The result of identification from some tracks.
 
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is how much earlier the
-    frame was exposed that the direction answers, None where it is not known.
+    frame was exposed that the direction answers, None if it is not known.
     """
 
     origin: str
@@ -61,8 +61,8 @@ class IdentifiedRobots:
 def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> IdentifiedRobots:
     """Identify the robots of some tracks, all of the same robots.
 
-    `a` (N,) [rad/s] and the dead time [s] are what is expected, within a factor of some 5 and
-    0.3 s; None where nothing is. UsageError where the tracks show too little.
+    `a` (N,) [rad/s] and the dead time [s] are the expected values, within a factor of some 5
+    and 0.3 s; None if unknown. UsageError if the tracks show too little.
     """
     drives = drives_of(tracks)
     counts = drives.intervals.usable.sum(axis=0)
@@ -124,13 +124,12 @@ def _prior(drives: Drives, a: Floats | None, dead_time: float) -> Prior:
 
 
 def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[SampleInterval, SampleInterval]:
-    """Return speed and position noise of a robot, from its displacements along the way predicted.
-
-    An interval's displacement along the predicted one is speed times the latter's length a unit of
-    speed, but for the camera's noise at its ends and a random walk of the way.
+    """Return speed and position noise of a robot, from its displacements along the predicted path.
+    An interval's displacement is speed times the predicted length per unit of speed, plus the
+    camera's noise at its ends and a random walk.
     """
     x, y, _ = (column[:, robot] for column in fitted.turns.motion(fitted.best))
-    length = np.hypot(x, y)  # of which the way predicted from a measured heading shows less
+    length = np.hypot(x, y)  # by which a path predicted from a measured heading is shorter
     shown = np.exp(-(fitted.noises[robot].measured ** 2) / 2)
     usable = drives.intervals.usable[:, robot] & (length > 0)
     way = np.column_stack([x, y]) / (length + 1e-300)[:, None]

@@ -1,4 +1,4 @@
-"""What was identified, as a file for specs and as a table."""
+"""Writes identified values as a file for specs and as a table."""
 
 import math
 
@@ -21,7 +21,7 @@ MOST = 6  # decimals
 
 
 def identified(found: IdentifiedRobots, when: str) -> Identified:
-    """Return what `Identified` holds of it; `when` is a time in words."""
+    """Return the `Identified` section; `when` is a time in words."""
     return Identified(
         identified=when,
         origin=found.origin,

@@ -1,4 +1,4 @@
-"""Tracked poses of robots, and the directions they were sent: what robots are identified from."""
+"""Tracked poses of robots and the directions they were sent: the data of identification."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,10 +22,10 @@ class Track:
     """One trial of N robots: M camera frames and C commands, times in seconds of one clock.
 
     `time` (M,) is when each frame was exposed, `poses` (M, N, 3) are x, y [length unit] and heading
-    [rad], `valid` (M, N) is False where a robot was not tracked. `sent` (C,) is when each command
+    [rad], `valid` (M, N) is False if a robot was not tracked. `sent` (C,) is when each command
     was sent and `u` (C,) its direction [rad]. Nothing after `until` counts: the robots receive a
     stop. `frame_age` is the median time from the exposure of the frame that a command answers to
-    its sending [s], None where that is not known.
+    its sending [s], None if that is not known.
     """
 
     source: str
@@ -45,8 +45,8 @@ class Intervals(NamedTuple):
     """K intervals between two camera frames of N robots.
 
     `since`, `until` (K,) [s]; `heading` (K, N) at `since` [rad]; `turned` (K, N) [rad] and
-    `travelled` (K, N) [length unit] until `until`; `usable` (K, N) is False where nothing is to be
-    learnt: a robot that was not tracked, or did not move yet.
+    `travelled` (K, N) [length unit] until `until`; `usable` (K, N) is False for a robot that was
+    not tracked, or did not move yet.
     """
 
     since: Floats
@@ -66,9 +66,9 @@ class Directions(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Drives:
-    """Tracks put one behind the other, APART_S apart: K intervals between frames of N robots.
+    """Tracks put one after the other, APART_S apart: K intervals between frames of N robots.
 
-    `moved` (K, N, 2) is the displacement of an interval [length unit]. `after` (K,) is True where
+    `moved` (K, N, 2) is the displacement of an interval [length unit]. `after` (K,) is True if
     an interval begins with the frame that the one before ended with.
     """
 
@@ -84,7 +84,7 @@ class Drives:
 
 
 def track_of(log: TrialLog) -> Track:
-    """Return the track of a log: what the camera saw and what was sent, never the truth."""
+    """Return the track of a log: measured poses and commands, never the true poses."""
     require_field(log)
     setup = log.start.setup
     sent = [one for one in log.commands if one.direction is not None]
@@ -109,7 +109,7 @@ def track_of(log: TrialLog) -> Track:
 
 
 def _paused(log: TrialLog) -> Bools:
-    """Return which frames (M,) show robots in a pause, or on the way into or out of one."""
+    """Return which frames (M,) show robots in a pause, or entering or leaving one."""
     sent = [one.sent_ns for one in log.commands if one.direction is not None]
     found = np.zeros(len(log.mocap_ns), dtype=np.bool_)
     for stop in (one.sent_ns for one in log.commands if one.stops):
@@ -130,7 +130,7 @@ def require_field(log: TrialLog) -> None:
 
 
 def stopped_ns(log: TrialLog) -> int | None:
-    """Return when the robots first received a stop for good [ns], None where that is not known.
+    """Return when the robots first received a stop for good [ns], None if that is not known.
 
     A lab repeats its stop, and the log's own stop is the last of them.
     """
@@ -140,7 +140,7 @@ def stopped_ns(log: TrialLog) -> int | None:
 
 
 def drives_of(tracks: list[Track]) -> Drives:
-    """Return several tracks of the same robots as one; UsageError where robots or units differ."""
+    """Return several tracks of the same robots as one; UsageError if robots or units differ."""
     first = tracks[0]
     for other in tracks[1:]:
         if (other.names, other.unit) != (first.names, first.unit):
@@ -216,7 +216,7 @@ def substeps(
     """Return which of C directions, sent at `when` (C,) [s], act in each interval, oldest first.
 
     Each is a pair of their numbers (K,) and the seconds (K,) for which they act a dead time `tau`
-    [s] after they were sent, 0 where there are fewer. Before the first acts, it is taken as acting.
+    [s] after they were sent, 0 if there are fewer. Before the first acts, it is taken as acting.
     """
     acts = when + tau
     ends = np.append(acts[1:], np.inf)  # the last acts for ever

@@ -18,7 +18,7 @@ from tetractl.replay.identification.tracks import Drives, substeps
 NUDGE_S, NUDGE = 0.001, 1e-4  # of tau [s], and of ln a, beta and headings, for derivatives
 SURE = 0.01  # probability that counts as none
 FEW = 0.5  # lost commands, added to those found, in the share of commands that get lost
-LARGE = 100.0  # a squared deviation, at most: an interval that neither explains decides nothing
+LARGE = 100.0  # cap of a squared deviation: an interval that neither explains decides nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Turns:
     def motion(self, p: Turning, ahead: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Return displacement x and y per unit of speed [s] and the turn [rad], each (K, N).
 
-        Where it is in doubt whether a direction arrived, the mean of both, by their probabilities.
+        If it is in doubt whether a direction arrived, the mean of both, by their probabilities.
         `ahead` [rad] is added to the headings measured.
         """
         arrived, lost = self._followed
@@ -73,7 +73,7 @@ class Turns:
         return wrap(self.drives.intervals.turned - self.motion(p)[2])
 
     def derivatives(self, p: Turning) -> tuple[Floats, Floats, Floats]:
-        """Return those of the turn predicted by tau, ln a and beta, (K, N) each."""
+        """Return the derivatives of the predicted turn by tau, ln a and beta, (K, N) each."""
         low = max(0.0, p.tau - NUDGE_S)
         pairs = (
             (replace(p, tau=p.tau + NUDGE_S), replace(p, tau=low), p.tau + NUDGE_S - low),
@@ -93,7 +93,7 @@ class Turns:
         return [Chain(seconds, slopes[:, i], used[:, i], after) for i in range(used.shape[1])]
 
     def believe(self, p: Turning, chains: list[Chain], noises: list[ChainNoise]) -> None:
-        """Find how likely each robot lost each command, by its turns under it.
+        """Estimate the probability that each robot lost each command, from its turns under it.
 
         By Bayes: the likelihood of the turns under the direction, and under the one before, and the
         share of commands that were lost so far.
@@ -103,7 +103,8 @@ class Turns:
         turned, main = self.drives.intervals.turned, self._main(p)
         first = np.diff(main, prepend=-1) != 0
         gains = np.zeros(self.lost.shape)
-        for odd in (0, 1):  # an interval may begin under the direction before, whose fate is kept
+        # an interval may begin under the direction before, whose losses are kept
+        for odd in (0, 1):
             asked = self._own % 2 == odd
             residuals = [
                 wrap(turned - self._under(p, np.where(asked, one, hard))[2])

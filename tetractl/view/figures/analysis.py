@@ -22,7 +22,7 @@ ROOM = 1.15  # of the panel of ends, beyond the largest ellipse
 def analysis_figure(found: Analysis) -> Figure:
     """Draw an analysis: (a) the 95 % ellipse of each end less its target, (b) singular values, (c)
     the predicted mean total error against the smallest relative difference of a, and (d) against
-    the number of robots; one robot alone has (a) and (b). Raises UsageError where no plan reaches.
+    the number of robots; one robot alone has (a) and (b). Raises UsageError if no plan reaches.
     """
     if found.steering is None:
         raise UsageError("no plan found, nothing to draw", "raise controller.horizon_max")

@@ -1,4 +1,4 @@
-"""What several figures share: one trial of the logs given, and logarithmic axes."""
+"""Functions shared by figures: the trial of the logs given, and logarithmic axes."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 
-NUMBERED = 8  # from so many robots on numbers distinguish them: there are no more colours
+NUMBERED = 8  # number of robots from which numbers distinguish them
 NAME_LENGTH = 16  # of a robot in a figure [characters]
 
 
@@ -31,9 +31,9 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
 
 
 def by_folder(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
-    """Return the complete trials of each folder by its name, by its path where names clash.
+    """Return the complete trials of each folder by its name, by its path if names clash.
 
-    Raises UsageError for errors in several units, and LogError where no trial is complete.
+    Raises UsageError for errors in several units, and LogError if no trial is complete.
     """
     units = {log.start.setup.unit for log in logs}
     if len(units) > 1:
@@ -50,7 +50,7 @@ def by_folder(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
 
 
 def robot_labels(names: Sequence[str]) -> list[str]:
-    """Return the robots' names for a figure: shortened, and numbered where they are many."""
+    """Return the robots' names for a figure: shortened, and numbered if they are many."""
     short = [name if len(name) <= NAME_LENGTH else name[: NAME_LENGTH - 1] + "…" for name in names]
     if len(names) < NUMBERED:
         return short
@@ -58,7 +58,7 @@ def robot_labels(names: Sequence[str]) -> list[str]:
 
 
 def unfinished(log: TrialLog) -> str:
-    """Return how and why a trial did not run to its own end, "" where it did."""
+    """Return how and why a trial did not run to its own end, "" if it did."""
     if log.result is None:
         return "the log ends before its trial"
     if log.result.outcome.complete:
@@ -67,7 +67,7 @@ def unfinished(log: TrialLog) -> str:
 
 
 def broken_off(logs: Sequence[TrialLog]) -> str:
-    """Return what a figure says of trials that did not run to their own end, "" for none."""
+    """Return a figure's note on trials that did not run to their own end, "" for none."""
     if len(logs) == 1:
         return unfinished(logs[0])
     cut = sum(1 for log in logs if unfinished(log))
@@ -128,7 +128,7 @@ def span(values: Floats) -> tuple[float, float]:
 
 
 def plain_log(axes: Axes) -> None:
-    """Mark 1, 2 and 5 of each decade where there are few, less than half a decade evenly.
+    """Mark 1, 2 and 5 of each decade if there are few, less than half a decade evenly.
 
     All marks of an axis are written alike: as 100 from 0.01 to 10,000, else as powers of ten.
     """

@@ -38,7 +38,7 @@ SINCE = "time since the first command [s]"
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A quantity (M,) over time and a band round it from `low` to `high`, where there is one.
+    """A quantity (M,) over time and a band round it from `low` to `high`, if there is one.
 
     `name` is written at its end; `key` is its entry in a legend.
     """
@@ -79,7 +79,7 @@ def robot_curves(
     high: Floats | None = None,
     show: Callable[[float], str] | None = None,
 ) -> list[Curve]:
-    """Return a curve for each robot of values (M, N), which have no bands where robots are many.
+    """Return a curve for each robot of values (M, N), which have no bands if robots are many.
 
     It is named after the robot and, as `show` writes it, its last value.
     """

@@ -31,7 +31,7 @@ def band(n: int) -> float:
 
 
 def ecdf_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the final total errors of trials, one curve a folder; only complete trials count."""
+    """Draw the final total errors of trials, one curve per folder; only complete trials count."""
     batches = by_folder(logs)
     errors = [
         np.array([log.result.total_error for log in found if log.result is not None])
@@ -72,7 +72,7 @@ def _drawn(labels: Sequence[str], errors: Sequence[Floats], unit: str) -> Figure
 
 
 def _curve(axes: Axes, label: str, values: Floats, color: str, end: float, shaded: bool) -> None:
-    """Draw one curve; its band is shaded, or only lined where there would be too many."""
+    """Draw one curve; its band is shaded, or only lined if there would be too many."""
     x = np.concatenate([[0.0], values, [1.02 * end]])
     share = np.concatenate([np.arange(len(values) + 1), [len(values)]]) / len(values)
     half = band(len(values))

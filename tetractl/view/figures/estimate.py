@@ -1,4 +1,4 @@
-"""What the controller estimated of the robots over the time of a trial."""
+"""The controller's estimates of the robots over the time of a trial."""
 
 import json
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
 
     a and speed are drawn relative to the spec's values, on one scale for all robots, and a cross
     marks the true value of a simulation; the heading bias in rad, the dead time in ms. A panel is
-    only drawn for what was estimated, and no bands where the robots are many.
+    only drawn for what was estimated, and no bands if the robots are many.
     """
     log = one_trial(logs)
     steps = [step for step in log.steps if step.plan.estimate is not None]
@@ -116,8 +116,8 @@ def _dead_time(
 def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: TrialLog) -> list[Curve]:
     """Draw values (K, N) of the robots with their bands, and return the curves.
 
-    The axis shows what lies between the 1st and the 99th percentile: one wild value would squash
-    the rest.
+    The axis shows the range between the 1st and the 99th percentile, so that one outlier does not
+    hide the rest.
     """
     curves = robot_curves(log.start.setup, values, values - stds, values + stds)
     draw_curves(axes, time_s, curves)
@@ -130,7 +130,7 @@ def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: Trial
 
 
 def _true(log: TrialLog, what: str) -> Floats | None:
-    """Return the true a or speed (N,) of a simulation, None where the log does not state it."""
+    """Return the true a or speed (N,) of a simulation, None if the log does not state it."""
     fact = log.start.plant.facts.get(f"true_{what}")
     return None if fact is None else np.array(json.loads(fact), dtype=np.float64)
 

@@ -18,12 +18,12 @@ def end_labels(
 ) -> None:
     """Write each curve's name at the right of the axes, at the height of its end or near it.
 
-    Labels are at least a line from each other, in the order of the ends: none hides another.
+    Labels are at least a line from each other, in the order of the ends.
     """
     size = 6.5 if len(texts) < 8 else 5.5
     figure = axes.get_figure(root=True)
     assert figure is not None
-    figure.draw_without_rendering()  # only then the height of the axes is known
+    figure.draw_without_rendering()  # the height of the axes is known only then
     low, high = axes.get_ylim()
     line = 1.3 * size / (72 * axes.get_window_extent().height / figure.dpi)
     order = np.argsort(ends, kind="stable")

@@ -50,7 +50,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _shades(axes: Axes, history: SwarmHistory):
-    """Shade J over the two dimensions, lighter where it is less; return the shades."""
+    """Shade J over the two dimensions, lighter if it is less; return the shades."""
     least, most = float(history.costs.min()), float(np.percentile(history.costs, 98))
     scale = Normalize(least, most if most > least else least + 1)
     shades = axes.imshow(

@@ -1,4 +1,4 @@
-"""The times of solving of the control steps of a trial, against the control period."""
+"""The solve times of the control steps of a trial, against the control period."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ PERCENTILES = (50, 99)
 
 
 def timing_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the time of solving of each control step, the control period and a histogram."""
+    """Draw the solve time of each control step, the control period and a histogram."""
     log = one_trial(logs)
     need_steps(log)
     period_ms = 1e3 * log.start.setup.period_s

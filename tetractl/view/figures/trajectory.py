@@ -27,6 +27,7 @@ from tetractl.view.figures.axes import (
     robot_labels,
     unfinished,
 )
+from tetractl.view.figures.dish import DishGround
 from tetractl.view.figures.labels import HALO, Labels, edge
 
 FAR = 2.0  # arena sizes beyond the arena that a figure may show
@@ -55,6 +56,8 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         key.draw(figure)
         draw_scene(axes, setup, colors)
         if len(logs) == 1:
+            last = int(logs[0].mocap_ns.max(initial=0))
+            DishGround(axes, logs[0]).show(logs[0].stop.sent_ns if logs[0].stop else last)
             _one(axes, logs[0], colors)
         else:
             _many(axes, logs, colors)
@@ -67,7 +70,7 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
-    """Draw what does not move: obstacles, starts and targets, with numbers for many robots."""
+    """Draw the static part: obstacles, starts and targets, with numbers for many robots."""
     unit = unit_of(setup.unit)
     axes.set_aspect("equal")
     axes.set_xlabel(f"x [{unit}]")
@@ -154,10 +157,10 @@ def _end_marks(axes: Axes, ends: Floats, color: str, alone: bool) -> None:
 
 
 def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
-    """Show the whole arena and all paths; dash the arena's edge where a path leaves it.
+    """Show the whole arena and all paths; dash the arena's edge if a path leaves it.
 
-    What lies further from the arena than FAR times its size is cut off: a single wild pose would
-    leave nothing of the rest to see.
+    Points further from the arena than FAR times its size are cut off, so that one outlier does not
+    hide the rest.
     """
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])

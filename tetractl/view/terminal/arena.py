@@ -144,7 +144,7 @@ def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: i
 
 
 def framed(canvas: Canvas, label: str, glyphs: Glyphs) -> Iterable[list[Segment]]:
-    """Put a thin border around a canvas, with a label in its lower edge where it fits."""
+    """Put a thin border around a canvas, with a label in its lower edge if it fits."""
     nw, ne, se, sw, line, side = glyphs.box
     label = f" {label} " if len(label) + 2 <= canvas.width else ""
     yield [Segment(nw + line * canvas.width + ne, BORDER_STYLE)]
@@ -169,7 +169,7 @@ def _filling(shape: Shape, view: Projection) -> Floats:
 
 
 def _ticks(low: float, high: float, step: float) -> Floats:
-    """Return points from low to high at most a step from each other; none where high < low."""
+    """Return points from low to high at most a step from each other; none if high < low."""
     return (
         np.linspace(low, high, math.ceil((high - low) / step) + 1) if high >= low else np.empty(0)
     )

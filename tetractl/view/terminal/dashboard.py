@@ -16,7 +16,7 @@ from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
 SIDE_MIN, SIDE_MAX = 20, 58  # columns of the numbers
-ARENA_SHARE = 0.58  # largest share of the width, where the numbers need the rest
+ARENA_SHARE = 0.58  # largest fraction of the width, since the numbers need the rest
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
 COMPACT = 30  # columns of the numbers below which labels are short
 
@@ -31,7 +31,7 @@ class Footer:
     hints: tuple[str, ...] = ()
 
     def text(self, glyphs: Glyphs, width: int) -> Text:
-        """Return the line; where it is too long, hints are left out, then the bar is shortened."""
+        """Return the line; if it is too long, hints are left out, then the bar is shortened."""
         fixed = len(self.left) + len(self.right) + 2
         hints = list(self.hints)
         while hints and fixed + 12 + _length(hints) > width:
@@ -210,7 +210,7 @@ class Dashboard:
         return [solve, row("evaluations", "evals", f"{step.plan.evaluations:,}".replace(",", " "))]
 
     def _events(self, height: int) -> list[Text]:
-        """Return the newest events, the last one at the bottom; more where there are more lines."""
+        """Return the newest events, the last one at the bottom; more if there are more lines."""
         most = 0 if height < 16 else 1 if height < 24 else 2 if height < 36 else 6
         if not self._frame.events:
             return []
@@ -243,7 +243,7 @@ class Dashboard:
 
 
 class _Rows:
-    """Rows of a label and a value, with short labels where there is little width."""
+    """Rows of a label and a value, with short labels if there is little width."""
 
     def __init__(self, width: int) -> None:
         self._compact = width < COMPACT

@@ -1,4 +1,4 @@
-"""What a preflight found, for people and as JSON."""
+"""The result of a preflight, as text and as JSON."""
 
 from typing import Any
 

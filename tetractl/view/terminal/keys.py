@@ -52,7 +52,7 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
 
 
 def _sequence_length(data: bytes) -> int | None:
-    """Return the length of the escape sequence at the start; None where it is not complete."""
+    """Return the length of the escape sequence at the start; None if it is not complete."""
     if len(data) < 2:
         return None
     if data[1] == ord("O"):
@@ -95,7 +95,7 @@ class Keyboard:
             signal.signal(number, handler)
 
     def read(self, timeout_s: float) -> list[str]:
-        """Wait for keys, at most `timeout_s`; return ["q"] where the terminal was closed, and once
+        """Wait for keys, at most `timeout_s`; return ["q"] if the terminal was closed, and once
         interrupted."""
         if self._stop_wanted:
             self._suspend()

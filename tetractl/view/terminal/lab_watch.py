@@ -1,4 +1,5 @@
-"""A batch in the lab at the terminal: notes, a line a trial or live views, and placing robots."""
+"""A batch in the lab at the terminal: notes, one line per trial or live views, and placing
+robots."""
 
 import threading
 from collections.abc import Sequence
@@ -42,8 +43,8 @@ class TerminalPrompt:
 class LabWatch:
     """Shows a batch in the lab: lines, or each trial's live view; an `Observer` and a watcher.
 
-    Notes go to `console`, a line a trial to `quiet`, which may drop it; `unit` is the length unit.
-    Between trials the live view gives the screen back, for placing the robots.
+    Notes go to `console`, one line per trial to `quiet`, which may drop it; `unit` is the length
+    unit. Between trials the live view restores the screen, for placing the robots.
     """
 
     def __init__(self, console: Console, quiet: Console, unit: str, live: bool) -> None:
@@ -85,7 +86,7 @@ class LabWatch:
         """Do nothing: a command shows in what the robots do."""
 
     def on_note(self, note: Note) -> None:
-        """Print a note, after the live view where there is one."""
+        """Print a note, after the live view if there is one."""
         self._notes.append(note)
         if not self._view:
             self._print_notes()

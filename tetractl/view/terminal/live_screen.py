@@ -27,7 +27,7 @@ class LiveView:
     """Shows one trial after another on the alternate screen: an `Observer` of each trial and a
     `RunObserver`; a context manager.
 
-    It draws at most 12 pictures a second of `wall` time [s].
+    It draws at most 12 pictures per second of `wall` time [s].
     """
 
     def __init__(self, console: Console, wall: Callable[[], float] = time.monotonic) -> None:
@@ -94,7 +94,7 @@ class LiveView:
         self._draw_in_time()
 
     def on_command(self, command: Command) -> None:
-        """Count the time from the first direction; the rest of it is seen in the trails."""
+        """Count the time from the first direction; the trails show the command's effect."""
         if self._first_ns is None and not command.stops:
             self._first_ns = command.sent_ns
 

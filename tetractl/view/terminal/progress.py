@@ -97,7 +97,7 @@ class StudyProgress(_TrialsBar):
         super().__init__(console, total, quiet)
         self._quiet = quiet
         self._results = 0
-        self._expected = False  # whether it was said how long all will take
+        self._expected = False  # whether the expected duration was printed
 
     def trial_ended(self, ending: Ending) -> None:
         """Print a failure and the expected duration; advance the bar, or print a line."""

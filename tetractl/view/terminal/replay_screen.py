@@ -34,7 +34,7 @@ def play(
     """
     index, drawn, helping = 0, None, False
     live = Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False)
-    # the keyboard is the outer one: until the screen is given back, no signal breaks off anything
+    # the keyboard is the outer context: until the screen is restored, no signal interrupts
     with Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard, live:
         while player.state is not Playback.QUIT:
             follow()
@@ -59,7 +59,7 @@ def play(
 def dashboard(
     player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1), note: str = ""
 ) -> Dashboard:
-    """Return the view at the player's time; `place` is the log's number and that of all logs."""
+    """Return the view at the player's time; `place` is the log's number and the number of logs."""
     recording, now_ns = player.recording, player.now
     setup, log = recording.log.start.setup, recording.log
     sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
@@ -97,7 +97,7 @@ def keys(glyphs: Glyphs) -> tuple[tuple[str, str], ...]:
         ("E e", "previous or next event, and pause"),
         ("Home End", "start or end"),
         ("+ -", "twice or half the rate"),
-        ("p n", "previous or next trial, where several logs are given"),
+        ("p n", "previous or next trial, if several logs are given"),
         ("?", "show or hide this"),
         ("q", "quit"),
     )

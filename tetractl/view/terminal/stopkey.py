@@ -17,8 +17,8 @@ POLL_S = 0.2
 class StopKey:
     """Calls `stop` on space, Esc, or when the terminal goes away; a context manager.
 
-    Enter calls `enter`; other keys do nothing. A terminal that goes away is no stop where
-    `unattended`. Works only where stdin is a terminal: then
+    Enter calls `enter`; other keys do nothing. A terminal that goes away is no stop if
+    `unattended`. Works only if stdin is a terminal: then
     `listening` is True.
     """
 
@@ -34,7 +34,7 @@ class StopKey:
         if self.listening:
             self._fd = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._fd)
-            tty.setcbreak(self._fd, termios.TCSANOW)  # waits for no terminal that stands still
+            tty.setcbreak(self._fd, termios.TCSANOW)  # does not wait for a blocked terminal
             self._thread.start()
         return self
 

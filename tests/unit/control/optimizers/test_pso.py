@@ -9,7 +9,6 @@ from support import oracle, problems
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers import pso
 from tetractl.control.optimizers.pso_section import Pso
-from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits
 
 
@@ -122,16 +121,6 @@ def test_a_target_ends_a_search_as_soon_as_it_is_met(search):
         assert found.stopped == "target"
 
 
-@SEARCHERS
-@pytest.mark.parametrize("length", [1, 4])
-def test_draws_depend_on_the_key_alone(search, length):
-    problem = problems.problem(problems.world(8))
-    one, two, other = (search(problem, length, None, swarm(9, 4), key) for key in (1, 1, 2))
-    assert one.history.tobytes() == two.history.tobytes()
-    assert one.signals.tobytes() == two.signals.tobytes()
-    assert one.signals.tobytes() != other.signals.tobytes()
-
-
 def test_the_swarm_is_scattered_over_its_whole_search_space():
     found = pso.Swarm.scatter(swarm(2000), 3, 1)
     assert {part.shape for part in (found.u, found.v, found.best)} == {(2000, 3)}
@@ -141,14 +130,3 @@ def test_the_swarm_is_scattered_over_its_whole_search_space():
         assert part.max() > 0.99 * bound
         assert abs(part.mean()) < 0.05 * bound
     assert abs(np.corrcoef(found.u.ravel(), found.best.ravel())[0, 1]) < 0.05
-
-
-@SEARCHERS
-@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e308])
-@pytest.mark.parametrize("warm", [None, np.zeros(3)])
-def test_costs_that_are_not_finite_are_refused(search, bad, warm):
-    world = problems.world(9, robots=2)
-    world.robots[1] = (bad, *world.robots[1][1:3], -bad, *world.robots[1][4:])
-    with np.errstate(all="ignore"), pytest.raises(ControlError, match="not finite") as caught:
-        search(problems.problem(world), 3, warm, swarm(), 1)
-    assert caught.value.hint

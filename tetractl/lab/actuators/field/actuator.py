@@ -34,7 +34,7 @@ OFF: Pair = (0.0, 0.0)
 class FieldActuator:
     """Turns N cells by one field; see `tetractl.core.protocols.Actuator`.
 
-    No cell can be held: every transmission says that all move, at their own speed, a stop too.
+    No cell can be held: every transmission, a stop too, states that all move at their own speed.
     Its outputs are the currents asked of the driver, `current_x_a` and `current_y_a` [A], and the
     field they make, `field_mt` and `field_direction_rad`. Times are ns on `clock`.
     """
@@ -47,7 +47,7 @@ class FieldActuator:
         self.driver = Driver(section.port, section.baud, clock)
         self._a, self._speed, self._clock = setup.a, setup.speed, clock
         self._lock = threading.Lock()
-        self._currents = OFF  # asked of the driver [A], held from `_sent_ns` ...
+        self._currents = OFF  # requested of the driver [A], held from `_sent_ns` ...
         self._sent_ns = clock.now() - self.period_ns
         self._held_until_ns = self._sent_ns  # ... until then, when the driver goes to 0
 
@@ -85,11 +85,11 @@ class FieldActuator:
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Turn the field to a direction [rad], as far as the slew limit lets it in one period.
+        """Turn the field to a direction [rad], as far as the slew limit allows in one period.
 
         The currents go there in a straight line, so a field turned by half a circle passes through
-        a weak one. `turning` is that of the field really asked for, 0 for cells without a pose;
-        `moving` cannot be obeyed. AbortError where the driver has failed.
+        a weak one. `turning` is for the field really requested, 0 for cells without a pose;
+        `moving` is ignored. AbortError if the driver has failed.
         """
         if (failure := self.failure) is not None:
             raise AbortError(failure, HINT)
@@ -108,7 +108,7 @@ class FieldActuator:
         """Switch the field off: both currents go to 0 at the slew limit, and the cells swim on.
 
         After an `emergency` stop the driver makes no field until it is switched off and on.
-        AbortError where the port has failed.
+        AbortError if the port has failed.
         """
         with self._lock:
             self._currents = self._now(self._clock.now())
@@ -118,7 +118,7 @@ class FieldActuator:
         return self._transmission(None, OFF, np.full(len(self._a), np.nan))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Return that no cell can answer; `check` asks the driver."""
+        """Return a status without an answer for each cell; `check` asks the driver."""
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
@@ -134,7 +134,7 @@ class FieldActuator:
         return self.section.slew_max_a_s * passed_ns / SECOND
 
     def _now(self, now_ns: int) -> Pair:
-        """Return the driver's set points: those asked for, or on their way to 0."""
+        """Return the driver's set points: those requested, or on their way to 0."""
         return approach(self._currents, OFF, self._room(max(0, now_ns - self._held_until_ns)))
 
     def _transmission(
@@ -159,7 +159,7 @@ class FieldActuator:
 
 
 def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
-    """Return what keeps a run from starting, what to warn of, and facts; None is no reply."""
+    """Return problems, warnings and facts for a reply; None means no reply."""
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
         return Health((f"no current driver answers on {where}: is it on?",))

@@ -14,7 +14,7 @@ Pair = tuple[float, float]  # x and y: of the coils' axes for currents, of the s
 
 @dataclass(frozen=True, slots=True)
 class Coils:
-    """Two orthogonal coil pairs: `gain` [mT/A], negative where a winding is reversed, and
+    """Two orthogonal coil pairs: `gain` [mT/A], negative if a winding is reversed, and
     `offset`, the ambient field along each axis [mT]; `rotation` [rad]; greatest current of each
     [A], at least what cancels the ambient field."""
 
@@ -33,14 +33,14 @@ class Coils:
         return strength
 
     def least_reach(self) -> float:
-        """Return the strength [mT] that can be had in every direction."""
+        """Return the strength [mT] that is available in every direction."""
         rooms = zip(self.gain, self.offset, strict=True)
         return min(abs(gain) * self.current_max_a - abs(offset) for gain, offset in rooms)
 
     def currents(self, direction: float, strength: float) -> Pair:
         """Return the currents [A] of a field: direction [rad], strength [mT].
 
-        Where a current would exceed its limit the strength is less, the direction kept.
+        If a current would exceed its limit the strength is less, the direction kept.
         """
         strength = min(strength, self.reach(direction))
         x, y = (
@@ -66,7 +66,8 @@ class Coils:
 
 
 def approach(now: Pair, wished: Pair, step: float) -> Pair:
-    """Return `now` moved in a straight line to `wished`, neither part by more than `step`."""
+    """Return `now` moved in a straight line towards `wished`, neither component by more than
+    `step`."""
     dx, dy = wished[0] - now[0], wished[1] - now[1]
     peak = max(abs(dx), abs(dy))
     if peak <= step:

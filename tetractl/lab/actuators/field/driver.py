@@ -17,7 +17,8 @@ from tetractl.lab.cobs import Splitter
 from tetractl.lab.serial_port import SerialPort
 
 SILENCE_NS = SECOND // 2
-UNANSWERED_MAX = 5  # so many frames over that time without any reply: the driver is off
+# more frames than this, over more than this time, without a reply: the driver is off
+UNANSWERED_MAX = 5
 TRIES = 5
 ANSWER_S = 0.1  # a driver replies within 4 ms at 115200 baud, 50 ms at 9600
 HINT = "the driver switches the field off by its watchdog; cells swim on"
@@ -55,11 +56,11 @@ class Driver:
         return None
 
     def open(self) -> None:
-        """Open the port; AbortError where that cannot be."""
+        """Open the port; AbortError if that cannot be."""
         self._port.open()
 
     def send(self, flags: FieldFlag, x_ma: int = 0, y_ma: int = 0) -> int:
-        """Send a command that polls; return when it left. AbortError where the port has failed."""
+        """Send a command that polls; return when it left. AbortError if the port has failed."""
         with self._lock:
             self._sequence = (self._sequence + 1) % 256
             command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)
@@ -70,9 +71,9 @@ class Driver:
         return sent_ns
 
     def ask(self) -> FieldReply | None:
-        """Poll without running, up to five times 0.1 s; return the reply, None where none came.
+        """Poll without running, up to five times 0.1 s; return the reply, None if none came.
 
-        This switches a field off. AbortError where the port has failed.
+        This switches a field off. AbortError if the port has failed.
         """
         self.newest = None
         for _ in range(TRIES):
@@ -97,6 +98,6 @@ class Driver:
     def _hear(self, data: bytes, now_ns: int) -> None:
         with self._lock:
             for frame in self._splitter.feed(data):
-                with suppress(WireError):  # a damaged reply is one that did not come
+                with suppress(WireError):  # a damaged reply counts as missing
                     self.newest = decode_reply(frame)
                     self._unanswered = 0

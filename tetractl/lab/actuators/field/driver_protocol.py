@@ -21,7 +21,7 @@ _REPLY = struct.Struct("<BBBBhhHhHHHIH")
 
 
 class FieldFlag(IntFlag):
-    """What a command asks for."""
+    """Flags of a command."""
 
     RUN = 1  # without it both currents go to 0
     EMERGENCY_STOP = 2  # both currents go to 0, and stay so until the driver is switched off
@@ -29,7 +29,7 @@ class FieldFlag(IntFlag):
 
 
 class DriverStatus(IntFlag):
-    """What the driver says of itself."""
+    """Status flags of the driver."""
 
     RUNNING = 1  # the last frame let it run
     EMERGENCY_STOPPED = 2

@@ -15,7 +15,7 @@ class CoilPair(Model):
     """One coil pair: the field along its axis is offset + gain * current."""
 
     gain_mt_a: Finite
-    """Field per current [mT/A]; negative where the winding is reversed."""
+    """Field per current [mT/A]; negative if the winding is reversed."""
     offset_mt: Finite = 0.0
     """Ambient field along its axis [mT], such as the earth's; the current cancels it."""
 
@@ -47,11 +47,11 @@ class FieldSection(ActuatorSection):
     port: str = Field(min_length=1, max_length=500)
     """The serial port, such as /dev/ttyACM0."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 115200
-    """Bits a second on the port."""
+    """Bits per second on the port."""
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
     """Commands a second [Hz]."""
     strength_mt: Positive
-    """Field at which the cells have their `a` [mT]; less where the current limit binds."""
+    """Field at which the cells have their `a` [mT]; less if the current limit binds."""
     coils: CoilsSection
     """The coils, as measured by a probe where the cells are."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
@@ -61,9 +61,9 @@ class FieldSection(ActuatorSection):
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
     """The driver switches the field off after this long without a command [s]; as built into it."""
     supply_min_v: NonNegative = 0.0
-    """A run does not start below this supply voltage of the driver [V]; 0 does not look."""
+    """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
     temperature_max_c: Positive = 60.0
-    """A run does not start with the coils this warm [degrees Celsius]."""
+    """A run does not start with coils warmer than this [degrees Celsius]."""
 
     @model_validator(mode="after")
     def _limits_agree(self) -> Self:
@@ -79,7 +79,7 @@ class FieldSection(ActuatorSection):
     def bounds(self) -> dict[str, str]:
         """Return the driver's port and rate, and how strong the field may be."""
         return {
-            "current driver": f"{self.port}, {self.rate:g} commands a second",
+            "current driver": f"{self.port}, {self.rate:g} commands per second",
             "coil currents": f"at most {self.current_max_a:g} A",
         }
 

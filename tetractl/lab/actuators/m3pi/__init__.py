@@ -1,1 +1,1 @@
-"""m3pi robots: what goes to them and comes back, as bytes, without a serial port."""
+"""m3pi robots: their commands and replies as bytes, without a serial port."""

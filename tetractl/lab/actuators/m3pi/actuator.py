@@ -27,7 +27,7 @@ from tetractl.model.wheels import (
 )
 
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until the wheels have it
-AHEAD_MAX_NS = SECOND // 10  # further ahead no heading is predicted
+AHEAD_MAX_NS = SECOND // 10  # longest time over which a heading is predicted
 
 
 class M3piActuator:
@@ -84,7 +84,7 @@ class M3piActuator:
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send each robot the wheel counts of a direction [rad], 0 where it may not move."""
+        """Send each robot the wheel counts of a direction [rad], 0 if it may not move."""
         wished = self.counts(direction, poses, self._clock.now() - exposed_ns)
         counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
         sent_ns = self._protocol.drive(counts)
@@ -152,7 +152,7 @@ class M3piActuator:
 
 
 def drivetrain(section: M3piSection, robot: M3piRobot) -> Drivetrain:
-    """Return a robot's wheels, capped where its program has no watchdog."""
+    """Return a robot's wheels, capped if its program has no watchdog."""
     return Drivetrain(_wheel(robot.left), _wheel(robot.right), robot.swap, section.limit(robot))
 
 

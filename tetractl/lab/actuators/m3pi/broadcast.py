@@ -20,7 +20,7 @@ _REPLY = struct.Struct("<BBBBHHH")
 
 
 class Flag(IntFlag):
-    """What a command asks for."""
+    """Flags of a command."""
 
     RUN = 1  # without it every robot stops
     EMERGENCY_STOP = 2  # stop, and stay so until the robot is switched off
@@ -28,7 +28,7 @@ class Flag(IntFlag):
 
 
 class Status(IntFlag):
-    """What a robot says of itself."""
+    """Status flags of a robot."""
 
     RUNNING = 1  # the last frame let it run
     EMERGENCY_STOPPED = 2
@@ -37,7 +37,7 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class BroadcastCommand:
-    """One frame for all robots: robot i obeys `wheels[i]`, and stops where there is none."""
+    """One frame for all robots: robot i obeys `wheels[i]`, and stops if there is none."""
 
     sequence: int
     flags: Flag

@@ -31,7 +31,7 @@ SETTLING_S = 0.2  # of a burst, until the wheels turn steadily
 STRAIGHT_S = 0.7
 TURNS = 0.25  # rad/s: slower is not turning
 ROAM_MM = 300.0  # a robot never gets further from where it stood
-POINTS = 3  # speeds a line is fitted through, at least
+POINTS = 3  # least number of speeds for a line fit
 GAP_NS = 60_000_000  # between frames of a burst
 TRIES = 4
 SILENCE_NS = 3 * SECOND
@@ -64,7 +64,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What was measured of one robot; see the fields of the same name in the spec."""
+    """The measured values of one robot; see the fields of the same name in the spec."""
 
     heading_offset: float
     radius_mm: float
@@ -95,7 +95,7 @@ def calibrate_robots(
     emergency: threading.Event,
     report: Callable[[str], None],
 ) -> Measured:
-    """Measure robots one after another; AbortError says which would not be measured and why."""
+    """Measure robots one after another; AbortError says which could not be measured and why."""
     offsets, wheels, lines = [], [], []
     for name in names:
         report(f"{name}: measuring")
@@ -114,7 +114,7 @@ def calibrate_robots(
 
 
 class ManualActuator(M3piActuator):
-    """Sends the counts it was last given, whatever the direction."""
+    """An actuator that sends the counts it was last given, whatever the direction."""
 
     held: tuple[Counts, ...] = ()
 
@@ -175,7 +175,7 @@ class _Bench:
             self.rig.close()
 
     def measure(self) -> Found:
-        """Move the robot and return what its motion says of it."""
+        """Move the robot and return what was measured."""
         channels = [self._channel(0), self._channel(1)]
         turning = 0.6 * min(channel.k * (self.limit - channel.dead_zone) for channel in channels)
         sizes = [channel.count(turning) for channel in channels]
@@ -198,7 +198,7 @@ class _Bench:
             raise AbortError(
                 f"{self.name}: its rigid body points {math.degrees(offset):.0f} degrees off its "
                 "front",
-                "give heading_offset roughly in the spec, or define the rigid body once more",
+                "give heading_offset roughly in the spec, or define the rigid body again",
             )
         wheels = [
             WheelSection(gain_mm=round(2 * radius * c.k, 4), dead_zone=c.dead_zone, invert=sign < 0)
@@ -240,7 +240,7 @@ class _Bench:
     def _run(self, counts: Counts, seconds: float) -> DrivenPath:
         """Hold counts for a while; return the motion once it is steady.
 
-        Again, where frames were missing: the guard may have stopped the robot meanwhile.
+        Repeated if frames were missing, since the guard may have stopped the robot.
         """
         for _ in range(TRIES):
             first = self.rig.frames.count
@@ -260,7 +260,7 @@ class _Bench:
         raise AbortError(f"{self.name}: frames are missing again and again")
 
     def _hold(self, counts: Counts) -> int:
-        """Send counts from now on; return when they left [ns]."""
+        """Set the counts to send; return when they were first sent [ns]."""
         self.actuator.held = (counts,)
         return self.rig.loop.steer(0.0).sent_ns
 
@@ -269,7 +269,7 @@ class _Bench:
         self.clock.sleep_until(self.clock.now() + SECOND // 4)
 
     def _strayed(self) -> bool:
-        """Return whether the measurement was aborted, as it is where the robot is too far away."""
+        """Return whether the measurement was aborted, as it is if the robot is too far away."""
         guard, newest = self.rig.guard, self.rig.frames.newest
         if newest is not None and (pose := newest.poses[0]) is not None:
             self._home = self._home or pose

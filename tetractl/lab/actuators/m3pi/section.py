@@ -26,7 +26,7 @@ class SlaveSection(Model):
 
     type: Literal["slave"]
     accept_no_watchdog: Literal[True]
-    """Must be true: somebody stands by to switch the robots off."""
+    """Must be true: confirms that a person stands by to switch the robots off."""
     limit: int = Field(default=25, ge=1, le=40)
     """Greatest wheel count ever sent, of 127."""
 
@@ -35,18 +35,18 @@ class WheelSection(Model):
     """One wheel: its speed is gain times the counts beyond the dead zone."""
 
     gain_mm: float = Field(default=1000 / 127, gt=0, le=100, allow_inf_nan=False)
-    """Speed gained a count [mm/s]."""
+    """Speed per count [mm/s]."""
     dead_zone: int = Field(default=0, ge=0, le=60)
-    """Counts that do not move the wheel yet."""
+    """Largest count that does not move the wheel."""
     invert: bool = False
     """The motor turns backward on positive counts."""
 
 
 class M3piRobot(RobotPart):
-    """What a robot is to the radio, and its wheels."""
+    """A robot's entry in the actuator's section: radio address and wheels."""
 
     index: int | None = Field(default=None, ge=0, le=31)
-    """Its number in broadcasts, as its firmware was built; its place in this list by default."""
+    """Its number in broadcasts, as built into its firmware; by default its index in this list."""
     address: int | None = Field(default=None, ge=0, le=0xFFFD)
     """16-bit radio address (MY) of its module; needed for `slave`."""
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
@@ -56,7 +56,7 @@ class M3piRobot(RobotPart):
     right: WheelSection = WheelSection()
     """The right wheel."""
     swap: bool = False
-    """The left wheel hangs on the motor meant for the right."""
+    """The left wheel is connected to the right motor's output."""
     limit: int = Field(default=127, ge=1, le=127)
     """Greatest wheel count ever sent to it."""
 
@@ -68,7 +68,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     calibration: ClassVar[str] = "tetractl.lab.actuators.m3pi.calibrate:calibrate_robots"
     type: Literal["m3pi-xbee"]
     rate: float = Field(default=40.0, ge=20, le=120, allow_inf_nan=False)
-    """Wheel commands a second [Hz]."""
+    """Wheel commands per second [Hz]."""
     protocol: Annotated[BroadcastSection | SlaveSection, Field(discriminator="type")] = (
         BroadcastSection(type="broadcast")
     )
@@ -81,7 +81,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     """A robot below this voltage is warned of [V]."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where robots, their numbers and wheels, or the radio's mode cannot be as given."""
+        """Report invalid robots, numbers, wheels, or radio mode."""
         indexed = [
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
@@ -108,12 +108,12 @@ class M3piSection(XbeeSection, ActuatorSection):
     def bounds(self) -> dict[str, str]:
         """Return the radio's port and rate, and how fast wheels may turn."""
         return {
-            "radio": f"{self.port}, {self.rate:g} commands a second",
+            "radio": f"{self.port}, {self.rate:g} commands per second",
             "wheel counts": f"at most {min(map(self.limit, self.robots))} of 127",
         }
 
     def robot(self, name: str) -> M3piRobot:
-        """Return the part of a robot."""
+        """Return a robot's entry."""
         return next(robot for robot in self.robots if robot.name == name)
 
     def index(self, name: str) -> int:
@@ -122,13 +122,14 @@ class M3piSection(XbeeSection, ActuatorSection):
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def limit(self, robot: M3piRobot) -> int:
-        """Return the greatest count ever sent to a robot: less where nothing would stop it."""
+        """Return the greatest count ever sent to a robot: less if nothing would stop it."""
         if isinstance(self.protocol, SlaveSection):
             return min(robot.limit, self.protocol.limit)
         return robot.limit
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in reach, whatever it runs: until it is switched off where it can."""
+        """Stop every robot in reach, whatever its program; latched until switched off if
+        possible."""
         from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]

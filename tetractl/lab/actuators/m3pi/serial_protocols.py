@@ -1,4 +1,4 @@
-"""The two protocols of m3pi robots over a link: one broadcast for all, or a message each; and the
+"""The two protocols of m3pi robots over a link: one broadcast for all, or one message each; and the
 emergency stop by itself, which needs a port and nothing else."""
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ TRIES = 5
 
 @dataclass(frozen=True, slots=True)
 class RobotAnswer:
-    """What a polled robot answered; `battery_mv` 0 where it does not know."""
+    """What a polled robot answered; `battery_mv` 0 if it does not know."""
 
     battery_mv: int
     emergency_stopped: bool = False
@@ -66,7 +66,7 @@ class BroadcastProtocol:
         return self._send(Flag.EMERGENCY_STOP)
 
     def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
-        """Poll, several times where a robot does not answer: broadcasts may be lost."""
+        """Poll, several times if a robot does not answer: broadcasts may be lost."""
         found: dict[int, RobotAnswer] = {}
         wanted = set(self._indices)
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000

@@ -11,11 +11,11 @@ from tetractl.lab.actuators.xbee.link import Link
 
 
 def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = True) -> str:
-    """Stop every robot in reach, ten times over 200 ms; return what was done, in words for people.
+    """Stop every robot in reach, ten times over 200 ms; return what was done, in words.
 
     The mbed firmware latches its emergency stop on a broadcast frame; the serial-slave program
     stops on bytes of its own, sent to each address and to all. The module is not checked: a
-    wrong module is better than no stop. Not `alone`, the port may be another process's as well.
+    wrong module is better than no stop. If not `alone`, another process may have the port as well.
     """
     clock = MonotonicClock()
     link = Link(module, clock)

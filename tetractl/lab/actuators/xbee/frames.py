@@ -1,4 +1,4 @@
-"""What XBee API frames say: one dataclass a frame type, big-endian fields in wire order.
+"""XBee API frames: one dataclass per frame type, big-endian fields in wire order.
 
 Both directions are packed and parsed: the PC sends what an emulated module receives. In
 transparent mode, which the robots' modules use, there are no frames: bytes go as they are.
@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from tetractl.core.errors import WireError
 
-EXPLICIT_RECEIVE = 0x91  # type of the frames that come in place of others with AO=1
+EXPLICIT_RECEIVE = 0x91  # type of the frames that replace others with AO=1
 BROADCAST_16 = 0xFFFF
 
 
@@ -72,7 +72,7 @@ class Receive16(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class AtResponse(XbeeFrame):
-    """0x88: what became of an AT command; status 0 is good."""
+    """0x88: the result of an AT command; status 0 is good."""
 
     API = 0x88
     LAYOUT = struct.Struct(">B2sB")
@@ -84,7 +84,7 @@ class AtResponse(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class TransmitStatus(XbeeFrame):
-    """0x89: what became of a 0x01; of a broadcast it proves nothing."""
+    """0x89: the result of a 0x01; of a broadcast it proves nothing."""
 
     API = 0x89
     LAYOUT = struct.Struct(">BB")
@@ -136,7 +136,7 @@ def pack_content(frame: XbeeFrame | Other) -> bytes:
 
 
 def parse_content(content: bytes) -> XbeeFrame | Other:
-    """Read a frame's content; WireError where it is too short or too long for its type."""
+    """Read a frame's content; WireError if it is too short or too long for its type."""
     if not content:
         raise WireError("an empty frame")
     kind: Any = FRAME_TYPES.get(content[0])

@@ -50,7 +50,7 @@ class Decoder:
         return frames
 
     def _step(self, frames: list[XbeeFrame | Other]) -> bool:
-        """Take one frame or drop some bytes; False where more bytes are needed."""
+        """Take one frame or drop some bytes; False if more bytes are needed."""
         start = self._buffer.find(START)
         if start != 0:
             self._drop(len(self._buffer) if start < 0 else start)

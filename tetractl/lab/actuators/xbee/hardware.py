@@ -1,10 +1,10 @@
-"""What an XBee module is and runs, and what the PC's must be before robots are driven through it.
+"""Hardware and firmware of XBee modules, and the check of the PC's module before robots are driven.
 
 The first byte of HV (hardware version) is the hardware, the first hexadecimal digit of VR (firmware
 version) the protocol of its firmware. The numbers are those of Digi's published enumerations
-`HardwareVersion` and `XBeeProtocol` (digi-xbee 1.5.0); of Zigbee's relatives all are called Zigbee
+`HardwareVersion` and `XBeeProtocol` (digi-xbee 1.5.0); all variants of Zigbee are called Zigbee
 here. Only 802.15.4 firmware broadcasts at the rate of wheel commands; Zigbee allows about one
-broadcast a second and DigiMesh repeats each.
+broadcast per second and DigiMesh repeats each.
 """
 
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ class XbeeSection(Model):
     port: str = Field(min_length=1, max_length=500)
     """The serial port, such as /dev/ttyUSB0."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 57600
-    """Bits a second on the port."""
+    """Bits per second on the port."""
     mode: Literal["api2", "api1", "transparent"] = "api2"
     """`api2`: escaped API frames (AP=2); `api1`: plain API frames (AP=1); `transparent`: bytes as
     they are."""
@@ -72,7 +72,7 @@ FAMILIES = (
 
 
 def family(hardware: bytes) -> Hardware | None:
-    """Return the family of a module by its HV, None where it is not known."""
+    """Return the family of a module by its HV, None if it is not known."""
     return next((f for f in FAMILIES if hardware and hardware[0] in f.codes), None)
 
 
@@ -82,7 +82,7 @@ def capable(found: Hardware | None) -> bool:
 
 
 def protocol(hardware: bytes, version: bytes) -> str | None:
-    """Return what a module runs by HV and VR, in words for people; None where that is not known.
+    """Return what a module runs by HV and VR, in words; None if that is not known.
 
     Without VR it is known only of families that run one protocol alone.
     """
@@ -93,7 +93,7 @@ def protocol(hardware: bytes, version: bytes) -> str | None:
 
 
 class AskedModule(Protocol):
-    """A link to a module, as far as its check needs it."""
+    """The part of a link that the check of a module needs."""
 
     def ask(self, command: bytes, timeout_s: float = ...) -> bytes | None:
         """Ask for a parameter; None without an answer."""
@@ -107,8 +107,8 @@ class AskedModule(Protocol):
 def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
     """Raise AbortError unless an 802.15.4 module in the spec's mode and rate answers.
 
-    Return what a person has to say of it: of hardware that is not known here, whether its firmware
-    is the right one.
+    Return the questions for the operator: for unknown hardware, whether its firmware is the right
+    one.
     """
     hardware = link.ask(b"HV") or link.ask(b"HV")  # the first may meet the end of a broken frame
     if hardware is None:

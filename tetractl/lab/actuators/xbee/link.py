@@ -33,7 +33,7 @@ HINT = "the robots stop by their watchdog; plug it in, start again"
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Bytes from another module: its address, None where the mode does not say, and when [ns]."""
+    """Bytes from another module: its address, None if the mode does not say, and when [ns]."""
 
     source: int | None
     t_ns: int
@@ -43,7 +43,7 @@ class Received:
 class Link:
     """An open port. Times are ns on `clock`; every failure is an AbortError and final.
 
-    `questions` are what only a person knows of the module on it.
+    `questions` are those that only the operator can answer about the module.
     """
 
     def __init__(self, radio: XbeeSection, clock: Clock) -> None:
@@ -100,7 +100,7 @@ class Link:
         self._port.set_baud(baud)
 
     def problems(self) -> tuple[str, ...]:
-        """Return why what other modules sent could not be read, a line for people."""
+        """Return why what other modules sent could not be read, a lines of text."""
         if not self.explicit:
             return ()
         return (

@@ -32,7 +32,7 @@ class AprilTagCamera(PictureCamera[Seen]):
         self._tracker = Tracker(section, setup.names, setup.metres)
 
     def check(self) -> Health:
-        """Look at some pictures and return what is wrong with source, floor and tags."""
+        """Examine some pictures and return the problems of source, floor and tags."""
         looks = self._look()
         floor = self._tracker.floor
         state = State(

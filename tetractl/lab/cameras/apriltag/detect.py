@@ -57,7 +57,7 @@ class Detector:
         self._top_left = int(np.argmin(shown.corners.sum(axis=1)))
 
     def find(self, picture: Grey) -> list[Sighting]:
-        """Return every tag in the picture; a number twice where two tags show it."""
+        """Return every tag in the picture; a number twice if two tags show it."""
         factor = 2 if picture.shape[1] < ENLARGED_BELOW else 1
         searched = picture
         if factor > 1:
@@ -105,9 +105,9 @@ NOTHING = 1e-9
 def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[Floats, Floats]:
     """Return corners (T, 4, 2) [px], refined from rough ones, and the blur of each tag (T,) [px].
 
-    Corners run clockwise round a dark square of so many modules a side. The blur is the standard
-    deviation of the Gaussian that makes a step as wide as the sides are. Where the sides cannot be
-    seen, the rough corners come back.
+    Corners run clockwise round a dark square of the given number of modules per side. The blur is
+    the standard deviation of the Gaussian that makes a step as wide as the sides are. If the sides
+    cannot be seen, the rough corners come back.
     """
     rough, blur = corners, np.zeros(len(corners))
     module = np.linalg.norm(rough - np.roll(rough, -1, axis=1), axis=-1).mean(axis=1) / modules
@@ -154,7 +154,7 @@ def _lines(points: Floats, weight: Floats) -> Floats:
 
 
 def _crossings(one: Floats, other: Floats) -> Floats:
-    """Return where lines (..., 3) cross, (..., 2); not finite where they are parallel."""
+    """Return where lines (..., 3) cross, (..., 2); not finite if they are parallel."""
     meet = np.cross(one, other)
     with np.errstate(divide="ignore", invalid="ignore"):
         return meet[..., :2] / meet[..., 2:]

@@ -1,4 +1,4 @@
-"""What is wrong with an `apriltag` camera, and what is worth knowing; no I/O."""
+"""Problems, warnings and facts of an `apriltag` camera; no I/O."""
 
 import statistics
 from collections import Counter
@@ -21,10 +21,11 @@ OFTEN = 0.5  # a tag seen in fewer of the pictures is not seen
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The camera, besides its pictures; `ended` says why the source ended, "" where it has not.
+    """The state of the camera apart from its pictures; `ended` says why the source ended, "" if it
+    has not.
 
     `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the floor as
-    calibrated, even where it does not fit the spec.
+    calibrated, even if it does not fit the spec.
     """
 
     source: str

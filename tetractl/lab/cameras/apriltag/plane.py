@@ -1,8 +1,8 @@
-"""The floor before the camera: from pixels to places on planes parallel to the floor.
+"""The floor in front of the camera: from pixels to positions on planes parallel to the floor.
 
 The camera is a pinhole, x = K (R X + t) up to scale, with square pixels. A pixel is a ray, once
 distortion is removed, and a tag h above the floor is where its ray meets the plane z = h. On the
-floor itself this is the homography; above it, it accounts for the parallax.
+floor itself this is the homography; above it, it corrects the parallax.
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class Plane:
         """Return the height above the floor [m] and the tilt [rad] of a tag.
 
         `pixels` (4, 2) are the corners of the tag, of side `side` [m]. A small square seen from
-        afar may fit two tilts as well as one: the smaller counts. None where none is found.
+        afar may fit two tilts: the smaller is returned. None if none is found.
         """
         square = np.column_stack([side * SQUARE, np.zeros(4)])
         _, turns, shifts, errors = cv2.solvePnPGeneric(

@@ -1,7 +1,7 @@
 """The `apriltag` camera's part of a spec, and what builds the camera from it.
 
 Lengths whose name ends in `_mm` are millimetres, whatever the spec's length unit; times are
-seconds. OpenCV is imported only where the camera is built.
+seconds. OpenCV is imported only if the camera is built.
 """
 
 from collections.abc import Iterator, Sequence
@@ -52,7 +52,7 @@ class RobotTag(RobotPart):
 
 
 class FloorTag(Model):
-    """A tag that lies on the floor at a known place."""
+    """A tag on the floor at a known position."""
 
     tag: Tag
     """Number of the tag."""
@@ -89,14 +89,14 @@ class AprilTagSection(PictureSection):
         return self
 
     def ordered(self, names: Sequence[str]) -> tuple[RobotTag, ...]:
-        """Return the tags of robots in the order of their names; SpecError where one has none."""
+        """Return the tags of robots in the order of their names; SpecError if one has none."""
         by_name = {robot.name: robot for robot in self.robots}
         if missing := [name for name in names if name not in by_name]:
             raise SpecError(f"lab.camera.robots: no tag for {', '.join(missing)}")
         return tuple(by_name[name] for name in names)
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where the robots cannot be those of the spec."""
+        """Report robots that are not those of the spec."""
         yield from mismatches(self.robots, setup.names, ("tag",))
 
     def bounds(self) -> dict[str, str]:
@@ -113,7 +113,8 @@ def _twice(values: Sequence[str]) -> list[str]:
 
 
 def _flat(points: Sequence[Point]) -> bool:
-    """Whether the points span no area: the widest triangle is a sliver of its longest side."""
+    """Whether the points are nearly collinear: the area of the widest triangle is too small for its
+    longest side."""
     (x0, y0), *others = points
     spans = [(x - x0, y - y0) for x, y in others]
     longest = max(x * x + y * y for x, y in spans)

@@ -13,17 +13,16 @@ from tetractl.lab.cameras.apriltag.floor import Floor
 from tetractl.lab.cameras.apriltag.plane import MM, SQUARE
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 
-ODD_SIZE = 0.2  # a tag that differs by this share from its size is not the one, or not up there
+ODD_SIZE = 0.2  # a tag whose size differs by this fraction is another one, or at another height
 _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What was found in one picture.
-
-    `poses` has one entry a robot, None where it is not tracked, and `strangers` those of unknown
+    """The tags found in one picture.
+    `poses` has one entry per robot, None if it is not tracked, and `strangers` those of unknown
     tags, as if they lay on the floor; both in the spec's unit. `tags` are the numbers of all tags,
-    as often as each was seen. `sizes` are measured sides over `size_mm` by robot, where seen.
+    as often as each was seen. `sizes` are measured sides over `size_mm` by robot, if seen.
     `blur` is the largest blur of a wanted tag's edges in modules, `side_px` the shortest side of
     one; None without wanted tags.
     """
@@ -51,7 +50,7 @@ class Tracker:
     def see(self, picture: Grey) -> Seen:
         """Return what a grey picture (height, width) shows.
 
-        A number that is seen twice says nothing: its robot is not tracked, its floor tag not used.
+        A number that is seen twice is ignored: its robot is not tracked, its floor tag not used.
         """
         sightings = self._detector.find(picture)
         counts = Counter(each.tag for each in sightings)

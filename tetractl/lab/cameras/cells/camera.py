@@ -24,7 +24,7 @@ from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 BACKGROUND = 15  # pictures
-FILMS = 1024  # pictures of which crops wait; each has some 50 kB, one a second a whole picture
+FILMS = 1024  # pictures whose crops are queued; each has some 50 kB, one per second a whole picture
 PAST = 64  # pictures, for what a new cell has come from
 DAUGHTER_UM = 75.0  # from its mother, where a cell is seen for the first time
 GIVEN_UP_S = 2.0  # a new cell may be one that was given up so lately
@@ -63,7 +63,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._signals: deque[tuple[int, float | None]] = deque(maxlen=SIGNALS)
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Take note of the direction sent at a time [rad in the spec's axes], None for no field."""
+        """Note the direction sent at a time [rad in the spec's axes], None for no field."""
         with self._lock:
             if not self._signals or self._signals[-1][1] != direction:
                 self._signals.append((sent_ns, direction))
@@ -84,20 +84,20 @@ class CellCamera(PictureCamera[SeenDish]):
         return tuple(self._identities or ())
 
     def replace(self, robot: int, number: int) -> None:
-        """Track another cell in the place of a robot's."""
+        """Track another cell in place of a robot's."""
         assert self._identities is not None, "only a robot that was seen can be replaced"
         self._identities[robot] = number
         self.divided.discard(robot)
 
     def films(self) -> list[CellFilm]:
-        """Return, once, what there is of the pictures since the last call, oldest first."""
+        """Return, once, the film's data since the last call, oldest first."""
         found: list[CellFilm] = []
         while self._films:
             found.append(self._films.popleft())
         return found
 
     def check(self) -> Health:
-        """Look at some pictures and return what is wrong with source, light, focus and cells."""
+        """Examine some pictures and return the problems of source, light, focus and cells."""
         looks = self._look()
         state = DishState(
             source=self.section.source_name,

@@ -1,4 +1,4 @@
-"""A cell that is followed, and what is shown of it."""
+"""A tracked cell, and its state in one picture."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,8 @@ class SeenCell:
     helix, which (3) turns. `covariance` (12, 12) is that of the filter's state `mean` (12,).
     `probability` is that of this being the cell of the number `identity`, and not another one.
     `found`: it has a blob; `merged`: it shares the blob with others. `track` is the number of the
-    path that it is on. `measured` (6,) is what its blob says by itself: x, y, axis
-    and their deviations; None where it has none of its own.
+    path that it is on. `measured` (6,) is the measurement by its blob alone: x, y, axis
+    and their deviations; None if it has none of its own.
     """
 
     identity: int
@@ -37,7 +37,7 @@ class SeenCell:
 
 @dataclass(frozen=True, slots=True)
 class CellAnswer:
-    """Who is who since a time [s]: the cell of each track, and the probability of this."""
+    """Which cell is which since a time [s]: the cell of each track, and the probability of this."""
 
     tracks: tuple[int, ...]
     identities: tuple[int, ...]
@@ -77,7 +77,7 @@ class FollowedCell:
 
 @dataclass(slots=True)
 class Merge:
-    """Cells that have been one blob, and their rows as they would swim on by the signal alone."""
+    """Cells that have been one blob, and their rows predicted by the signal alone."""
 
     cells: list[FollowedCell]
     coasted: dict[int, int]  # by identity

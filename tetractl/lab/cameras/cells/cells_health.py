@@ -1,4 +1,4 @@
-"""What is wrong with a microscope's pictures of cells, in words that help; no I/O."""
+"""Problems and hints on a microscope's pictures of cells; no I/O."""
 
 import statistics
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
 
 DARK, SATURATED = 12.0, 245.0  # grey levels of the medium
-FAINT = 6.0  # contrast over noise: below, cells are lost now and then
+FAINT = 6.0  # contrast over noise: below, cells are lost occasionally
 BLURRED = 0.1  # 1/px: the rim of a cell is wider than ten pixels
 SMALL_PX = 8.0  # of a cell's width
 BODY_UM = 26.3
-UNSURE = 0.9  # probability of who is who
+UNSURE = 0.9  # probability of which cell is which
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,8 @@ class SeenDish:
 
 @dataclass(frozen=True, slots=True)
 class DishState:
-    """The camera, besides its pictures; `ended` says why the source ended, "" where it has not."""
+    """The state of the camera apart from its pictures; `ended` says why the source ended, "" if it
+    has not."""
 
     source: str
     ended: str
@@ -119,7 +120,9 @@ def _warnings(looks: Sequence[Look[SeenDish]], state: DishState) -> list[str]:
             f"a cell is {BODY_UM / state.um_px:.0f} px wide only: {SMALL_PX:.0f} or more are wanted"
         )
     if looks[-1].seen.sure < UNSURE and not any(pose is None for pose in looks[-1].seen.poses):
-        found.append("cells have met, and who is who is not sure: let the field turn a few times")
+        found.append(
+            "cells have met, and which cell is which is not sure: let the field turn a few times"
+        )
     return found
 
 

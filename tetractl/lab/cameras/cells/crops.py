@@ -1,4 +1,4 @@
-"""What is kept of the film: a crop of each cell, and the whole picture now and then."""
+"""The film that a log keeps: a crop of each cell, and occasionally the whole picture."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from tetractl.lab.cameras.cells.tracking import CellTracker
 
 STEP, LEAST, MOST = 16, 32, 160  # sides of crops [px]
 ROOM = 1.8  # a crop's side over the length of the longest cell
-RIM = 2  # px round a blob, without which its contour might be another one
+RIM = 2  # px round a blob, margin that keeps its contour the same
 HERE_UM = 15.0  # a robot that its filter has further away than this was not found in its blob
 WHOLE_NS, BACKGROUND_NS = SECOND, 10 * SECOND  # from one to the next
 
@@ -35,7 +35,7 @@ class FilmCutter:
         robots: Sequence[SeenCell | None],
         tracker: CellTracker,
     ) -> CellFilm:
-        """Return what to keep of a picture; `robots` are the robots' cells, None where not seen."""
+        """Return the film's data of a picture; `robots` are the robots' cells, None if not seen."""
         searched, background = tracker.finder.searched, tracker.finder.background
         assert searched is not None
         longest = max((cell.long_um for cell in cells), default=0.0) / tracker.um_px
@@ -70,13 +70,13 @@ class FilmCutter:
 
 
 def _off(cell: SeenCell, blob: Blob, height: int, um_px: float) -> float:
-    """Return how far a cell is from its blob, in a picture of so many rows [um]."""
+    """Return how far a cell is from its blob, in a picture of the given number of rows [um]."""
     x, y = (blob.x + 0.5) * um_px, (height - 0.5 - blob.y) * um_px
     return math.hypot(cell.x - x, cell.y - y)
 
 
 def fits(blob: Blob, side: int) -> bool:
-    """Return whether a blob with a rim is within a crop of so many pixels a side."""
+    """Return whether a blob with a rim is within a crop of the given number of pixels per side."""
     return max(blob.body.shape) + 2 * RIM <= side
 
 
@@ -87,7 +87,8 @@ def corner(blob: Blob, side: int) -> tuple[int, int]:
 
 
 def numbers(blob: Blob) -> tuple[float, ...]:
-    """Return what a blob says: x, y [px], axis [rad], long, wide [px], strength [grey levels]."""
+    """Return the measurement of a blob: x, y [px], axis [rad], long, wide [px], strength [grey
+    levels]."""
     return blob.x, blob.y, blob.axis, blob.long, blob.wide, blob.strength
 
 

@@ -16,7 +16,7 @@ from tetractl.core.poses import Floats, Grey
 
 STRIPES = 16  # of the background; one is brought up to date with each picture
 LEARNING = 0.1  # how far it then goes towards the picture: 5 s at 30 Hz
-SPARSE = 8  # every so many pixels tell light and noise
+SPARSE = 8  # sampling of pixels for light and noise
 LOW, HIGH = 5.0, 9.0  # thresholds in standard deviations of the noise
 LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
 BLOBS = 200  # of one picture; of more, the largest
@@ -76,7 +76,8 @@ class BlobFinder:
     """Finds blobs of `least` to `most` px^2; `bright` cells differ upwards.
 
     `learn` makes the background from some pictures taken over a second or more. From then on it
-    follows what is outside of `keep` in each picture, so that cells that rest are not lost in it.
+    follows what is outside of `keep` in each picture, so that resting cells do not become part of
+    it.
     """
 
     least_px2: float
@@ -88,7 +89,7 @@ class BlobFinder:
     _stripe: int = field(default=0, init=False)
     _smooth: Grey | None = field(default=None, init=False)
     searched: Grey | None = field(default=None, init=False)
-    """The newest picture less its background, in which blobs are looked for."""
+    """The newest picture minus its background, in which blobs are looked for."""
     limits: tuple[float, ...] = field(default=(), init=False)
     """Low and high threshold [grey levels], least and most area [px^2] of that search."""
 
@@ -103,9 +104,8 @@ class BlobFinder:
         return self._flat
 
     def learn(self, pictures: Sequence[Grey]) -> None:
-        """Take the median of pictures of one size (height, width) for the background.
-
-        Tells from them whether cells are brighter or darker, where that is not given.
+        """Compute the background as the median of pictures of one size (height, width),
+        and determine whether cells are brighter or darker if that is not given.
         """
         smooth = [cv2.GaussianBlur(each, (5, 5), 0) for each in pictures]
         levels = [max(float(np.median(_sparse(each))), 1.0) for each in smooth]
@@ -174,7 +174,7 @@ class BlobFinder:
 def blobs_of(
     searched: Grey, limits: Sequence[float], corner: tuple[int, int] = (0, 0)
 ) -> list[Blob]:
-    """Return the blobs of a picture less its background, or of a part of one, largest first.
+    """Return the blobs of a picture minus its background, or of a part of one, largest first.
 
     `limits` are low and high threshold [grey levels], least and most area [px^2]; `corner` is
     column and row of the part's upper left pixel.
@@ -250,7 +250,7 @@ def _chunks(height: int, rows: int = 64) -> list[slice]:
 
 
 def _excess(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Return by how much one picture exceeds another, where that is more than noise."""
+    """Return by how much one picture exceeds another, if that is more than noise."""
     return cv2.threshold(cv2.subtract(above, below), 15, 0, cv2.THRESH_TOZERO)[1]
 
 

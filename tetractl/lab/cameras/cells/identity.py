@@ -1,8 +1,9 @@
-"""Who is who after cells were one blob: a probability from how each answers the known signal.
+"""Identities of cells after they were one blob: probabilities from how each answers the known
+signal.
 
 Each cell that leaves a merged blob is followed once for every cell that went in, with what was
-known of that one (turning rate, bias, speed, helix). Where the likelihood of all that is seen
-afterwards says so, the question is closed; where cells are too alike it stays open, and says so.
+known of that one (turning rate, bias, speed, helix). Once the likelihood of the later measurements
+decides, the question is closed; if cells are too alike it stays open, and says so.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from tetractl.lab.cameras.cells.helix import HelixFilter
 
 MOST = 4  # cells of one question: 24 assignments
 SURE = 0.998  # then the question is closed
-PATIENCE_S = 10.0  # after which it is closed as it stands, and cells are indistinguishable
+PATIENCE_S = 10.0  # after which it is closed without an answer: the cells are indistinguishable
 TEMPER = 0.7  # of the likelihood: errors of successive pictures are not independent
 
 
@@ -40,7 +41,7 @@ class Question:
         self._orders = np.array(list(permutations(range(count))))
 
     def add(self, track: int, likelihood: Floats) -> None:
-        """Add the logarithms of what one picture says of a track (K,)."""
+        """Add the log-likelihoods of a track in one picture (K,)."""
         self.likelihood[track] += TEMPER * likelihood
 
     def probabilities(self) -> Floats:
@@ -57,13 +58,13 @@ class Question:
         return tuple(self._orders[i].tolist()), float(shares[i])
 
     def closed(self, now_s: float) -> bool:
-        """Whether the answer is sure, or will not come."""
+        """Whether the answer is certain, or will never be."""
         return self.best()[1] > SURE or now_s - self.since_s > PATIENCE_S
 
 
 def opened(
     bank: HelixFilter, identities: Sequence[int], coasted: Sequence[int], now_s: float
 ) -> Question:
-    """Return the question which of the cells, whose rows `coasted` since they merged, is which."""
+    """Return the question of the cells' identities; their rows `coasted` since they merged."""
     rows = np.array([[bank.copied(row) for row in coasted] for _ in identities])
     return Question(tuple(identities), rows, now_s)

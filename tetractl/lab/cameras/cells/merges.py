@@ -1,4 +1,4 @@
-"""Cells that share a blob, and who is who once they part."""
+"""Cells that share a blob, and their identities once they separate."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ from tetractl.lab.cameras.cells.identity import MOST, Question, opened
 from tetractl.lab.cameras.cells.match import second_best
 
 CLEAR = 25.0  # squared deviations between assignments that leave no question
-CLEAR_UM = 3.0  # deviation of a place, besides the filter's
+CLEAR_UM = 3.0  # deviation of a position, in addition to the filter's
 FIRST = (2.0, 2.0, 0.1)  # deviations of the first blob of a question: um, um, rad
 
 
@@ -25,7 +25,7 @@ class Merges:
         self.closed: list[CellAnswer] = []
 
     def join(self, together: Sequence[FollowedCell], cells: Sequence[FollowedCell]) -> None:
-        """Remember who is in one blob, and let copies of them swim on by the signal alone."""
+        """Store which cells are in one blob, and predict copies of them by the signal alone."""
         for cell in together:
             if cell.question is not None:
                 self._close(cell.question, cells)
@@ -47,7 +47,8 @@ class Merges:
             self._merges.append(merge)
 
     def part(self, places: dict[int, Floats], seconds: float) -> None:
-        """Ask who is who of cells that have been one blob, once each has its own again.
+        """Open the question of identity of cells that have been one blob, once each has its own
+        again.
 
         `places` are x, y, axis of each track's own blob.
         """
@@ -75,7 +76,7 @@ class Merges:
                 self._close(question, cells)
 
     def forget(self, cell: FollowedCell, cells: Sequence[FollowedCell]) -> None:
-        """Let a cell that is lost out of its blob and its question."""
+        """Remove a lost cell from its blob and its question."""
         if cell.question is not None:
             self._close(cell.question, cells)
         if cell.merge is not None:
@@ -86,7 +87,7 @@ class Merges:
                 self._merges.remove(merge)
 
     def _open(self, merge: Merge, seen: Floats, seconds: float) -> None:
-        """Open a question, unless the signal alone leaves none."""
+        """Open a question, unless the signal alone decides."""
         identities = [cell.identity for cell in merge.cells]
         coasted = [merge.coasted[identity] for identity in identities]
         rows = np.array(coasted)
@@ -112,7 +113,7 @@ class Merges:
             question.add(i, likelihood)
 
     def _close(self, question: Question, cells: Sequence[FollowedCell]) -> None:
-        """Take the likeliest answer; its probability stays with the cells."""
+        """Accept the likeliest answer; its probability stays with the cells."""
         order, probability = question.best()
         members = [cell for cell in cells if cell.question is question]
         for cell in members:

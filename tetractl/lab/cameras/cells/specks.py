@@ -1,4 +1,4 @@
-"""What is in a dish and no cell yet: specks are followed until one of them swims."""
+"""Specks: objects in a dish that are followed until they swim, and so are cells."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from tetractl.core.poses import Floats
 
 SPECKS = 120  # that are followed at most
 BORN = 5  # blobs in a row until something is a cell
-SWIM_UM_S, SWIM_UM = 60.0, 12.0  # a cell moves so fast, and so far, in that time
+SWIM_UM_S, SWIM_UM = 60.0, 12.0  # least speed and distance of a cell in that time
 STRAY_UM = 5.0  # from a straight line, meanwhile
 ALONG = 0.75  # least cosine between a cell's axis and its path
 ROUND = 1.3  # length over width
@@ -63,7 +63,7 @@ class Speck:
 
 @dataclass(slots=True)
 class Specks:
-    """All that is followed and no cell."""
+    """All specks that are followed."""
 
     all: list[Speck] = field(default_factory=list)
 
@@ -75,7 +75,8 @@ class Specks:
     def follow(
         self, places: Floats, cells: Floats, seconds: float
     ) -> list[tuple[Speck, int | None]]:
-        """Take the blobs (B, 5) that no cell has; return what swims now, and the cell next to it.
+        """Take the blobs (B, 5) that belong to no cell; return specks that swim now, and the cell
+        next to each.
 
         `cells` (C, 2) are where the cells are [um]; the one within NEAR_UM is given by its index.
         """
@@ -103,7 +104,7 @@ class Specks:
         return swimming
 
     def _found(self, places: Floats, seconds: float) -> dict[int, int]:
-        """Return the speck of each blob that is where one should be."""
+        """Return the speck expected at each blob."""
         if not len(places) or not self.all:
             return {}
         before = np.array([speck.ahead(seconds) for speck in self.all])

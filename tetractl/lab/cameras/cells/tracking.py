@@ -1,8 +1,8 @@
-"""Cells through a sequence of pictures: which blob is which cell, and where each is.
+"""Tracks cells through a sequence of pictures: assigns blobs to cells and updates their states.
 
 A blob belongs to the cell that the filter expects there, by the known signal. Blobs of several
-cells stay one blob with several owners; who is who afterwards is asked of `identity`. What does not
-swim is a speck, and never a cell.
+cells stay one blob with several owners; `identity` decides afterwards. An object that does not swim
+is a speck, and never a cell.
 """
 
 import math
@@ -26,13 +26,13 @@ from tetractl.lab.cameras.cells.merges import Merges
 from tetractl.lab.cameras.cells.specks import BORN, Speck, Specks
 
 LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are considered
-LARGE = 1.45  # a blob so much larger than its cell shows more than that
+LARGE = 1.45  # ratio above which a blob shows more than its cell
 CELLS = 64  # that are followed at most
 LOST_S = 0.7  # without a blob: a cell is given up
 HIDDEN_S = 0.15  # the same: it is not shown
 GONE_S = 0.1  # the same near the edge of the picture
 OUTSIDE = 0.4  # of a cell's length: so near the edge
-STARTED_UM, STARTED_S = 60.0, 1.0  # what has not swum so far by then is no cell
+STARTED_UM, STARTED_S = 60.0, 1.0  # a track that has not swum this far by then is no cell
 POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # deviations of a blob
 ODD = (8.0, 8.0, 0.5)  # those of one that is cut, or larger than its cell
 MERGED = (7.0, 7.0, 10.0)  # those of a cell in a blob with several owners
@@ -45,7 +45,7 @@ FieldPieces = Callable[[float, float], Sequence[Piece]]
 
 @dataclass(slots=True)
 class _Reading:
-    """What a blob says of a cell: x, y, axis with deviations; `merged` if it is of several."""
+    """A blob's measurement of a cell: x, y, axis with deviations; `merged` if it is of several."""
 
     cell: FollowedCell
     values: tuple[float, ...]
@@ -79,7 +79,7 @@ class CellTracker:
 
     @property
     def light(self) -> Light:
-        """What the newest picture is like."""
+        """Properties of the newest picture."""
         return self.finder.light
 
     @property
@@ -88,7 +88,7 @@ class CellTracker:
         return self._merges.closed
 
     def blob(self, track: int) -> Blob | None:
-        """Return the blob of a track in the newest picture, None where it has none."""
+        """Return the blob of a track in the newest picture, None if it has none."""
         return next((cell.blob for cell in self._cells if cell.track == track), None)
 
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
@@ -110,7 +110,7 @@ class CellTracker:
         return self._shown([cell for cell in self._cells if cell.missed_s < HIDDEN_S])
 
     def _match(self, blobs: Sequence[Blob], seconds: float, passed: float) -> None:
-        """Give each cell its blob, and take from it what it says."""
+        """Assign each cell its blob, and update it."""
         cells, places = self._cells, places_of(blobs, self.um_px, self._height)
         rows = np.array([cell.row for cell in cells], int)
         expected, slopes = self.bank.seen(rows)
@@ -141,7 +141,7 @@ class CellTracker:
     def _readings(
         self, shared: dict[int, list[int]], expected: Floats, places: Floats
     ) -> list[_Reading]:
-        """Return what the blobs say of their cells; keep the cells' usual sizes."""
+        """Return the blobs' measurements of their cells; update the cells' usual sizes."""
         found = []
         least = POSITION_UM + POSITION_PX * self.um_px
         for j, owners in shared.items():
@@ -165,7 +165,7 @@ class CellTracker:
         return found
 
     def _update(self, readings: Sequence[_Reading]) -> None:
-        """Update the filter; a cell of which it is asked who it is, once for each it may be."""
+        """Update the filter; a cell of open identity once for each cell that it may be."""
         if not readings:
             return
         rows = [
@@ -218,7 +218,7 @@ class CellTracker:
                 self.gone.append(cell.identity)
 
     def _stays(self, cell: FollowedCell) -> bool:
-        """Whether something taken for a cell does not swim."""
+        """Whether an assumed cell does not swim."""
         if cell.begun is None or self._time is None:
             return False
         began, x, y = cell.begun
@@ -229,7 +229,7 @@ class CellTracker:
         return self._time - began > STARTED_S
 
     def _pixels(self, places: Floats) -> Floats:
-        """Return columns and rows (N, 2) of places [um]."""
+        """Return columns and rows (N, 2) of positions [um]."""
         columns = places[:, 0] / self.um_px - 0.5
         return np.column_stack([columns, self._height - 0.5 - places[:, 1] / self.um_px])
 

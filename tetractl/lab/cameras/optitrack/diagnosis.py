@@ -1,4 +1,5 @@
-"""Why robots are not seen: what came from the camera server, and the setting that mends it."""
+"""Diagnoses why robots are not seen: what came from the camera server, and which setting to
+change."""
 
 from tetractl.core.errors import AbortError, WireError
 from tetractl.core.text import printable
@@ -111,7 +112,7 @@ def no_up_axis(stream: Stream) -> AbortError:
 
 
 def no_names(stream: Stream, timeout_s: float) -> AbortError:
-    """Return the error for a server that does not report names, where bodies are wanted by name."""
+    """Return the error for a server that does not report names, if bodies are wanted by name."""
     if stream.counts.unread_models:
         said = f"its list of rigid bodies cannot be read as protocol {stream.version}"
     else:

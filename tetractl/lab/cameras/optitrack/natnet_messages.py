@@ -1,4 +1,4 @@
-"""What NatNet datagrams say, as plain values. Positions are in metres, quaternions unit."""
+"""The contents of NatNet datagrams, as plain values. Positions are in metres, quaternions unit."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -109,7 +109,7 @@ class BodyName:
 class ModelDef:
     """The rigid bodies a server streams.
 
-    `complete` is False where a data set of unknown layout and unknown size (before 4.1) ended the
+    `complete` is False if a data set of unknown layout and unknown size (before 4.1) ended the
     reading early: a missing name is then no proof that there is no such body.
     """
 

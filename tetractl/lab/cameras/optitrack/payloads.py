@@ -1,4 +1,4 @@
-"""The payloads of FRAMEOFDATA and MODELDEF: rigid bodies are read, the rest is stepped over.
+"""The payloads of FRAMEOFDATA and MODELDEF: rigid bodies are read, the rest is skipped.
 
 A frame is: its number, then sections of counted elements, then a suffix of fixed size. From 4.1
 every section also states its size in bytes; before, elements are measured one by one. The suffix
@@ -32,7 +32,7 @@ NAME_MAX = 255  # bytes, without the closing NUL
 
 
 class Cursor:
-    """A place in a payload of little-endian fields that only moves forward and stays inside."""
+    """A cursor in a payload of little-endian fields that only moves forward and stays inside."""
 
     __slots__ = ("at", "data", "end")
 
@@ -90,7 +90,7 @@ class Cursor:
 
 
 def packed(layout: str, *values: Any) -> bytes:
-    """Pack little-endian values; WireError where one does not fit."""
+    """Pack little-endian values; WireError if one does not fit."""
     try:
         return struct.pack("<" + layout, *values)
     except (struct.error, OverflowError) as error:
@@ -248,7 +248,7 @@ def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
 
 
 def _named(cursor: Cursor) -> BodyName:
-    """Read name and id, and step over the parent's id."""
+    """Read name and id, and skip the parent's id."""
     named = BodyName(cursor.name(), cursor.i32())
     cursor.skip(4)
     return named

@@ -1,4 +1,4 @@
-"""From a rigid body to a robot's pose in the spec's coordinates, or to nothing where it cannot be
+"""From a rigid body to a robot's pose in the spec's coordinates, or to nothing if it cannot be
 trusted."""
 
 import math
@@ -28,7 +28,7 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pos
     With z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qy^2)).
     With y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qz^2)).
 
-    None where the body is not tracked: valid bit not set, a value not finite, or a quaternion
+    None if the body is not tracked: valid bit not set, a value not finite, or a quaternion
     whose norm is not 1.
     """
     x, y, z = body.position
@@ -61,7 +61,7 @@ class Placement:
         return cls(*section.origin, section.rotation, 1.0 / metres)
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
-        """Return a body's pose, None where it cannot be trusted."""
+        """Return a body's pose, None if it cannot be trusted."""
         seen = planar_pose(body, up, heading_offset)
         if seen is None:
             return None

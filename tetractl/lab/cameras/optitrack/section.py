@@ -34,11 +34,11 @@ _Version = Annotated[str, Field(pattern=r"^[2-4]\.\d{1,2}$")]
 VersionText = Annotated[
     _Version, BeforeValidator(_version_as_text, json_schema_input_type=_Version | float)
 ]
-"""A protocol version as text; where its minor number has one digit, a number will do."""
+"""A protocol version as text; if its minor number has one digit, a number will do."""
 
 
 class TrackedRobot(RobotPart):
-    """What a robot is to the cameras."""
+    """A robot's entry in the cameras' section."""
 
     body: str | int
     """Its rigid body in the camera system: name or id."""
@@ -65,7 +65,7 @@ class OptitrackSection(CameraSection):
     group: Ipv4 = "239.255.42.99"
     """Address of the multicast stream: IPv4."""
     version: VersionText | None = None
-    """Protocol version to ask for: major.minor, such as 4.1, or in quotes where it ends in 0, as
+    """Protocol version to ask for: major.minor, such as 4.1, or in quotes if it ends in 0, as
     '2.10'; the server's own by default, and always so in multicast."""
     up_axis: Literal["auto", "y", "z"] = "auto"
     """The axis that points up; `auto` asks the server."""
@@ -93,5 +93,5 @@ class OptitrackSection(CameraSection):
         return self.robot(name).heading_offset
 
     def robot(self, name: str) -> TrackedRobot:
-        """Return what a robot is to the cameras."""
+        """Return a robot's entry in the section."""
         return next(robot for robot in self.robots if robot.name == name)

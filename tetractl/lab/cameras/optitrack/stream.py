@@ -47,7 +47,7 @@ class Tracked:
 
 @dataclass(slots=True)
 class StreamCounts:
-    """What came of the datagrams; every number only grows."""
+    """Counts of datagrams by what became of them; every number only grows."""
 
     frames: int = 0
     missed: int = 0  # numbers skipped between frames
@@ -60,9 +60,9 @@ class StreamCounts:
 
 
 class Stream:
-    """What is known of a server and its newest frame.
+    """The state of a server and its newest frame.
 
-    `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis where the spec
+    `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis if the spec
     gives it. `feed` never raises on data. Times are ns on the host's clock.
 
     `up_answer` is the server's answer to `UpAxis`, `unit_mm` its unit of length [mm].
@@ -109,7 +109,7 @@ class Stream:
         return self._pinned if self._pinned and self.info else self.info and self.info.version
 
     def number(self, body: str | int) -> int | None:
-        """Return the id that a body has in frames, None where its name is not known."""
+        """Return the id that a body has in frames, None if its name is not known."""
         if isinstance(body, int):
             return body
         return self.model.ids().get(body) if self.model else None
@@ -247,7 +247,7 @@ class Stream:
         return received_ns
 
     def _twins_in(self, model: ModelDef) -> str:
-        """Return that two bodies have the name of one robot's, "" where none do."""
+        """Return a message if two bodies have one robot's name, else ""."""
         for robot in self.robots:
             ids = [body.id for body in model.bodies if body.name == robot.body]
             if len(ids) > 1:

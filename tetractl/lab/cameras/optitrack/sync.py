@@ -34,7 +34,7 @@ class ClockSync:
     def __init__(self, clock_hz: int) -> None:
         self.clock_hz = clock_hz
         self.drift = 0.0  # the server gains this much on the host, per unit of time
-        self.fault = ""  # how the clock went wrong, for good
+        self.fault = ""  # the fault of the clock, permanent
         self._echoes: deque[Echo] = deque(maxlen=KEPT)
         self._at = Echo(0, 0, 0)
 
@@ -72,7 +72,7 @@ class ClockSync:
         return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
     def _contradiction(self, new: Echo) -> str:
-        """Return what the clock did that no clock does since an earlier echo, "" for nothing."""
+        """Return the fault of the clock since an earlier echo, "" for none."""
         for old in reversed(self._echoes):
             span = new.host_ns - old.host_ns
             gained = new.server_ns - old.server_ns - span
@@ -94,7 +94,7 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Least squares slope of server minus host against host; 0 where it cannot be estimated."""
+    """Least squares slope of server minus host against host; 0 if it cannot be estimated."""
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
     if max(t) - min(t) < DRIFT_SPAN:

@@ -30,16 +30,16 @@ CLOSE_S = 2.0
 
 
 class SearchedPicture(Protocol):
-    """What was found in a picture: the robots' poses, None where not tracked, and others."""
+    """The result for one picture: the robots' poses, None if not tracked, and strangers."""
 
     @property
     def poses(self) -> tuple[Pose | None, ...]:
-        """One a robot."""
+        """one per robot."""
         ...
 
     @property
     def strangers(self) -> tuple[Pose, ...]:
-        """What is no robot of the spec."""
+        """Objects that are not robots of the spec."""
         ...
 
 
@@ -47,10 +47,10 @@ S = TypeVar("S", bound=SearchedPicture)
 
 
 class PictureCamera(ABC, Generic[S]):
-    """Tracks robots in pictures; a `Camera` but for what is searched in them.
+    """Tracks robots in pictures; a `Camera` except for what is searched in them.
 
     `wake` is called, in the finding thread, after every new frame. A frame is numbered by its
-    picture: where a live source outruns the finding, numbers are missing. Frames never carry a
+    picture: if a live source outruns the finding, numbers are missing. Frames never carry a
     `fault`.
     """
 
@@ -72,11 +72,11 @@ class PictureCamera(ABC, Generic[S]):
 
     @abstractmethod
     def _see(self, picture: Grey, exposed_ns: int) -> S | None:
-        """Return what is in a picture, None where there is no frame to it yet."""
+        """Return the robots and strangers in a picture, None if there is no frame yet."""
 
     @abstractmethod
     def check(self) -> Health:
-        """Look at some pictures and return what is wrong."""
+        """Examine some pictures and return the problems."""
 
     @property
     def newest(self) -> CameraFrame | None:
@@ -101,7 +101,7 @@ class PictureCamera(ABC, Generic[S]):
         return fresh
 
     def __enter__(self) -> Self:
-        """Open the source and wait for a first frame; AbortError where none comes."""
+        """Open the source and wait for a first frame; AbortError if none comes."""
         patience = self._source.connect
         self._feed = open_feed(self._source.source, self._clock, patience)
         self._threads = [
@@ -139,7 +139,7 @@ class PictureCamera(ABC, Generic[S]):
         return tuple(self._looks)
 
     def _read(self, feed: Feed) -> None:
-        """Offer every picture; of a live source only the newest waits to be searched."""
+        """Put every picture in the queue; of a live source only the newest is kept."""
         number = 0
         try:
             while not self._closing.is_set():

@@ -1,6 +1,6 @@
 """The part of a spec that all cameras with pictures share: where pictures come from.
 
-OpenCV is imported only where the camera is built.
+OpenCV is imported only if the camera is built.
 """
 
 from collections.abc import Callable
@@ -67,7 +67,7 @@ Source = Annotated[
 
 
 def named(source: Source) -> str:
-    """Return the name of a source, for people."""
+    """Return the name of a source, for display."""
     match source:
         case DeviceSource(index=index):
             return f"camera {index}"
@@ -91,7 +91,7 @@ class PictureSection(CameraSection):
 
     @property
     def source_name(self) -> str:
-        """Name of the source, for people."""
+        """Name of the source, for display."""
         return named(self.source)
 
     def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:

@@ -52,7 +52,7 @@ class Feed(Protocol):
     """An open source. One thread reads and closes; any may interrupt.
 
     Pictures of a `live` source come whether they are read or not. `rate_hz` is what it promises,
-    None where it promises nothing. An `emulated` source shows no robots of this moment.
+    None if it promises nothing. An `emulated` source shows no robots of this moment.
     """
 
     live: bool
@@ -65,11 +65,11 @@ class Feed(Protocol):
         ...
 
     def read(self) -> Picture:
-        """Wait for the next picture; SourceEndedError where none will come."""
+        """Wait for the next picture; SourceEndedError if none will come."""
         ...
 
     def interrupt(self) -> None:
-        """Make a `read` that waits end soon."""
+        """Interrupt a waiting `read`."""
         ...
 
     def close(self) -> None:
@@ -95,10 +95,10 @@ def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
 
 
 def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
-    """Return the grey levels (height, width) of a picture, None where its JPEG is damaged.
+    """Return the grey levels (height, width) of a picture, None if its JPEG is damaged.
 
     A JPEG of another `size` (height, width), or by default of more than `PIXELS_MAX` a side, is not
-    decoded: None. cv2.error where OpenCV refuses pixels.
+    decoded: None. cv2.error if OpenCV refuses pixels.
     """
     content = picture.content
     if isinstance(content, np.ndarray):
@@ -171,10 +171,10 @@ class DeviceFeed:
 
 
 class FileFeed:
-    """A video file, each picture at its time; without one to spare on a virtual clock."""
+    """A video file, each picture at its time."""
 
     live = False
-    emulated = True  # what was filmed cannot be steered
+    emulated = True  # robots in a film cannot be steered
     damaged = 0
 
     def __init__(self, source: FileSource, clock: Clock) -> None:
@@ -251,7 +251,7 @@ class MjpegFeed:
                 "a stream is multipart/x-mixed-replace with a boundary",
             )
         self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
-        self._socket.settimeout(None)  # from here on, who reads is interrupted by closing
+        self._socket.settimeout(None)  # from here on, closing interrupts the reader
         self._parts = Multipart(boundary)
         self._waiting: list[bytes] = []
 

@@ -142,9 +142,9 @@ def looks(**changes):
         ({"poses": (None, None)}, {}, "first, second not tracked: 0 cells swim in view, 2"),
         ({"light": Light(1, 10.0, 20.0, 0.01, False)}, {}, "2.0 times the noise"),
         ({"sharpness": 0.05}, {}, "focus"),
-        ({"sure": 0.6}, {}, "who is who is not sure"),
+        ({"sure": 0.6}, {}, "which cell is which is not sure"),
         ({}, {"um_px": 5.0}, "a cell is 5 px wide only"),
-        ({}, {"rate_hz": 60.0}, "30 pictures a second come instead of 60"),
+        ({}, {"rate_hz": 60.0}, "30 pictures per second come instead of 60"),
         ({}, {"ended": "the stream ended"}, "the stream ended"),
     ],
 )

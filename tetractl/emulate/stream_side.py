@@ -37,7 +37,7 @@ class StreamSettings(Model):
     height: int = Field(default=480, ge=64, le=8192)
     """Rows of a picture [px]."""
     rate: float = Field(default=30.0, ge=1, le=500)
-    """Pictures a second [Hz]."""
+    """Rate of pictures [Hz]."""
     noise: NonNegative = 2.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.004

@@ -57,7 +57,7 @@ class SimSection(PlantSection):
     cells: CultureSection | None = None
     """Swimming cells in place of points that follow (1)-(3); they ignore `motion`."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
-    """Measurements a second [Hz]."""
+    """Rate of measurements [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
     """Samples per second of the true path that decides errors and obstacle violations [Hz]; at
     least the camera rate."""

@@ -65,7 +65,7 @@ class WheelDrive:
         return (able & (self._targets != 0).any(axis=0)).astype(np.float64)
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Turn and drive at other true rates from now on, (N,) each."""
+        """Change the true a and speed from now on, (N,) each."""
         known = self._setup
         self._turn_of = a / known.a / (2 * self._radii)  # turning rate of a wheel difference
         nominal = np.ones(speed.size)

@@ -18,7 +18,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import MOST, DishPictures
 
 FRAMES_HZ = 30.0
-"""Camera frames of the page a second, at most: what a screen shows."""
+"""Largest rate of camera frames on the page [Hz]: that of a screen."""
 PLAN_ERROR = 1e-3
 """How far a plan on the page may be from the logged one, of the longer side of the arena."""
 HISTORY_ERROR = 5e-3

@@ -43,9 +43,8 @@ class SpecWarning:
 
 @dataclass(frozen=True)
 class CheckContext:
-    """An experiment, with what the checks need of its controller.
-
-    A controller of another kind may lack some of it: `signals_max` is None if no plan has a
+    """An experiment, with the data of its controller for the checks.
+    Controllers of other kinds may lack some: `signals_max` is None if no plan has a
     longest length, `motion` is "" if none is named.
     """
 

@@ -94,7 +94,7 @@ class ServerCounts:
 
 
 CLOCK_HZ = 10_000_000
-CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock has nothing to do with the host's
+CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock starts at an arbitrary time
 Address = tuple[str, int]
 
 

@@ -49,7 +49,7 @@ class FieldSection(ActuatorSection):
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 115200
     """Bits per second on the port."""
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
-    """Commands a second [Hz]."""
+    """Rate of commands [Hz]."""
     strength_mt: Positive
     """Field at which the cells have their `a` [mT]; less if the current limit binds."""
     coils: CoilsSection

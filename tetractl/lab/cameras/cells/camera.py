@@ -134,7 +134,7 @@ class CellCamera(PictureCamera[SeenDish]):
         )
 
     def _note_divisions(self, robots: Sequence[int]) -> None:
-        """Note whose cell has divided: a new one was first seen where that cell was."""
+        """Note which robots' cells have divided: a new cell was first seen at their position."""
         if self._tracker.gone:
             self._given_up_s = self._past[-1][0]
         for born in self._tracker.born:

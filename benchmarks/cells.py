@@ -21,11 +21,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.stats import beta
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from support.dish_films import Reel, record, who
+from support.dish_films import Reel, Score, record, who
 from support.film_logs import write_film
 from support.tampering import noticed, tamperings
 
@@ -41,8 +40,6 @@ from tetractl.log.read.salvage import scan
 from tetractl.model.swimmers import Swimmers, bodies
 
 FIRST_SEED = 9000
-REACH_UM = 25.0
-GAP = 3  # pictures out of sight, after which a cell may have another number
 STEP_S = 1 / 240
 
 
@@ -60,77 +57,26 @@ def film(
     return SyntheticFilm(FilmScript(seconds=seconds, **script), look, seed)
 
 
-def matched(made: SyntheticFilm, k: int, cells: list, last: dict[int, int]) -> dict[int, int]:
-    """Which cell shown is which true one; who was matched before stays so within reach."""
-    places = np.nan_to_num(made.body[k, :, :2], nan=1e6)
-    there = np.array([(c.x, c.y) for c in cells]).reshape(-1, 2)
-    gaps = np.linalg.norm(places[:, None] - there[None], axis=-1)
-    cost = np.minimum(gaps, 1e5)
-    for i, number in last.items():
-        for j, cell in enumerate(cells):
-            if cell.identity == number and gaps[i, j] < REACH_UM:
-                cost[i, j] -= 1e6
-    own, found = linear_sum_assignment(cost)
-    return {int(i): int(j) for i, j in zip(own, found, strict=True) if gaps[i, j] < REACH_UM}
-
-
 def films(count: int, seconds: float) -> None:
-    position, axis, heading = [], [], []
-    hits = misses = extra = wrong = seen_frames = 0
-    times, doubtful = [], []
+    score, times = Score(), []
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         made = film(seed, seconds, 1024, 2.3, strangers=seed % 11)
-        found = follow(reel := Reel(made), made.look.um_px, record(made))
+        score.add(made, follow(reel := Reel(made), made.look.um_px, record(made)))
         times += timed(made, reel)
-        shown = [[] for _ in made.times]
-        for path in found.paths:
-            for k, cell in zip(path.frames, path.seen, strict=True):
-                shown[k].append(cell)
-        last, when = {}, {}
-        divides, rests = made.script.cells - 2, made.script.cells - 1
-        for k, cells in enumerate(shown):
-            seen = [int(i) for i in np.flatnonzero(made.seen[k])]
-            for i in list(last):
-                if i not in seen and k - when[i] > GAP:
-                    del last[i]
-            pairs = matched(made, k, cells, last)
-            hits += sum(i in pairs for i in seen)
-            misses += sum(i not in pairs for i in seen)
-            extra += len(cells) - len(pairs)
-            for i in seen:
-                if i not in pairs:
-                    continue
-                cell = cells[pairs[i]]
-                if last.get(i, cell.identity) != cell.identity and i != divides:
-                    wrong += 1
-                    doubtful.append(cell.probability)
-                last[i], when[i] = cell.identity, k
-                seen_frames += 1
-                if not cell.found or cell.merged:
-                    continue
-                position.append((cell.x - made.body[k, i, 0], cell.y - made.body[k, i, 1]))
-                axis.append((cell.axis - made.body[k, i, 2] + math.pi / 2) % math.pi - math.pi / 2)
-                off = (cell.heading - made.heading[k, i] + math.pi) % (2 * math.pi) - math.pi
-                heading += [off] if i != rests else []
-        hours = seen_frames / made.script.rate / 3600
-        print(
-            f"seed {seed}: F1 {2 * hits / (2 * hits + misses + extra):.4f}, {wrong} wrong",
-            flush=True,
-        )
+        print(f"seed {seed}: F1 {score.f1:.4f}, {len(score.changed)} wrong so far", flush=True)
 
     def rms(values: list) -> float:
         return float(np.sqrt(np.mean(np.square(values))))
 
-    quiet = float(np.quantile(np.abs(axis), 0.95))
+    quiet = float(np.quantile(np.abs(score.axis), 0.95))
     print(f"{count} synthetic films of {seconds:g} s, 20 cells and 0 to 10 strangers, 2.3 um/px")
-    print(f"position RMSE {rms(position):.2f} um a coordinate, n {len(position)}")
-    print(f"axis RMSE {rms(axis):.3f} rad, 95 % within {quiet:.3f}")
-    middle = np.median(np.abs(heading))
-    print(f"heading of the helix RMSE {rms(heading):.3f} rad, median {middle:.3f}")
-    f1 = 2 * hits / (2 * hits + misses + extra)
-    print(f"F1 {f1:.4f}: {hits} found, {misses} not, {extra} extra")
-    stated = np.round(doubtful, 2).tolist()
-    print(f"changed numbers {wrong} in {hours:.3f} cell-hours; stated {stated}")
+    print(f"position RMSE {rms(score.position):.2f} um a coordinate, n {len(score.position)}")
+    print(f"axis RMSE {rms(score.axis):.3f} rad, 95 % within {quiet:.3f}")
+    middle = np.median(np.abs(score.heading))
+    print(f"heading of the helix RMSE {rms(score.heading):.3f} rad, median {middle:.3f}")
+    print(f"F1 {score.f1:.4f}: {score.found} found, {score.missed} not, {score.extra} extra")
+    hours, stated = score.found / made.script.rate / 3600, np.round(score.changed, 2).tolist()
+    print(f"changed numbers {len(stated)} in {hours:.3f} cell-hours; stated {stated}")
     p50, p99 = np.quantile(times, (0.5, 0.99))
     print(f"picture to pose: median {p50:.1f}, p99 {p99:.1f} ms of CPU")
 

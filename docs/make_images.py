@@ -1,7 +1,7 @@
 """Make the pictures of README and docs/, docs/images: figures, a film, screenshots of the report.
 
 Run `python docs/make_images.py` after a change of what they show; it takes some minutes and needs
-Chromium for the screenshots. All trials are simulated.
+Chromium for the screenshots. All trials are simulated, that of cells emulated in virtual time.
 """
 
 import subprocess
@@ -16,8 +16,11 @@ IMAGES = ROOT / "docs" / "images"
 sys.path.insert(0, str(ROOT / "tests"))
 
 from support.chromium import chromium  # noqa: E402
+from support.virtual_dish import virtual_dish  # noqa: E402
 
 from tetractl.log.read.reader import read_trial  # noqa: E402
+from tetractl.run.interrupt import Interrupt  # noqa: E402
+from tetractl.run.task import run_trial  # noqa: E402
 from tetractl.view.film import write_video  # noqa: E402
 
 FILM_WIDTH = 640
@@ -53,6 +56,9 @@ def main() -> None:
             (bench, "scatter", "scatter.png"),
         ):
             tetractl("plot", log, "--kind", kind, "-o", IMAGES / image)
+        with virtual_dish(folder, seed=1) as dish:
+            run_trial(dish.spec, folder, 0, [], Interrupt())
+        tetractl("plot", folder / first, "--kind", "trajectory", "-o", IMAGES / "dish.png")
         write_video(read_trial(bench / first), folder / "trial.gif", width=FILM_WIDTH)
         thin(folder / "trial.gif", IMAGES / "trial.gif")
         tetractl("report", bench, "-o", folder / "report.html")

@@ -1,6 +1,5 @@
-"""What a notebook or a script needs: the functions that `import tetractl` gives.
-
-What is slow to import (numba, matplotlib, pandas) is imported by the function that needs it. A lab
+"""The functions of `import tetractl`, for notebooks and scripts. Slow libraries
+(numba, matplotlib, pandas) are imported by the functions that need them. A lab
 is driven by `tetractl run` alone, where a person can stop it.
 """
 

@@ -1,6 +1,6 @@
 """Checks a kind of another package against what tetractl expects of it: `tetractl kinds --check`.
 
-Each check is a generator of findings: what was checked, and what is wrong with it, "" for nothing.
+Each check is a generator of findings: the description of a check, and its error, "" for none.
 All numbers are drawn from a fixed seed, so that a finding repeats.
 """
 
@@ -38,7 +38,7 @@ STARTED_S = 5.0  # that a camera may take to show a frame
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was checked, and what is wrong with it, "" for nothing."""
+    """The description of a check, and its error, "" for none."""
 
     what: str
     problem: str = ""

@@ -1,7 +1,7 @@
 """Short synthetic films for tests, and how well cells were followed in them."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -13,6 +13,7 @@ from tetractl.film.field_file import FieldRecord
 from tetractl.film.follow import follow
 
 REACH_UM = 25.0  # a cell is found by what is shown within half a body of it
+GAP = 3  # pictures out of sight, after which a cell may have another number
 
 cv2.setNumThreads(1)
 
@@ -59,41 +60,64 @@ def who(made, path):
 
 @dataclass
 class Score:
-    """Position and axis errors of free cells [um, rad], heading errors, F1, numbers by cell."""
+    """How films were followed: errors of free cells in position [um], axis and heading [rad], cells
+    seen that were `found`, `missed` or are none (`extra`), the numbers of each cell by its row, and
+    the probability stated where a cell got another number, `changed`."""
 
-    position: np.ndarray
-    axis: np.ndarray
-    heading: np.ndarray
-    f1: float
-    numbers: dict
+    position: list = field(default_factory=list)
+    axis: list = field(default_factory=list)
+    heading: list = field(default_factory=list)
+    found: int = 0
+    missed: int = 0
+    extra: int = 0
+    numbers: dict = field(default_factory=dict)
+    changed: list = field(default_factory=list)
+
+    @property
+    def f1(self):
+        return 2 * self.found / max(2 * self.found + self.missed + self.extra, 1)
+
+    def add(self, made, followed):
+        """Compare what was found in a film with the truth; return this."""
+        shown, last, when = [[] for _ in made.times], {}, {}
+        self.numbers = {}
+        for path in followed.paths:
+            for k, cell in zip(path.frames, path.seen, strict=True):
+                shown[k].append(cell)
+        events = made.script.events
+        divides, rests = made.script.cells - 2, made.script.cells - 1
+        for k, cells in enumerate(shown):
+            seen = [int(i) for i in np.flatnonzero(made.seen[k])]
+            for i in [i for i in last if i not in seen and k - when[i] > GAP]:
+                del last[i]
+            pairs = matched(made.body[k, :, :2], cells, last)
+            self.found += sum(i in pairs for i in seen)
+            self.missed += sum(i not in pairs for i in seen)
+            self.extra += len(cells) - len(pairs)
+            for i in seen:
+                if i not in pairs:
+                    continue
+                cell, body = cells[pairs[i]], made.body[k, i]
+                if last.get(i, cell.identity) != cell.identity and not (events and i == divides):
+                    self.changed.append(cell.probability)
+                last[i], when[i] = cell.identity, k
+                self.numbers.setdefault(i, []).append(cell.identity)
+                if cell.found and not cell.merged:
+                    self.position.append((cell.x - body[0], cell.y - body[1]))
+                    self.axis.append((cell.axis - body[2] + math.pi / 2) % math.pi - math.pi / 2)
+                    off = (cell.heading - made.heading[k, i] + math.pi) % (2 * math.pi) - math.pi
+                    self.heading += [] if events and i == rests else [off]
+        return self
 
 
-def score(made, found):
-    """Compare what was found with the truth."""
-    shown = [[] for _ in made.times]
-    for path in found.paths:
-        for k, cell in zip(path.frames, path.seen, strict=True):
-            shown[k].append(cell)
-    position, axis, heading, hits, misses, extra, numbers = [], [], [], 0, 0, 0, {}
-    for k, cells in enumerate(shown):
-        truth = made.body[k]
-        there = np.array([(c.x, c.y) for c in cells]).reshape(-1, 2)
-        gaps = np.linalg.norm(np.nan_to_num(truth[:, None, :2], nan=1e6) - there[None], axis=-1)
-        own, near = linear_sum_assignment(gaps)
-        pairs = {int(i): int(j) for i, j in zip(own, near, strict=True) if gaps[i, j] < REACH_UM}
-        seen = [int(i) for i in np.flatnonzero(made.seen[k])]
-        hits += sum(i in pairs for i in seen)
-        misses += sum(i not in pairs for i in seen)
-        extra += len(cells) - len(pairs)
-        for i in seen:
-            if i not in pairs:
-                continue
-            cell = cells[pairs[i]]
-            numbers.setdefault(i, []).append(cell.identity)
-            if cell.found and not cell.merged:
-                position.append((cell.x - truth[i, 0], cell.y - truth[i, 1]))
-                axis.append((cell.axis - truth[i, 2] + math.pi / 2) % math.pi - math.pi / 2)
-                off = cell.heading - made.heading[k, i]
-                heading.append((off + math.pi) % (2 * math.pi) - math.pi)
-    f1 = 2 * hits / max(2 * hits + misses + extra, 1)
-    return Score(np.array(position), np.array(axis), np.array(heading), f1, numbers)
+def matched(places, cells, last):
+    """Which cell shown is which true one; one that was matched before stays so within reach."""
+    there = np.array([(c.x, c.y) for c in cells]).reshape(-1, 2)
+    gaps = np.linalg.norm(np.nan_to_num(places, nan=1e6)[:, None] - there[None], axis=-1)
+    cost = np.minimum(gaps, 1e5)
+    for i, number in last.items():
+        for j, cell in enumerate(cells):
+            if cell.identity == number and gaps[i, j] < REACH_UM:
+                cost[i, j] -= 1e6
+    own, near = linear_sum_assignment(cost)
+    return {int(i): int(j) for i, j in zip(own, near, strict=True) if gaps[i, j] < REACH_UM}

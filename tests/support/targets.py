@@ -9,10 +9,12 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from mcap.records import Metadata
 from support import commands, seeds
 from support.mutate import rewrite
@@ -46,6 +48,7 @@ from tetractl.log.read.salvage import scan
 
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
+SIDE = 128  # of a picture [px]
 SELDOM = 200  # one input in so many is drawn
 
 
@@ -173,6 +176,41 @@ def serial(data: bytes) -> None:
     assert decoder.dropped_bytes <= len(stuff)
 
 
+# pictures
+
+
+@cache
+def _dish() -> tuple[list, list[bytes]]:
+    """The pictures of a small film, and answers of a camera: that film, and absurd pictures."""
+    from support.dish_films import film
+
+    shown = list(film(seed=3, side=SIDE, cells=2, seconds=0.5).pictures())
+    black, noise = (
+        np.zeros((SIDE, SIDE), np.uint8),
+        np.random.default_rng(1).integers(0, 2, (64, 64)),
+    )
+    blobs = np.kron(255 * noise, np.ones((2, 2))).astype(np.uint8)
+    absurd = [shown[0], black, black + 255, blobs, shown[1], np.zeros((40, 9), np.uint8), shown[2]]
+    return shown, [b"".join(part(coded(one, 90)) for one in some) for some in (shown, absurd)]
+
+
+def pictures(data: bytes) -> None:
+    """What a network camera answers, searched for cells."""
+    from tetractl.lab.cameras.cells.tracking import CELLS, CellTracker
+
+    tracker, parts = CellTracker(2.3, known=True), Multipart(BOUNDARY)
+    tracker.learn(_dish()[0])
+    for k, body in enumerate(parts.feed(data)[:20]):
+        grey = decoded(Picture(body, 0), (SIDE, SIDE))
+        if grey is None:
+            continue
+        cells = tracker.see(grey, k / 30, lambda start, end: [(end - start, 1.0, 0.0)])
+        assert len(cells) <= CELLS
+        for cell in cells:
+            assert all(map(math.isfinite, (cell.x, cell.y, cell.heading, *cell.mean)))
+            assert 0 <= cell.probability <= 1
+
+
 # logs and recorded wires
 
 
@@ -283,6 +321,12 @@ TARGETS = {
     "natnet": Target(natnet, seeds.datagrams),
     "serial": Target(serial, seeds.serial_bytes),
 }
+if find_spec("cv2"):
+    from tetractl.emulate.network_camera import BOUNDARY, coded, part
+    from tetractl.lab.cameras.pictures.multipart import Multipart
+    from tetractl.lab.cameras.pictures.source import Picture, decoded
+
+    TARGETS["pictures"] = Target(pictures, lambda: _dish()[1])
 
 COMMANDS = {
     "log, any command": Target(any_command, seeds.logs),

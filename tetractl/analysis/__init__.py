@@ -1,1 +1,2 @@
-"""What robots and an assumed noise allow, from an experiment alone: nothing is run."""
+"""Predicts from a spec, without trials, how accurately its robots can be steered under an assumed
+noise."""

@@ -37,8 +37,8 @@ class Planned:
 def planner(experiment: Experiment) -> MpcSection:
     """Return the model predictive control that the experiment is analysed with.
 
-    It is the spec's own if it has one, with the multistart optimiser, which tells when a
-    sequence is good enough, and without limits; else the default one.
+    It is the spec's own if it has one, with the multistart optimiser, which has a tolerance,
+    and without limits; else the default one.
     """
     control = experiment.controller
     if not isinstance(control, MpcSection):

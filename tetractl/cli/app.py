@@ -157,7 +157,7 @@ def run_app() -> int:
     except SystemExit as end:
         if not isinstance(end.__context__, BrokenPipeError):
             raise
-        return Exit.DONE  # the same; typer makes it another exception
+        return Exit.DONE  # the same, as another exception of typer's
     except FileNotFoundError as error:
         complain(f"{error.filename}: no such file or folder")
         return Exit.USAGE

@@ -21,7 +21,7 @@ def design(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
     sets: Sets = None,
     seconds: Annotated[
-        float, typer.Option(min=1, max=120, metavar="S", help="How long the motion is to take.")
+        float, typer.Option(min=1, max=120, metavar="S", help="Duration of the motion.")
     ] = 10.0,
     plant: Annotated[
         PlantChoice | None,
@@ -92,7 +92,7 @@ def design(
 
 
 def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
-    """Print a motion: its directions, and the deviations that a fit to it is predicted to have."""
+    """Print a motion: its directions, and the predicted deviations of a fit to it."""
     from tetractl.core.table.data import json_text
 
     setup = loaded.experiment.setup

@@ -19,11 +19,9 @@ def init(
             metavar="[NAME]", help="Name of the experiment, and of its file.  \\[experiment]"
         ),
     ] = None,
-    lab: Annotated[
-        bool, typer.Option("--lab", help="With the part of a lab of m3pi robots.")
-    ] = False,
+    lab: Annotated[bool, typer.Option("--lab", help="Add a lab of m3pi robots.")] = False,
     cells: Annotated[
-        bool, typer.Option("--cells", help="Cells, in um, in place of robots.")
+        bool, typer.Option("--cells", help="Two cells, in um, in place of robots.")
     ] = False,
     example: Annotated[
         str | None,

@@ -27,10 +27,8 @@ Spec = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YA
 def check(
     spec: Spec,
     sets: Sets = None,
-    json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Answer yes to what only a person knows, unasked.")
-    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Answer yes to every question.")] = False,
 ) -> int:
     """Check the lab without moving a robot: camera, actuator, robots, batteries, starts.
 
@@ -71,7 +69,7 @@ def _agreed(questions: "Sequence[str]") -> bool:
 
 def stop(
     spec: Annotated[
-        Path | None, typer.Argument(metavar="SPEC", help="The experiment, for its actuator.")
+        Path | None, typer.Argument(metavar="SPEC", help="Spec file; only its actuator is used.")
     ] = None,
     sets: Sets = None,
     port: Annotated[
@@ -114,7 +112,8 @@ def calibrate(
     spec: Spec,
     sets: Sets = None,
     output: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FILE", help="Where the calibration goes.")
+        Path,
+        typer.Option("-o", "--out", metavar="FILE", help="YAML file of the calibration to write."),
     ] = Path("calibration.yaml"),
     robot: Annotated[
         list[str] | None,
@@ -126,7 +125,7 @@ def calibrate(
             min=10,
             max=80,
             metavar="N",
-            help="How hard to drive: for m3pi the greatest wheel count, of 127.",
+            help="Greatest output, for m3pi the wheel count, of 127.",
         ),
     ] = 45,
     micrometer: Annotated[

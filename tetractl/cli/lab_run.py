@@ -1,4 +1,4 @@
-"""What a run adds in the lab: the operator's stop, placing the robots."""
+"""A run in the lab: the operator's stop, placing the robots."""
 
 import threading
 from collections.abc import Iterator

@@ -17,7 +17,7 @@ def survey(
     sets: Sets = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FILE", help="Where the spec of the trial goes."),
+        typer.Option("-o", "--out", metavar="FILE", help="YAML file of the trial to write."),
     ] = None,
     plans: Annotated[
         int, typer.Option(min=1, max=100, metavar="N", help="Plans for each choice of cells.")

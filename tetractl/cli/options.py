@@ -1,4 +1,5 @@
-"""What several commands share: options, loading a spec, its warnings, asking before robots move."""
+"""Shared by several commands: options, loading a spec, its warnings, confirmation before robots
+move."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence

@@ -14,7 +14,7 @@ VIDEO = "video"
 
 def plot(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Logs of trials, folders of them.")
+        list[Path], typer.Argument(metavar="LOG...", help="Trial logs: files, folders or globs.")
     ],
     output: Annotated[
         Path | None,

@@ -15,7 +15,7 @@ def recover(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, a .part too.")],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FILE", help="Where to.  [NAME.recovered.mcap]"),
+        typer.Option("-o", "--out", metavar="FILE", help="File to write.  [NAME.recovered.mcap]"),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
 ) -> int:

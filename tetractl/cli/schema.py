@@ -10,7 +10,7 @@ def schema(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="FILE", help="Write it to a file.")
     ] = None,
-    study: Annotated[bool, typer.Option("--study", help="That of a study.")] = False,
+    study: Annotated[bool, typer.Option("--study", help="Print the schema of a study.")] = False,
 ) -> None:
     """Print the JSON schema of a spec, or of a study, for editors.
 

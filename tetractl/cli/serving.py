@@ -1,4 +1,4 @@
-"""What commands that serve a trial share: a live WebSocket for Foxglove and Lichtblick."""
+"""Shared by commands that serve a trial: a live WebSocket for Foxglove and Lichtblick."""
 
 import sys
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ LICHTBLICK = "http://localhost:8080"
 Serve = Annotated[
     bool,
     typer.Option(
-        "--serve", help="Show it in Foxglove or Lichtblick too, by a link to a live WebSocket."
+        "--serve", help="Print a link that shows the trial in Foxglove or Lichtblick as it runs."
     ),
 ]
 Port = Annotated[
@@ -36,9 +36,7 @@ Port = Annotated[
     ),
 ]
 Browser = Annotated[bool, typer.Option(help="Open the browser; otherwise only print the address.")]
-Viewer = Annotated[
-    str, typer.Option("--lichtblick", metavar="URL", help="Where Lichtblick is started.")
-]
+Viewer = Annotated[str, typer.Option("--lichtblick", metavar="URL", help="Address of Lichtblick.")]
 
 
 def wanted_port(serve: bool, port: int | None) -> int | None:

@@ -144,7 +144,7 @@ class Output(io.TextIOWrapper):
 
 
 def open_streams() -> Output:
-    """Put patient streams in the places of `sys.stdout` and `sys.stderr`; return the latter.
+    """Replace `sys.stdout` and `sys.stderr` by patient streams; return the latter.
 
     A standard descriptor that is closed is opened on the null device: no log may get its number.
     """
@@ -173,7 +173,7 @@ def first_signal_callback(text: bytes) -> Callable[[], None]:
 
     It takes no lock and does not wait.
     """
-    results, messages = sys.stdout, sys.stderr  # now: a live view puts others in their places
+    results, messages = sys.stdout, sys.stderr  # now: a live view replaces them
 
     def shorten() -> None:
         if isinstance(results, Output):

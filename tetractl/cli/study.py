@@ -40,7 +40,7 @@ def study(
     ] = None,
     logs: Annotated[
         str,
-        typer.Option(metavar="all|failed|sample:N|none", help="Which trials leave their logs."),
+        typer.Option(metavar="all|failed|sample:N|none", help="Trials whose logs are kept."),
     ] = "all",
     fail_fast: Annotated[
         bool, typer.Option("--fail-fast", help="Stop at the first trial that fails.")
@@ -71,14 +71,12 @@ def study(
             min=1, metavar="N", help="Run nothing: print a job script for Slurm, of N shares."
         ),
     ] = None,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print failures, but no progress.")
-    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print failures only.")] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and a figure per swept field.
 
-    The same command goes on with what an interrupted study lacks. A trial that fails does not stop
-    the others; the exit code then is 1.
+    The same command runs the trials that an interrupted study lacks. A trial that fails does not
+    stop the others; the exit code then is 1.
 
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """

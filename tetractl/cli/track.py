@@ -27,12 +27,14 @@ def track(
     scale: Annotated[
         float | None,
         typer.Option(
-            min=0.05, max=100, metavar="UM", help="Micrometres a pixel; guessed from the bodies."
+            min=0.05, max=100, metavar="UM", help="Micrometres per pixel; guessed from the bodies."
         ),
     ] = None,
     rate: Annotated[
         float | None,
-        typer.Option(min=0.1, max=2000, metavar="HZ", help="Pictures a second, if not the film's."),
+        typer.Option(
+            min=0.1, max=2000, metavar="HZ", help="Pictures per second, if not the film's."
+        ),
     ] = None,
     y_down: Annotated[
         bool, typer.Option("--y-down", help="The directions of the field count clockwise.")

@@ -19,7 +19,7 @@ def warm(
     specs: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[SPEC|STUDY]...", help="What will be run.  \\[what `tetractl init` writes]"
+            metavar="[SPEC|STUDY]...", help="Specs and studies.  \\[what `tetractl init` writes]"
         ),
     ] = None,
     sets: Sets = None,

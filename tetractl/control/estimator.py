@@ -1,4 +1,4 @@
-"""What a controller knows of the robots at a control step, from frames and commands alone.
+"""Estimates the robots' state at a control step from frames and commands alone.
 
 Given every frame and every command of a trial, in order, it returns where the robots will be when
 the direction decided now acts, and how they move: as the spec says, from the newest frame, or as a

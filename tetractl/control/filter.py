@@ -100,7 +100,7 @@ def _kernel() -> Any:
 
 
 class FilterBank:
-    """What is known of N robots during one trial.
+    """The estimate of N robots during one trial.
 
     Robots that `drive_first`, in a square, are followed from when they follow the first direction.
     """

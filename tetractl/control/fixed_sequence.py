@@ -1,5 +1,5 @@
-"""What controllers share: the problem whose cost a log states if nothing is searched, the record
-of signals that no search found, and how a decision is put together."""
+"""Shared by controllers: the problem of the logged cost if nothing is searched, the record of
+signals that no search found, and the assembly of a decision."""
 
 from collections.abc import Callable
 

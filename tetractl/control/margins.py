@@ -1,6 +1,6 @@
 """How far the plan keeps from obstacles and walls, and the robots from each other.
 
-A robot follows its plan except for what is not known of it. The margin is its radius, the spec's
+A robot follows its plan up to the uncertainty of its state. The margin is its radius, the spec's
 margin and, if it follows the uncertainty, how far off course the fastest robot may come,
 
     LOST v T + SIGMAS (v sigma_tau + v sigma_a/a tau + sigma_v tau),

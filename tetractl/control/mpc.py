@@ -36,7 +36,15 @@ import numpy as np
 
 from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
-from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, LAST_S, best_stop, longer, way_out
+from tetractl.control.detour import (
+    ACCEPT_GROWTH,
+    ENOUGH,
+    LAST_LEAST_S,
+    LAST_S,
+    best_stop,
+    longer,
+    way_out,
+)
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
@@ -147,7 +155,8 @@ class Mpc:
         return len(self.legs) - (self.hold is None)
 
     def _begin_leg(self) -> None:
-        """Plan for the next way-points or targets of the robots left from where they are."""
+        """Plan for the next way-points or targets of the remaining robots from their present
+        poses."""
         self.left = self.estimator.left  # robots, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
@@ -268,7 +277,7 @@ class Mpc:
         """Return how the trial ends now: with its sequence, or if stopping is as good as that,
         or safer. `gaps` (N,) are the distances to the targets.
 
-        No search is done for it, so that a log tells all that the end depends on.
+        No search is done for it, so the log has all that the end depends on.
         """
         if self.warm is None:
             return None
@@ -333,7 +342,8 @@ class Mpc:
             good = [search for search in searcher.found if searcher.good(search, accepted)]
         among = good or searcher.found
         best = among[choose(among, good_enough, count)]
-        if self.warm is not None and best.length > count + 1 and count * problem.period <= LAST_S:
+        last = max(LAST_LEAST_S, LAST_S * len(problem.a))
+        if self.warm is not None and best.length > count + 1 and count * problem.period <= last:
             self.accept *= 1 + ACCEPT_GROWTH
         chosen = next(i for i, search in enumerate(searcher.found) if search is best)
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
@@ -348,7 +358,7 @@ class Mpc:
     def _detour(self, searcher: Searcher) -> None:
         """Search longer sequences until one is good enough, as far as horizon and steps allow.
 
-        What a control period has no time for, the next step goes on with.
+        The next step continues if the control period is too short.
         """
         assert self.warm is not None
         section = self.section

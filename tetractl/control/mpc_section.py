@@ -66,7 +66,7 @@ class PriorSection(Model):
     heading_noise: NonNegative = 0.0
     """Of a measured heading [rad]; 0 if it is not known."""
     helix_frequency: NonNegative = 0.0
-    """Turns a second of cells that swim on a helix [Hz]."""
+    """Frequency of the helix on which cells swim [Hz]."""
     helix_radius: NonNegative = 0.0
     """Of that helix [length unit]; 0 for none."""
 

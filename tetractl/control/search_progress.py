@@ -22,7 +22,8 @@ class Progress:
         self.ended: StopReason | None = None
 
     def affords(self, evaluations: int) -> bool:
-        """Return whether the limits allow so many more evaluations now; if not, the search ends."""
+        """Return whether the limits allow this many more evaluations now; if not, the search
+        ends."""
         if self.ended is None and not self.limits.allow(self.evaluations + evaluations):
             self.ended = StopReason.EVALUATIONS
         if self.ended is None and self.limits.expired():

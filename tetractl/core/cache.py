@@ -104,7 +104,7 @@ def _alone_in(group: int) -> bool:
 
 
 def compiler_settings() -> str:
-    """Return the variables that tell numba how to compile, `NAME=value` each, or "none"."""
+    """Return numba's environment variables, `NAME=value` each, or "none"."""
     found = (f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
     kept = sorted(item for item in found if not item.startswith("NUMBA_CACHE_DIR="))
     return " ".join(kept) or "none"

@@ -1,4 +1,4 @@
-"""What a microscope's picture showed of cells, kept next to the poses that were found in it."""
+"""The film of cells: crops of a microscope's pictures, kept with the poses found in them."""
 
 from dataclasses import dataclass
 

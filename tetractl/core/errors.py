@@ -34,7 +34,7 @@ class UsageError(TetractlError):
 
 
 class SpecError(UsageError):
-    """A spec that cannot be run; the message carries one `file:line:column` line a problem."""
+    """A spec that cannot be run; the message has one `file:line:column` line per problem."""
 
 
 class LogError(TetractlError):

@@ -1,4 +1,4 @@
-"""What a controller decides: searches, the plan chosen among them, or the end of the trial."""
+"""A controller's decisions: searches, the plan chosen among them, or the end of the trial."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -65,10 +65,9 @@ def never() -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What one search may spend.
-
+    """The limits of one search.
     `evaluations` bounds the cost evaluations, None for no bound. Once `expired()` is true, a search
-    returns the best sequence so far. With `thorough` it may take seconds, for the robots stand.
+    returns the best sequence so far. With `thorough` it may take seconds, since the robots stand.
     """
 
     evaluations: int | None = None
@@ -81,7 +80,7 @@ class Limits:
         return self.expired is not never
 
     def allow(self, evaluations: int) -> bool:
-        """Return whether a search may spend so many evaluations in all."""
+        """Return whether a search may spend this many evaluations in all."""
         return self.evaluations is None or evaluations <= self.evaluations
 
 
@@ -104,7 +103,7 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a controller estimates of N robots while they move, with standard deviations `_std`.
+    """A controller's estimates of N robots while they move, with standard deviations `_std`.
 
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values that the plan is made with.
     `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent, and
@@ -122,7 +121,7 @@ class Estimate:
     dead_time_std: float | None = None
 
     def only(self, some: Bools) -> "Estimate":
-        """Return what is estimated of some of the robots, (N,) true for those."""
+        """Return the estimates of some of the robots, (N,) true for those."""
         a, speed = (self.a[some], self.a_std[some]), (self.speed[some], self.speed_std[some])
         bias, std = self.heading_bias, self.heading_bias_std
         kept = (

@@ -65,7 +65,7 @@ def wrap(angles: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class CameraFrame:
-    """What a camera system saw of N robots at one instant, in the spec's coordinates.
+    """A camera system's poses of N robots at one instant, in the spec's coordinates.
 
     `poses` has one entry per robot, None if a robot is not tracked. `sampled_ns` is the time of
     exposure and `received_ns` the time of arrival at the host, both on the run's clock. `strangers`

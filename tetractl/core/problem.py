@@ -33,7 +33,7 @@ class Region(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What one control step has to solve for N robots; lengths in the spec's unit.
+    """The problem of one control step for N robots; lengths in the spec's unit.
 
     targets (N, 2); a (N,) rad/s; speed (N,) length unit/s; `motion` names the model of the
     prediction. Signal j is held for `period` seconds, except the first, held for `first_period`.
@@ -81,5 +81,5 @@ class Problem:
         return np.array([np.cos(bias), np.sin(bias), *flow])
 
     def seconds(self, length: int) -> float:
-        """Return how long a sequence of so many signals is held [s]."""
+        """Return how long a sequence of the given number of signals is held [s]."""
         return self.first_period + (length - 1) * self.period

@@ -89,7 +89,7 @@ class Device(Protocol):
     ) -> None: ...
 
     def check(self) -> Health:
-        """Return what is wrong and what is worth knowing; moves nothing.
+        """Return problems, warnings and facts; moves nothing.
 
         Called after the device was entered and before a run, perhaps many times.
         """

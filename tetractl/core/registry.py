@@ -64,7 +64,7 @@ class Registry:
         return name in self.builtin or name in self._installed
 
     def load(self, name: str) -> Any:
-        """Return what a name stands for.
+        """Return the object that a name stands for.
 
         Raises KeyError if there is no such kind, and PluginError if another package offers it
         but it cannot be imported or is not derived from `base`.
@@ -82,7 +82,7 @@ class Registry:
         return found
 
     def usable(self) -> dict[str, Any]:
-        """Return what the names stand for, without the kinds that raise PluginError."""
+        """Return the objects of the names, without the kinds that raise PluginError."""
         found: dict[str, Any] = {}
         for name in self.names():
             with suppress(PluginError):

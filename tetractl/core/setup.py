@@ -86,7 +86,7 @@ class Shape(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """What is fixed in an experiment of N robots before anything moves.
+    """The constants of an experiment of N robots.
 
     `unit` is the length unit of every number and `metres` its length. `targets` (N, 2); `a` (N,)
     rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the largest
@@ -120,7 +120,7 @@ class Setup:
 
     @property
     def legs(self) -> Floats:
-        """Where the robots are to be one after the other, way-points and targets: (M + 1, N, 2)."""
+        """Way-points and targets in order: (M + 1, N, 2)."""
         return np.concatenate(
             [self.way_points.reshape(-1, *self.targets.shape), self.targets[None]]
         )

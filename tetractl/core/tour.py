@@ -1,7 +1,7 @@
 """Way-points and a hold, and how well the robots met them.
 
-All robots pass their way-points together: leg j ends where every robot is as near as can be to
-its j-th, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
+All robots pass their way-points together: leg j ends when the robots are nearest to their j-th
+way-points, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
 """
 
 from collections.abc import Iterable

@@ -23,7 +23,7 @@ OWN_FILES = frozenset({"spec.yaml", "spec.resolved.yaml", "environment.json", "l
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What is known of a trial before its first step.
+    """The start of a trial.
 
     `resolved` is the spec as YAML with every field, defaults and `--set` applied; `spec_hash` is
     the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the packages
@@ -128,7 +128,7 @@ class Result:
 
     @property
     def left_arena(self) -> bool:
-        """Whether the path of any robot left the arena, as far as the log tells."""
+        """Whether the path of any robot left the arena, as far as the log shows."""
         return any(edge < 0 for edge in self.verdict.edge)
 
 

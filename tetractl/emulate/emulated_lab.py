@@ -237,4 +237,7 @@ def _check_names(script: Script, setup: Setup) -> None:
     names += [name for fault in script.faults for name in fault.names()]
     for name in names:
         if name not in setup.names:
-            raise SpecError(f"the script's {name} is no robot of the spec")
+            raise SpecError(
+                f"the script names '{name}', which is no robot of the spec",
+                f"its robots are {', '.join(setup.names)}",
+            )

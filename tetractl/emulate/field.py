@@ -61,7 +61,7 @@ class CurrentDriver:
 
     @property
     def status(self) -> DriverStatus:
-        """What the driver says of itself now."""
+        """The driver's present reply."""
         return self._core.status(self._now_ms) if self.powered else DriverStatus.SILENT
 
     @property

@@ -152,7 +152,7 @@ class RobotCore(_Core):
         return left.value, right.value
 
     def status(self, now_ms: int) -> Status:
-        """Return what a reply would say."""
+        """Return the contents of a reply."""
         return Status(self._call("status", self._core, now_ms))
 
     def set_battery(self, battery_mv: int) -> None:
@@ -162,7 +162,7 @@ class RobotCore(_Core):
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
-    """What is built into a driver: greatest current [mA] of each coil pair and its slew [mA/s],
+    """The built-in limits of a driver: greatest current [mA] of each coil pair and its slew [mA/s],
     watchdog [ms], and the temperature that stops it [0.1 degrees Celsius]."""
 
     current_max_ma: int
@@ -204,5 +204,5 @@ class DriverCore(_Core):
         self._call("measured", self._core, x_ma, y_ma, supply_mv, temperature_dc)
 
     def status(self, now_ms: int) -> DriverStatus:
-        """Return what a reply would say."""
+        """Return the contents of a reply."""
         return DriverStatus(self._call("status", self._core, now_ms))

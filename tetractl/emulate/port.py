@@ -76,7 +76,7 @@ class PseudoPort:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 
     def baud(self) -> int:
-        """Return the bits a second that the other side has set; 0 for a speed not known here."""
+        """Return the bits per second that the other side has set; 0 for a speed not known here."""
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:

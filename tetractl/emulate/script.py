@@ -14,7 +14,7 @@ from tetractl.emulate.faults import MARK, Fault
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import words
-from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
+from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
 
 
 def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
@@ -24,7 +24,7 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
     kinds = _sides(info).faults
     name = value.get("fault") if isinstance(value, dict) else None
     if name not in kinds:
-        text = f"fault must be one of {', '.join(kinds)}"
+        text = f"fault must be one of {', '.join(kinds)}{did_you_mean(str(name), list(kinds))}"
         raise PydanticCustomError("fault", "{text}", {"text": text})
     return kinds[name].model_validate(value, strict=True)
 
@@ -38,14 +38,14 @@ def _actuator_settings(value: Any, info: ValidationInfo) -> Model:
 
 
 class Placed(Model):
-    """Where a robot truly stands at first, if that is not its start."""
+    """The true start of a robot, if it differs from the spec's."""
 
     name: Name
     """Name of a robot of the spec."""
     start: Point | None = None
-    """Where it stands [length unit]."""
+    """Its true position [length unit]."""
     heading: Finite | None = None
-    """How it stands [rad]."""
+    """Its true heading [rad]."""
 
 
 class Emulation(Model):
@@ -56,11 +56,11 @@ class Emulation(Model):
     actuator: Annotated[Model, PlainValidator(_actuator_settings)] | None = None
     """The actuator's side; its fields depend on the actuator's type."""
     robots: tuple[Placed, ...] = ()
-    """The robots that do not stand on their starts at first."""
+    """The robots whose true start differs from the spec's."""
 
 
 class Runner(Model):
-    """What a test does to the run that drives the lab."""
+    """A test's actions on the run."""
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings that both sides get."""
@@ -109,9 +109,9 @@ class Script(Model):
     faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
         default=(), max_length=100
     )
-    """What goes wrong, and when."""
+    """The faults and their times."""
     runner: Runner = Runner()
-    """What a test does to the run that drives the lab."""
+    """A test's actions on the run."""
     expect: Expect | None = None
     """What a test expects."""
 

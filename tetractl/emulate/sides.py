@@ -1,4 +1,4 @@
-"""What an emulated lab is made of: bodies that an actuator's side moves and a camera's side sees.
+"""The parts of an emulated lab: bodies that an actuator's side moves and a camera's side shows.
 
 A further camera or actuator is emulated by a class like these and a line at the end.
 """
@@ -38,7 +38,7 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What both sides share; `setup` and `lab` are the spec's.
+    """Shared by both sides; `setup` and `lab` are the spec's.
 
     `note(event, **facts)` adds to the record. A camera's side calls `exposed(exposure, frame)` at
     each exposure, `sent(exposure)` after its frame has left or, if none is sent, would have,

@@ -1,4 +1,4 @@
-"""What the emulated cameras with an MJPEG stream share: a stream of pictures, and its faults."""
+"""Shared by the emulated cameras with an MJPEG stream: pictures, and their faults."""
 
 import random
 from abc import ABC, abstractmethod
@@ -30,14 +30,14 @@ KEPT = 200
 
 
 class StreamSettings(Model):
-    """What an emulated camera is like; `latency` is what the spec says."""
+    """Properties of an emulated camera; `latency` is the spec's by default."""
 
     width: int = Field(default=640, ge=64, le=8192)
     """Columns of a picture [px]."""
     height: int = Field(default=480, ge=64, le=8192)
     """Rows of a picture [px]."""
     rate: float = Field(default=30.0, ge=1, le=500)
-    """Pictures a second [Hz]."""
+    """Rate of pictures [Hz]."""
     noise: NonNegative = 2.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.004

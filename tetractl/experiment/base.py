@@ -1,4 +1,4 @@
-"""What every part of a spec shares: strict models and constrained numbers."""
+"""Base classes of all parts of a spec: strict models and constrained numbers."""
 
 from typing import Annotated
 

@@ -26,7 +26,7 @@ class Ring(Model):
     """Its radius [length unit]."""
 
     def points(self, count: int) -> tuple[tuple[float, float], ...]:
-        """Return so many targets."""
+        """Return the given number of targets."""
         angles = 2 * np.pi * np.arange(count) / count
         x, y = self.center
         return tuple(

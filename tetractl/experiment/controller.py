@@ -1,4 +1,4 @@
-"""What every controller's and every optimiser's section of a spec has.
+"""Base classes of the sections of controllers and optimisers.
 
 The sections themselves are in the files of what they configure, and named in
 `tetractl.core.registries`.
@@ -133,7 +133,7 @@ class ControllerSection(Model):
         return 0
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where the section contradicts the experiment, and how; places are within it."""
+        """Yield where the section contradicts the experiment, and how; locations are within it."""
         yield from ()
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""What every disturbance of a simulation has; each is one file, named in `core.registries`."""
+"""Base classes of disturbances; each kind is one file, named in `core.registries`."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -65,7 +65,7 @@ class Disturbance:
         return 0.0
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
-        """Return what becomes of a command or of one of the repeated stops.
+        """Return a command, or one of the repeated stops, as it will be received.
 
         If it would act on a robot before one that was sent earlier, it acts together with that.
         """

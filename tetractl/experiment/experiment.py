@@ -73,8 +73,8 @@ class Robot(Model):
     target: Point
     """Target position [x, y]."""
     via: tuple[Point, ...] = Field(default=(), max_length=100)
-    """Way-points [x, y] on the way to the target, in order; all robots pass theirs together, so
-    that each has as many."""
+    """Way-points [x, y] before the target, in order; all robots pass theirs together, so each has
+    the same number."""
     a: Positive
     """Turning rate a towards the common direction [rad/s], (3)."""
     speed: NonNegative
@@ -168,9 +168,9 @@ class Experiment(Model):
     hold: HoldSection | None = None
     """Whether the robots are to stay at their targets; the share of time inside is measured."""
     on_lost: Literal["stop", "drop", "replace"] = "stop"
-    """What happens where a robot is not tracked for `lab.limits.untracked_abort`, or where a cell
+    """What happens if a robot is not tracked for `lab.limits.untracked_abort`, or where a cell
     is about to leave the arena, has divided, or is not known any more: the trial ends, goes on
-    without it, or with the free cell most like it. A robot that was dropped counts with its
+    without it, or with the most similar free cell. A robot that was dropped counts with its
     distance from where it was seen last."""
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Where no robot may go."""

@@ -41,7 +41,7 @@ class IdentifiedRobot(Model):
 
 
 class Identified(Model):
-    """What was identified of robots and commands."""
+    """The identified values of robots and commands."""
 
     identified: str = Field(max_length=100)
     """When."""

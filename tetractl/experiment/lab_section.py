@@ -79,8 +79,8 @@ class CameraSection(DeviceSection):
         return imported(self.device)(self, setup, clock, wake)
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return scale and rotation by two places of the picture, column and row [px], that are so
-        far from each other along the spec's x axis [um]; UsageError where they mean nothing."""
+        """Return scale and rotation from two points of the picture, column and row [px], and their
+        distance along the spec's x axis [um]; UsageError if they are too near."""
         raise UsageError(f"a camera of type {self.type} is not calibrated by a micrometer")
 
     def heading_offset(self, name: str) -> float:
@@ -199,8 +199,8 @@ class LabSection(PlantSection):
     limits: LabLimits = LabLimits()
     """What ends a run, and what it waits for."""
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
-    """A file written by `tetractl lab calibrate`, relative to the spec; its values take the places
-    of those in `camera` and `actuator`."""
+    """A file written by `tetractl lab calibrate`, relative to the spec; its values replace those in
+    `camera` and `actuator`."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the contradictions of both devices."""

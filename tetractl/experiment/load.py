@@ -125,10 +125,10 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
 def document_of(
     text: str, origin: str, sets: Sequence[str], identified: tuple[Identified, str] | None = None
 ) -> Document:
-    """Return the data of a spec with `sets` applied, names of today, and the place of each value.
+    """Return the data of a spec with `sets` applied, present names, and the location of each value.
 
     Values that were `identified`, of a file by its name, replace the text's own before
-    that. What is wrong is among its problems; InvalidSpecError if nothing can be made of the
+    that. Errors are among its problems; InvalidSpecError if nothing can be made of the
     text.
     """
     document = parse_document(text, origin)

@@ -26,7 +26,7 @@ DEVICES = ("camera", "actuator")
 
 
 class Calibration(Model):
-    """What `tetractl lab calibrate` found: parts of the lab's sections."""
+    """The result of `tetractl lab calibrate`: parts of the lab's sections."""
 
     measured: str = Field(max_length=100)
     """When it was measured."""
@@ -39,7 +39,7 @@ class Calibration(Model):
 def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     """Return the spec with `plant` being what is really run: `kind`, or what the spec says.
 
-    The lab's calibration file is read here and its values take their places in the spec; its text
+    The lab's calibration file is read here and its values are put into the spec; its text
     goes with the spec into the log. A `lab` section that is not used stays for another run.
     """
     experiment = loaded.experiment

@@ -1,4 +1,4 @@
-"""What the section of every obstacle shape has; the shapes are in `tetractl.model.shapes`."""
+"""Base class of the sections of obstacle shapes; the shapes are in `tetractl.model.shapes`."""
 
 from abc import abstractmethod
 from typing import Any, ClassVar, Self

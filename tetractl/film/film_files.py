@@ -27,7 +27,7 @@ UM_M = 1e-6
 
 
 def write_log(path: Path, film: FilmPictures, followed: Followed) -> None:
-    """Write poses as transforms in metres, a crop of each cell, and a whole picture a second.
+    """Write poses as transforms in metres, a crop of each cell, and a whole picture per second.
 
     Crops are on /crops/cell N as JPEG, the pictures on /picture, the background is an attachment.
     """

@@ -33,8 +33,8 @@ SETTLED_S = 1.0  # after which a cell's helix is known
 SHORTEST_S = 2.0  # of a path that is fitted
 WALKS = (0.02, 0.035, 0.05, 0.07, 0.1, 0.15, 0.25)  # rad/sqrt(s)
 EXACTNESS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.5)  # of blobs, times what is usual
-UNSTEADY = (1.0, 3.0, 8.0, 20.0)  # um/s in a second's root
-STRAY = (0.5, 2.0, 6.0)  # um in a second's root: places, and with them the helix
+UNSTEADY = (1.0, 3.0, 8.0, 20.0)  # um/s per sqrt(s)
+STRAY = (0.5, 2.0, 6.0)  # um per sqrt(s): places, and with them the helix
 ROUNDS = 2
 CONSTANT = [RATE, A, BIAS]
 WIDE_A = 0.3  # relative a, and rad/s: prior deviations when the filter runs again
@@ -159,7 +159,7 @@ class _Measured:
         for i, path in enumerate(paths):
             at = np.searchsorted(times, path.times)
             for k, cell in zip(at, path.seen, strict=True):
-                if cell.measured is not None and cell.measured[3] < 5:  # whole, and by itself
+                if cell.measured is not None and cell.measured[3] < 5:  # whole, and on its own
                     values[k, i], deviations[k, i] = cell.measured[:3], cell.measured[3:]
             own = np.flatnonzero(np.isfinite(values[:, i, 0]))[:START]
             if len(own) < START:

@@ -24,7 +24,7 @@ UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
 @dataclass(frozen=True, slots=True)
 class CellPath:
-    """One cell through a film: `times` (K,) [s], `frames` (K,), and what was seen of it there."""
+    """One cell through a film: `times` (K,) [s], `frames` (K,), and its state in each."""
 
     identity: int
     times: Floats

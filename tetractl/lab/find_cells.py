@@ -17,6 +17,7 @@ from tetractl.lab.rig import Rig
 LOOK_NS = SECOND // 20
 JITTER = 0.4  # rad about a quarter turn
 BODY_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
+STEP_UM = 35.0  # a cell must not swim further between two pictures, or it is not recognised
 SURE = 0.9  # probability of the identity, below which a cell is not taken
 
 
@@ -51,7 +52,7 @@ def turn_field(
     """
     rig.loop.idle = manoeuvre(choice.turn, seed)
     walled: set[int] = set()
-    began = rig.clock.now()
+    began, before = rig.clock.now(), rig.frames.count
     while rig.clock.now() - began < choice.seconds * SECOND:
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
         walled |= {cell.number for cell in found_cells(rig, walled) if not cell.free}
@@ -64,7 +65,16 @@ def turn_field(
             raise AbortError(failure)
         if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
             raise AbortError(rig.guard.no_frame(rig.silent_ns()))
-    return found_cells(rig, walled)
+    cells = found_cells(rig, walled)
+    least = choice.speed * rig.setup.metres * 1e6 / STEP_UM
+    rate = (rig.frames.count - before) * SECOND / max(rig.clock.now() - began, 1)
+    if sum(cell.magnetised for cell in cells) < choice.choose and rate < least:
+        raise AbortError(
+            f"{rate:.1f} pictures a second were searched; to follow cells that swim "
+            f"{choice.speed:g} {rig.setup.unit}/s it takes {least:.0f}",
+            "is this computer busy with something else? Fewer pixels take less time",
+        )
+    return cells
 
 
 def free_cells(rig: Rig) -> list[FoundCell]:

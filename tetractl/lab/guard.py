@@ -227,13 +227,13 @@ class Guard:
             self._warnings.append(f"{reason}: the run goes on without it")
 
     def replaced(self, i: int) -> None:
-        """Go on with another body in the place of a robot that was lost."""
+        """Go on with another body in place of a robot that was lost."""
         del self.lost[i]
         self._filters[i] = PoseFilter(self._filters[i].limits, seen_ns=self._last_frame_ns or 0)
         self._motion.forget(i)
 
     def no_frame(self, silent_ns: int) -> str:
-        """Return what is wrong if no newer frame came for `silent_ns`."""
+        """Return the fault if no newer frame came for `silent_ns`."""
         text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
         if not self._outdated_in_a_row:
             return text

@@ -35,6 +35,6 @@ class IdentityWatch:
                 self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
 
     def forget(self, i: int) -> None:
-        """Begin again with another cell in the place of a robot."""
+        """Begin again with another cell in place of a robot."""
         self._since_ns.pop(i, None)
         self.unknown.pop(i, None)

@@ -13,7 +13,7 @@ from tetractl.core.poses import Pose
 
 FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
 WINDOW_NS = SECOND  # age of the oldest accepted pose that a pose is compared with
-SPACING_NS = SECOND // 10  # between the poses kept for that, besides the last
+SPACING_NS = SECOND // 10  # between the poses kept for that, apart from the last
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class PoseFilter:
         self.refused = ""
 
     def fault(self, pose: Pose, at_ns: int, driving: bool) -> str:
-        """Return how a pose exposed at `at_ns` cannot be the robot's, "" if it can.
+        """Return why a pose exposed at `at_ns` cannot be the robot's, "" if it can.
 
         Robots that are not `driving` may be carried about: only height and tilt are compared.
         """
@@ -96,7 +96,7 @@ class PoseFilter:
         )
 
     def _off_the_floor(self, pose: Pose) -> str:
-        """Return how a body cannot be that of a robot on the floor, "" if it can."""
+        """Return why a body is not on a robot on the floor, "" if it may be."""
         limits = self.limits
         if pose.height is not None and not limits.lowest <= pose.height <= limits.highest:
             return f"its body is at a height of {pose.height * limits.mm:.0f} mm"

@@ -17,7 +17,7 @@ POLL_S = 1.0
 WATCHED = 60  # camera frames
 WATCH_NS = SECOND
 LOOK_NS = SECOND // 100
-PLACES_NS = SECOND // 5  # how often places are checked
+PLACES_NS = SECOND // 5  # how often the robots' positions are checked
 GRACE_S = 1.0  # least time to wait, since frames are missing occasionally
 SILENCE_S = 0.5  # a camera silent for this long ends the wait, or longer if the spec bears it
 
@@ -50,8 +50,7 @@ class RobotFinding:
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """What a preflight found.
-
+    """The result of a preflight.
     `latency_ms` (median, greatest) is the age of frames on arrival, None if the camera does not
     report it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own,
     `questions` what a person, if there is one, has to agree to.

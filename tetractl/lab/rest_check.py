@@ -75,7 +75,7 @@ def _lost(rig: Rig) -> list[str]:
 
 
 def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
-    """Return how robot i was not seen to stand within the frames, "" if it was."""
+    """Return why robot i was not seen to stand within the frames, "" if it was."""
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
     seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]
     if not seen or newest - seen[-1][0] > rig.limits.untracked_stop * SECOND:

@@ -41,7 +41,7 @@ Heard = Callable[[bytes, int], None]
 
 
 class SerialPort:
-    """The port `name` at `baud` bits a second, with `device` (such as "the radio") behind it.
+    """The port `name` at `baud` bits per second, with `device` (such as "the radio") behind it.
 
     `heard` is called in the reader's thread with bytes and their time [ns on `clock`], and with no
     bytes once the port has failed; `hint` is what an error advises.
@@ -96,7 +96,7 @@ class SerialPort:
             return self._clock.now()
 
     def set_baud(self, baud: int) -> None:
-        """Change the speed of the open port [bits a second]."""
+        """Change the speed of the open port [bits per second]."""
         assert self._port is not None
         self._port.baudrate = baud
 

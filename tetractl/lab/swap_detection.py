@@ -1,7 +1,7 @@
 """Detects swapped or wrong robot numbers: whether robots turn as commanded, or as another robot
 is commanded.
 
-For robot i, the turning seen s_i(t) [rad/s] is held against the turning w_j sent to each robot j,
+For robot i, the turning seen s_i(t) [rad/s] is compared with the turning w_j sent to each robot j,
 of a delay d and a gain g,
 
     Q_ij = min over d, g of the integral of g^2 w_j(t - d)^2 - 2 g s_i(t) w_j(t - d) dt,
@@ -27,15 +27,16 @@ DELAYS_NS = tuple(round(delay * SECOND) for delay in (0.0, 0.04, 0.08, 0.12, 0.1
 KEPT_NS = SECOND  # of what was sent
 GAP_NS = 3 * SECOND // 20
 GAINS = (0.8, 1.25)  # of a robot's own commands, least and most
-BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: what wheels that are 10 % off turn it by besides
+BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: additional turning by wheels that are 10 % off
 CLEAR = 0.01  # rad^2/s: less is the noise of headings
 DISTINCT = 0.1  # rad^2/s: commands that differ less, over all, cannot be distinguished
-BETTER = 0.05  # share of that by which another robot's commands must fit each of a ring better
+# fraction of that by which another robot's commands must fit each robot of a ring better
+BETTER = 0.05
 ALONE_NS = SECOND // 2  # a robot alone must be seen to follow another twice in a row for so long
 ALONE_GAINS = (-1.25, 1.25)  # its own commands are tried with: a wheel may be stuck, or inverted
-ALONE_BETTER = 0.25  # share of that by which another's commands must fit it better,
-ALONE_CLEAR = 0.06  # share of those commands likewise: noise and wheels 10 % off reach 0.05,
-EXPLAINED = 0.8  # and share of them that must be seen
+ALONE_BETTER = 0.25  # fraction of that by which another's commands must fit it better,
+ALONE_CLEAR = 0.06  # fraction of those commands likewise: noise and wheels 10 % off reach 0.05,
+EXPLAINED = 0.8  # and fraction of them that must be seen
 TINY = 1e-12
 
 

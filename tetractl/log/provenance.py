@@ -192,7 +192,8 @@ def _cpu_target() -> str:
 
 
 def _cpu_features() -> str:
-    """Return what LLVM may use of the processor; one name of a processor covers several sets."""
+    """Return the processor features that LLVM may use; one name of a processor covers several
+    sets."""
     from llvmlite import binding
 
     features = binding.get_host_cpu_features()

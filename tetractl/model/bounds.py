@@ -1,7 +1,7 @@
 """Lower bounds of the error that any sequence of common directions leaves.
 
 N robots move by (1)-(3) for t seconds at most: theta_i' = a_i sin(u - theta_i), with one u for all.
-Let g_i be the way from a robot's start to its target, e_i its distance to the target at the end,
+Let g_i be the vector from a robot's start to its target, e_i its distance to the target at the end,
 and w_i the integral of its unit heading vector, so that it moves by v_i w_i.
 
 Reach. |w_i| <= t, hence e_i >= |g_i| - v_i t.

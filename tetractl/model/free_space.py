@@ -1,4 +1,4 @@
-"""Whether obstacles wall a target off, for a robot taken as a point.
+"""Tests whether obstacles wall a target off, for a point robot.
 
 The arena is covered with square cells. A cell is free unless its centre is deeper in an obstacle
 than half a side, and cells are neighbours across corners too. Then what is not connected in the

@@ -45,7 +45,7 @@ def speed_factor(celsius: float) -> float:
 
 @dataclass(slots=True)
 class Swimmers:
-    """N cells as they truly are: one number a cell in each array (N,).
+    """N cells as they truly are: one number per cell in each array (N,).
 
     x, y [um] and `heading` [rad] are those of the helix's axis, `depth` [um] is how far that is
     from focus, `phase` [rad] where on the helix the body is. `a` [rad/s] is the turning rate at the
@@ -101,7 +101,7 @@ class Swimmers:
         return len(self.x)
 
     def copy(self) -> Self:
-        """Return cells that move by themselves from here."""
+        """Return an independent copy of the cells."""
         return replace(self, **{field.name: getattr(self, field.name).copy() for field in _FIELDS})
 
     def joined(self, others: "Swimmers") -> "Swimmers":

@@ -81,7 +81,7 @@ class CellDrive:
         return (~self.cells.resting).astype(np.float64)
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Turn and swim at other true rates from now on, (N,) each."""
+        """Change the true a and speed from now on, (N,) each."""
         self.cells.a, self.cells.speed = a.copy(), speed * self._um
 
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:

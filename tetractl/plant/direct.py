@@ -36,7 +36,7 @@ class DirectDrive:
         return self._held.moving * self._able
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Turn and move at other true rates from now on, (N,) each."""
+        """Change the true a and speed from now on, (N,) each."""
         self._able = (a > 0) | (speed > 0)
         self._a, self._speed = np.maximum(a, LEAST_A), speed
         self._held.turning = a * self._sine

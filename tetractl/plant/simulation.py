@@ -52,15 +52,15 @@ class SimSection(PlantSection):
     frame, between two commands; `euler` moves by (4)-(6) themselves, on straight chords. Robots on
     `drive` ignore it."""
     drive: WheelDriveSection | None = None
-    """Wheels between the direction and the robots; by default robots turn to the direction by
-    themselves. Needs `wheels`."""
+    """Wheels between the direction and the robots; by default robots turn to the direction
+    directly. Needs `wheels`."""
     cells: CultureSection | None = None
     """Swimming cells in place of points that follow (1)-(3); they ignore `motion`."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
-    """Measurements a second [Hz]."""
+    """Rate of measurements [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
-    """Samples a second of the true path that decides errors and obstacle violations [Hz]; at least
-    the camera rate."""
+    """Samples per second of the true path that decides errors and obstacle violations [Hz]; at
+    least the camera rate."""
     measurement_noise: MeasurementNoise = MeasurementNoise()
     """Standard deviations of the camera's noise."""
     heading_noise: NonNegative = 0.0

@@ -27,7 +27,7 @@ class TrueMotion:
 
     `a` and `speed` (N,) are those of the trial, before disturbances vary them.
     `heading_walk` [rad/sqrt(s)] is that of robots without wheels, drawn from `walking` at each
-    frame; the path is checked `truth_rate` times a second [Hz]. `repeat(now)` is called at each
+    frame; the path is checked `truth_rate` times per second [Hz]. `repeat(now)` is called at each
     time [ns] at which the drive has something sent again.
     """
 

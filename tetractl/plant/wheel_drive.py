@@ -1,9 +1,9 @@
 """Two-wheeled robots in a simulation: wheels that follow what they hear, (21)-(23).
 
-Wheels follow with a first-order lag. Between two transmissions wheel speeds, way and heading are
-known in closed form. The position is the sum of the chords between true samples, each taken as an
-arc: with wheels that have settled it is exact, and else its error falls with the square of the time
-between samples.
+Wheels follow with a first-order lag. Between two transmissions wheel speeds, path length and
+heading are known in closed form. The position is the sum of the chords between true samples, each
+taken as an arc: with wheels that have settled it is exact, and else its error falls with the square
+of the time between samples.
 """
 
 import numpy as np
@@ -65,7 +65,7 @@ class WheelDrive:
         return (able & (self._targets != 0).any(axis=0)).astype(np.float64)
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Turn and drive at other true rates from now on, (N,) each."""
+        """Change the true a and speed from now on, (N,) each."""
         known = self._setup
         self._turn_of = a / known.a / (2 * self._radii)  # turning rate of a wheel difference
         nominal = np.ones(speed.size)
@@ -104,7 +104,8 @@ class WheelDrive:
         self._targets = np.where(command.reached, command.wheels, self._targets)
 
     def _follow(self, t: Floats) -> Floats:
-        """Return the wheels' ways (M, 2, N) after times t (M, 1, 1); they are at the last then."""
+        """Return the distances driven by the wheels (M, 2, N) after times t (M, 1, 1), and advance
+        to the last."""
         target = self._targets
         if self._lag == 0:
             self._wheels = target

@@ -29,7 +29,7 @@ class WheelDriveSection(Model):
     """Wheels between the direction and the robots; the defaults are ideal wheels."""
 
     rate: Positive | None = None
-    """Transmissions a second under a held direction [Hz]. One is sent at once with each new
+    """Transmissions per second under a held direction [Hz]. One is sent at once with each new
     direction, and by default only then; with a rate, it replaces the next one due."""
     recompute: bool = True
     """Whether each transmission computes the wheel speeds again from the newest frame; else it

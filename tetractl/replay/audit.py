@@ -61,7 +61,7 @@ def audit(log: TrialLog, same_host: bool) -> Audit:
 
 
 def _run(log: TrialLog) -> Iterator[Difference]:
-    """The run record follows from the resolved spec and the start of the trial."""
+    """Check the run record against the resolved spec and the start of the trial."""
     ours = run_metadata(replace(log.start, seed=log.experiment.trials.seed))
     if log.run.get(FORMAT) == "1":
         ours[FORMAT] = "1"
@@ -72,7 +72,8 @@ def _run(log: TrialLog) -> Iterator[Difference]:
 
 
 def _frames(log: TrialLog) -> Iterator[Difference]:
-    """Frame numbers and times rise, and no frame is received before its exposure."""
+    """Check that frame numbers and times rise, and that no frame is received before its
+    exposure."""
     for name, values, least in (
         ("frames", log.frames, 1),
         ("sampled_ns", log.mocap_ns, 1),
@@ -88,7 +89,8 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
 
 
 def _steps(log: TrialLog) -> Iterator[Difference]:
-    """Each step has a frame and a command of the log, in their order, and its own plan's signal."""
+    """Check that each step has a frame and a command of the log, in order, and its own plan's
+    signal."""
     rows = {int(number): i for i, number in enumerate(log.frames)}
     sent: dict[int, list[Command]] = {}
     for command in log.commands:  # the stop may be sent together with the last step
@@ -119,7 +121,7 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
 
 
 def _at(k: int | None, found: tuple[str, str] | None) -> Iterator[Difference]:
-    """Yield what `first_difference` found, in step `k`."""
+    """Yield the result of `first_difference`, in step `k`."""
     if found:
         yield Difference(k, *found)
 
@@ -136,7 +138,8 @@ def _order(step: Step, before: Step | None) -> Iterator[Difference]:
 
 
 def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Difference]:
-    """The result follows from the final poses and the steps, in the lab from the frames as well."""
+    """Check the result against the final poses and the steps, in the lab against the frames as
+    well."""
     verdict, simulated = result.verdict, log.start.plant.simulated
     ours = Result.of(
         log.start.setup,
@@ -160,7 +163,7 @@ def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Differen
 
 
 def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """The verdict of a lab's plant follows from the logged frames."""
+    """Check the verdict of a lab's plant against the logged frames."""
     if not log.damage:
         if not _stands(log, result.verdict.final):
             yield Difference(None, "result.final", "is not where the robots were seen last")
@@ -172,7 +175,7 @@ def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
-    """The verdict follows from the path.
+    """Check the verdict against the path.
 
     The plant of a lab evaluates some of the logged frames: all between the first step and the stop.
     A log that is damaged may have lost frames.
@@ -209,7 +212,7 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _rest(log: TrialLog) -> Iterator[Difference]:
-    """The last frames of a complete lab trial show every robot, standing if it can."""
+    """Check that the last frames of a complete lab trial show every robot, standing if it can."""
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return
@@ -233,7 +236,8 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
 
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
-    """The duration in the lab begins after the first frame and before the first command."""
+    """Check that the duration in the lab begins after the first frame and before the first
+    command."""
     first = min((command.sent_ns for command in log.commands), default=stop.sent_ns)
     opened = int(log.received_ns[0]) if len(log.received_ns) else 0
     least, most = seconds(stop.sent_ns - first), seconds(stop.sent_ns - min(opened, first))

@@ -82,7 +82,7 @@ class FilmCheck:
         seen = log.sample(row).observation
         shown = [entry.data for entry in entries[1:]]
         if cells.frame != seen.frame or list(cells.crc) != checksums(cells, seen, shown):
-            raise ValueError("what was found, crops, pictures or poses do not fit the checksums")
+            raise ValueError("the checksums of cells, crops, pictures or poses do not match")
         film = decode_crops(cells, RawImage.FromString(shown[0]), seen.sampled_ns)
         self._check_robots(film, row)
         if again:

@@ -42,7 +42,7 @@ class NoSearchError(Exception):
 
 
 class _TooLongError(Exception):
-    """To go on would take longer than `bounds` allows."""
+    """Continuing would take longer than `bounds` allows."""
 
 
 class Rerun:
@@ -83,7 +83,7 @@ class Rerun:
         return 0 if self._left else _LONG_AGO
 
     def wrap(self, optimizer: OptimizerSection) -> Optimizer:
-        """Return the optimiser that does the logged searches by this one."""
+        """Return an optimiser that repeats the logged searches by this one."""
         return _Repeated(optimizer, self)
 
     def next(self) -> tuple[int, Search]:

@@ -46,7 +46,7 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
 
 
 def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> LoadedSpec:
-    """Return a spec whose controller sends given directions [rad], one a control period.
+    """Return a spec whose controller sends given directions [rad], one per control period.
 
     The robots stand until the first, and no arrival ends the trial.
     """

@@ -121,7 +121,7 @@ def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
     if step.k != 0 or len(asked) <= step.plan.chosen:
         raise LogError(
             f"{log.path}: its first search cannot be run again",
-            "tetractl verify tells what differs",
+            "tetractl verify says what differs",
         )
     return asked[step.plan.chosen]
 

@@ -1,4 +1,4 @@
-"""What another controller would have decided on the observations of a recorded trial.
+"""Computes what another controller would have decided on the observations of a recorded trial.
 
 The other controller is given each recorded observation and the directions that were really sent,
 not its own: so every step starts from the true situation. This is not closed loop: under its own

@@ -19,7 +19,7 @@ FEWEST = 2  # least number of trials for the figures of a batch
 
 
 def lean(log: TrialLog) -> TrialLog:
-    """Return the trial without what `of_batch` does not draw, so that many fit into memory."""
+    """Return the trial with only the data that `of_batch` draws, so that many fit into memory."""
     return replace(log, steps=log.steps[:1], truth=None, notes=())
 
 

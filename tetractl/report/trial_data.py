@@ -15,9 +15,10 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.replay.dish_pictures import MOST, DishPictures
 
 FRAMES_HZ = 30.0
-"""Camera frames of the page a second, at most: what a screen shows."""
+"""Largest rate of camera frames on the page [Hz]: that of a screen."""
 PLAN_ERROR = 1e-3
 """How far a plan on the page may be from the logged one, of the longer side of the arena."""
 HISTORY_ERROR = 5e-3
@@ -62,7 +63,8 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     Of each control step, `steps` holds time, direction u, cost J, number of signals, solve time and
     the robots' distances to their targets (K, N). With `plans`, `plan` holds the predicted
     positions and `history` the iterations and J of the chosen search, those of step k from `at[k]`
-    to `at[k + 1]`; both are thinned to points between which straight lines are as good.
+    to `at[k + 1]`; both are thinned to points between which straight lines are as good. `dish` are
+    a microscope's pictures, for a trial with `plans`.
     """
     setup, steps = log.start.setup, log.steps
     colors = robot_colors(setup.names, setup.colors)
@@ -107,6 +109,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
         },
         "plan": _plans(log) if plans else None,
         "history": _histories(log) if plans else None,
+        "dish": _dish(log) if plans else None,
         "events": [{"t": e.time_s, "level": e.level, "text": e.text} for e in log.events],
         "outcome": result.outcome.value if result else "the log ends early",
         "reason": result.reason if result else "",
@@ -126,6 +129,19 @@ def _thinned(log: TrialLog) -> "np.ndarray[Any, np.dtype[np.intp]]":
     slots = (times[from_start] - times[from_start[0]]) * FRAMES_HZ // 1e9
     first = np.flatnonzero(np.diff(slots, prepend=-1) > 0)
     return from_start[np.union1d(first, [len(from_start) - 1])]
+
+
+def _dish(log: TrialLog) -> dict[str, Any] | None:
+    """Return a microscope's pictures as JPEG, with their times and corners; None without any."""
+    pictures = DishPictures(log, MOST)
+    if not pictures.times:
+        return None
+    files = map(pictures.jpeg, range(len(pictures.times)))
+    return {
+        "t": floats([log.elapsed_s(at) for at in pictures.times]),
+        "corners": pictures.corners.tolist(),
+        "jpeg": [base64.b64encode(data).decode() for data in files],
+    }
 
 
 def _plans(log: TrialLog) -> dict[str, Any]:

@@ -73,7 +73,7 @@ class Contrast:
 
     @property
     def name(self) -> str:
-        """What is subtracted from what."""
+        """Names of the groups as "one - other"."""
         return f"{self.one.name} - {self.other.name}"
 
     @property

@@ -165,8 +165,8 @@ def _trial(trial: ResultSummary) -> dict[str, Any]:
 
 
 def data_table(found: GroupComparison) -> Table:
-    """Return what `stats --format csv` prints: of one group one row per trial, attempts after them;
-    of several a row per comparison, with the numbers of the JSON."""
+    """Return the table that `stats --format csv` prints: of one group one row per trial, attempts
+    after them; of several a row per comparison, with the numbers of the JSON."""
     if len(found.groups) == 1:
         return trials_table(found.groups[0].batch)
     return Table.of_records("comparisons", [flat(contrast_items(one)) for one in found.contrasts])

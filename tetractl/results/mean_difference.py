@@ -269,7 +269,7 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
         variance = m * n * spread / ((m + n) * (m + n - 1)) if m + n > 1 else 0.0
         return _normal(mine - expected, variance)
     total = int(double.sum())
-    ways = np.zeros((m + 1, total + 1))  # of reaching each sum with so many ranks
+    ways = np.zeros((m + 1, total + 1))  # of reaching each sum with a number of ranks
     ways[0, 0] = 1.0
     for rank in double.tolist():
         ways[1:, rank:] += ways[:-1, : total + 1 - rank]

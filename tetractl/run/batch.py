@@ -75,7 +75,7 @@ class TimeLeft:
             self._unknown += self._left[arm]
 
     def of(self, workers: int) -> float | None:
-        """Return the time [s] with so many trials at a time, None before the first."""
+        """Return the time [s] with a number of trials at a time, None before the first."""
         if not self._spent:
             return None
         mean_s = 0.0

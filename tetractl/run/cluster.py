@@ -24,7 +24,7 @@ LOOK_S = 0.1  # between two checks for an interruption
 COUNT_S = 1.0  # between two counts of the workers: some come, some are lost
 AHEAD = 2  # Dask tasks for each thread of a worker, so that none waits for the next
 FEWEST = 8  # the same while no worker has come yet
-CHUNK_S = 2.0  # of trials in one Dask task: a scheduler manages some hundred tasks a second
+CHUNK_S = 2.0  # of trials in one Dask task: a scheduler manages some hundred tasks per second
 MOST = 200  # trials in one Dask task, whose logs come back together
 
 

@@ -43,9 +43,8 @@ class SpecWarning:
 
 @dataclass(frozen=True)
 class CheckContext:
-    """An experiment, with what the checks need of its controller.
-
-    A controller of another kind may lack some of it: `signals_max` is None if no plan has a
+    """An experiment, with the data of its controller for the checks.
+    Controllers of other kinds may lack some: `signals_max` is None if no plan has a
     longest length, `motion` is "" if none is named.
     """
 
@@ -61,7 +60,7 @@ class CheckContext:
 
     @classmethod
     def of(cls, experiment: Experiment) -> "CheckContext":
-        """Return what the checks need of an experiment."""
+        """Return the data of an experiment for the checks."""
         control: Any = experiment.controller
         collision = getattr(control, "collision", None)
         return cls(
@@ -275,7 +274,7 @@ def _size(setup: Setup) -> float:
 
 
 def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Targets with no way to them past the obstacles, or none that keeps the margin."""
+    """Targets without a path past the obstacles, or without one that keeps the margin."""
     if not spec.experiment.obstacles:
         return
     apart = shut_out(spec.setup, 0.0, spec.walls)
@@ -357,7 +356,7 @@ CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class PlacedWarning(SpecProblem):
-    """A warning at its place in the spec's file."""
+    """A warning with its location in the spec's file."""
 
     hint: str = ""
 

@@ -81,7 +81,7 @@ class Trial:
 
     def _failed(self, why: str) -> tuple[Outcome, str]:
         """Return how a trial ends after an error: interrupted or aborted. A KeyboardInterrupt
-        during an import or compilation may reach us as another exception from numba."""
+        during an import or compilation may become another exception in numba."""
         return (Outcome.INTERRUPTED, AT_ONCE) if self.interrupt.broke else (Outcome.ABORTED, why)
 
     def _steps(self, info: PlantInfo) -> tuple[Outcome, str]:

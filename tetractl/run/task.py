@@ -137,7 +137,7 @@ def run_task(
 
 @lru_cache(maxsize=64)
 def _loaded(spec: bytes, code: str) -> LoadedSpec:
-    """Return a task's spec, its controller compiled; by the same bytes the same object."""
+    """Return a task's spec with its controller compiled; cached by the pickled bytes."""
     loaded: LoadedSpec = pickle.loads(spec)
     if code and code_of(loaded) != code:
         raise OtherCodeError(

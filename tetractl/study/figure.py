@@ -79,7 +79,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
 
 
 def _places(axes: Axes, found: Sequence[FieldValue]) -> dict[str, float]:
-    """Return the place of each value on the x axis, which is labelled to fit."""
+    """Return the position of each value on the x axis, and label the axis."""
     if not numeric(found):
         labels = {as_yaml(group.value): shown(group.value) for group in found}
         axes.set_xticks(range(len(labels)), [label[:LABEL] for label in labels.values()])

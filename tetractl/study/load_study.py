@@ -124,7 +124,8 @@ def _arm(
     settings: _Placed,
     document: Document,
 ) -> Arm:
-    """Return one arm; InvalidSpecError with the places of the study where it is to blame."""
+    """Return one arm; InvalidSpecError with locations in the study, if its settings cause the
+    errors."""
     for setting, loc in settings:
         if setting.partition("=")[0].split(".")[0] == "trials":
             text = "is the study's own; give count and seed in its 'trials:'"
@@ -150,7 +151,7 @@ def _arm(
 
 
 def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Document) -> SpecProblem:
-    """Return a problem of a spec at its place in the study, if a setting is to blame."""
+    """Return a problem of a spec, located in the study if one of its settings causes it."""
     loc = settings.get(problem.origin)
     if loc is None:
         return problem

@@ -50,7 +50,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
 
 
 def _difference(log: Path, row: Row) -> str:
-    """Return the first difference of the log's result from the row's; "" if it is elsewhere."""
+    """Return the first difference between the results of log and row; "" if these agree."""
     now = read_result(log)
     unit = now.experiment.units.length
     ours, stated = (result_metadata(of.result, unit, of.warnings) for of in (now, row))

@@ -28,4 +28,4 @@ class Study(Model):
     """By name, the alternatives to compare: each a mapping of paths to values, set before those of
     the sweep."""
     trials: Trials = Trials()
-    """Trials of each arm, in the place of the base's own."""
+    """Trials of each arm, in place of the base's own."""

@@ -28,6 +28,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recording import Moment, Recording
 from tetractl.view import style
 from tetractl.view.figures.axes import NUMBERED, need_steps, robot_labels, unfinished
+from tetractl.view.figures.dish import DishGround
 from tetractl.view.figures.trajectory import draw_scene
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
@@ -166,6 +167,7 @@ class FilmFrames:
             figure.text(0.01, 0.985, heading[:120], va="top", color=style.GREY, fontsize=7.5)
             scene = figure.add_axes((left / size[0], lower, wide / size[0], high / size[1]))
             side = (left + wide + between) / size[0], SIDE_IN / size[0], 1 - above / size[1]
+            self._ground = DishGround(scene, log)
             self._moving = [*self._arena(scene), *self._course(figure, side, log)]
             for artist in self._moving:
                 artist.set_animated(True)
@@ -223,7 +225,11 @@ class FilmFrames:
 
     def at(self, elapsed_s: float) -> Picture:
         """Return the picture of a time from the first direction sent [s]."""
-        self._show(self.recording.at(self.recording.began_ns + round(elapsed_s * SECOND)))
+        when = self.recording.began_ns + round(elapsed_s * SECOND)
+        self._show(self.recording.at(when))
+        if self._ground.show(when):
+            self._canvas.draw()
+            self._still = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
         self._canvas.restore_region(self._still)
         renderer = self._canvas.get_renderer()
         for artist in self._moving:

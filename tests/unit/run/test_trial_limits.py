@@ -13,7 +13,7 @@ def test_a_dry_run_in_the_lab_says_where_it_would_go_and_what_ends_it():
     slave += ["wheels.watchdog=null"]
     found = limits(on_plant(load_spec(SPEC, slave), "lab").experiment)
     assert found["cameras"] == "192.168.1.10:1510, multicast"
-    assert found["radio"] == "/dev/ttyUSB0, 40 commands a second"
+    assert found["radio"] == "/dev/ttyUSB0, 40 commands per second"
     assert found["wheel counts"] == "at most 20 of 127"
     assert found["all robots stop"].startswith("0.1 s")
     assert "cameras" not in limits(load_spec(SPEC).experiment)

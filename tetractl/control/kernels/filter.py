@@ -42,7 +42,7 @@ class FilterModel(NamedTuple):
     a: Floats  # (N,) rad/s
     speed: Floats  # (N,) length unit/s
     noise: Floats  # (3, N) of measured x, y [length unit] and heading [rad]
-    walk: Floats  # (SIZE, N) of the state in a second
+    walk: Floats  # (SIZE, N) deviation of the state's random walk [1/sqrt(s)]
     helix: float  # its angular frequency [rad/s]
 
 

@@ -32,7 +32,7 @@ _sincos, _wrap = inlined(sincos), inlined(wrap)
 
 
 class Trace(NamedTuple):
-    """What `trace` fills, for N robots and L signals, M = width(L)."""
+    """The arrays that `trace` fills, for N robots and L signals, M = width(L)."""
 
     cos: Floats  # (N + 1, M) of the headings before each signal and, last, of the signals
     sin: Floats  # (N + 1, M)
@@ -41,7 +41,7 @@ class Trace(NamedTuple):
 
 
 def width(length: int) -> int:
-    """Return the length of arrays over so many signals."""
+    """Return the length of arrays over a number of signals."""
     return -(-length // VECTOR) * VECTOR
 
 

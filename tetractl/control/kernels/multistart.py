@@ -28,7 +28,7 @@ class Polished(NamedTuple):
 
 
 def workspace(count: int, length: int, steps_max: int) -> Polished:
-    """Return the arrays for so many starts."""
+    """Return the arrays for a number of starts."""
     return Polished(
         signals=np.empty((count, length)),
         costs=np.empty(count),

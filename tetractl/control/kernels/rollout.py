@@ -51,7 +51,7 @@ def aligned(shape: tuple[int, ...]) -> Floats:
 
 
 def lay_out(problem: Problem, particles: int) -> Rollout:
-    """Prepare a problem for rollouts of so many particles at once."""
+    """Prepare a problem for rollouts of a number of particles at once."""
     p, packs = problem.poses, problem.obstacles.packed()
     first, rest = constants(problem)
     filled = [pack for pack in packs if len(pack.rows)]

@@ -8,7 +8,7 @@ NONE = "-"
 
 
 def fixed(decimals: int) -> Callable[[float], str]:
-    """Return a format with so many decimals."""
+    """Return a format with a number of decimals."""
 
     def show(value: float | None) -> str:
         return NONE if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"

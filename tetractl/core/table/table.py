@@ -31,7 +31,7 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """What a reader sees above the column."""
+        """The heading for a reader."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
@@ -41,7 +41,7 @@ class Column:
 
     @property
     def texts(self) -> list[str]:
-        """What a reader sees of each value."""
+        """The text of each value for a reader."""
         return [self.format(value) for value in self.values]
 
     @property
@@ -96,7 +96,7 @@ class Table:
 
     @property
     def words(self) -> bool:
-        """Whether columns besides the first are words."""
+        """Whether columns other than the first are words."""
         return any(column.words for column in self.columns[1:])
 
     def __len__(self) -> int:

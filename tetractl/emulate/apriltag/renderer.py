@@ -126,7 +126,7 @@ class Renderer:
     """Renders robots with tags, floor tags and optics; the same seed gives the same pictures.
 
     `metres` is the length of the spec's unit. Tags whose number is in `hidden` are not drawn, those
-    in `strays` lie on the floor besides.
+    in `strays` also lie on the floor.
     """
 
     robots: Sequence[RobotTag]
@@ -195,7 +195,7 @@ class Renderer:
         self._stamp(canvas, self._texture(tag.tag), [corners])
 
     def _stamp(self, canvas: Shades, texture: Shades, exposures: Sequence[Floats]) -> None:
-        """Draw a card into the canvas, averaged over the places it has during the exposure."""
+        """Draw a card into the canvas, averaged over its positions during the exposure."""
         corners = np.concatenate(exposures)
         low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
         high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 2, canvas.shape[::-1])

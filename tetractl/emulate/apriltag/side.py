@@ -16,7 +16,7 @@ from tetractl.lab.cameras.apriltag.section import AprilTagSection
 
 
 class AprilTagSettings(StreamSettings):
-    """What the emulated camera is like; `latency` is what the spec says."""
+    """Properties of the emulated camera; `latency` is the spec's by default."""
 
     blur_px: NonNegative = 0.7
     """Gaussian blur of the lens [px]."""

@@ -17,7 +17,7 @@ DROP = 0.25  # of the dish's width: cells of a drop are so far from its middle a
 
 
 class FieldDriver(Protocol):
-    """What makes the field: a current driver, or one in a test."""
+    """The source of the field: a current driver, or a substitute in a test."""
 
     @property
     def currents(self) -> Pair:
@@ -147,7 +147,7 @@ def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
 
 
 def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmers, Sequence[str]]:
-    """Return cells of a culture and names of them; the last ones, so many strangers, have no
+    """Return cells of a culture and names of them; the last ones,the strangers, have no
     magnet."""
     cells = Swimmers.drawn(np.random.default_rng(seed), count + strangers, strangers)
     cells.walk[:] = walk

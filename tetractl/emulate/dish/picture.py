@@ -171,7 +171,7 @@ class DishPainter:
         return self._still
 
     def _pixels(self, x: float, y: float) -> tuple[float, float]:
-        """Return the column and row of a place [um]."""
+        """Return the column and row of a position [um]."""
         look = self.look
         across, up = x - look.corner_um[0], y - look.corner_um[1]
         return across / look.um_px - 0.5, look.height - 0.5 - up / look.um_px
@@ -179,7 +179,8 @@ class DishPainter:
     def _patch(
         self, x: float, y: float, reach_px: float
     ) -> tuple[tuple[slice, slice], Floats, Floats] | None:
-        """Return the part of a picture round a place, and x, y [px] from it, y up; None outside."""
+        """Return the part of a picture around a position, and x, y [px] from it, y up; None
+        outside."""
         column, row = self._pixels(x, y)
         left, right = (
             max(0, int(column - reach_px)),

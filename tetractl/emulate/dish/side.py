@@ -25,7 +25,7 @@ BUBBLE_UM = 200.0
 
 
 class MicroscopeSettings(StreamSettings):
-    """What the emulated microscope is like; scale and `latency` are what the spec says."""
+    """Properties of the emulated microscope; scale and `latency` are the spec's."""
 
     width: int = Field(default=0, ge=0, le=8192)
     """Columns of a picture [px]; 0 for those that show the arena."""
@@ -44,7 +44,7 @@ class MicroscopeSettings(StreamSettings):
 
 
 def _changes(**values: Callable[[Any, PictureLook], Any]) -> Callable[[Any, Any], Undo]:
-    """Return what begins a fault that changes the look of pictures, and undoes it."""
+    """Return a function that starts a fault of the pictures' look, and returns its undo."""
 
     def begin(fault: Any, device: Any) -> Undo:
         painter: DishPainter = device.painter

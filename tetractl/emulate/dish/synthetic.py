@@ -20,7 +20,7 @@ TRIES = 40  # to cross two cells in view
 
 @dataclass(frozen=True, slots=True)
 class FilmScript:
-    """What happens in a film of `seconds` at `rate` pictures a second.
+    """The script of a film of `seconds` at `rate` pictures per second.
 
     `cells` are magnetised, `strangers` are not. The field's direction changes after `hold` seconds,
     drawn evenly between the two. `events`: one cell rests for a while, one divides.
@@ -133,7 +133,7 @@ class SyntheticFilm:
 
 
 def _turns(random: np.random.Generator, script: FilmScript) -> Floats:
-    """Return times and directions of the field; each is drawn by itself."""
+    """Return times and directions of the field; each is drawn independently."""
     found, t = [], 0.0
     while t < script.seconds:
         found.append((t, random.uniform(-math.pi, math.pi)))

@@ -48,7 +48,7 @@ Write = Callable[[bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class ModuleSettings:
-    """What the module was set to; `mode` is AP, `explicit` whether AO is 1."""
+    """Settings of the module; `mode` is AP, `explicit` whether AO is 1."""
 
     baud: int = 57600
     mode: int = 2

@@ -21,14 +21,14 @@ SIGNATURE = b"3pi1.1"
 
 
 class Program(Protocol):
-    """What runs on the robot."""
+    """The program of the robot."""
 
     def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
         """Take bytes from the radio."""
         ...
 
     def counts(self, now_ms: int) -> Counts:
-        """Return what the motors are commanded now, in the order of the motors M1, M2."""
+        """Return the motors' present counts, in the order M1, M2."""
         ...
 
     def answer(self, now_ms: int) -> bytes:
@@ -211,11 +211,11 @@ class EmulatedRobot:
             self.program.hear(data, self.now_ns // 1_000_000, self.battery_mv)
 
     def answer(self) -> bytes:
-        """Return what the robot hands to its radio module now."""
+        """Return the bytes from the robot to its radio module."""
         return self.program.answer(self.now_ns // 1_000_000) if self.powered else b""
 
     def counts(self) -> Counts:
-        """Return what the motors are driven with."""
+        """Return the counts of the motors."""
         if not self.powered:
             return 0, 0
         counts = self.program.counts(self.now_ns // 1_000_000)

@@ -112,7 +112,7 @@ class M3piSettings(Model):
     """How radio and robots differ from what the spec says."""
 
     firmware: Literal["802.15.4", "zigbee"] = "802.15.4"
-    """What the radio's module runs."""
+    """The firmware of the radio's module."""
     hardware: int | None = Field(default=None, ge=0, le=0xFFFF)
     """The module's hardware version (HV); that of a Series 1 or 2 by default."""
     explicit: bool = False

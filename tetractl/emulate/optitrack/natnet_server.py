@@ -1,4 +1,4 @@
-"""What the emulated Motive is set to, what it answers, and to whom it streams; without sockets."""
+"""Settings, answers and clients of the emulated Motive; without sockets."""
 
 import struct
 from collections.abc import Callable, Sequence
@@ -84,7 +84,7 @@ class Client:
 
 @dataclass(slots=True)
 class ServerCounts:
-    """What the server has seen and done."""
+    """Counters of the server."""
 
     frames: int = 0
     datagrams: int = 0
@@ -94,7 +94,7 @@ class ServerCounts:
 
 
 CLOCK_HZ = 10_000_000
-CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock has nothing to do with the host's
+CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock starts at an arbitrary time
 Address = tuple[str, int]
 
 
@@ -107,7 +107,7 @@ class ServerClock:
     since_ns: int = 0
 
     def ticks(self, when_ns: int) -> int:
-        """Return what the clock reads at a time of the host's."""
+        """Return the clock's ticks at a time of the host's."""
         gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
         return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
 

@@ -29,7 +29,7 @@ class TrueBody(Model):
     heading_offset: Finite | None = None
     """Heading of the robot less that of its rigid body [rad]."""
     body: str | None = Field(default=None, min_length=1, max_length=64)
-    """What the body is called in Motive."""
+    """Name of the body in Motive."""
     streamed: bool = True
     """Whether the body is in the frames; it is in the list of names in any case."""
 
@@ -49,7 +49,7 @@ class OptitrackSettings(Model):
     models_changed: bool = False
     """Whether every frame says that the rigid bodies have changed."""
     rate: float = Field(default=120.0, ge=1, le=500)
-    """Camera frames a second [Hz]."""
+    """Camera frames per second [Hz]."""
     latency: float = Field(default=0.0054, ge=0, le=1)
     """From exposure to transmission [s]."""
     unit_mm: Positive = 1000.0

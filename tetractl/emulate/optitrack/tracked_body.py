@@ -105,7 +105,7 @@ def expose(
 ) -> tuple[RigidBody, ...]:
     """Return the bodies as a frame has them.
 
-    The two whose places are in `swapped` have each other's id; those whose ids are in `hidden`
+    The two whose indices are in `swapped` have each other's id; those whose ids are in `hidden`
     are left out.
     """
     bodies = [each.expose(view) for each in tracked]

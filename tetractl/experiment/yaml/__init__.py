@@ -1,1 +1,1 @@
-"""Specs as YAML text: parsing with places, overrides, upgrades, problems in plain words."""
+"""Specs as YAML text: parsing with locations, overrides, upgrades, and plain error messages."""

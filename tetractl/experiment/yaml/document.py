@@ -38,16 +38,14 @@ class Place:
     text: str | None = None
 
     def problem(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
-        """Return a problem at this place."""
+        """Return a problem at this location."""
         return SpecProblem(self.origin, message, self.line, self.column, dotted(loc), value)
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A parsed spec: data, the place of every value and every key, and what was refused.
-
-    `refused` says what is wrong with a value; None stands for it in `data`. `notices` are lines for
-    people on names that have changed.
+    """A parsed spec: data, the location of every value and key, and refused values. `refused`
+    has the error of a value, which is None in `data`. `notices` are lines on renamed keys.
     """
 
     origin: str
@@ -65,15 +63,15 @@ class Document:
 
     @property
     def notes(self) -> tuple[dict[Loc, Any], ...]:
-        """What is kept by the place in the data: the values', the keys', and what was refused."""
+        """Locations of values and keys, and refused values, by their path in the data."""
         return self.values, self.keys, self.refused
 
     def key(self, loc: Loc) -> Place:
-        """Return the place of a key, or of its value, or of what is around it."""
+        """Return the location of a key, else of its value, else of the enclosing node."""
         return self.keys.get(loc) or self.place(loc)
 
     def place(self, loc: Loc) -> Place:
-        """Return the place of a value, or of the nearest thing written around it."""
+        """Return the location of a value, else of the nearest enclosing node."""
         while loc and loc not in self.values:
             loc = loc[:-1]
         return self.values.get(loc) or Place(self.origin)
@@ -140,7 +138,7 @@ def parse_document(text: str, origin: str) -> Document:
 def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
     """Parse one value, as `--set` takes it, that will stand at `loc`.
 
-    Problems have `origin` as their place, and no line.
+    Problems have `origin` as their location, and no line.
     """
     document = Document(printable(origin))
     value, found = None, ()
@@ -174,7 +172,7 @@ class _Builder:
         self.count = 0
 
     def build(self, node: Node, loc: Loc, depth: int) -> Any:
-        """Return the plain data of a node, noting the place of each value on the way."""
+        """Return the plain data of a node, and store the location of each value."""
         self.count += 1
         try:
             within_limits(depth, self.count, node.start_mark)

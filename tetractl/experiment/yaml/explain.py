@@ -1,4 +1,4 @@
-"""What pydantic found wrong with a spec, in plain words and at its place in the YAML."""
+"""Pydantic's errors of a spec as plain messages, with their location in the YAML."""
 
 from collections.abc import Iterator
 from typing import Any, TypeVar
@@ -147,7 +147,7 @@ def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schem
 
 
 def words(details: ErrorDetails, value: Any) -> str:
-    """Return what is wrong with a value in plain words, by pydantic's error alone."""
+    """Return a plain message for pydantic's error."""
     kind, context = details["type"], details.get("ctx", {})
     if kind in KINDS:
         return KINDS[kind] + _quotes(kind, value)

@@ -1,4 +1,4 @@
-"""The problems of a spec: one line each, with its place."""
+"""The problems of a spec: one line each, with its location."""
 
 import difflib
 from collections.abc import Iterable, Sequence
@@ -39,7 +39,7 @@ class SpecProblem:
 
 
 class InvalidSpecError(SpecError):
-    """A spec with problems; the message lists them one a line, and `problems` holds them."""
+    """A spec with problems; the message lists them one per line, and `problems` holds them."""
 
     def __init__(self, problems: Iterable[SpecProblem], hint: str | None = None) -> None:
         self.problems = tuple(sorted(problems, key=lambda p: (p.line is None, p.line, p.column)))

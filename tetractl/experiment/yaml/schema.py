@@ -1,4 +1,4 @@
-"""The JSON schema of a spec, and what it says of a place in one."""
+"""The JSON schema of a spec, and queries of it by path."""
 
 import json
 from collections.abc import Iterator

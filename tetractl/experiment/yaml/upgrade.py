@@ -1,8 +1,8 @@
 """Specs written for an earlier tetractl: keys and values that were renamed since.
 
 A spec, a `--set` and the resolved spec in a log all go through here before they are checked. The
-places of the values stay, so that errors point at what was written; each change leaves a notice in
-the document.
+locations of the values stay, so that errors point at the written text; each change leaves a notice
+in the document.
 """
 
 from dataclasses import dataclass

@@ -69,7 +69,7 @@ def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm
     if {len(column) for column in (*columns, *others)} != {count}:
         raise ValueError("columns of several lengths")
     if side < 1 or len(crops.data) != count * side * side:
-        raise ValueError(f"{len(crops.data)} bytes are not {count} crops of {side} pixels a side")
+        raise ValueError(f"{len(crops.data)} bytes are not {count} crops of {side} pixels per side")
     return CellFilm(
         sampled_ns=sampled_ns,
         crops=np.frombuffer(crops.data, np.uint8).reshape(count, side, side),

@@ -61,6 +61,7 @@ class ContentDigest:
         self._hash.update(b"".join(parts))
 
     def _head(self, topic: str) -> bytes:
-        """Return how a message of a topic begins, up to its times; nothing if it is left out."""
+        """Return the first bytes of a message of a topic, up to its times; nothing if it is left
+        out."""
         name = topic.encode()
         return b"4;7:message%d:%b" % (len(name), name) if self._covers(topic) else b""

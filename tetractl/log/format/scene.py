@@ -140,7 +140,7 @@ class Scene:
     def _target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
     ) -> SceneEntity:
-        """Rings: the size of the robot round its target, half of it round way-points, the hold."""
+        """Rings: the robot's size around its target, half of it around way-points; the hold."""
         angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
         ring, body = np.column_stack([np.cos(angle), np.sin(angle)]), self._body / 2 / self._metres
         wanted = [(body, target), *((body / 2, point) for point in way_points)]

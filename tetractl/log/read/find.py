@@ -10,7 +10,7 @@ from tetractl.core.errors import UsageError
 SUFFIX = ".mcap"
 PART = ".mcap.part"
 ROWS = "trials.jsonl"
-"""What a study keeps of its trials, in the folder of each arm."""
+"""Name of a study's file of rows, in the folder of each arm."""
 RECOVERED_SUFFIX = ".recovered.mcap"
 _OTHERS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
 _LOG = re.compile(r"\.mcap(\.part)?$")

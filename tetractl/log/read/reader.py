@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
@@ -88,6 +89,10 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
         content_digest=contents.digest,
         host_altered=contents.host_altered,
         run=contents.run.items,
+        pictures=tuple(
+            (entry.publish_ns - start.start_unix_ns, CompressedImage.FromString(entry.data).data)
+            for entry in contents.by_topic[channels.PICTURE]
+        ),
     )
     until_s = log.elapsed_s(int(frames.received_ns.max(initial=0)))
     return replace(log, damage=_damage(contents, until_s))

@@ -21,7 +21,7 @@ from tetractl.log.read.trial_log import Damage, frame_gaps, step_gaps
 from tetractl.log.write.sink import Sink, protobuf_schema
 
 PART_SUFFIX = ".recovering"
-"""What an unfinished copy is called: no log yet, and no trial's, so that the next run replaces it.
+"""Ending of an unfinished copy: no log, so the next run replaces it.
 """
 
 
@@ -79,7 +79,7 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
 
 
 def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
-    """Return what is wrong and what is lost; nothing is lost if the content digest matches."""
+    """Return the problems and losses; nothing is lost if the content digest matches."""
     try:
         trial = trial_of(contents)
     except LogError as error:

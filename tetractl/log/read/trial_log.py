@@ -1,4 +1,4 @@
-"""What reading a log returns: a whole trial, or only its result."""
+"""The results of reading a log: a whole trial, or only its result."""
 
 import itertools
 from dataclasses import dataclass, field
@@ -50,7 +50,7 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """What is wrong with a log, and what is missing from it, one sentence each."""
+    """The problems and losses of a log, one sentence each."""
 
     problems: tuple[str, ...]
     lost: tuple[str, ...]
@@ -74,7 +74,8 @@ class TrialLog(TrialRecords):
 
     `run` are the items of the run record as written and `digest` is the content digest that the
     result record states. `content_digest` is computed from the file; `host_altered` is
-    True if the host records do not match the digest of them that the log states.
+    True if the host records do not match the digest of them that the log states. `pictures`
+    are a microscope's, JPEG files by their time of exposure on the trial's clock [ns].
     """
 
     path: str
@@ -87,6 +88,7 @@ class TrialLog(TrialRecords):
     content_digest: str = ""
     host_altered: bool = False
     run: dict[str, str] = field(default_factory=dict)
+    pictures: tuple[tuple[int, bytes], ...] = ()
 
     @property
     def began_ns(self) -> int:

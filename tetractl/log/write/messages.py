@@ -17,7 +17,7 @@ from tetractl.log.format.scene import Scene, encode_note
 POSES_MAX = 20_000
 """Largest number of poses in a message, which bounds its size."""
 SHOWN_HZ = 30
-"""Simulated camera frames a second of which viewers are given transforms, and interpolate."""
+"""Simulated camera frames per second of which viewers are given transforms, and interpolate."""
 
 
 class Notes:
@@ -33,7 +33,7 @@ class Notes:
         self.warnings = 0
 
     def started(self) -> Note:
-        """Return that the trial starts."""
+        """Return the message of the trial's start."""
         return Note(0, "info", f"trial {self._start.trial} of {self._start.setup.name} starts")
 
     def told(self, note: Note) -> Note:

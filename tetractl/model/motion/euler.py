@@ -19,7 +19,7 @@ def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
 
 
 def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
-    """Return what (4), (5) and (6) add."""
+    """Return the increments of (4), (5) and (6)."""
     return (t * v * np.cos(heading),), (t * v * np.sin(heading),), t * a * np.sin(u - heading)
 
 

@@ -39,7 +39,7 @@ class Spells:
 
 
 class ByTurns:
-    """N robots that are well and unwell by turns, each by itself, well at first.
+    """N robots that alternate between well and unwell, independently, well initially.
 
     `well_s` and `unwell_s` draw how long [s].
     """

@@ -25,7 +25,7 @@ class StartErrorSection(DisturbanceSection):
 
 
 class StartError(Disturbance):
-    """Draws where the robots stand at first."""
+    """Draws the errors of the start poses."""
 
     def __init__(self, section: StartErrorSection, rng: np.random.Generator) -> None:
         self._section, self._rng = section, rng

@@ -26,7 +26,7 @@ class TrackingLossSection(DisturbanceSection):
 
 
 class TrackingLoss(Disturbance):
-    """Each robot is tracked and lost by turns; it is tracked at first."""
+    """Each robot is tracked and lost by turns; it is tracked initially."""
 
     def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
         self._tracked = ByTurns(

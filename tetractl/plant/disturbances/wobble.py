@@ -20,7 +20,7 @@ class WobbleSection(DisturbanceSection):
     radius: NonNegative
     """Radius of the helix [length unit]."""
     frequency: Positive
-    """Turns of the helix a second [Hz]."""
+    """Frequency of the helix [Hz]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Wobble":
         """Return the wobble of one trial; each cell starts at a phase of its own."""

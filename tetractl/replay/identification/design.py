@@ -37,7 +37,8 @@ AWAY = 0.15  # margin, relative to the arena's shorter side, except for robots t
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A sequence of directions, one a control period, and the predicted deviations of a fit to it.
+    """A sequence of directions, one per control period, and the predicted deviations of a fit to
+    it.
 
     `directions` (C,) [rad]; `dead_time_std` [s], `a_std` (N,) relative, `heading_bias_std` (N,)
     [rad]; `clearance` is the least distance kept to edge and obstacles [length unit].

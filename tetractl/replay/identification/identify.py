@@ -129,7 +129,7 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[SampleInterval, 
     camera's noise at its ends and a random walk.
     """
     x, y, _ = (column[:, robot] for column in fitted.turns.motion(fitted.best))
-    length = np.hypot(x, y)  # of which the way predicted from a measured heading shows less
+    length = np.hypot(x, y)  # by which a path predicted from a measured heading is shorter
     shown = np.exp(-(fitted.noises[robot].measured ** 2) / 2)
     usable = drives.intervals.usable[:, robot] & (length > 0)
     way = np.column_stack([x, y]) / (length + 1e-300)[:, None]

@@ -109,7 +109,7 @@ def track_of(log: TrialLog) -> Track:
 
 
 def _paused(log: TrialLog) -> Bools:
-    """Return which frames (M,) show robots in a pause, or on the way into or out of one."""
+    """Return which frames (M,) show robots in a pause, or entering or leaving one."""
     sent = [one.sent_ns for one in log.commands if one.direction is not None]
     found = np.zeros(len(log.mocap_ns), dtype=np.bool_)
     for stop in (one.sent_ns for one in log.commands if one.stops):

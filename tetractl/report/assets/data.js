@@ -18,7 +18,7 @@ function unpackAll(group) {
 
 function readTrial(index) {
   const trial = JSON.parse(document.getElementById(`trial-data-${index}`).textContent);
-  for (const part of ["frames", "steps", "plan", "history"])
+  for (const part of ["frames", "steps", "plan", "history", "dish"])
     if (trial[part]) trial[part] = unpackAll(trial[part]);
   const last = (times) => (times.length ? times[times.length - 1] : 0);
   trial.end = Math.max(last(trial.frames.t), last(trial.steps.t), trial.duration_s ?? 0);

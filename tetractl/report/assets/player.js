@@ -90,7 +90,7 @@ class Player {
     scrub.min = this.trial.start;
     scrub.max = this.trial.end;
     scrub.step = Math.max(this.trial.end / 2000, 1e-3);
-    this.scene.show(this.trial);
+    this.scene.show(this.trial, () => this.draw());
     this.tables();
     this.lines();
     this.time = this.trial.start;

@@ -28,8 +28,15 @@ class Scene {
     this.options = { plan: true, trail: true, follow: false };
   }
 
-  show(trial) {
+  // Show a trial; `drawn` is called when a picture of its dish has been decoded.
+  show(trial, drawn) {
     this.trial = trial;
+    this.pictures = (trial.dish ? trial.dish.jpeg : []).map((data) => {
+      const image = new Image();
+      image.onload = drawn;
+      image.src = `data:image/jpeg;base64,${data}`;
+      return image;
+    });
   }
 
   // Make the canvas as high as the arena needs at the page's width.
@@ -64,7 +71,7 @@ class Scene {
     const dy = EDGE.bottom + (high - scale * (top - bottom)) / 2;
     this.place = (x, y) => [dx + (x - left) * scale, height - dy - (y - bottom) * scale];
     this.end = dx + scale * (right - left);
-    this.ground(context, width);
+    this.ground(context, width, t);
     if (this.options.trail) this.trails(context, t);
     this.targets(context);
     if (this.options.plan && this.trial.plan) this.plan(context, t);
@@ -84,11 +91,29 @@ class Scene {
     if (closed) context.closePath();
   }
 
-  ground(context, width) {
+  // The microscope's newest picture by time t, between its three corners.
+  dish(context, t) {
+    const { t: times, corners } = this.trial.dish;
+    let which = 0;
+    while (which + 1 < times.length && times[which + 1] <= t) which += 1;
+    const image = this.pictures[which];
+    if (!image.complete || !image.naturalWidth) return;
+    const [[lx, ly], [rx, ry], [ux, uy]] = corners.map(([x, y]) => this.place(x, y));
+    context.save();
+    context.clip();
+    context.transform(rx - lx, ry - ly, lx - ux, ly - uy, ux, uy);
+    context.globalAlpha = 0.55;
+    context.drawImage(image, 0, 0, 1, 1);
+    context.restore();
+  }
+
+  ground(context, width, t) {
     const [left, bottom, right, top] = this.trial.arena;
     this.line(context, [[left, bottom], [right, bottom], [right, top], [left, top]], true);
     context.fillStyle = color("arena");
     context.fill();
+    if (this.trial.dish) this.dish(context, t);
+    this.line(context, [[left, bottom], [right, bottom], [right, top], [left, top]], true);
     context.strokeStyle = color("faint");
     context.lineWidth = 1;
     context.stroke();

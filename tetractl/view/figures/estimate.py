@@ -1,4 +1,4 @@
-"""What the controller estimated of the robots over the time of a trial."""
+"""The controller's estimates of the robots over the time of a trial."""
 
 import json
 from collections.abc import Sequence

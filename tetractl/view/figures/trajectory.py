@@ -27,6 +27,7 @@ from tetractl.view.figures.axes import (
     robot_labels,
     unfinished,
 )
+from tetractl.view.figures.dish import DishGround
 from tetractl.view.figures.labels import HALO, Labels, edge
 
 FAR = 2.0  # arena sizes beyond the arena that a figure may show
@@ -55,6 +56,8 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         key.draw(figure)
         draw_scene(axes, setup, colors)
         if len(logs) == 1:
+            last = int(logs[0].mocap_ns.max(initial=0))
+            DishGround(axes, logs[0]).show(logs[0].stop.sent_ns if logs[0].stop else last)
             _one(axes, logs[0], colors)
         else:
             _many(axes, logs, colors)

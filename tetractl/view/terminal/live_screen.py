@@ -27,7 +27,7 @@ class LiveView:
     """Shows one trial after another on the alternate screen: an `Observer` of each trial and a
     `RunObserver`; a context manager.
 
-    It draws at most 12 pictures a second of `wall` time [s].
+    It draws at most 12 pictures per second of `wall` time [s].
     """
 
     def __init__(self, console: Console, wall: Callable[[], float] = time.monotonic) -> None:

@@ -59,7 +59,7 @@ def play(
 def dashboard(
     player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1), note: str = ""
 ) -> Dashboard:
-    """Return the view at the player's time; `place` is the log's number and that of all logs."""
+    """Return the view at the player's time; `place` is the log's number and the number of logs."""
     recording, now_ns = player.recording, player.now
     setup, log = recording.log.start.setup, recording.log
     sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause

@@ -53,8 +53,8 @@ class FieldReply:
     """What a polled driver answers; `sequence` is that of the poll.
 
     The currents [mA] are measured. `supply_mv` 0 and `temperature_dc` `UNKNOWN_TEMPERATURE` (in
-    tenths of a degree Celsius) mean not known. `received` and `rejected` count frames that did and
-    did not check, modulo 65536. The last three are the driver's own limits: of each current [mA],
+    tenths of a degree Celsius) mean not known. `received` and `rejected` count frames with a right
+    and a wrong CRC, modulo 65536. The last three are the driver's own limits: of each current [mA],
     of its change [mA/s], and of the silence after which it stops [ms].
     """
 

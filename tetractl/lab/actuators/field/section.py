@@ -47,9 +47,9 @@ class FieldSection(ActuatorSection):
     port: str = Field(min_length=1, max_length=500)
     """The serial port, such as /dev/ttyACM0."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 115200
-    """Bits a second on the port."""
+    """Bits per second on the port."""
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
-    """Commands a second [Hz]."""
+    """Rate of commands [Hz]."""
     strength_mt: Positive
     """Field at which the cells have their `a` [mT]; less if the current limit binds."""
     coils: CoilsSection
@@ -79,7 +79,7 @@ class FieldSection(ActuatorSection):
     def bounds(self) -> dict[str, str]:
         """Return the driver's port and rate, and how strong the field may be."""
         return {
-            "current driver": f"{self.port}, {self.rate:g} commands a second",
+            "current driver": f"{self.port}, {self.rate:g} commands per second",
             "coil currents": f"at most {self.current_max_a:g} A",
         }
 

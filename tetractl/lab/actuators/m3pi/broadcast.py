@@ -48,7 +48,7 @@ class BroadcastCommand:
 class Reply:
     """What a polled robot answers; `sequence` is that of the poll, 0 mV means not known.
 
-    `received` and `rejected` count frames that did and did not check, modulo 65536.
+    `received` and `rejected` count frames with a right and a wrong CRC, modulo 65536.
     """
 
     id: int

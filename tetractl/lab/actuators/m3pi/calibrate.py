@@ -64,7 +64,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What was measured of one robot; see the fields of the same name in the spec."""
+    """The measured values of one robot; see the fields of the same name in the spec."""
 
     heading_offset: float
     radius_mm: float
@@ -240,7 +240,7 @@ class _Bench:
     def _run(self, counts: Counts, seconds: float) -> DrivenPath:
         """Hold counts for a while; return the motion once it is steady.
 
-        Again, if frames were missing: the guard may have stopped the robot meanwhile.
+        Repeated if frames were missing, since the guard may have stopped the robot.
         """
         for _ in range(TRIES):
             first = self.rig.frames.count

@@ -46,7 +46,7 @@ class M3piRobot(RobotPart):
     """A robot's entry in the actuator's section: radio address and wheels."""
 
     index: int | None = Field(default=None, ge=0, le=31)
-    """Its number in broadcasts, as its firmware was built; its place in this list by default."""
+    """Its number in broadcasts, as built into its firmware; by default its index in this list."""
     address: int | None = Field(default=None, ge=0, le=0xFFFD)
     """16-bit radio address (MY) of its module; needed for `slave`."""
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
@@ -68,7 +68,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     calibration: ClassVar[str] = "tetractl.lab.actuators.m3pi.calibrate:calibrate_robots"
     type: Literal["m3pi-xbee"]
     rate: float = Field(default=40.0, ge=20, le=120, allow_inf_nan=False)
-    """Wheel commands a second [Hz]."""
+    """Wheel commands per second [Hz]."""
     protocol: Annotated[BroadcastSection | SlaveSection, Field(discriminator="type")] = (
         BroadcastSection(type="broadcast")
     )
@@ -108,7 +108,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     def bounds(self) -> dict[str, str]:
         """Return the radio's port and rate, and how fast wheels may turn."""
         return {
-            "radio": f"{self.port}, {self.rate:g} commands a second",
+            "radio": f"{self.port}, {self.rate:g} commands per second",
             "wheel counts": f"at most {min(map(self.limit, self.robots))} of 127",
         }
 

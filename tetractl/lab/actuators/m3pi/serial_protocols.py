@@ -1,4 +1,4 @@
-"""The two protocols of m3pi robots over a link: one broadcast for all, or a message each; and the
+"""The two protocols of m3pi robots over a link: one broadcast for all, or one message each; and the
 emergency stop by itself, which needs a port and nothing else."""
 
 from collections.abc import Sequence

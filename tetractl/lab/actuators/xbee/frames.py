@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from tetractl.core.errors import WireError
 
-EXPLICIT_RECEIVE = 0x91  # type of the frames that come in place of others with AO=1
+EXPLICIT_RECEIVE = 0x91  # type of the frames that replace others with AO=1
 BROADCAST_16 = 0xFFFF
 
 

@@ -1,7 +1,7 @@
 """API framing: delimiter, length, content, checksum; plain (AP=1) or escaped (AP=2).
 
 Escaped, a 0x7E is always the start of a frame, so a lost byte costs one frame. Plain, a 0x7E may
-be data: after a frame that does not check, the search goes on behind its delimiter.
+be data: after a frame with a wrong checksum, the search goes on behind its delimiter.
 """
 
 from tetractl.core.errors import WireError

@@ -4,7 +4,7 @@ The first byte of HV (hardware version) is the hardware, the first hexadecimal d
 version) the protocol of its firmware. The numbers are those of Digi's published enumerations
 `HardwareVersion` and `XBeeProtocol` (digi-xbee 1.5.0); all variants of Zigbee are called Zigbee
 here. Only 802.15.4 firmware broadcasts at the rate of wheel commands; Zigbee allows about one
-broadcast a second and DigiMesh repeats each.
+broadcast per second and DigiMesh repeats each.
 """
 
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ class XbeeSection(Model):
     port: str = Field(min_length=1, max_length=500)
     """The serial port, such as /dev/ttyUSB0."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 57600
-    """Bits a second on the port."""
+    """Bits per second on the port."""
     mode: Literal["api2", "api1", "transparent"] = "api2"
     """`api2`: escaped API frames (AP=2); `api1`: plain API frames (AP=1); `transparent`: bytes as
     they are."""

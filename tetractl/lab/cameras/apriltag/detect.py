@@ -105,9 +105,9 @@ NOTHING = 1e-9
 def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[Floats, Floats]:
     """Return corners (T, 4, 2) [px], refined from rough ones, and the blur of each tag (T,) [px].
 
-    Corners run clockwise round a dark square of so many modules a side. The blur is the standard
-    deviation of the Gaussian that makes a step as wide as the sides are. If the sides cannot be
-    seen, the rough corners come back.
+    Corners run clockwise round a dark square of the given number of modules per side. The blur is
+    the standard deviation of the Gaussian that makes a step as wide as the sides are. If the sides
+    cannot be seen, the rough corners come back.
     """
     rough, blur = corners, np.zeros(len(corners))
     module = np.linalg.norm(rough - np.roll(rough, -1, axis=1), axis=-1).mean(axis=1) / modules

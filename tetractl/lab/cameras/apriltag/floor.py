@@ -1,6 +1,5 @@
-"""Where the camera is and what its lens does, from the corners of the floor tags in its pictures.
-
-A lens that the spec gives is taken as it is. Without one, the principal point is the picture's
+"""Pose and lens of the camera, from the corners of the floor tags in its pictures. A lens in the
+spec is used as given. Without one, the principal point is the picture's
 middle, and the focal length f and one coefficient of distortion, k1, are fitted with the pose. The
 usual values of lenses are priors of the fit: looking straight down, any f fits, and the prior
 decides.
@@ -32,7 +31,7 @@ def calibrated(
     lens: Lens | None = None,
     highest: float = 0.0,
 ) -> Plane:
-    """Return the plane on which corners (F, 4, 2) [px] lie at places (F, 4, 2) [m].
+    """Return the plane on which corners (F, 4, 2) [px] lie at positions (F, 4, 2) [m].
 
     `size` is the picture's width and height, `highest` the height for `doubt_mm` [m].
     """
@@ -107,7 +106,7 @@ def _fitted(
 
 
 def _flat(spots: Floats) -> Floats:
-    """Return places on the floor (M, 2) as points in space (M, 3)."""
+    """Return points on the floor (M, 2) as points in space (M, 3)."""
     return np.column_stack([spots, np.zeros(len(spots))])
 
 

@@ -21,7 +21,8 @@ OFTEN = 0.5  # a tag seen in fewer of the pictures is not seen
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The camera, besides its pictures; `ended` says why the source ended, "" if it has not.
+    """The state of the camera apart from its pictures; `ended` says why the source ended, "" if it
+    has not.
 
     `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the floor as
     calibrated, even if it does not fit the spec.

@@ -52,7 +52,7 @@ class RobotTag(RobotPart):
 
 
 class FloorTag(Model):
-    """A tag that lies on the floor at a known place."""
+    """A tag on the floor at a known position."""
 
     tag: Tag
     """Number of the tag."""

@@ -19,8 +19,7 @@ _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What was found in one picture.
-
+    """The tags found in one picture.
     `poses` has one entry per robot, None if it is not tracked, and `strangers` those of unknown
     tags, as if they lay on the floor; both in the spec's unit. `tags` are the numbers of all tags,
     as often as each was seen. `sizes` are measured sides over `size_mm` by robot, if seen.
@@ -51,7 +50,7 @@ class Tracker:
     def see(self, picture: Grey) -> Seen:
         """Return what a grey picture (height, width) shows.
 
-        A number that is seen twice says nothing: its robot is not tracked, its floor tag not used.
+        A number that is seen twice is ignored: its robot is not tracked, its floor tag not used.
         """
         sightings = self._detector.find(picture)
         counts = Counter(each.tag for each in sightings)

@@ -24,7 +24,7 @@ from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 BACKGROUND = 15  # pictures
-FILMS = 1024  # pictures of which crops wait; each has some 50 kB, one a second a whole picture
+FILMS = 1024  # pictures whose crops are queued; each has some 50 kB, one per second a whole picture
 PAST = 64  # pictures, for what a new cell has come from
 DAUGHTER_UM = 75.0  # from its mother, where a cell is seen for the first time
 GIVEN_UP_S = 2.0  # a new cell may be one that was given up so lately
@@ -84,7 +84,7 @@ class CellCamera(PictureCamera[SeenDish]):
         return tuple(self._identities or ())
 
     def replace(self, robot: int, number: int) -> None:
-        """Track another cell in the place of a robot's."""
+        """Track another cell in place of a robot's."""
         assert self._identities is not None, "only a robot that was seen can be replaced"
         self._identities[robot] = number
         self.divided.discard(robot)
@@ -134,7 +134,7 @@ class CellCamera(PictureCamera[SeenDish]):
         )
 
     def _note_divisions(self, robots: Sequence[int]) -> None:
-        """Note whose cell has divided: a new one was first seen where that cell was."""
+        """Note which robots' cells have divided: a new cell was first seen at their position."""
         if self._tracker.gone:
             self._given_up_s = self._past[-1][0]
         for born in self._tracker.born:

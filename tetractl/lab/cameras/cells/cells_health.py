@@ -38,7 +38,8 @@ class SeenDish:
 
 @dataclass(frozen=True, slots=True)
 class DishState:
-    """The camera, besides its pictures; `ended` says why the source ended, "" if it has not."""
+    """The state of the camera apart from its pictures; `ended` says why the source ended, "" if it
+    has not."""
 
     source: str
     ended: str

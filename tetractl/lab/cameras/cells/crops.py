@@ -70,13 +70,13 @@ class FilmCutter:
 
 
 def _off(cell: SeenCell, blob: Blob, height: int, um_px: float) -> float:
-    """Return how far a cell is from its blob, in a picture of so many rows [um]."""
+    """Return how far a cell is from its blob, in a picture of the given number of rows [um]."""
     x, y = (blob.x + 0.5) * um_px, (height - 0.5 - blob.y) * um_px
     return math.hypot(cell.x - x, cell.y - y)
 
 
 def fits(blob: Blob, side: int) -> bool:
-    """Return whether a blob with a rim is within a crop of so many pixels a side."""
+    """Return whether a blob with a rim is within a crop of the given number of pixels per side."""
     return max(blob.body.shape) + 2 * RIM <= side
 
 

@@ -16,7 +16,7 @@ from tetractl.core.poses import Floats, Grey
 
 STRIPES = 16  # of the background; one is brought up to date with each picture
 LEARNING = 0.1  # how far it then goes towards the picture: 5 s at 30 Hz
-SPARSE = 8  # every so many pixels tell light and noise
+SPARSE = 8  # sampling of pixels for light and noise
 LOW, HIGH = 5.0, 9.0  # thresholds in standard deviations of the noise
 LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
 BLOBS = 200  # of one picture; of more, the largest

@@ -33,10 +33,10 @@ A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
 SLOWEST_UM_S = 60.0  # below this speed a cell rests: then its helix says nothing about its axis
-BACKWARDS_UM_S = -60.0  # so fast backwards, the heading was the wrong way round
-# growth of deviations in a second's root: x, y, heading, speed, c, s, rate, a, bias
+BACKWARDS_UM_S = -60.0  # backward speed above which the heading is reversed
+# growth of deviations per sqrt(s): x, y, heading, speed, c, s, rate, a, bias
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
-RESTING = ((HEADING, 0.5), (SPEED, 150.0))  # growth besides: it may go on, anywhere
+RESTING = ((HEADING, 0.5), (SPEED, 150.0))  # additional growth, since it may go on in any direction
 TURN_S = 0.5  # after which unexplained turning is forgotten
 TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0  # its deviation [rad/s] with and without a known field
 TAIL = 8.0  # degrees of freedom: outliers cost a logarithm of their size
@@ -51,7 +51,7 @@ class HelixFilter:
     """Rows of cells: `mean` (R, 12) and `covariance` (R, 12, 12); free rows are not `used`.
 
     `known`: whether the field is known, so that what it does not explain is little. `growth` (R, 9)
-    are the deviations that the first states of each row gain in a second's root.
+    are the deviations that the first states of each row gain per sqrt(s).
     """
 
     known: bool = True
@@ -95,7 +95,8 @@ class HelixFilter:
             self.covariance[rows, state, state] += deviation**2
 
     def seen(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Return what a camera should see of rows (M,): x, y, axis (M, 3) and slopes (M, 3, 12)."""
+        """Return the predicted measurements of rows (M,): x, y, axis (M, 3) and slopes (M, 3,
+        12)."""
         m = self.mean[rows]
         cos, sin = np.cos(m[:, HEADING]), np.sin(m[:, HEADING])
         speed = np.maximum(m[:, SPEED], SLOWEST_UM_S)

@@ -18,7 +18,7 @@ STOPPED_UM_S = 200.0  # and further for each second without a blob
 SIZE_SHARE = 0.35  # a cell's blob varies by so much: tilt and focus
 ALIKE = 0.4  # logarithm of sizes, for a cell that is not where it should be
 COVER = 0.6  # of a cell's width: so far from a blob, it may still be a part of it
-PLACE_UM = 2.0  # deviation of a blob, besides the filter's
+PLACE_UM = 2.0  # deviation of a blob, in addition to the filter's
 ROUNDS = 4  # of parting a blob
 
 
@@ -44,10 +44,10 @@ def assigned(
     specks: Floats,
     places: Floats,
 ) -> tuple[dict[int, int], set[int]]:
-    """Return the blob of each cell that has one to itself, and those of specks.
+    """Return the blobs of cells that share none, and of specks.
 
-    Cells are `expected` (C, 3) with a covariance `spread` (C, 2, 2) of their places, specks (S, 2)
-    where they were; blobs are at `places` (B, 5). The sum of squared distances is least.
+    Cells are `expected` (C, 3) with a covariance `spread` (C, 2, 2) of their positions, specks (S,
+    2) where they were; blobs are at `places` (B, 5). The sum of squared distances is least.
     """
     if len(places) == 0 or len(cells) + len(specks) == 0:
         return {}, set()
@@ -77,7 +77,7 @@ def stopped(
     owner: dict[int, int],
     specks: set[int],
 ) -> list[int]:
-    """Give cells that are not where they should be the blobs near them that no cell has.
+    """Assign free blobs to nearby cells that are not at their expected positions.
 
     So a cell that stops or turns by itself is found again. Returns these cells.
     """
@@ -103,7 +103,7 @@ def shared_blobs(
     owner: dict[int, int],
     um_px: float,
 ) -> dict[int, list[int]]:
-    """Return the cells of each blob; a cell without one gets the blob that covers its place.
+    """Return the cells of each blob; a cell without one gets the blob that covers its position.
 
     `pixels` (C, 2) are columns and rows where cells are expected; `owner` is added to.
     """
@@ -122,7 +122,7 @@ def shared_blobs(
 
 
 def _gap(place: Floats, blob: Blob) -> float:
-    """Return how far a place is from the nearest pixel of a blob [px]."""
+    """Return the distance of a position from the nearest pixel of a blob [px]."""
     if math.hypot(blob.x - place[0], blob.y - place[1]) > blob.long + 20:
         return math.inf
     return float(np.linalg.norm(blob.pixels - place, axis=1).min())
@@ -132,7 +132,7 @@ def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> 
     """Return the middles (K, 2) [um] of cells in one blob of pixels at `points` (M, 2) [um].
 
     Each pixel belongs to the cells in proportion to ellipses of their sizes about where they are
-    `expected` (K, 3); some rounds of expectation and maximisation of their places.
+    `expected` (K, 3); some rounds of expectation and maximisation.
     """
     middles = expected[:, :2].copy()
     cos, sin = np.cos(expected[:, 2]), np.sin(expected[:, 2])

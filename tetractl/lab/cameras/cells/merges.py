@@ -12,7 +12,7 @@ from tetractl.lab.cameras.cells.identity import MOST, Question, opened
 from tetractl.lab.cameras.cells.match import second_best
 
 CLEAR = 25.0  # squared deviations between assignments that leave no question
-CLEAR_UM = 3.0  # deviation of a place, besides the filter's
+CLEAR_UM = 3.0  # deviation of a position, in addition to the filter's
 FIRST = (2.0, 2.0, 0.1)  # deviations of the first blob of a question: um, um, rad
 
 

@@ -10,7 +10,7 @@ from tetractl.experiment.base import Finite, Point, Positive
 from tetractl.experiment.lab_section import Measured
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 
-LEAST_PX = 50  # between two places that a scale is measured by
+LEAST_PX = 50  # between the two points of a scale measurement
 PLACED_PX = 1.0  # deviation of each
 
 
@@ -43,8 +43,8 @@ class CellsSection(PictureSection):
         return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return scale and rotation by two places of the picture [px], `um` along x from each
-        other."""
+        """Return scale and rotation from two points of the picture [px] at a distance `um` along
+        x."""
         across, up = second[0] - first[0], first[1] - second[1]
         long = math.hypot(across, up)
         if long < LEAST_PX:
@@ -58,7 +58,7 @@ class CellsSection(PictureSection):
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)
 
     def placed(self, x_um: float, y_um: float, metres: float) -> tuple[float, float]:
-        """Return a place of the picture [um] in the spec's coordinates, `metres` a unit."""
+        """Return a position in the picture [um] in the spec's coordinates; a unit is `metres`."""
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         scale = 1e-6 / metres
         x = self.corner[0] + scale * (cos * x_um - sin * y_um)

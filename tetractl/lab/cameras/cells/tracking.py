@@ -79,7 +79,7 @@ class CellTracker:
 
     @property
     def light(self) -> Light:
-        """What the newest picture is like."""
+        """Properties of the newest picture."""
         return self.finder.light
 
     @property
@@ -229,7 +229,7 @@ class CellTracker:
         return self._time - began > STARTED_S
 
     def _pixels(self, places: Floats) -> Floats:
-        """Return columns and rows (N, 2) of places [um]."""
+        """Return columns and rows (N, 2) of positions [um]."""
         columns = places[:, 0] / self.um_px - 0.5
         return np.column_stack([columns, self._height - 0.5 - places[:, 1] / self.um_px])
 

@@ -100,7 +100,7 @@ class OptitrackCamera:
     def __enter__(self) -> Self:
         """Connect: return once frames stream and the clocks, axes and names are known.
 
-        AbortError says which of these did not come, what came in its place, and what to set.
+        AbortError says which of these did not come, what came instead, and what to set.
         """
         try:
             self.open()
@@ -124,7 +124,7 @@ class OptitrackCamera:
     def wait_connected(self, timeout_s: float) -> None:
         """Wait until frames stream and clock, axes and names are known, each at most `timeout_s`.
 
-        AbortError says which of these did not come, and what came in its place.
+        AbortError says which of these did not come, and what came instead.
         """
         stream = self.stream
         if not self._wait(lambda: stream.info is not None, timeout_s):

@@ -126,7 +126,7 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
 
 
 def bodies(stream: Stream) -> str:
-    """Return the rigid bodies that the server names or streams, as a list for people."""
+    """Return the rigid bodies that the server names or streams, as one line of text."""
     named = {} if stream.model is None else {body.id: body.name for body in stream.model.bodies}
     every = tuple(dict.fromkeys((*named, *stream.seen)))
     shown = [_body(number, named.get(number), number in stream.seen) for number in every[:SHOWN]]

@@ -1,4 +1,4 @@
-"""What NatNet datagrams say, as plain values. Positions are in metres, quaternions unit."""
+"""The contents of NatNet datagrams, as plain values. Positions are in metres, quaternions unit."""
 
 from dataclasses import dataclass
 from enum import IntEnum

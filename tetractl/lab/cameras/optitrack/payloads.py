@@ -32,7 +32,7 @@ NAME_MAX = 255  # bytes, without the closing NUL
 
 
 class Cursor:
-    """A place in a payload of little-endian fields that only moves forward and stays inside."""
+    """A cursor in a payload of little-endian fields that only moves forward and stays inside."""
 
     __slots__ = ("at", "data", "end")
 

@@ -93,5 +93,5 @@ class OptitrackSection(CameraSection):
         return self.robot(name).heading_offset
 
     def robot(self, name: str) -> TrackedRobot:
-        """Return what a robot is to the cameras."""
+        """Return a robot's entry in the section."""
         return next(robot for robot in self.robots if robot.name == name)

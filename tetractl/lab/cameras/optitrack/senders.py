@@ -57,6 +57,7 @@ class Senders:
         self.frames_port = self.frames_port or port
 
     def most(self, frames: bool) -> tuple[Sender, int] | None:
-        """Return who sent most of the refused frames, or answers, and how many; None for none."""
+        """Return the sender of most of the refused frames, or answers, and their number; None for
+        none."""
         found = [item for item in self.refused.most_common() if item[0].frames is frames]
         return found[0] if found else None

@@ -60,7 +60,7 @@ class StreamCounts:
 
 
 class Stream:
-    """What is known of a server and its newest frame.
+    """The state of a server and its newest frame.
 
     `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis if the spec
     gives it. `feed` never raises on data. Times are ns on the host's clock.
@@ -247,7 +247,7 @@ class Stream:
         return received_ns
 
     def _twins_in(self, model: ModelDef) -> str:
-        """Return that two bodies have the name of one robot's, "" if none do."""
+        """Return a message if two bodies have one robot's name, else ""."""
         for robot in self.robots:
             ids = [body.id for body in model.bodies if body.name == robot.body]
             if len(ids) > 1:

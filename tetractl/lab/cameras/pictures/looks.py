@@ -26,7 +26,7 @@ class Look(Generic[S]):
 
 
 def rate_hz(looks: Sequence[Look[Any]]) -> float | None:
-    """Return how many pictures a second came, skipped ones included."""
+    """Return how many pictures per second came, skipped ones included."""
     if len(looks) < 2 or looks[-1].received_ns <= looks[0].received_ns:
         return None
     span = looks[-1].received_ns - looks[0].received_ns
@@ -56,11 +56,13 @@ def stream_lines(
     rate = rate_hz(looks)
     if rate is not None and declared_hz is not None and rate < SLOWER * declared_hz:
         warnings.append(
-            f"{rate:.0f} pictures a second come instead of {declared_hz:.0f}: too little light "
+            f"{rate:.0f} pictures per second come instead of {declared_hz:.0f}: too little light "
             "for short exposures, or too slow a cable?"
         )
     elif rate is not None and rate < SLOW_HZ:
-        warnings.append(f"only {rate:.0f} pictures a second come: {SLOW_HZ:.0f} or more are wanted")
+        warnings.append(
+            f"only {rate:.0f} pictures per second come: {SLOW_HZ:.0f} or more are wanted"
+        )
     if looks and (missed := looks[-1].number - looks[0].number + 1 - len(looks)):
         warnings.append(
             f"{missed} of the last {len(looks) + missed} pictures were not searched: searching one "

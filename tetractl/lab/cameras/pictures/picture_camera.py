@@ -72,7 +72,7 @@ class PictureCamera(ABC, Generic[S]):
 
     @abstractmethod
     def _see(self, picture: Grey, exposed_ns: int) -> S | None:
-        """Return what is in a picture, None if there is no frame to it yet."""
+        """Return the robots and strangers in a picture, None if there is no frame yet."""
 
     @abstractmethod
     def check(self) -> Health:

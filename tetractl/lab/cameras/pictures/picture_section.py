@@ -30,7 +30,7 @@ class DeviceSource(Model):
     height: Pixels = 720
     """Rows of a picture [px]."""
     rate: Positive = 30.0
-    """Pictures a second [Hz]."""
+    """Rate of pictures [Hz]."""
     format: Literal["MJPG", "YUYV"] = "MJPG"
     """Pixel format on the cable; most USB cameras reach their full rate only in `MJPG`."""
 

@@ -148,7 +148,7 @@ def test_what_is_wrong_is_named(tmp_path, shown, facing, changes, problems, warn
 
 def test_a_slow_and_a_blurred_camera_are_warned_of(tmp_path):
     _, warnings = checked(tmp_path, rendered((1280, 720), blur_px=1.6), rate=10.0)
-    assert any(line.startswith("only 10 pictures a second come") for line in warnings)
+    assert any(line.startswith("only 10 pictures per second come") for line in warnings)
     assert any(line.startswith("tags are too small or blurred") for line in warnings)
 
 

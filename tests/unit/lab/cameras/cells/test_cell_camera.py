@@ -144,7 +144,7 @@ def looks(**changes):
         ({"sharpness": 0.05}, {}, "focus"),
         ({"sure": 0.6}, {}, "which cell is which is not sure"),
         ({}, {"um_px": 5.0}, "a cell is 5 px wide only"),
-        ({}, {"rate_hz": 60.0}, "30 pictures a second come instead of 60"),
+        ({}, {"rate_hz": 60.0}, "30 pictures per second come instead of 60"),
         ({}, {"ended": "the stream ended"}, "the stream ended"),
     ],
 )

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from support.dish_films import film, followed, score
+from support.dish_films import Score, film, followed
 
 from tetractl.film.field_file import no_field
 from tetractl.lab.cameras.cells.detect_cells import BLOBS, BlobFinder
@@ -14,7 +14,7 @@ from tetractl.lab.cameras.cells.tracking import CellTracker
 @pytest.mark.parametrize(("seed", "known"), [(1, True), (1, False)])
 def test_poses_of_swimming_cells(seed, known):
     made = film(seed=seed, side=512, cells=5)
-    found = score(made, followed(made, known))
+    found = Score().add(made, followed(made, known))
     assert found.f1 > 0.98
     assert np.percentile(np.abs(found.position), 95) < 1.5
     assert np.median(np.abs(found.axis)) < 0.03
@@ -23,7 +23,7 @@ def test_poses_of_swimming_cells(seed, known):
 
 def test_numbers_are_kept_through_crossings():
     made = film(seed=12, side=512, cells=4, seconds=4.0)
-    for numbers in score(made, followed(made)).numbers.values():
+    for numbers in Score().add(made, followed(made)).numbers.values():
         assert max(numbers.count(n) for n in set(numbers)) >= 0.9 * len(numbers)
 
 
@@ -33,7 +33,7 @@ def test_the_polarity_is_found_and_specks_are_no_cells(bright):
     made = film(seed=6, side=384, look=look, cells=3, crossings=False)
     found = followed(made)
     assert found.bright is bright
-    assert score(made, found).f1 > 0.97
+    assert Score().add(made, found).f1 > 0.97
 
 
 def test_a_resting_cell_is_not_lost_in_the_background():

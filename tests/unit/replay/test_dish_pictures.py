@@ -1,0 +1,61 @@
+"""The microscope's pictures of a log: under the paths, where the cells were."""
+
+import base64
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.dish_films import film
+from support.film_logs import write_film
+
+from tetractl.log.read.reader import read_trial
+from tetractl.replay.dish_pictures import SHOWN, DishPictures
+from tetractl.report.trial_data import trial_data
+from tetractl.view.figures.trajectory import trajectory_figure
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("film") / "trial-000.mcap"
+    write_film(film(seed=52, side=384, cells=3, seconds=2.6), path)
+    return read_trial(path)
+
+
+def test_a_picture_lies_where_its_cells_were_measured(log):
+    pictures = DishPictures(log)
+    assert pictures.times == [at for at, _ in log.pictures]
+    low, right, up = pictures.corners
+    place = np.linalg.inv(np.column_stack([right - low, up - low]))
+    seen = 0
+    for which, at in enumerate(pictures.times):
+        grey, row = pictures.grey(which).astype(float), int(np.searchsorted(log.mocap_ns, at))
+        assert pictures.at(at) == which
+        for i in np.flatnonzero(log.valid[row]):
+            across, upwards = place @ (log.mocap[row, i, :2] - low)
+            column, line = int(across * grey.shape[1]), int((1 - upwards) * grey.shape[0])
+            assert abs(grey[line, column] - np.median(grey)) > 15
+            seen += 1
+    assert seen >= 2
+    assert pictures.at(-1) == 0
+
+
+def test_plot_and_page_have_the_picture(log):
+    axes = trajectory_figure([log]).axes[0]
+    (image,) = axes.get_images()
+    corners = image.get_transform().transform([(0, 0), (1, 0), (0, 1)])
+    assert axes.transData.inverted().transform(corners) == pytest.approx(DishPictures(log).corners)
+    data = trial_data(log, "trial-000.mcap")["dish"]
+    assert len(data["jpeg"]) == len(log.pictures)
+    first = Image.open(io.BytesIO(base64.b64decode(data["jpeg"][0])))
+    assert max(first.size) <= SHOWN
+
+
+def test_what_cannot_be_decoded_is_left_out(log):
+    at, good = log.pictures[0]
+    hostile = ((1, b""), (2, b"\xff\xd8" + bytes(99)), (3, good[:60]), (at, good))
+    assert DishPictures(replace(log, pictures=hostile)).times == [at]
+    none = replace(log, pictures=hostile[:2])
+    assert trial_data(none, "trial-000.mcap")["dish"] is None
+    assert trajectory_figure([none]).axes[0].get_images() == []

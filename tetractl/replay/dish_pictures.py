@@ -1,0 +1,67 @@
+"""The microscope's pictures in a log, for what shows a trial: which, and where they are."""
+
+import io
+from bisect import bisect_right
+
+import numpy as np
+from PIL import Image
+
+from tetractl.core.poses import Floats, Grey
+from tetractl.log.read.trial_log import TrialLog
+
+PIXELS_MAX = 8192  # of a side
+SHOWN = 720  # pixels of the longer side
+QUALITY = 60  # as JPEG counts
+MOST = 120  # of a report's trial
+
+
+class DishPictures:
+    """Those of one trial that can be read; most logs have none. Times are ns on its clock.
+
+    `corners` (3, 2) are where lower left, lower right and upper left corner are, in the spec's
+    coordinates.
+    """
+
+    def __init__(self, log: TrialLog, most: int | None = None) -> None:
+        placed = getattr(getattr(log.experiment.plant, "camera", None), "placed", None)
+        found = log.pictures if placed else ()
+        every = 1 if most is None else max(1, -(-len(found) // most))
+        read = [(at, picture) for at, data in found[::every] if (picture := _small(data))]
+        self.times = [at for at, _ in read]
+        self._pictures = [picture for _, (picture, _) in read]
+        self.corners: Floats = np.zeros((3, 2))
+        if placed is not None and read:
+            (width, height), metres = read[0][1][1], log.start.setup.metres
+            um_px = log.experiment.plant.camera.um_px  # type: ignore[attr-defined]
+            ends = ((0, 0), (width * um_px, 0), (0, height * um_px))
+            self.corners = np.array([placed(x, y, metres) for x, y in ends])
+
+    def at(self, when_ns: int) -> int | None:
+        """Return which picture shows a time: the newest by then, or the first; None without."""
+        return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
+
+    def grey(self, which: int) -> Grey:
+        """Return the grey levels (height, width), the upper row first."""
+        return np.asarray(self._pictures[which])
+
+    def jpeg(self, which: int) -> bytes:
+        """Return a picture as a JPEG file."""
+        file = io.BytesIO()
+        self._pictures[which].save(file, "JPEG", quality=QUALITY)
+        return file.getvalue()
+
+
+def _small(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
+    """Return a JPEG's grey picture, made smaller, and its own width and height; None where it
+    cannot be read."""
+    try:
+        picture = Image.open(io.BytesIO(data), formats=["JPEG"])
+        size = picture.size
+        if max(size) > PIXELS_MAX:
+            return None
+        picture.draft("L", (SHOWN, SHOWN))
+        grey = picture.convert("L")
+        grey.thumbnail((SHOWN, SHOWN))
+        return grey, size
+    except Exception:  # what Pillow raises for hostile bytes is not documented
+        return None

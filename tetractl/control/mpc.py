@@ -36,7 +36,15 @@ import numpy as np
 
 from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
-from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, LAST_S, best_stop, longer, way_out
+from tetractl.control.detour import (
+    ACCEPT_GROWTH,
+    ENOUGH,
+    LAST_LEAST_S,
+    LAST_S,
+    best_stop,
+    longer,
+    way_out,
+)
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
@@ -334,7 +342,8 @@ class Mpc:
             good = [search for search in searcher.found if searcher.good(search, accepted)]
         among = good or searcher.found
         best = among[choose(among, good_enough, count)]
-        if self.warm is not None and best.length > count + 1 and count * problem.period <= LAST_S:
+        last = max(LAST_LEAST_S, LAST_S * len(problem.a))
+        if self.warm is not None and best.length > count + 1 and count * problem.period <= last:
             self.accept *= 1 + ACCEPT_GROWTH
         chosen = next(i for i, search in enumerate(searcher.found) if search is best)
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)

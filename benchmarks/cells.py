@@ -77,6 +77,8 @@ def films(count: int, seconds: float) -> None:
     print(f"F1 {score.f1:.4f}: {score.found} found, {score.missed} not, {score.extra} extra")
     hours, stated = score.found / made.script.rate / 3600, np.round(score.changed, 2).tolist()
     print(f"changed numbers {len(stated)} in {hours:.3f} cell-hours; stated {stated}")
+    stated = np.round(score.taken, 2).tolist()
+    print(f"numbers that were another cell's {len(stated)}; stated {stated}")
     p50, p99 = np.quantile(times, (0.5, 0.99))
     print(f"picture to pose: median {p50:.1f}, p99 {p99:.1f} ms of CPU")
 

@@ -62,7 +62,8 @@ def who(made, path):
 class Score:
     """How films were followed: errors of free cells in position [um], axis and heading [rad], cells
     seen that were `found`, `missed` or are none (`extra`), the numbers of each cell by its row, and
-    the probability stated where a cell got another number, `changed`."""
+    the probability stated where a cell got another number, `changed`, and where it got one that was
+    another cell's, `taken`. While cells share a blob, their numbers do not count."""
 
     position: list = field(default_factory=list)
     axis: list = field(default_factory=list)
@@ -72,6 +73,7 @@ class Score:
     extra: int = 0
     numbers: dict = field(default_factory=dict)
     changed: list = field(default_factory=list)
+    taken: list = field(default_factory=list)
 
     @property
     def f1(self):
@@ -79,7 +81,7 @@ class Score:
 
     def add(self, made, followed):
         """Compare what was found in a film with the truth; return this."""
-        shown, last, when = [[] for _ in made.times], {}, {}
+        shown, last, when, of = [[] for _ in made.times], {}, {}, {}
         self.numbers = {}
         for path in followed.paths:
             for k, cell in zip(path.frames, path.seen, strict=True):
@@ -98,11 +100,17 @@ class Score:
                 if i not in pairs:
                     continue
                 cell, body = cells[pairs[i]], made.body[k, i]
-                if last.get(i, cell.identity) != cell.identity and not (events and i == divides):
-                    self.changed.append(cell.probability)
-                last[i], when[i] = cell.identity, k
+                if cell.merged:
+                    when[i] = k
+                    continue
+                if not (events and i in (divides, made.body.shape[1] - 1)):
+                    changed = last.get(i, cell.identity) != cell.identity
+                    self.changed += [cell.probability] if changed else []
+                    other = of.get(cell.identity, i) != i
+                    self.taken += [cell.probability] if other else []
+                last[i], when[i], of[cell.identity] = cell.identity, k, i
                 self.numbers.setdefault(i, []).append(cell.identity)
-                if cell.found and not cell.merged:
+                if cell.found:
                     self.position.append((cell.x - body[0], cell.y - body[1]))
                     self.axis.append((cell.axis - body[2] + math.pi / 2) % math.pi - math.pi / 2)
                     off = (cell.heading - made.heading[k, i] + math.pi) % (2 * math.pi) - math.pi

@@ -225,7 +225,7 @@ class LabPlant:
         """Give up robots whose cell is not that cell any more; put others in their places."""
         guard, names, loss = self.rig.guard, self.setup.names, self.setup.loss
         for i in getattr(self.rig.camera, "divided", ()):
-            guard.lose(i, f"{names[i]} has divided")
+            guard.lose(i, f"{names[i]} has divided, or was one blob with a cell not known before")
         for i, why in self._identities.unknown.items():
             guard.lose(i, why)
         if loss is None or not loss.replaced:

@@ -25,9 +25,6 @@ from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 BACKGROUND = 15  # pictures
 FILMS = 1024  # pictures whose crops are queued; each has some 50 kB, one per second a whole picture
-PAST = 64  # pictures, for what a new cell has come from
-DAUGHTER_UM = 75.0  # from its mother, where a cell is seen for the first time
-GIVEN_UP_S = 2.0  # a new cell may be one that was given up so lately
 SIGNALS = 4096  # directions that are remembered
 
 
@@ -56,9 +53,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._first: list[Grey] = []
         self._first_ns: int | None = None
         self._identities: list[int] | None = None  # of the robots, once all are seen
-        self.divided: set[int] = set()  # robots next to which another cell appeared
-        self._given_up_s = -math.inf
-        self._past: deque[tuple[float, Sequence[SeenCell]]] = deque(maxlen=PAST)
+        self.divided: set[int] = set()  # robots out of whose blob another cell came
         self._lock = threading.Lock()
         self._signals: deque[tuple[int, float | None]] = deque(maxlen=SIGNALS)
 
@@ -119,8 +114,8 @@ class CellCamera(PictureCamera[SeenDish]):
         cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
         self._cells = cells
         identities = self._bound(cells)
-        self._past.append((exposed_ns / SECOND, cells))
-        self._note_divisions(identities)
+        parted = {born.beside for born in self._tracker.born}
+        self.divided |= {i for i, identity in enumerate(identities) if identity in parted}
         found = {cell.identity: cell for cell in cells}
         robots = [found.get(identity) for identity in identities]
         self._films.append(self._cutter.film(picture, exposed_ns, cells, robots, self._tracker))
@@ -132,18 +127,6 @@ class CellCamera(PictureCamera[SeenDish]):
             sharpness=_sharpness(picture, cells, self.section.um_px, self._tracker.light),
             sure=min((cell.probability for cell in robots if cell is not None), default=0.0),
         )
-
-    def _note_divisions(self, robots: Sequence[int]) -> None:
-        """Note which robots' cells have divided: a new cell was first seen at their position."""
-        if self._tracker.gone:
-            self._given_up_s = self._past[-1][0]
-        for born in self._tracker.born:
-            when, x, y = born.path[0, :3].tolist()
-            if when - self._given_up_s < GIVEN_UP_S:
-                continue
-            there = min(self._past, key=lambda past: abs(past[0] - when))[1]
-            near = {c.identity for c in there if math.hypot(c.x - x, c.y - y) < DAUGHTER_UM}
-            self.divided |= {i for i, identity in enumerate(robots) if identity in near}
 
     def _learn(self, picture: Grey, exposed_ns: int) -> None:
         """Keep pictures, spread over the time of learning; then make the background of them."""

@@ -47,7 +47,11 @@ class CellAnswer:
 
 @dataclass(frozen=True, slots=True)
 class Born:
-    """A new cell, and the path (M, 4) by which it was recognised: seconds, x, y [um], axis."""
+    """A new cell, and the path (M, 4) by which it was recognised: seconds, x, y [um], axis.
+
+    It was first seen next to the cell `beside`, None for none: that has divided, or was one blob
+    with it.
+    """
 
     identity: int
     path: Floats

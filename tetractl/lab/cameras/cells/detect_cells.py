@@ -16,7 +16,7 @@ from tetractl.core.poses import Floats, Grey
 
 STRIPES = 16  # of the background; one is brought up to date with each picture
 LEARNING = 0.1  # how far it then goes towards the picture: 5 s at 30 Hz
-SPARSE = 8  # sampling of pixels for light and noise
+SPARSE = 64  # rows sampled for light and noise; at most every eighth
 LOW, HIGH = 5.0, 9.0  # thresholds in standard deviations of the noise
 LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
 BLOBS = 200  # of one picture; of more, the largest
@@ -241,7 +241,8 @@ def _blob(
 
 
 def _sparse(picture: np.ndarray) -> np.ndarray:
-    return picture[::SPARSE, ::SPARSE]
+    step = max(8, picture.shape[0] // SPARSE)
+    return picture[::step, ::step]
 
 
 def _chunks(height: int, rows: int = 64) -> list[slice]:

@@ -18,6 +18,7 @@ STOPPED_UM_S = 200.0  # and further for each second without a blob
 SIZE_SHARE = 0.35  # a cell's blob varies by so much: tilt and focus
 ALIKE = 0.4  # logarithm of sizes, for a cell that is not where it should be
 COVER = 0.6  # of a cell's width: so far from a blob, it may still be a part of it
+FAR_PX = 20.0  # further from its middle than its length and this, a cell is no part of a blob
 PLACE_UM = 2.0  # deviation of a blob, in addition to the filter's
 ROUNDS = 4  # of parting a blob
 
@@ -110,22 +111,20 @@ def shared_blobs(
     shared: dict[int, list[int]] = {}
     for i, j in owner.items():
         shared.setdefault(j, []).append(i)
+    middles = np.array([(blob.x, blob.y) for blob in blobs])
+    reach = np.array([blob.long + FAR_PX for blob in blobs])
     for i, cell in enumerate(cells):
         if i in owner or not blobs:
             continue
-        gaps = [_gap(pixels[i], blob) * um_px for blob in blobs]
+        away = np.hypot(*(middles - pixels[i]).T)
+        gaps = np.full(len(blobs), np.inf)
+        for j in np.flatnonzero(away <= reach).tolist():
+            gaps[j] = um_px * np.linalg.norm(blobs[j].pixels - pixels[i], axis=1).min()
         j = int(np.argmin(gaps))
         if gaps[j] < COVER * cell.wide:
             owner[i] = j
             shared.setdefault(j, []).append(i)
     return shared
-
-
-def _gap(place: Floats, blob: Blob) -> float:
-    """Return the distance of a position from the nearest pixel of a blob [px]."""
-    if math.hypot(blob.x - place[0], blob.y - place[1]) > blob.long + 20:
-        return math.inf
-    return float(np.linalg.norm(blob.pixels - place, axis=1).min())
 
 
 def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> Floats:

@@ -1,6 +1,7 @@
 """Specks: objects in a dish that are followed until they swim, and so are cells."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +18,7 @@ ROUND = 1.3  # length over width
 EVEN = 0.2  # a share of its size, which is steady
 NEAR_UM = 40.0  # to a cell: what appears there is a part of it, unless it stays
 NEAR_BORN = 7
+FROM_UM = 80.0  # of a cell, where it is first seen: they were one blob, or one cell
 LONG_UM, WIDE_UM = (22.0, 110.0), (10.0, 60.0)  # of something that may be a cell
 REACH_UM, FIRST_UM = 25.0, 40.0  # from where a speck should be; without a path, where it was
 MISSED = 3  # pictures
@@ -27,9 +29,11 @@ Entry = tuple[float, float, float, float, float, float]
 
 @dataclass(slots=True)
 class Speck:
-    """Something that may become a cell: its blobs so far."""
+    """Something that may become a cell: its blobs so far, and the number of the track of the cell
+    next to which it was first seen."""
 
     path: list[Entry]
+    beside: int | None = None
     missed: int = 0
 
     def ahead(self, seconds: float) -> tuple[float, float]:
@@ -73,33 +77,32 @@ class Specks:
         return np.array([speck.path[-1][1:3] for speck in self.all]).reshape(-1, 2)
 
     def follow(
-        self, places: Floats, cells: Floats, seconds: float
-    ) -> list[tuple[Speck, int | None]]:
-        """Take the blobs (B, 5) that belong to no cell; return specks that swim now, and the cell
-        next to each.
+        self, places: Floats, cells: Floats, tracks: Sequence[int], seconds: float
+    ) -> list[Speck]:
+        """Take the blobs (B, 5) that belong to no cell; return specks that swim now.
 
-        `cells` (C, 2) are where the cells are [um]; the one within NEAR_UM is given by its index.
+        `cells` (C, 2) are where the cells are [um], `tracks` (C,) the numbers of their tracks.
         """
         found = self._found(places, seconds)
         taken = set(found.values())
         for s, speck in enumerate(self.all):
             speck.missed = 0 if s in taken else speck.missed + 1
         fresh: list[Speck] = []
-        swimming: list[tuple[Speck, int | None]] = []
+        swimming: list[Speck] = []
         for b, place in enumerate(places):
             x, y, axis, long, wide = place.tolist()
             entry = (seconds, x, y, axis, long, wide)
+            gaps = np.linalg.norm(cells - place[:2], axis=1)
+            nearest = float(gaps.min(initial=np.inf))
             if b not in found:
-                fresh.append(Speck([entry]))
+                fresh.append(Speck([entry], tracks[gaps.argmin()] if nearest < FROM_UM else None))
                 continue
             speck = self.all[found[b]]
             speck.path = [*speck.path[-2 * NEAR_BORN :], entry]
-            gaps = np.linalg.norm(cells - place[:2], axis=1)
-            near = len(gaps) > 0 and float(gaps.min()) < NEAR_UM
-            if speck.swims(NEAR_BORN if near else BORN):
-                swimming.append((speck, int(np.argmin(gaps)) if near else None))
+            if speck.swims(NEAR_BORN if nearest < NEAR_UM else BORN):
+                swimming.append(speck)
         kept = [speck for speck in self.all if speck.missed <= MISSED]
-        begun = [id(speck) for speck, _ in swimming]
+        begun = [id(speck) for speck in swimming]
         self.all = ([speck for speck in kept if id(speck) not in begun] + fresh)[:SPECKS]
         return swimming
 

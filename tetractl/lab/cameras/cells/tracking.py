@@ -37,6 +37,7 @@ POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # deviations of a blob
 ODD = (8.0, 8.0, 0.5)  # those of one that is cut, or larger than its cell
 MERGED = (7.0, 7.0, 10.0)  # those of a cell in a blob with several owners
 ODD_RUN, ODD_DISTANCE = 3, 30.0  # blobs in a row that are not where they should be
+EITHER = 0.5  # probability that a cell is the one known, once another one came out of its blob
 SHAPE_SHARE = 0.05  # of a new blob in a cell's usual size
 
 FieldPieces = Callable[[float, float], Sequence[Piece]]
@@ -134,9 +135,10 @@ class CellTracker:
         self._merges.answer(cells, seconds)
         free = [j for j in range(len(blobs)) if j not in shared]
         here = np.array([self.bank.mean[cell.row, :2] for cell in cells]).reshape(-1, 2)
-        for speck, beside in self._specks.follow(places[free], here, seconds):
+        tracks = [cell.track for cell in cells]
+        for speck in self._specks.follow(places[free], here, tracks, seconds):
             if len(self._cells) < CELLS:
-                self._begin(speck, None if beside is None else cells[beside].identity)
+                self._begin(speck)
 
     def _readings(
         self, shared: dict[int, list[int]], expected: Floats, places: Floats
@@ -190,7 +192,7 @@ class CellTracker:
                     cell.odd = 0
             at += count
 
-    def _begin(self, speck: Speck, beside: int | None) -> None:
+    def _begin(self, speck: Speck) -> None:
         """Follow what swims as a cell."""
         path = np.array(speck.path)
         last = path[-BORN:]
@@ -201,17 +203,20 @@ class CellTracker:
         long, wide = np.median(path[:, 4:6], axis=0).tolist()
         begun = (float(path[-1, 0]), x, y)
         self._cells.append(FollowedCell(self._next, self._next, row, long, wide, begun=begun))
-        self.born.append(Born(self._next, path[:, :4], beside))
+        beside = next((cell for cell in self._cells if cell.track == speck.beside), None)
+        if beside is not None:
+            beside.certainty *= EITHER
+        self.born.append(Born(self._next, path[:, :4], beside and beside.identity))
         self._next += 1
 
     def _give_up(self, width: int) -> None:
         """Forget cells that have not been seen for long, have left, or never swam."""
-        high = np.array([width, self._height]) * self.um_px
+        right, top = width * self.um_px, self._height * self.um_px
         for cell in list(self._cells):
-            place, rim = self.bank.mean[cell.row, :2], OUTSIDE * cell.long
-            outside = bool((place < rim).any() or (place > high - rim).any())
+            (x, y), rim = self.bank.mean[cell.row, :2].tolist(), OUTSIDE * cell.long
+            outside = min(x, y, right - x, top - y) < rim
             late = cell.missed_s > (GONE_S if outside else LOST_S)
-            if late or not np.isfinite(place).all() or self._stays(cell):
+            if late or not math.isfinite(x + y) or self._stays(cell):
                 self._merges.forget(cell, self._cells)
                 self.bank.drop(cell.row)
                 self._cells.remove(cell)

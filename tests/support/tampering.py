@@ -62,7 +62,7 @@ def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     return log_path(folder, 1)
 
 
-def lab_log(folder: Path) -> Path:
+def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     """Run one trial of the emulated lab in virtual time; return its log."""
     from support.bench_agreement import LAB
     from support.virtual_lab import virtual_lab
@@ -76,9 +76,7 @@ def lab_log(folder: Path) -> Path:
     from tetractl.run.run_trial import Trial
     from tetractl.run.task import trial_seeds
 
-    few = "controller.optimizer={type: pso, particles: 6, iterations: 14}"
-    sets = (few, "controller.period=0.2", "controller.hold=1", "controller.deadline=0.15")
-    loaded = load_spec(LAB, [*sets, "controller.steps_max=8", "controller.horizon_max=8"])
+    loaded = load_spec(LAB, ["controller.steps_max=8", "controller.horizon_max=8", *sets])
     spec, experiment, path = on_plant(loaded, "lab"), loaded.experiment, log_path(folder, 0)
     key, _ = trial_seeds(experiment.trials.seed, 0)
     settings = M3piSettings.model_validate({"loss": 0.3})

@@ -3,6 +3,7 @@
 Heavy modules are imported inside the command that needs them, so that `--help` answers at once.
 """
 
+import inspect
 import re
 import sys
 from typing import Annotated, Any
@@ -53,8 +54,15 @@ PLAIN = (  # what typer writes of a bad value, and how errors of specs are worde
 )
 
 
+_BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # within a paragraph that is no list
+
+
 class _Plain:
-    """A command whose help shows choices and placeholders of values, not their Python types."""
+    """A command whose help has whole paragraphs, choices and placeholders, not Python types."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.help = _BREAK.sub(" ", inspect.cleandoc(self.help or ""))
 
     def get_params(self, ctx: Any) -> Any:
         found = super().get_params(ctx)  # type: ignore[misc]
@@ -98,8 +106,8 @@ def _root(
 ) -> None:
     """Steer several robots at once with one control signal.
 
-    Run an experiment from a YAML spec, show its trials, and compute their statistics. The files
-    that examples name are written by `tetractl init --example NAME`.
+    Run an experiment from a YAML spec, show its trials, and compute their statistics.
+    `tetractl init --example NAME` writes the files of the examples.
     """
 
 

@@ -10,7 +10,7 @@ Where each line of Algorithm 2 is:
     10      H = length of u_(warm)                                        lengths.candidates
     11, 22  for h = H - 1, H, H + 1                                       lengths.candidates,
             H first if an optimiser tells whether that is good enough  Searcher.search_all
-    12      feedback of the robots, once a step                           plan, _problem
+    12      feedback of the robots, once per step                           plan, _problem
     13-15   break if the robots are close enough to their targets         plan
     16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
     18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates

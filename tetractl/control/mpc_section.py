@@ -50,25 +50,26 @@ class PriorSection(Model):
     """Standard deviations of the spec's values of the robots, before they move."""
 
     a: Positive = 0.2
-    """Of each a, relative to it."""
+    """Relative standard deviation of each a."""
     speed: Positive = 0.15
-    """Of each speed, relative to it."""
+    """Relative standard deviation of each speed."""
     dead_time: Positive = 0.1
-    """Of the dead time [s]."""
+    """Standard deviation of the dead time [s]."""
     heading_bias: Positive = 0.05
-    """Of the angle between the direction sent and the one per robot turns towards [rad]."""
+    """Standard deviation of the angle between the direction sent and the one that a robot turns
+    towards [rad]."""
     marker_bias: NonNegative = 0.05
-    """Of the angle between the heading that the camera measures and the course [rad]."""
+    """Standard deviation of the angle between the measured heading and the course [rad]."""
     flow: NonNegative = 0.0
-    """Of each component of what carries a robot over the ground [length unit/s]."""
+    """Standard deviation of each component of the flow that carries a robot [length unit/s]."""
     position_noise: NonNegative = 0.0
-    """Of a measured position [length unit]; 0 if it is not known."""
+    """Standard deviation of a measured position [length unit]; 0 if unknown."""
     heading_noise: NonNegative = 0.0
-    """Of a measured heading [rad]; 0 if it is not known."""
+    """Standard deviation of a measured heading [rad]; 0 if unknown."""
     helix_frequency: NonNegative = 0.0
     """Frequency of the helix on which cells swim [Hz]."""
     helix_radius: NonNegative = 0.0
-    """Of that helix [length unit]; 0 for none."""
+    """Radius of that helix [length unit]; 0 for none."""
 
     def of(self, problem: Problem, dead_time: float) -> Prior:
         """Return the prior of the robots of a problem."""

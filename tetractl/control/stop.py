@@ -23,7 +23,7 @@ class RelativeStop(Model):
 
     type: Literal["relative"]
     window: int = Field(default=10, ge=1, le=10_000)
-    """Iterations looked back over."""
+    """Number of iterations of the window."""
     decrease: float = Field(default=0.01, ge=0, lt=1, allow_inf_nan=False)
     """Least relative decrease of J over the window that keeps the search going."""
 

@@ -53,8 +53,8 @@ class Choice(Model):
     choose: int = Field(ge=1, le=20)
     """How many robots."""
     targets: tuple[Point, ...] = Field(default=(), max_length=1000)
-    """Where they are to go [x, y], at least as many as robots: each is given one, so that the
-    squares of the straight paths add up to the least."""
+    """Targets [x, y], at least as many as robots: they are assigned so that the sum of the squared
+    straight paths is least."""
     ring: Ring | None = None
     """Targets on a circle, in place of `targets`."""
     a: Positive

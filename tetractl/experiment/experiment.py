@@ -36,7 +36,7 @@ class Units(Model):
     """Units of the numbers in the spec. Angles are radians and times seconds."""
 
     length: Literal["um", "mm", "cm", "m"] = "mm"
-    """Of every position, distance, speed and cost."""
+    """Unit of every position, distance, speed and cost."""
 
 
 Obstacle = Annotated[ShapeSection, KindSection(SHAPES)]
@@ -168,18 +168,18 @@ class Experiment(Model):
     hold: HoldSection | None = None
     """Whether the robots are to stay at their targets; the share of time inside is measured."""
     on_lost: Literal["stop", "drop", "replace"] = "stop"
-    """What happens if a robot is not tracked for `lab.limits.untracked_abort`, or where a cell
-    is about to leave the arena, has divided, or is not known any more: the trial ends, goes on
-    without it, or with the most similar free cell. A robot that was dropped counts with its
+    """What happens if a robot is not tracked for `lab.limits.untracked_abort`, or a cell is about
+    to leave the arena, has divided, or lost its identity: the trial ends, goes on without the
+    robot, or with the most similar free cell in its place. A robot that was dropped counts with its
     distance from where it was seen last."""
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Where no robot may go."""
     wheels: Wheels | None = None
     """Wheel geometry; with it the log holds the wheel speeds of (24)-(25) of every command."""
     controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
-    """What chooses the direction."""
+    """The controller."""
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
-    """What the direction steers; a simulation if no `type` is given."""
+    """The plant; a simulation if no `type` is given."""
     lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)

@@ -21,7 +21,7 @@ class CultureSection(Model):
     dipole: NonNegative = DIPOLE_SD_RAD
     """Standard deviation of the dipole's angle from a cell's axis [rad]."""
     drift: NonNegative = DRIFT_UM_S
-    """Flow of the medium, in a direction drawn once a trial [um/s]."""
+    """Flow of the medium, in a direction drawn once per trial [um/s]."""
     walls: bool = True
     """Whether the arena's edges are walls, along which cells slide."""
 

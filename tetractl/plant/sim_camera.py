@@ -25,9 +25,9 @@ class MeasurementNoise(Model):
     """Standard deviations of what the camera measures, drawn again in every frame."""
 
     position: NonNegative = 0.0
-    """Of x and of y [length unit]."""
+    """Standard deviation of x and of y [length unit]."""
     heading: NonNegative = 0.0
-    """Of the heading [rad]."""
+    """Standard deviation of the heading [rad]."""
 
 
 class SimCamera:

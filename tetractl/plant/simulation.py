@@ -59,7 +59,7 @@ class SimSection(PlantSection):
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Rate of measurements [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
-    """Samples per second of the true path that decides errors and obstacle violations [Hz]; at
+    """Sampling rate of the true path that decides errors and obstacle violations [Hz]; at
     least the camera rate."""
     measurement_noise: MeasurementNoise = MeasurementNoise()
     """Standard deviations of the camera's noise."""
@@ -72,7 +72,7 @@ class SimSection(PlantSection):
     lost_commands: Fraction = 0.0
     """Probability that a command never reaches a robot, which goes on with the one before."""
     a_error: Fraction = 0.0
-    """The true a is the spec's times 1 + e, with e uniform in [-a_error, a_error], drawn once a
+    """The true a is the spec's times 1 + e, with e uniform in [-a_error, a_error], drawn once per
     trial and robot."""
     speed_error: Fraction = 0.0
     """As `a_error`, for the speed."""

@@ -24,7 +24,8 @@ class WheelDrive:
 
     `a`, `speed` (N,) are the true ones: if they differ from the setup's, turning and speed are
     scaled by the ratio. `walk` [rad/sqrt(s)] is the random walk of the
-    heading, at `truth_rate` [Hz], drawn from `walking`; `erring` feeds what is drawn once a trial.
+    heading, at `truth_rate` [Hz], drawn from `walking`; `erring` feeds what is drawn once per
+    trial.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """The host's side of two-wheeled robots in a simulation: computes and sends wheel speeds.
 
 They are (24)-(25) at the headings of the newest frame received, rounded to wheel counts, and sent
-again at the radio's rate or once a control step.
+again at the radio's rate or once per control step.
 """
 
 from typing import Annotated
@@ -41,16 +41,17 @@ class WheelDriveSection(Model):
     """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
     rounding error is carried to the next transmission. Not rounded by default."""
     dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
-    """Counts that do not move a wheel, as the host knows them; needs `count`."""
+    """Largest count that does not move a wheel, as known to the host; needs `count`."""
     dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
-    """Each wheel's true dead zone is that plus a whole number, uniform up to this either way."""
+    """Each wheel's true dead zone differs from `dead_zone` by a whole number, uniform up to this in
+    either direction."""
     gain_error: Fraction = 0.0
     """Each wheel's true speed is the one sent times 1 + e, e uniform in [-gain_error,
-    gain_error], drawn once a trial."""
+    gain_error], drawn once per trial."""
     radius_error: Fraction = 0.0
     """Each robot's true distance from wheel to centre is the spec's times 1 + e, likewise."""
     lag: NonNegative = 0.0
-    """Time constant with which wheels follow what was heard [s]."""
+    """Time constant with which wheels follow a received command [s]."""
 
 
 class WheelHost:
@@ -58,7 +59,7 @@ class WheelHost:
 
     `repeats_ns` is when the next transmission is due [ns], `direction` the one held [rad],
     None while the field is off: wheels then run alike. `erring` feeds gains and dead zones, drawn
-    once a trial.
+    once per trial.
     """
 
     def __init__(

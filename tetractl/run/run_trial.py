@@ -187,7 +187,7 @@ class Trial:
             pool.shutdown(wait=False, cancel_futures=True)
 
     def _drive_side(self, direction: float, end: int) -> None:
-        """Hold a direction until `end`, sent once a control period as in the control loop."""
+        """Hold a direction until `end`, sent once per control period as in the control loop."""
         period = round(self.start.setup.period_s * SECOND)
         while (now := self.clock.now()) < end:
             command = self._steer(direction)

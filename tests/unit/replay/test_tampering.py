@@ -26,6 +26,15 @@ ONLY_THE_LAB_KNOWS = {
 }
 
 
+SHORT = ("controller.steps_max=3", "controller.horizon_max=5")
+SMALL = (  # 5 Hz and a small swarm
+    "controller.period=0.2",
+    "controller.hold=1",
+    "controller.deadline=0.15",
+    "controller.optimizer={type: pso, particles: 6, iterations: 14}",
+)
+
+
 def missed(path: Path) -> set[tuple[str, str]]:
     assert verify(path).problems == ()
     seen, tried = score(path, 1)
@@ -36,10 +45,10 @@ def missed(path: Path) -> set[tuple[str, str]]:
 
 
 def test_a_simulation_is_noticed_to_be_tampered_with_anywhere(tmp_path: Path) -> None:
-    assert missed(sim_log(tmp_path)) == set()
+    assert missed(sim_log(tmp_path, SHORT)) == set()
 
 
 @pytest.mark.system
 def test_of_a_lab_only_what_it_alone_knows_can_be_changed(tmp_path: Path) -> None:
-    found = missed(lab_log(tmp_path))
+    found = missed(lab_log(tmp_path, SMALL))
     assert {kind for kind in found if not {kind, (kind[0], None)} & ONLY_THE_LAB_KNOWS} == set()

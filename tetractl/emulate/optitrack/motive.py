@@ -199,7 +199,7 @@ def mangle(datagram: bytes, chance: random.Random) -> bytes:
             return datagram + bytes(chance.randrange(1, 20))
         case 2:
             return datagram[:2] + (len(datagram) + 7).to_bytes(2, "little") + datagram[4:]
-        case 3:  # a count of bodies that cannot be
+        case 3:  # an impossible number of bodies
             return datagram[:8] + b"\xff\xff\xff\x7f" + datagram[12:]
         case _:
             return chance.randbytes(chance.randrange(1, 1400))

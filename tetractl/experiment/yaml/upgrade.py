@@ -119,7 +119,7 @@ def upgraded_path(steps: list[str]) -> list[str]:
 
 
 def _refuse_old_lab(document: Document) -> None:
-    """Report a lab of the form before cameras and actuators, once, and leave it out of the data."""
+    """Report a lab in the format without cameras and actuators, once, and drop it from the data."""
     for key in ("plant", "lab"):
         section = document.data.get(key)
         if not isinstance(section, dict) or {"camera", "actuator"} & section.keys():

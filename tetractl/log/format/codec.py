@@ -108,7 +108,9 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     times = {len(m.sampled_ns), len(m.received_ns)}
     known = {len(column) for column in true}
     if times != {count} or sizes != {count * robots} or known not in ({0}, sizes):
-        raise ValueError(f"camera frames whose columns are not of {count} times {robots} robots")
+        raise ValueError(
+            f"camera frames with columns of another size than {count} times {robots} robots"
+        )
     poses, truth = (
         np.array(part, dtype=np.float64).T.reshape(-1, robots, 3) for part in (measured, true)
     )

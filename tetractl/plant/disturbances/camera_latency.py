@@ -18,8 +18,8 @@ class CameraLatencySection(DisturbanceSection):
     mean: float = Field(ge=0, le=10, allow_inf_nan=False)
     """Mean time from exposure to arrival [s]."""
     deviation: float = Field(default=0.0, ge=0, le=1, allow_inf_nan=False)
-    """Standard deviation of a frame's latency, normally distributed and cut off at 4 of them
-    [s]."""
+    """Standard deviation of a frame's latency [s], normally distributed, truncated at 4 standard
+    deviations."""
     late_share: Fraction = 0.0
     """Fraction of the frames that are late."""
     late_by: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)

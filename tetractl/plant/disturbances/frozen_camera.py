@@ -16,8 +16,7 @@ class FrozenCameraSection(SpellsSection):
 
     type: Literal["frozen-camera"]
     repeats: bool = True
-    """Whether frames go on and show the last picture as a new one; else no frame reaches the
-    host."""
+    """Whether frames repeat the last picture as a new one; else no frame reaches the host."""
 
     @property
     def loses_frames(self) -> bool:

@@ -15,7 +15,7 @@ class HeadingDriftSection(DisturbanceSection):
 
     type: Literal["heading-drift"]
     rate: NonNegative
-    """Greatest rate; each robot's is uniform in [-rate, rate], drawn once a trial [rad/s]."""
+    """Greatest rate; each robot's is uniform in [-rate, rate], drawn once per trial [rad/s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "HeadingDrift":
         """Return the drift of one trial."""

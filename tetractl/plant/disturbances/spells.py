@@ -17,7 +17,7 @@ class SpellsSection(DisturbanceSection):
     times: Annotated[int, Field(ge=0, le=1000)] = 1
     """Number of intervals in a trial; they may overlap."""
     duration: Positive
-    """Of each [s]."""
+    """Duration of each [s]."""
     between: tuple[NonNegative, NonNegative] = (1.0, 14.0)
     """Each begins between these two times of the trial, uniformly distributed [s]."""
 

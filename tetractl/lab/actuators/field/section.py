@@ -33,7 +33,7 @@ class CoilsSection(Model):
     x: CoilPair
     """The pair whose axis is the spec's x axis turned by `rotation`."""
     y: CoilPair
-    """The pair a right angle anticlockwise from it."""
+    """The pair at a right angle anticlockwise from x."""
     rotation: Finite = 0.0
     """Turn from the spec's x axis to that of the x pair [rad]."""
 
@@ -59,7 +59,8 @@ class FieldSection(ActuatorSection):
     slew_max_a_s: float = Field(ge=1, le=10_000, allow_inf_nan=False)
     """Greatest change of each current [A/s]."""
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
-    """The driver switches the field off after this long without a command [s]; as built into it."""
+    """Time without a command after which the driver switches the field off [s]; built into the
+    driver."""
     supply_min_v: NonNegative = 0.0
     """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
     temperature_max_c: Positive = 60.0

@@ -118,7 +118,7 @@ MISFIT_MM = 10.0  # floor tags further off than this are not where the spec puts
 class Floor:
     """Keeps the plane calibrated from the floor tags while they are seen.
 
-    The corners are averaged over some pictures, for neither the camera nor a floor tag moves. If
+    The corners are averaged over some pictures, since neither the camera nor a floor tag moves. If
     one does, by `MOVED_PX`, the plane is given up until all floor tags are seen in one picture
     again; a plane on which they do not lie as the spec says, by `MISFIT_MM`, is not used.
     """
